@@ -229,9 +229,9 @@ def test_sparse_strided_and_normalised_accessors() -> None:
     document = make.document()
     np.testing.assert_array_equal(read_accessor(document, 0, "t", ("VEC3",)), [(-1, 0, 1)] * 3)
     np.testing.assert_array_equal(read_accessor(document, 1, "t", ("VEC2",)), [(0, 1)] * 3)
-    np.testing.assert_array_equal(read_accessor(document, 2, "t", ("VEC3",), 3), [(1, 1, 1), (0, 0, 0), (1, 1, 1)])
-    with pytest.raises(FormatError, match="has no data"):
-        read_accessor(document, 2, "t", ("VEC3",))
+    for count in (3, None):
+        found = read_accessor(document, 2, "t", ("VEC3",), count)
+        np.testing.assert_array_equal(found, [(1, 1, 1), (0, 0, 0), (1, 1, 1)])
 
 
 @pytest.mark.parametrize(
@@ -514,3 +514,21 @@ def test_joints_that_two_skins_bind_in_other_poses_move_both_as_the_file_says() 
             meant = np.einsum("va,vab->vb", np.column_stack([points[number], np.ones(6)]), blended)[:, :3]
             got = skinned_positions(part, rig, placed)
             np.testing.assert_allclose(got[np.lexsort(got.T.round(3))], meant[np.lexsort(meant.T.round(3))], atol=1e-5)
+
+
+def test_sparse_positions_need_no_buffer_view(tmp_path: Path) -> None:
+    """Rows that are not listed are 0; a count beyond the document's bytes is refused."""
+    make = Maker()
+    indices, values = make.view(np.array([1, 2], "u1").tobytes()), make.view(np.eye(3, dtype="f4")[:2].tobytes())
+    sparse = {"count": 2, "indices": {"bufferView": indices, "componentType": 5121}, "values": {"bufferView": values}}
+    entry = {"componentType": 5126, "count": 3, "type": "VEC3", "sparse": sparse}
+    top = {
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+    }
+    write_document(tmp_path / "sparse.glb", make.document(accessors=[entry], **top))
+    np.testing.assert_array_equal(read_mesh(tmp_path / "sparse.glb").positions, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    write_document(tmp_path / "huge.glb", make.document(accessors=[entry | {"count": 3_000_000_000}], **top))
+    with pytest.raises(FormatError, match="has no data"):
+        read_mesh(tmp_path / "huge.glb")
