@@ -247,7 +247,7 @@ def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> Jo
     """Joints of all skins as one rig; None without skins.
 
     A node above a joint becomes a joint if it is animated or its transform is no similarity. Transforms of other nodes
-    are applied to the joints below them. A joint that a later skin binds in another pose gets a child of its own there.
+    are applied to the joints below them. A joint that a later skin in use binds in another pose gets a child of its own there.
     """
     if not skins:
         return None
@@ -272,9 +272,11 @@ def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> Jo
     if not invertible(bind).all():
         document.refuse("skins", "the bind pose of a joint is scaled to nothing")
     rig = Rig(tuple(nodes.names[node] for node in chosen), parents, local, bind)
-    of_skins = []
-    for skin in skins:
-        rig, of_skin = _with_bound(rig, joint_of[skin.nodes], skin, nodes.names)
+    of_skins, used = [], {document.entry("nodes", node).get("skin") for node in nodes.in_scene}
+    for number, skin in enumerate(skins):
+        of_skin = joint_of[skin.nodes]
+        if number in used:
+            rig, of_skin = _with_bound(rig, of_skin, skin, nodes.names)
         of_skins.append(of_skin)
     return Joints(rig, joint_of, tuple(of_skins), above)
 
