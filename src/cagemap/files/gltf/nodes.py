@@ -247,7 +247,7 @@ def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> Jo
     """Joints of all skins as one rig; None without skins.
 
     A node above a joint becomes a joint if it is animated or its transform is no similarity. Transforms of other nodes
-    are applied to the joints below them. A joint that a later skin in use binds in another pose gets a child of its own there.
+    are applied to the joints below them. A joint that a later skin in use binds otherwise gets a child.
     """
     if not skins:
         return None
