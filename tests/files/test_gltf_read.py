@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 from examples.shapes import creature, cube
+from scipy.spatial.transform import Rotation
 
-from cagemap.character.poses import pose_at
+from cagemap.character.poses import pose_at, world_transforms
 from cagemap.character.values import skinned_positions
 from cagemap.errors import FormatError
 from cagemap.files.gltf.character import character_of, humanoid_bones, read_character
@@ -32,7 +33,7 @@ from cagemap.mesh import Plain
 from cagemap.mesh.parts import extract_faces, find_part
 from cagemap.tasks.mesh_commands import check_files, check_values
 
-from gltf_scenes import Maker, arm, moved
+from gltf_scenes import Maker, arm, matrices, moved
 
 
 def _written(tmp_path: Path, document: Document, name: str = "made.glb") -> Path:
@@ -228,9 +229,9 @@ def test_sparse_strided_and_normalised_accessors() -> None:
     document = make.document()
     np.testing.assert_array_equal(read_accessor(document, 0, "t", ("VEC3",)), [(-1, 0, 1)] * 3)
     np.testing.assert_array_equal(read_accessor(document, 1, "t", ("VEC2",)), [(0, 1)] * 3)
-    np.testing.assert_array_equal(read_accessor(document, 2, "t", ("VEC3",), 3), [(1, 1, 1), (0, 0, 0), (1, 1, 1)])
-    with pytest.raises(FormatError, match="has no data"):
-        read_accessor(document, 2, "t", ("VEC3",))
+    for count in (3, None):
+        found = read_accessor(document, 2, "t", ("VEC3",), count)
+        np.testing.assert_array_equal(found, [(1, 1, 1), (0, 0, 0), (1, 1, 1)])
 
 
 @pytest.mark.parametrize(
@@ -469,3 +470,65 @@ def test_written_shapes_come_back_without_the_cage_at_rest(tmp_path: Path, outpu
     found = read_shapes([tmp_path if output.endswith(".npz") else tmp_path / output], cage)
     assert sorted(found) == ["none", "smile"]
     np.testing.assert_allclose(found["smile"], 1.0)
+
+
+def _two_skins() -> tuple[Document, np.ndarray, np.ndarray, np.ndarray]:
+    """Two strips on the same joints, the second bound with its second joint bent; their points, weights and binds."""
+    make, bent = Maker(), moved(1, 0, 0)
+    bent[:3, :3] = Rotation.from_rotvec([0, 0, -0.8]).as_matrix()
+    binds = np.array([[moved(0, 0, 0), moved(1, 0, 0)], [moved(0, 0, 0), bent]])
+    points = np.array([[(x, y, z) for x in (0.0, 1.0, 2.0) for y in (0.0, 1.0)] for z in (0.0, 3.0)])
+    weights = np.repeat([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]], 2, axis=0)
+    common = {
+        "JOINTS_0": make.add(np.tile([0, 1, 0, 0], (6, 1)), "u1"),
+        "WEIGHTS_0": make.add(np.pad(weights, ((0, 0), (0, 2)))),
+    }
+    indices = make.add([0, 2, 1, 1, 2, 3, 2, 4, 3, 3, 4, 5], "<u2")
+    meshes = [
+        {"primitives": [{"attributes": {"POSITION": make.add(of_mesh)} | common, "indices": indices}]}
+        for of_mesh in points
+    ]
+    skins = [{"joints": [0, 1], "inverseBindMatrices": make.add(matrices(np.linalg.inv(of_skin)))} for of_skin in binds]
+    nodes = [{"name": "a", "children": [1]}, {"name": "b", "translation": [1, 0, 0]}]
+    nodes += [{"name": f"strip {number}", "mesh": number, "skin": number} for number in (0, 1)]
+    document = make.document(scene=0, scenes=[{"nodes": [0, 2, 3]}], nodes=nodes, meshes=meshes, skins=skins)
+    return document, points, weights, binds
+
+
+def test_joints_that_two_skins_bind_in_other_poses_move_both_as_the_file_says() -> None:
+    """Read, and written and read again."""
+    document, points, weights, binds = _two_skins()
+    character = character_of(document)
+    pose = np.array([moved(0, 0, 0), moved(1, 0, 0)])
+    pose[:, :3, :3] = Rotation.from_rotvec([(0.3, 0.2, 0.1), (0.1, 0.9, -1.1)]).as_matrix()
+    joints = world_transforms(pose, np.array([-1, 0]))
+    for found in (character, character_of(character_glb(character, document))):
+        rig = found.rig
+        assert rig is not None
+        local = rig.local.copy()
+        for joint, of_joint in zip(("a", "b"), pose, strict=True):
+            local[rig.names.index(joint)] = of_joint
+        placed = world_transforms(local, rig.parents)
+        for number, part in enumerate(found.parts):
+            blended = np.einsum("vj,jab->vab", weights, np.linalg.inv(binds[number]) @ joints)
+            meant = np.einsum("va,vab->vb", np.column_stack([points[number], np.ones(6)]), blended)[:, :3]
+            got = skinned_positions(part, rig, placed)
+            np.testing.assert_allclose(got[np.lexsort(got.T.round(3))], meant[np.lexsort(meant.T.round(3))], atol=1e-5)
+
+
+def test_sparse_positions_need_no_buffer_view(tmp_path: Path) -> None:
+    """Rows that are not listed are 0; a count beyond the document's bytes is refused."""
+    make = Maker()
+    indices, values = make.view(np.array([1, 2], "u1").tobytes()), make.view(np.eye(3, dtype="f4")[:2].tobytes())
+    sparse = {"count": 2, "indices": {"bufferView": indices, "componentType": 5121}, "values": {"bufferView": values}}
+    entry = {"componentType": 5126, "count": 3, "type": "VEC3", "sparse": sparse}
+    top = {
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+    }
+    write_document(tmp_path / "sparse.glb", make.document(accessors=[entry], **top))
+    np.testing.assert_array_equal(read_mesh(tmp_path / "sparse.glb").positions, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    write_document(tmp_path / "huge.glb", make.document(accessors=[entry | {"count": 3_000_000_000}], **top))
+    with pytest.raises(FormatError, match="has no data"):
+        read_mesh(tmp_path / "huge.glb")

@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from examples.shapes import cube, icosahedron
 
+from cagemap.character.normals import move_vertices
 from cagemap.character.values import Character
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import character_of, read_character, read_shape_keys
 from cagemap.files.gltf.document import read_document, write_document
-from cagemap.files.gltf.entries import Document, image_bytes
+from cagemap.files.gltf.entries import Document, image_bytes, read_accessor
 from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import read_mesh, write_mesh
@@ -27,7 +28,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.parts import extract_faces
 from cagemap.tasks.mesh_commands import refine_file
 
-from gltf_scenes import arm
+from gltf_scenes import Maker, arm
 from usd_characters import lively, with_shape_weights
 
 READ = ("Fox.glb", "MorphStressTest.gltf", "saturday06_skinned_morph_vrm0.vrm", "mh_male_young_draco.glb")
@@ -421,3 +422,74 @@ def test_weights_of_shapes_follow_their_names(interpolation: str, of_node: bool)
         for name, keys_of in expected.items():
             for one, other in zip(keys_of, found[name], strict=True):
                 np.testing.assert_array_equal(one, other)
+
+
+def _painted(**targets: Any) -> Document:
+    """Two triangles of a square, split along their common edge: red and half transparent blue."""
+    maker = Maker()
+    places = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float64)
+    normals = np.tile([0.0, 0.0, 1.0], (6, 1))
+    attributes = {
+        "POSITION": maker.add(places),
+        "NORMAL": maker.add(normals),
+        "COLOR_0": maker.add(np.repeat([[255, 0, 0, 255], [0, 0, 255, 51]], 3, axis=0), "u1", normalized=True),
+    }
+    primitive: dict[str, Any] = {"attributes": attributes}
+    if targets:
+        primitive["targets"] = [{name: maker.add(offsets) for name, offsets in targets.items()}]
+    node = {"name": "square", "mesh": 0, "scale": [2.0, 2.0, -2.0]}
+    return maker.document(meshes=[{"primitives": [primitive]}], nodes=[node], scenes=[{"nodes": [0]}], scene=0)
+
+
+def _corner_colors(document: Document) -> dict[tuple[float, ...], list[float]]:
+    """Linear colour with opacity of every corner, by the corner's place and the centre of its triangle."""
+    (primitive,) = document.json["meshes"][0]["primitives"]
+    places, colors = (
+        read_accessor(document, primitive["attributes"][name], name, ("VEC3", "VEC4"))
+        for name in ("POSITION", "COLOR_0")
+    )
+    corners = np.arange(len(places))
+    if "indices" in primitive:
+        corners = read_accessor(document, primitive["indices"], "indices", ("SCALAR",))
+    centres = places[corners].reshape(-1, 3, 3).mean(axis=1).round(3)
+    return {
+        (*places[corner], *centre): colors[corner].round(6).tolist()
+        for corner, centre in zip(corners, np.repeat(centres, 3, axis=0), strict=True)
+    }
+
+
+def test_colours_of_corners_and_opacity_come_back() -> None:
+    """Colours that differ at a weld are not averaged; `read_mesh` has one for each vertex."""
+    document = _painted()
+    character = character_of(document)
+    assert character.parts[0].mesh.n_vertices == 4
+    given, found = (_corner_colors(one) for one in (document, character_glb(character, document)))
+    assert given == found
+    assert len({tuple(color) for color in found.values()}) == 2
+
+
+def test_tangents_of_blend_shapes_are_said_to_be_left_out(caplog: pytest.LogCaptureFixture) -> None:
+    character_of(_painted(POSITION=np.ones((6, 3)), TANGENT=np.ones((6, 3))))
+    assert caplog.messages == ["made.glb: tangents of blend shapes are left out; programs compute them"]
+
+
+def test_normals_of_blend_shapes_come_back_and_turn_with_moved_faces() -> None:
+    """As stated where the mesh is unchanged, else as the shape turns the faces."""
+    raised = np.zeros((6, 3))
+    raised[:, 2] = [0.0, 0.5, 0.5, 0.0, 0.5, 0.0]  # x + 2 z = 0: the plane tilts about y
+    stated = np.tile([-0.3, 0.1, -0.2], (6, 1))
+    document = _painted(POSITION=raised, NORMAL=stated)
+    character = character_of(document)
+    again = character_glb(character, document)
+    target = again.json["meshes"][0]["primitives"][0]["targets"][0]
+    offsets = read_accessor(again, target["NORMAL"], "NORMAL", ("VEC3",))
+    np.testing.assert_allclose(offsets, np.tile(stated[0], (len(offsets), 1)), atol=1e-6)
+    (part,) = character.parts
+    moved = move_vertices(part, part.mesh.positions * [2.0, 1.0, 1.0])
+    (offsets,) = moved.shape_normals.values()
+    assert moved.normals is not None
+    (shape,) = moved.shapes.values()
+    slope = moved.normals + offsets
+    edges = (moved.mesh.positions + shape)[moved.mesh.face_indices[[0, 1, 2]]]
+    np.testing.assert_allclose(slope[0] @ (edges[1:] - edges[0]).T, 0.0, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(slope, axis=1), 1.0, atol=1e-6)

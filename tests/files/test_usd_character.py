@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from examples.shapes import icosahedron
 
 from cagemap.character.poses import interpolate_keys, pose_at, world_transforms
-from cagemap.character.values import Character, skinned_positions
+from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import read_shape_keys
@@ -300,3 +301,18 @@ def test_check_reads_a_character_in_usd_once(tmp_path: Path, caplog: pytest.LogC
     assert [one.getMessage().partition(": ")[2] for one in caplog.records] == [
         "/Asset/body: blend shape raise: its in-betweens are left out"
     ]
+
+
+def test_colours_and_opacity_of_corners_are_written(tmp_path: Path) -> None:
+    """In place of one colour for each vertex."""
+    mesh = replace(icosahedron(), name="ball", vertex_colors=np.full((12, 3), 0.5))
+    colors = np.random.default_rng(3).uniform(size=(len(mesh.face_indices), 4))
+    _written(tmp_path / "OUT.usda", Character((Part("ball", mesh, colors=colors),)))
+    stage = Usd.Stage.Open(str(tmp_path / "OUT.usda"))
+    prim = UsdGeom.Mesh(stage.GetPrimAtPath("/Asset/ball"))
+    for primvar, meant in (
+        (prim.GetDisplayColorPrimvar(), colors[:, :3]),
+        (prim.GetDisplayOpacityPrimvar(), colors[:, 3]),
+    ):
+        assert primvar.GetInterpolation() == "faceVarying"
+        np.testing.assert_allclose(np.array(primvar.Get()), meant, atol=1e-6)

@@ -319,6 +319,21 @@ def test_the_report_shows_what_the_body_wears_and_how_it_moves(run: Run, files: 
     assert Path("NEW.glb").read_bytes() == b"mine"
 
 
+def test_gltf_and_vrm_have_the_same_character(run: Run, files: Character) -> None:
+    """A `.vrm` without VRM data is said; with the character's it is not."""
+    made = _rig(run)
+    said = "OUT.vrm has no VRM data, since C.glb has none"
+    for name in ("OUT.gltf", "OUT.vrm"):
+        outcome = run.done("rig B.glb --like C.glb -o", name)
+        assert (said in outcome.err) == (name == "OUT.vrm")
+        found = read_character(name)
+        assert [part.name for part in found.parts] == [part.name for part in made.parts]
+    document = read_document("C.glb")
+    top = document.json | {"extensions": {"VRM": {"specVersion": "0.0"}}, "extensionsUsed": ["VRM"]}
+    write_document("C.glb", replace(document, json=top), force=True)
+    assert said not in run.done("rig B.glb --like C.glb -o OUT.vrm --force").err
+
+
 def test_usd_has_the_same_character(run: Run, files: Character) -> None:
     """Points, weights, shapes, joints and the image, as in the `.glb`; its own files are replaced without force."""
     usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")

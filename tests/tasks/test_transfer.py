@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import ParameterError
@@ -16,6 +18,7 @@ from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.files.usd.write import UsdResults, write_usd
+from cagemap.mesh import ControlMesh
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
@@ -83,28 +86,56 @@ def test_the_image_inside_a_usd_file_is_baked(tmp_path: Path, suffix: str) -> No
     np.testing.assert_array_equal(read_image(tmp_path / "out.png").pixels[4, 4], [200, 30, 10])
 
 
-@pytest.mark.parametrize(
-    "changed",
-    [
-        {"materials": [{"name": "red", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "texCoord": 1}}}]},
-        {"textures": [{"source": 0, "sampler": 0}], "samplers": [{"wrapS": 33648}]},
-    ],
-)
-def test_an_image_inside_a_gltf_file_for_other_uvs_is_refused(tmp_path: Path, changed: dict[str, Any]) -> None:
-    """An image for the second UV set, or one that is mirrored where the layout leaves the unit square."""
-    result = identity_result()
-    control = result.source.control
-    write_result(
-        tmp_path / "RESULT", replace(result, source=result.source.with_control(replace(control, uvs=control.uvs + 1)))
-    )
+def test_an_image_inside_a_gltf_file_for_another_uv_set_is_refused(tmp_path: Path) -> None:
+    write_result(tmp_path / "RESULT", identity_result())
     scene = write_textured_scene(tmp_path)
-    request = TransferRequest(tmp_path / "RESULT", tmp_path / "out.png", texture=tmp_path / "box.gltf")
-    run_transfer(request, Stages())
-    (tmp_path / "other.gltf").write_text(json.dumps(scene | changed))
-    with pytest.raises(
-        ParameterError, match=r"other.gltf: expected a colour image .* UV set in use, without a texture transform"
-    ):
-        run_transfer(replace(request, texture=tmp_path / "other.gltf"), Stages())
+    scene["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["texCoord"] = 1
+    (tmp_path / "other.gltf").write_text(json.dumps(scene))
+    request = TransferRequest(tmp_path / "RESULT", tmp_path / "out.png", texture=tmp_path / "other.gltf")
+    with pytest.raises(ParameterError, match=r"other.gltf: expected a colour image .* UV set in use, found none"):
+        run_transfer(request, Stages())
+
+
+def baked_squares(folder: Path, control: ControlMesh, texture: Path, size: int = 64) -> NDArray[Any]:
+    """An image baked for a box whose target layout is that of `identity_result`."""
+    result = identity_result()
+    write_result(folder / "RESULT", replace(result, source=result.source.with_control(control)))
+    run_transfer(TransferRequest(folder / "RESULT", folder / "out.png", texture=texture, size=size), Stages())
+    pixels = read_image(folder / "out.png").pixels.astype(int)
+    (folder / "out.png").unlink()
+    return pixels
+
+
+@pytest.mark.parametrize(
+    ("changed", "mirrored", "uvs"),
+    [
+        ({"offset": [0.5, 0.25], "scale": [0.5, 0.75]}, False, lambda u, v: (0.5 + 0.5 * u, 0.75 * v)),
+        ({"rotation": np.pi / 2}, False, lambda u, v: (1.0 - v, 1.0 + u)),
+        ({"scale": [2, 1]}, True, lambda u, v: (u, v)),
+    ],
+    ids=["shifted", "turned", "mirrored"],
+)
+def test_a_texture_transform_and_mirrored_repetition_of_a_gltf_file_are_baked(
+    tmp_path: Path, changed: dict[str, Any], mirrored: bool, uvs: Callable[..., tuple[NDArray[Any], NDArray[Any]]]
+) -> None:
+    """As the image itself, with the texture coordinates that the transform gives."""
+    scene = write_textured_scene(tmp_path)
+    y, x = np.mgrid[:64, :64]
+    pixels = np.stack([4 * x, 4 * y, 2 * (x + y)], axis=2).astype(np.uint8)
+    write_image(tmp_path / "skin.png", pixels, force=True)
+    scene["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["extensions"] = {"KHR_texture_transform": changed}
+    if mirrored:
+        pixels = np.concatenate([pixels, pixels[:, ::-1]], axis=1)
+        scene |= {"textures": [{"source": 0, "sampler": 0}], "samplers": [{"wrapS": 33648, "wrapT": 33648}]}
+    (tmp_path / "box.gltf").write_text(json.dumps(scene | {"extensionsUsed": ["KHR_texture_transform"]}))
+    control = identity_result().source.control
+    assert control.uvs is not None
+    given = baked_squares(tmp_path, control, tmp_path / "box.gltf")
+    write_image(tmp_path / "meant.png", pixels)
+    moved = replace(control, uvs=np.column_stack(uvs(*control.uvs.T)))
+    meant = baked_squares(tmp_path, moved, tmp_path / "meant.png")
+    assert np.ptp(meant[..., :2], axis=(0, 1)).min() > 60
+    assert np.abs(given - meant).max() <= 1  # rounding of texture coordinates
 
 
 def test_every_file_of_several_maps_is_named_on_a_line_of_its_own(tmp_path: Path) -> None:

@@ -43,6 +43,20 @@ def test_rigs_through_the_command_line(run: Run, result_folder: Path) -> None:
     np.testing.assert_array_equal(read_mesh(place / "faces" / "large.obj").positions, target.positions)
 
 
+def test_weights_at_a_soft_mask_edge_have_no_more_joints_than_asked(run: Run, result_folder: Path) -> None:
+    place, names = result_folder.parent, ["a", "b", "c", "d"]
+    given, own = np.tile([0.7, 0.3, 0.0, 0.0], (8, 1)), np.tile([0.0, 0.1, 0.5, 0.4], (8, 1))
+    for name, table in (("w.csv", given), ("own.csv", own)):
+        np.savetxt(place / name, table, delimiter=",", header=",".join(names), comments="")
+    np.save(place / "soft.npy", np.linspace(0.0, 1.0, 8))
+    said = run.done("transfer R --weights w.csv --base own.csv --target-mask soft.npy --influences 2 -o soft.npz")
+    with np.load(place / "soft.npz") as carried:
+        table = np.column_stack([carried[name] for name in names])
+    assert (table > 0).sum(axis=1).max() == 2
+    np.testing.assert_allclose(table.sum(axis=1), 1.0, atol=1e-12)
+    assert "at most 2 a vertex" in said.out
+
+
 def test_weights_of_some_joints_and_of_both_sides_alike(run: Run, result_folder: Path) -> None:
     place, rng = result_folder.parent, np.random.default_rng(8)
     names = ["spine", "arm.L", "arm.R"]

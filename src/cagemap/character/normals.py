@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,20 +18,49 @@ NORMAL_TOLERANCE = 1e-3
 MIN_TURN_COSINE = -0.99
 
 
-def move_vertices(part: Part, positions: FloatArray) -> Part:
-    """A part with other vertex positions (n, 3); corner normals rotate with their faces."""
-    if part.normals is None:
-        return replace(part, mesh=part.mesh.with_positions(positions))
-    groups = normal_groups(part.mesh, part.normals)
-    old_normals, new_normals = (
-        _group_normals(part.mesh, groups, places)[groups] for places in (part.mesh.positions, positions)
-    )
-    axis, cosine = np.cross(old_normals, new_normals), np.einsum("cd,cd->c", old_normals, new_normals)[:, None]
-    axis_part = np.einsum("cd,cd->c", axis, part.normals)[:, None] * axis / (1.0 + np.maximum(cosine, MIN_TURN_COSINE))
-    rotated = np.where(
-        cosine > MIN_TURN_COSINE, cosine * part.normals + np.cross(axis, part.normals) + axis_part, new_normals
-    )
-    return replace(part, mesh=part.mesh.with_positions(positions), normals=normalize_rows(rotated))
+def move_vertices(part: Part, positions: FloatArray, shapes: dict[str, FloatArray] | None = None) -> Part:
+    """A part with other vertex positions (n, 3) and offsets of its shapes; corner normals rotate with their faces."""
+    moved = replace(part, mesh=part.mesh.with_positions(positions), shapes=part.shapes if shapes is None else shapes)
+    if part.normals is None or (shapes is None and np.array_equal(positions, part.mesh.positions)):
+        return moved
+    rotated = _rotated_normals(part.mesh, part.normals, [positions, *_shaped(moved, part.shape_normals)])
+    offsets = dict(zip(part.shape_normals, (one - rotated[0] for one in rotated[1:]), strict=True))
+    return replace(moved, normals=rotated[0], shape_normals=offsets)
+
+
+def with_shape_normals(part: Part, names: Iterable[str]) -> Part:
+    """A part with normals of the named shapes too: its own normals, rotated with their faces."""
+    names, mesh = tuple(names), part.mesh
+    if not names:
+        return part
+    normals = part.normals
+    if normals is None:
+        corners, _ = fan_triangles(mesh.face_offsets, mesh.face_indices)
+        normals = vertex_normals(mesh.positions, corners)[mesh.face_indices]
+    rotated = _rotated_normals(mesh, normals, _shaped(part, names))
+    offsets = {name: one - normals for name, one in zip(names, rotated, strict=True)}
+    return replace(part, normals=normals, shape_normals=part.shape_normals | offsets)
+
+
+def _shaped(part: Part, names: Iterable[str]) -> list[FloatArray]:
+    """Vertex positions in each of the named shapes."""
+    return [part.mesh.positions + part.shapes[name] for name in names]
+
+
+def _rotated_normals(mesh: ControlMesh, normals: FloatArray, places: Sequence[FloatArray]) -> list[FloatArray]:
+    """Corner normals (c, 3), rotated with their faces, for each of several vertex positions (n, 3)."""
+    groups = normal_groups(mesh, normals)
+    old_normals = _group_normals(mesh, groups, mesh.positions)[groups]
+    found = []
+    for positions in places:
+        new_normals = _group_normals(mesh, groups, positions)[groups]
+        axis, cosine = np.cross(old_normals, new_normals), np.einsum("cd,cd->c", old_normals, new_normals)[:, None]
+        axis_part = np.einsum("cd,cd->c", axis, normals)[:, None] * axis / (1.0 + np.maximum(cosine, MIN_TURN_COSINE))
+        rotated = np.where(
+            cosine > MIN_TURN_COSINE, cosine * normals + np.cross(axis, normals) + axis_part, new_normals
+        )
+        found.append(normalize_rows(rotated))
+    return found
 
 
 def normal_groups(mesh: ControlMesh, normals: FloatArray) -> IndexArray:

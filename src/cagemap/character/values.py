@@ -89,6 +89,11 @@ class Part:
         Offsets of the vertices.
     normals : (c, 3) float64 or None
         Unit normal of every face corner, if the file has them; see `cagemap.character.normals.move_vertices`.
+    shape_normals : dict of str to (c, 3) float64
+        Offsets of ``normals``, of the shapes that state them.
+    colors : (c, 4) float64 or None
+        Linear red, green, blue and opacity of every face corner, if a glTF file has them. ``mesh.vertex_colors`` has
+        one for each vertex.
     """
 
     name: str
@@ -96,6 +101,8 @@ class Part:
     weights: sparse.csr_array | None = field(default=None, repr=False)
     shapes: dict[str, FloatArray] = field(default_factory=dict, repr=False)
     normals: FloatArray | None = field(default=None, repr=False)
+    shape_normals: dict[str, FloatArray] = field(default_factory=dict, repr=False)
+    colors: FloatArray | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cagemap.character.normals import move_vertices
+from cagemap.character.normals import move_vertices, with_shape_normals
 from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.passengers import carry_passengers
 from cagemap.character.retarget import retarget_all
@@ -97,15 +97,13 @@ def carry_character(
     stages("weights and shapes")
     weights, shapes = _body_weights(matched, influences), body_shapes(matched)
     body = replace(target_body, name=source_body.name, weights=weights, shapes={**shapes, **target_body.shapes})
+    body = with_shape_normals(body, [name for name in source_body.shape_normals if name not in target_body.shapes])
     taken = {part.name for part in (body, *to_carry)}
     extras = [_following(part, body, taken) for part in target.parts if part is not target_body]
     stages("passengers")
     carried = carry_passengers(result, [part.mesh for part in to_carry], kinds=kinds)
     dressed = [
-        replace(
-            move_vertices(part, one.positions),
-            shapes={name: one.carry_offsets(offsets) for name, offsets in part.shapes.items()},
-        )
+        move_vertices(part, one.positions, {name: one.carry_offsets(offsets) for name, offsets in part.shapes.items()})
         for part, one in zip(to_carry, carried, strict=True)
     ]
     rig, animations = None, source.animations  # without a skeleton, those of blend shapes
@@ -186,11 +184,15 @@ def _set_aside(body: Part, ready: PlainMesh | Welded) -> Part | None:
     number = numbers_on_part(taken, mesh)
     rows = np.zeros(taken.n_vertices, dtype=np.int64)
     rows[number[number >= 0]] = np.flatnonzero(number >= 0)
+    corners = ~kept[mesh.corner_faces]
     return Part(
         f"{body.name} pieces",
         replace(taken, name=f"{body.name} pieces"),
         None if body.weights is None else body.weights[rows],
         {name: offsets[rows] for name, offsets in body.shapes.items()},
+        None if body.normals is None else body.normals[corners],
+        {name: offsets[corners] for name, offsets in body.shape_normals.items()},
+        None if body.colors is None else body.colors[corners],
     )
 
 

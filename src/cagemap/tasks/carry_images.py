@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from cagemap.errors import ParameterError
 from cagemap.files.gltf.document import SCENE_SUFFIXES
-from cagemap.files.gltf.material_images import extract_texture
+from cagemap.files.gltf.material_images import MaterialImage, color_texture, write_material_image
 from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern, udim_path
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import note_transfer
@@ -65,25 +65,25 @@ FEWEST_NORMALS = 0.3
 def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Carry one image, or all maps of a material, with one prepared bake."""
     images = request.maps if request.texture is None else (("", request.texture),)
-    maps = [(name, _image_file(path, request, result)) for name, path in images]
-    outputs = [map_path(request.output, name) for name, _ in maps]
-    for output, (name, path) in zip(outputs, maps, strict=True):
+    maps = [(name, *_image_file(path, request, result)) for name, path in images]
+    outputs = [map_path(request.output, name) for name, *_ in maps]
+    for output, (name, path, _) in zip(outputs, maps, strict=True):
         dtype, channels = read_image_form(path)
         kept = dtype if request.bits is None else pixel_type(request.bits, output.suffix)
         check_writable(output, kept, written_channels(request, result, channels, name))
     prepared = prepare_bake(
-        request, result, stages, dict(zip((name or "texture" for name, _ in maps), outputs, strict=True))
+        request, result, stages, dict(zip((name or "texture" for name, *_ in maps), outputs, strict=True))
     )
-    for (name, path), output in zip(maps, outputs, strict=True):
+    for (name, path, texture), output in zip(maps, outputs, strict=True):
         map_request = replace(request, output=output)
-        image = _bake_map(map_request, result, prepared, name, path, stages)
+        image = _bake_map(map_request, result, prepared, name, path, stages, texture)
         entry = _entry("texture", path, image)
         summary, warnings = finish(map_request, prepared, entry | ({"map": name} if name else {}))
     if request.usd is not None:
         layer = request.usd
         images_by_use = {
             name or "texture": texture_reference(output if prepared.tiles == [0] else tile_pattern(output), layer)
-            for (name, _), output in zip(maps, outputs, strict=True)
+            for (name, *_), output in zip(maps, outputs, strict=True)
         }
         control = prepared.control
         uvs = None
@@ -99,26 +99,36 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
     return summary, warnings
 
 
-def _image_file(path: Path, request: TransferRequest, result: MatchResult) -> Path:
-    """An image file as given, or the image of a glTF, FBX or USD file, written into RESULT."""
+def _image_file(path: Path, request: TransferRequest, result: MatchResult) -> tuple[Path, MaterialImage | None]:
+    """An image file as given; or the image of a glTF, FBX or USD file, written into RESULT, and how it is laid."""
     if path.suffix.lower() not in (*SCENE_SUFFIXES, *USD_SUFFIXES):
-        return path
-    document = usd_document(path) if is_usd(path) else None
-    image = extract_texture(path, result.source.control, request.result, document)
-    if image is None:
+        return path, None
+    found = color_texture(path, result.source.control, usd_document(path) if is_usd(path) else None)
+    image = None if found is None else write_material_image(path, *found, request.result)
+    if found is None or image is None:
         raise ParameterError(
-            f"{path}: expected a colour image on most of {result.source.control.name} that repeats over its UV set in "
-            "use, without a texture transform, found none. Match with another --source-uv-set, give an image made for "
-            "these UVs, or bake --material-colors; `cagemap rig` applies texture transforms."
+            f"{path}: expected a colour image on most of {result.source.control.name} for its UV set in use, found "
+            "none. Match with another --source-uv-set, give an image made for these UVs, or bake --material-colors."
         )
-    return image
+    return image, found[1]
 
 
 def _bake_map(
-    request: TransferRequest, result: MatchResult, prepared: Prepared, name: str, path: Path, stages: Stages
+    request: TransferRequest,
+    result: MatchResult,
+    prepared: Prepared,
+    name: str,
+    path: Path,
+    stages: Stages,
+    laid: MaterialImage | None,
 ) -> SourceImage:
     """Bake one map into all tiles; returns the source image."""
     source_image = read_source_image(request, result, path, name=name)
+    transfer, texture = prepared.transfer, source_image.texture
+    uvs = transfer.source.uvs
+    if laid is not None and uvs is not None and not isinstance(texture, dict) and not laid.is_repeated_over(uvs):
+        texture, uvs = laid.repeating(texture, laid.on_image(uvs))
+        transfer = replace(transfer, source=replace(transfer.source, uvs=uvs))
     is_normal_map = not request.as_color and looks_like_normal_map(source_image.first.pixels)
     if is_normal_map and not name:
         raise ParameterError(
@@ -136,9 +146,7 @@ def _bake_map(
     carry = partial(bake_normal_map, green=cast(Green, request.green)) if is_normal_map else bake_texture
 
     def bake(options: BakeOptions) -> Image:
-        pixels = carry(
-            prepared.transfer, source_image.texture, size=source_image.size, dtype=source_image.dtype, options=options
-        )
+        pixels = carry(transfer, texture, size=source_image.size, dtype=source_image.dtype, options=options)
         return replace(source_image.first, pixels=pixels)
 
     bake_tiles(request, prepared, bake, stages, name)

@@ -78,9 +78,10 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
         name: part[:, 0] if array.ndim == 1 else part for (name, array), part in zip(arrays.items(), parts, strict=True)
     }
     columns, notes = keep_base(request, result, columns, target_rows)
+    columns = _limited(request, result, columns)
     if skeleton is not None and request.output.suffix.lower() != ".npy":
         columns = _by_joint(columns, skeleton)
-    most = int((carried > 0).sum(axis=1).max())
+    most = int(sum((array.reshape(len(array), -1) > 0).sum(axis=1) for array in columns.values()).max())
     filled = int(np.count_nonzero(~trusted_vertices(result)))
     text = f"wrote {request.output}: {len(carried)} vertices, {carried.shape[1]} joints, at most {most} a vertex"
     with all_or_nothing():
@@ -95,6 +96,16 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     if filled:
         text += f"\n  {filled} vertices where the map is not to be trusted take theirs from around them"
     return text, [f"{request.weights}: {scaled}", *notes] if scaled else notes
+
+
+def _limited(request: TransferRequest, result: MatchResult, columns: Attributes) -> Attributes:
+    """Weights with at most ``--influences`` joints at vertices where masks blended them with those of ``--base``."""
+    blended = result.masks.joint(result.point_map)[: result.target.control.n_vertices, None] > 0.0
+    ends = np.cumsum([array.size // len(array) for array in columns.values()])
+    table = np.column_stack(list(columns.values()))
+    limited = np.where(blended, normalised(pruned(table, request.influences or None), table.sum(axis=1)), table)
+    parts = np.split(limited, ends[:-1], axis=1)
+    return {name: part.reshape(array.shape) for (name, array), part in zip(columns.items(), parts, strict=True)}
 
 
 def _require_rows(given: Attributes, control: ControlMesh, rows: FileRows | None, request: TransferRequest) -> None:

@@ -133,7 +133,10 @@ def write_character(
         kept = {file.resolve() for one in inputs for file in referred_files(one)}
         return write_usd_character(path, character, scene, space=space, kept=kept, force=force)
     write_document(path, document, force=force)
-    return []
+    is_vrm = bool({"VRM", "VRMC_vrm"} & set(document.json.get("extensions", ())))
+    if path.suffix.lower() != ".vrm" or is_vrm:
+        return []
+    return [f"{path} has no VRM data, since {inputs[-1]} has none: programs for VRM refuse it. Name it .glb"]
 
 
 def read_body(path: Path) -> tuple[Document | None, Character]:

@@ -22,6 +22,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import face_centres
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.srgb import decode_srgb
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.carry_character import CarriedCharacter, nearest
@@ -84,10 +85,17 @@ def textured(
 def colored(carried: CarriedCharacter, body: Part, of: Part) -> Part:
     """The body with the source body's vertex colours, or without: glTF multiplies them with the texture."""
     result, colors = carried.result, of.mesh.vertex_colors
-    if colors is not None:
-        colors = np.asarray(carry_values(result, colors[carried.rows[1]], "vertices"))
-        colors = colors[nearest(result.target.control.positions, body.mesh.positions)]
-    return replace(body, mesh=replace(body.mesh, vertex_colors=colors))
+    if colors is None:
+        return replace(body, mesh=replace(body.mesh, vertex_colors=None), colors=None)
+    opacity = np.ones(of.mesh.n_vertices)
+    if of.colors is not None:
+        opacity[of.mesh.face_indices] = of.colors[:, 3]
+    table = np.column_stack([colors, opacity])[carried.rows[1]]
+    table = np.asarray(carry_values(result, table, "vertices"))
+    table = table[nearest(result.target.control.positions, body.mesh.positions)]
+    linear = np.column_stack([decode_srgb(table[:, :3].clip(0.0, 1.0)), table[:, 3].clip(0.0, 1.0)])
+    corners = linear[body.mesh.face_indices] if (opacity < 1.0).any() else None
+    return replace(body, mesh=replace(body.mesh, vertex_colors=table[:, :3]), colors=corners)
 
 
 def _transfer(result: MatchResult, source: ControlMesh, uvs: FloatArray | None = None) -> Transfer:

@@ -214,7 +214,13 @@ class _Scene:
             materials[slot] if slot < len(materials) else None for slot in range(len(mesh.control.material_names))
         ]
         entry = mesh_entry(
-            self._binary, mesh.control, numbers, weights=mesh.weights, shapes=mesh.shapes, normals=mesh.normals
+            self._binary,
+            mesh.control,
+            numbers,
+            weights=mesh.weights,
+            shapes=mesh.shapes,
+            normals=mesh.normals,
+            colors=mesh.colors,
         )
         return entry | ({"weights": mesh.amounts} if any(mesh.amounts) else {})
 

@@ -20,6 +20,7 @@ from cagemap.files.gltf.nodes import distinct
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.srgb import decode_srgb
 
 _EVERYTHING: list[Any] = []
 
@@ -66,6 +67,7 @@ class FbxMesh:
     shapes: dict[str, FloatArray] = field(default_factory=dict, repr=False)  # offsets (n, 3) by name
     channels: tuple[Any, ...] = ()  # the blend channel of each shape
     normals: FloatArray | None = field(default=None, repr=False)  # (c, 3) of the face corners
+    colors: FloatArray | None = field(default=None, repr=False)  # (c, 4) of the face corners, linear with opacity
 
     @property
     def amounts(self) -> list[float]:
@@ -95,7 +97,6 @@ def read_fbx_mesh(mesh: Any, name: str, note: Callable[[str], None]) -> FbxMesh 
     if sets:
         control = replace(control, uvs=sets[0].uvs, uv_indices=sets[0].uv_indices, uv_name=sets[0].name)
         control = replace(control, uv_sets=tuple(sets[1:]))
-    control = _colored(mesh, control, corners, note)
     creased = [get(mesh, "edge_crease"), get(mesh, "vertex_crease", "values")]
     if any(np.any(np.array(one, dtype=np.float64) > 0.0) for one in creased if len(one)):
         note(f"{name}: creases are left out; OBJ and USD files keep them")
@@ -105,7 +106,8 @@ def read_fbx_mesh(mesh: Any, name: str, note: Callable[[str], None]) -> FbxMesh 
     stated = (
         floats(normals, "values", columns=3)[whole(normals, "indices")[corners]] if get(normals, "exists") else None
     )
-    fbx_mesh = replace(fbx_mesh, channels=tuple(channel for _, channel in shapes.values()), normals=stated)
+    channels, colors = tuple(channel for _, channel in shapes.values()), _colors(mesh, corners)
+    fbx_mesh = replace(fbx_mesh, channels=channels, normals=stated, colors=colors)
     return _skinned(mesh, fbx_mesh, note)
 
 
@@ -125,17 +127,13 @@ def _uv_set(uv_set: Any, corners: IndexArray) -> UvSet:
     return UvSet(get(uv_set, "name"), floats(uvs, "values", columns=2), whole(uvs, "indices")[corners])
 
 
-def _colored(mesh: Any, control: ControlMesh, corners: IndexArray, note: Callable[[str], None]) -> ControlMesh:
-    """The mesh with vertex colours of the first set: at each vertex that of one of its corners."""
+def _colors(mesh: Any, corners: IndexArray) -> FloatArray | None:
+    """Colours (c, 4) of the first set, linear with opacity; None without one."""
     colors = get(mesh, "vertex_color")
     if not get(colors, "exists"):
-        return control
-    of_corner = floats(colors, "values", columns=4)[whole(colors, "indices")[corners]][:, :3]
-    of_vertex = np.ones((control.n_vertices, 3))
-    of_vertex[control.face_indices] = of_corner
-    if np.abs(of_vertex[control.face_indices] - of_corner).max(initial=0.0) > 1e-3:
-        note(f"{control.name}: vertex colours that differ from face to face became one for each vertex")
-    return replace(control, vertex_colors=np.clip(of_vertex, 0.0, 1.0))
+        return None
+    of_corner = floats(colors, "values", columns=4)[whole(colors, "indices")[corners]].clip(0.0, 1.0)
+    return np.column_stack([decode_srgb(of_corner[:, :3]), of_corner[:, 3]])
 
 
 def _shapes(mesh: Any, control: ControlMesh, note: Callable[[str], None]) -> dict[str, tuple[FloatArray, Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -18,6 +19,8 @@ from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.primitives import shape_names
 from cagemap.numerics.arrays import FloatArray
 
+_log = logging.getLogger(__name__)
+
 _TYPES = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3"}
 
 
@@ -27,9 +30,15 @@ def read_character(path: str | Path) -> Character:
 
 
 def character_of(document: Document) -> Character:
-    """The character in a document: mesh nodes as parts, joints of all skins as one rig, their animations."""
+    """The character in a document: mesh nodes as parts, joints of all skins as one rig, their animations.
+
+    Warns of tangents of morph targets, which are left out; programs compute them from normals and UVs.
+    """
     scene = read_scene(document)
     rig = None if scene.joints is None else scene.joints.rig
+    primitives = [primitive for mesh in document.entries("meshes") for primitive in mesh["primitives"]]
+    if any("TANGENT" in target for primitive in primitives for target in primitive.get("targets", ())):
+        _log.warning("%s: tangents of blend shapes are left out; programs compute them", document.file)
     return Character(tuple(read_part.part for read_part in scene.parts), rig, read_animations(scene))
 
 

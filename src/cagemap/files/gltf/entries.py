@@ -211,8 +211,8 @@ def read_accessor(
 
     ``where``: the entry that refers to it, for messages.
     ``shapes``: accepted types, such as ``"VEC3"``.
-    ``count``: required number of elements. An accessor without data (all zero) is read only if this is given, since
-        its own count could be anything.
+    ``count``: required number of elements. An accessor without data (all zero) is read only if this is given, or if it
+        is sparse and the document has as many bytes, since its own count could be anything.
     """
     entry = document.entry("accessors", number, where)
     place = f"accessors {number} ({where})"
@@ -225,8 +225,8 @@ def read_accessor(
     dtype, columns = _component(document, entry, place), COLUMNS[str(shape)]
     if entry.get("bufferView") is not None:
         values = _elements(document, entry, place, dtype, columns, stated)
-    elif count is not None:
-        values = np.zeros((count, columns), dtype=dtype)
+    elif count is not None or ("sparse" in entry and stated <= sum(map(len, document.buffers))):
+        values = np.zeros((stated, columns), dtype=dtype)
     else:
         document.refuse(place, "has no data")
     if "sparse" in entry:

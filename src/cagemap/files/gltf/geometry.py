@@ -28,16 +28,22 @@ def mesh_entry(
     weights: sparse.csr_array | None = None,
     shapes: Mapping[str, FloatArray] | None = None,
     normals: FloatArray | None = None,
+    shape_normals: Mapping[str, FloatArray] | None = None,
+    colors: FloatArray | None = None,
 ) -> dict[str, Any]:
     """Entry of ``meshes`` for a control mesh; adds its arrays to ``binary``.
 
     ``mesh``: creases and colours that are not finite are not written; glTF has no place for them.
     ``materials``: number in the document of each material of the mesh.
     ``weights``: (n, j), for the joints of the node's skin; all influences are written, in sets of four.
-    ``normals``: (c, 3), of the face corners. Default: vertex normals.
+    ``normals``: (c, 3), of the face corners. Default: vertex normals. ``shape_normals``: their offsets, by shape.
+    ``colors``: (c, 4), of the face corners, linear with opacity. Default: the mesh's vertex colours.
     """
     sets = uv_sets_in_order(mesh)
     hard = [] if normals is None else [normal_groups(mesh, normals)]
+    hard += [
+        equal_rows(of_corners) for of_corners in (colors, *(shape_normals or {}).values()) if of_corners is not None
+    ]
     first, numbers = _split([mesh.face_indices, *(uv_set.uv_indices for uv_set in sets), *hard])
     numbers_of = np.zeros(mesh.n_faces, dtype=np.int64) if mesh.face_materials is None else mesh.face_materials
     polygons = bool((mesh.face_sizes != 3).any())
@@ -59,14 +65,20 @@ def mesh_entry(
         # glTF counts v from the top.
         uvs = uv_set.uvs[uv_set.uv_indices[first]] * [1.0, -1.0] + [0.0, 1.0]
         attributes[f"TEXCOORD_{number}"] = binary.accessor(uvs.astype("<f4"), VERTICES)
-    if mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
-        colors = decode_srgb(np.clip(mesh.vertex_colors[vertices], 0.0, 1.0))
-        attributes["COLOR_0"] = binary.accessor(colors.astype("<f4"), VERTICES)
+    if colors is not None:
+        columns = 3 if (colors[:, 3] == 1.0).all() else 4
+        attributes["COLOR_0"] = binary.accessor(colors[first, :columns].astype("<f4"), VERTICES)
+    elif mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
+        of_vertices = decode_srgb(np.clip(mesh.vertex_colors[vertices], 0.0, 1.0))
+        attributes["COLOR_0"] = binary.accessor(of_vertices.astype("<f4"), VERTICES)
     if weights is not None:
         attributes |= _skinning(binary, weights[vertices])
     common: dict[str, Any] = {"attributes": attributes} | ({"extensions": {NGONS: {}}} if polygons else {})
     if shapes:
         common["targets"] = [{"POSITION": binary.offsets(offsets[vertices])} for offsets in shapes.values()]
+        for name, target in zip(shapes, common["targets"], strict=True):
+            if shape_normals and name in shape_normals:
+                target["NORMAL"] = binary.offsets(shape_normals[name][first])
     primitives = []
     for number in np.unique(numbers_of[corner_faces]).tolist():
         chosen = triangles[numbers_of[corner_faces] == number].ravel()
@@ -101,6 +113,11 @@ def uv_sets_in_order(mesh: ControlMesh) -> list[UvSet]:
     sets = [] if mesh.uvs is None else list(mesh.all_uv_sets)
     named = all(one.name.startswith("TEXCOORD_") for one in sets)
     return sorted(sets, key=lambda one: (len(one.name), one.name)) if named else sets
+
+
+def equal_rows(values: FloatArray) -> IndexArray:
+    """(c,) number of each row's value among the distinct rows."""
+    return np.unique(values, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
 
 def _split(indices: Sequence[IndexArray]) -> tuple[IndexArray, IndexArray]:

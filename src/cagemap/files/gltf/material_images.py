@@ -57,6 +57,10 @@ class MaterialImage:
         inside = (uvs.min(axis=0) >= 0.0) & (uvs.max(axis=0) <= 1.0)
         return bool((inside | (np.array(self.wraps) == REPEAT))[axes].all())
 
+    def is_repeated_over(self, uvs: FloatArray) -> bool:
+        """Whether the image, repeated over texture coordinates (m, 2), shows the texture."""
+        return np.allclose(self.transform, np.eye(3)) and self.repeats(uvs)
+
     def repeating(self, pixels: Pixels, uvs: FloatArray) -> tuple[Pixels, FloatArray]:
         """Pixels enlarged so that repeating them has the effect of the wrap modes, and coordinates (m, 2) on them."""
         for axis, wrap in enumerate(self.wraps):
@@ -82,10 +86,12 @@ def material_images(document: Document, material: str) -> tuple[MaterialImage, .
     return tuple(_image(document, material, slot, holder) for slot, holder in texture_slots(entry))
 
 
-def extract_texture(path: Path, control: ControlMesh, folder: Path, document: Document | None = None) -> Path | None:
-    """Write the colour texture of most of a mesh's faces from a glTF or FBX file.
+def color_texture(
+    path: Path, control: ControlMesh, document: Document | None = None
+) -> tuple[Document, MaterialImage] | None:
+    """The colour texture of most of a mesh's faces in a glTF or FBX file, and its document.
 
-    None if its image, repeated over the mesh's UV set in use, does not show the texture.
+    None without one, or if it belongs to another UV set than that in use.
 
     ``document``: of a file in another format, such as USD.
     """
@@ -95,13 +101,23 @@ def extract_texture(path: Path, control: ControlMesh, folder: Path, document: Do
     document, names = document or read_document(path), control.material_names
     most = names[int(np.bincount(control.face_materials + 1, minlength=2)[1:].argmax())]
     slots = material_images(document, most) if most in material_names(document) else ()
-    texture = next((slot for slot in slots if slot.slot == _COLOR_SLOT and _is_repeated_over(slot, control)), None)
-    if texture is None:
+    in_use = control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0"
+    found = next((slot for slot in slots if slot.slot == _COLOR_SLOT and slot.uv_set == in_use), None)
+    return None if found is None else (document, found)
+
+
+def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | None:
+    """Write the image of a mesh's `color_texture`; None if repeating it over the UVs does not show the texture."""
+    found = color_texture(path, control)
+    if found is None or control.uvs is None or not found[1].is_repeated_over(control.uvs):
         return None
+    return write_material_image(path, *found, folder)
+
+
+def write_material_image(path: Path, document: Document, texture: MaterialImage, folder: Path) -> Path | None:
+    """Write an image that a document of the file ``path`` contains; None for a format that cagemap does not read."""
     data, suffix = image_bytes(document, texture.image)
-    if suffix not in IMAGE_SUFFIXES:
-        return None
-    return write_numbered(folder / f"{path.stem}_texture{suffix}", data)
+    return write_numbered(folder / f"{path.stem}_texture{suffix}", data) if suffix in IMAGE_SUFFIXES else None
 
 
 def _sealed(name: str, data: bytes) -> bytes:
@@ -120,14 +136,6 @@ def write_numbered(file: Path, data: bytes) -> Path:
     if not free.exists():
         write_whole(free, data)
     return free
-
-
-def _is_repeated_over(texture: MaterialImage, control: ControlMesh) -> bool:
-    """Whether a texture's image, repeated over a mesh's UV set in use, shows the texture."""
-    in_use = control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0"
-    assert control.uvs is not None
-    is_plain = np.allclose(texture.transform, np.eye(3)) and texture.repeats(control.uvs)
-    return texture.uv_set == in_use and is_plain
 
 
 def read_material_image(document: Document, found: MaterialImage) -> Image:

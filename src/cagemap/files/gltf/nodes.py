@@ -171,6 +171,7 @@ class Joints:
 
     rig: Rig
     joint_of: IndexArray = field(repr=False)  # (n,) joint of each node, -1 for other nodes
+    of_skins: tuple[IndexArray, ...] = field(repr=False)  # for each skin, (k,) joints of the rig
     # (n, 4, 4) from the space of a node's own translation, rotation and scale to that of ``Rig.local``: transforms of
     # the nodes between it and its parent in the rig
     above: FloatArray = field(repr=False)
@@ -217,10 +218,7 @@ def _to_world(inverse: FloatArray, world: FloatArray, rank: IndexArray) -> Float
 
     If the nodes at rest are in the bind pose, all joints place them alike.
     """
-    placed = inverse @ world
-    heads = np.linalg.inv(inverse)[:, 3, :3]
-    size = float(np.ptp(heads, axis=0).max()) or 1.0
-    frame = np.column_stack([heads.mean(axis=0) + size * np.vstack([np.zeros(3), np.eye(3)]), np.ones(4)])
+    placed, frame = inverse @ world, _frame(inverse)
     order = np.argsort(rank)
     corners = (frame @ placed[order])[:, :, :3].reshape(len(order), 12)
     scale = max(float(np.ptp(corners.reshape(-1, 4, 3), axis=1).max()), 1e-30)
@@ -229,6 +227,13 @@ def _to_world(inverse: FloatArray, world: FloatArray, rank: IndexArray) -> Float
     )
     chosen = placed[order[alike.argmax()]]
     return rounded(chosen, np.eye(4), frame)
+
+
+def _frame(inverse: FloatArray) -> FloatArray:
+    """(4, 4) points that span the joints of inverse bind matrices (k, 4, 4), as rows."""
+    heads = np.linalg.inv(inverse)[:, 3, :3]
+    size = float(np.ptp(heads, axis=0).max()) or 1.0
+    return np.column_stack([heads.mean(axis=0) + size * np.vstack([np.zeros(3), np.eye(3)]), np.ones(4)])
 
 
 def rounded(matrix: FloatArray, exact: FloatArray, frame: FloatArray) -> FloatArray:
@@ -242,7 +247,7 @@ def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> Jo
     """Joints of all skins as one rig; None without skins.
 
     A node above a joint becomes a joint if it is animated or its transform is no similarity. Transforms of other nodes
-    are applied to the joints below them.
+    are applied to the joints below them. A joint that a later skin in use binds otherwise gets a child.
     """
     if not skins:
         return None
@@ -267,7 +272,32 @@ def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> Jo
     if not invertible(bind).all():
         document.refuse("skins", "the bind pose of a joint is scaled to nothing")
     rig = Rig(tuple(nodes.names[node] for node in chosen), parents, local, bind)
-    return Joints(rig, joint_of, above)
+    of_skins, used = [], {document.entry("nodes", node).get("skin") for node in nodes.in_scene}
+    for number, skin in enumerate(skins):
+        of_skin = joint_of[skin.nodes]
+        if number in used:
+            rig, of_skin = _with_bound(rig, of_skin, skin, nodes.names)
+        of_skins.append(of_skin)
+    return Joints(rig, joint_of, tuple(of_skins), above)
+
+
+def _with_bound(rig: Rig, joints: IndexArray, skin: Skin, taken: tuple[str, ...]) -> tuple[Rig, IndexArray]:
+    """The rig with further joints where a skin binds its joints (k,) in another pose, and the skin's joints in it.
+
+    ``taken``: names that further joints do not get.
+    """
+    changes, frame = skin.inverse_bind @ rig.bind[joints], _frame(skin.inverse_bind)
+    other = [rounded(change, skin.to_world, frame) is not skin.to_world for change in changes]
+    moved = np.flatnonzero(other)
+    if not len(moved):
+        return rig, joints
+    count, of_skin = len(rig.names), joints.copy()
+    of_skin[moved] = count + np.arange(len(moved))
+    words = [rig.names[joint] for joint in joints[moved]]
+    names = distinct([*dict.fromkeys((*taken, *rig.names)), *words])
+    bind = np.concatenate([rig.bind, np.linalg.inv(skin.inverse_bind[moved]) @ skin.to_world])
+    local = np.concatenate([rig.local, np.tile(np.eye(4), (len(moved), 1, 1))])
+    return Rig((*rig.names, *names[-len(moved) :]), np.append(rig.parents, joints[moved]), local, bind), of_skin
 
 
 def _joint_nodes(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> list[int]:

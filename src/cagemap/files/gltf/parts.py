@@ -101,12 +101,12 @@ def _placed(
     stated = document.entry("nodes", node).get("skin")
     weights, changes, whole = None, None, nodes.world[node]
     if stated is not None and joints is not None:
-        skin = skins[document.whole(stated, f"nodes {node}: skin", 0, len(skins) - 1)]
+        number = document.whole(stated, f"nodes {node}: skin", 0, len(skins) - 1)
+        skin, of = skins[number], joints.of_skins[number]
         if arrays.joints.shape[1]:
-            weights = _weights(document, arrays, skin, joints, node)
+            weights = _weights(document, arrays, of, joints, node)
             whole = skin.to_world
             changes = np.tile(whole, (len(joints.rig.names), 1, 1))
-            of = joints.joint_of[skin.nodes]
             changes[of] = skin.inverse_bind @ joints.rig.bind[of]
     elif joints is not None and (above := nearest_joint(nodes, joints, node)) >= 0:
         count = arrays.control.n_vertices
@@ -121,12 +121,15 @@ def _placed(
     return _welded(arrays, weights, node)
 
 
-def _weights(document: Document, arrays: VertexArrays, skin: Skin, joints: Joints, node: int) -> sparse.csr_array:
-    """(n, j) weights of the rig's joints; rows sum to 1. Vertices without weights follow the skin's first joint."""
+def _weights(document: Document, arrays: VertexArrays, of: IndexArray, joints: Joints, node: int) -> sparse.csr_array:
+    """(n, j) weights of the rig's joints; rows sum to 1. Vertices without weights follow the skin's first joint.
+
+    ``of``: joints of the rig, by number in the skin.
+    """
     used = arrays.weights > 0.0
     numbers = np.where(used, arrays.joints, 0)
-    if numbers.max(initial=0) >= len(skin.nodes) or numbers.min(initial=0) < 0:
-        document.refuse(f"nodes {node}", f"expected weights of the {len(skin.nodes)} joints of its skin, got others")
+    if numbers.max(initial=0) >= len(of) or numbers.min(initial=0) < 0:
+        document.refuse(f"nodes {node}", f"expected weights of the {len(of)} joints of its skin, got others")
     values = np.where(used, arrays.weights, 0.0)
     sums = values.sum(axis=1)
     loose = sums <= 0.0
@@ -135,10 +138,10 @@ def _weights(document: Document, arrays: VertexArrays, skin: Skin, joints: Joint
     if loose.any():
         _log.warning(
             "%s: %d vertices of %s have no weights and follow %s",
-            *(document.file, int(loose.sum()), arrays.control.name, joints.rig.names[joints.joint_of[skin.nodes[0]]]),
+            *(document.file, int(loose.sum()), arrays.control.name, joints.rig.names[of[0]]),
         )
     rows = np.repeat(np.arange(len(values)), values.shape[1])
-    columns = joints.joint_of[skin.nodes][numbers.ravel()]
+    columns = of[numbers.ravel()]
     table = sparse.csr_array((values.ravel(), (rows, columns)), shape=(len(values), len(joints.rig.names)))
     table.sum_duplicates()
     table.eliminate_zeros()
@@ -173,18 +176,33 @@ def _transformed(
         turned = {n: np.einsum("na,nab->nb", s, blended[:, :3, :3]) for n, s in arrays.shapes.items()}
     if not np.isfinite(placed).all() or np.abs(placed).max() > 1e100:
         raise FormatError(f"{arrays.control.name}: expected places of a moderate size, got others. Export it again.")
-    normals = None if arrays.normals is None else turned_normals(arrays.normals, blended[..., :3, :3])
+    normals, shape_normals = arrays.normals, arrays.shape_normals
+    if normals is not None:
+        linear = blended[..., :3, :3]
+        shape_normals = {name: turned_offsets(offsets, normals, linear) for name, offsets in shape_normals.items()}
+        normals = turned_normals(normals, linear)
     control = arrays.control.with_positions(placed[:, :3])
     if np.linalg.det(whole[:3, :3]) < 0.0:
         control = turn_faces(control, np.ones(control.n_faces, dtype=bool))
-    return replace(arrays, control=control, shapes=turned, normals=normals)
+    return replace(arrays, control=control, shapes=turned, normals=normals, shape_normals=shape_normals)
 
 
 def turned_normals(normals: FloatArray, linear: FloatArray) -> FloatArray:
     """Normals (n, 3) of a surface after its points, as rows, are multiplied by (3, 3) or (n, 3, 3)."""
+    return normalize_rows(_by_cofactors(normals, linear))
+
+
+def turned_offsets(offsets: FloatArray, normals: FloatArray, linear: FloatArray) -> FloatArray:
+    """Offsets (n, 3) of normals (n, 3), scaled as `turned_normals` scales the normals."""
+    lengths = np.linalg.norm(_by_cofactors(normals, linear), axis=1, keepdims=True)
+    return _by_cofactors(offsets, linear) / np.where(lengths > 0.0, lengths, 1.0)
+
+
+def _by_cofactors(vectors: FloatArray, linear: FloatArray) -> FloatArray:
     cofactors = np.cross(linear[..., [1, 2, 0], :], linear[..., [2, 0, 1], :])
     signs = np.sign(np.linalg.det(linear))[..., None, None]
-    return normalize_rows(np.einsum("na,...ab->nb" if linear.ndim == 2 else "na,nab->nb", normals, signs * cofactors))
+    rows = "na,ab->nb" if linear.ndim == 2 else "na,nab->nb"
+    return np.asarray(np.einsum(rows, vectors, signs * cofactors))
 
 
 def _used(weights: sparse.csr_array | None, changes: FloatArray) -> FloatArray:
@@ -210,6 +228,8 @@ def _welded(arrays: VertexArrays, weights: sparse.csr_array | None, node: int) -
         None if weights is None else weights[kept],
         {name: shape[kept] for name, shape in arrays.shapes.items()},
         None if arrays.normals is None else arrays.normals[stored],
+        {name: offsets[stored] for name, offsets in arrays.shape_normals.items()},
+        None if arrays.colors is None else arrays.colors[stored],
     )
     return ReadPart(part, node, given.n_vertices, welded.notes if mesh.file_copies is not None else ())
 

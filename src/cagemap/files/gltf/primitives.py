@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -36,6 +37,8 @@ class VertexArrays:
     weights: FloatArray = field(repr=False)  # (n, q)
     shapes: dict[str, FloatArray] = field(repr=False)  # offsets (n, 3) by name
     normals: FloatArray | None = field(default=None, repr=False)  # (n, 3)
+    shape_normals: dict[str, FloatArray] = field(default_factory=dict, repr=False)  # offsets (n, 3) by name of a shape
+    colors: FloatArray | None = field(default=None, repr=False)  # (n, 4) linear, with opacity
 
 
 def material_names(document: Document) -> tuple[str, ...]:
@@ -77,20 +80,31 @@ def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArra
         return read[0]
     width = max(arrays.joints.shape[1] for arrays in read)
     sizes = [arrays.control.n_vertices for arrays in read]
-    names = dict.fromkeys(shape for arrays in read for shape in arrays.shapes)
     normals = [arrays.normals for arrays in read if arrays.normals is not None]
+    colored = any(arrays.colors is not None for arrays in read)
+    white = (
+        np.ones((size, 4)) if arrays.colors is None else arrays.colors for arrays, size in zip(read, sizes, strict=True)
+    )
     return VertexArrays(
         join_meshes([arrays.control for arrays in read]),
         np.concatenate([np.pad(arrays.joints, ((0, 0), (0, width - arrays.joints.shape[1]))) for arrays in read]),
         np.concatenate([np.pad(arrays.weights, ((0, 0), (0, width - arrays.weights.shape[1]))) for arrays in read]),
-        {
-            shape: np.concatenate(
-                [arrays.shapes.get(shape, np.zeros((size, 3))) for arrays, size in zip(read, sizes, strict=True)]
-            )
-            for shape in names
-        },
+        _joined([arrays.shapes for arrays in read], sizes),
         np.concatenate(normals) if len(normals) == len(read) else None,
+        _joined([arrays.shape_normals for arrays in read], sizes) if len(normals) == len(read) else {},
+        np.concatenate(list(white)) if colored else None,
     )
+
+
+def _joined(offsets: Sequence[Mapping[str, FloatArray]], sizes: Sequence[int]) -> dict[str, FloatArray]:
+    """Offsets by name of several groups of vertices as one; 0 where a group has none."""
+    names = dict.fromkeys(name for of_group in offsets for name in of_group)
+    return {
+        name: np.concatenate(
+            [of_group.get(name, np.zeros((size, 3))) for of_group, size in zip(offsets, sizes, strict=True)]
+        )
+        for name in names
+    }
 
 
 def _group(document: Document, where: str, number: int, group: list[dict[str, Any]], name: str) -> VertexArrays:
@@ -118,8 +132,10 @@ def _group(document: Document, where: str, number: int, group: list[dict[str, An
         control = replace(
             control.with_uvs(uvs, control.face_indices), uv_name=attribute, uv_sets=(*earlier, *control.uv_sets)
         )
-    if "COLOR_0" in attributes:
-        control = replace(control, vertex_colors=encode_srgb(read("COLOR_0", "VEC3", "VEC4")[:, :3]))
+    colors = read("COLOR_0", "VEC3", "VEC4") if "COLOR_0" in attributes else None
+    if colors is not None:
+        control = replace(control, vertex_colors=encode_srgb(colors[:, :3]))
+        colors = np.column_stack([colors, np.ones((count, 4 - colors.shape[1]))])
     joints, weights = [np.zeros((count, 0))], [np.zeros((count, 0))]
     for set_number in range(_MOST_SETS):
         if {f"JOINTS_{set_number}", f"WEIGHTS_{set_number}"} <= set(attributes):
@@ -129,21 +145,24 @@ def _group(document: Document, where: str, number: int, group: list[dict[str, An
         control,
         np.concatenate(joints, axis=1).astype(np.int64),
         np.concatenate(weights, axis=1),
-        _shapes(document, where, number, group[0], count),
+        _shapes(document, where, number, group[0], count, "POSITION"),
         read("NORMAL", "VEC3") if "NORMAL" in attributes else None,
+        _shapes(document, where, number, group[0], count, "NORMAL") if "NORMAL" in attributes else {},
+        colors,
     )
 
 
 def _shapes(
-    document: Document, where: str, number: int, primitive: dict[str, Any], count: int
+    document: Document, where: str, number: int, primitive: dict[str, Any], count: int, attribute: str
 ) -> dict[str, FloatArray]:
+    """Offsets (n, 3) of an attribute, by name of a morph target that has positions."""
     targets = document.entries("targets", primitive, where)
     shapes = {}
     for name, target in zip(shape_names(document, number, len(targets)), targets, strict=True):
         if not isinstance(target, dict):
             document.refuse(where, f"expected an object as a morph target, got {shown(target)}")
-        if "POSITION" in target:
-            offsets = read_accessor(document, target["POSITION"], f"{where}: shape {name}", ("VEC3",), count)
+        if {"POSITION", attribute} <= set(target):
+            offsets = read_accessor(document, target[attribute], f"{where}: shape {name}", ("VEC3",), count)
             shapes[name] = offsets.astype(np.float64)
     return shapes
 

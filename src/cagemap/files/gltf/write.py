@@ -21,7 +21,7 @@ from cagemap.files.gltf.document import glb_bytes, read_document, write_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import mesh_entry
 from cagemap.files.gltf.nodes import decomposed, scale_signs
-from cagemap.files.gltf.parts import Scene, read_scene, turned_normals
+from cagemap.files.gltf.parts import Scene, read_scene, turned_normals, turned_offsets
 from cagemap.files.gltf.primitives import material_names, shape_names
 from cagemap.files.gltf.textures import with_images
 from cagemap.mesh import ControlMesh
@@ -146,19 +146,32 @@ class _Made:
         node = self._node_of_part.get(part.name)
         if node is None:
             node = self._new_node({"name": part.name}, None)
-        mesh, shapes, normals = part.mesh, part.shapes, part.normals
+        mesh, shapes, normals, colors = part.mesh, part.shapes, part.normals, part.colors
+        shape_normals = part.shape_normals
         skinned = part.weights is not None and rig is not None
         if not skinned and self._scene is not None and node < len(self._scene.nodes.names):
             to_node = np.linalg.inv(self._scene.nodes.world[node])
             mesh = mesh.with_positions(mesh.positions @ to_node[:3, :3] + to_node[3, :3])
             shapes = {name: offsets @ to_node[:3, :3] for name, offsets in shapes.items()}
-            normals = None if normals is None else turned_normals(normals, to_node[:3, :3])
+            if normals is not None:
+                shape_normals = {
+                    name: turned_offsets(offsets, normals, to_node[:3, :3]) for name, offsets in shape_normals.items()
+                }
+                normals = turned_normals(normals, to_node[:3, :3])
             if np.linalg.det(to_node[:3, :3]) < 0.0:
-                normals = None if normals is None else normals[reversed_corners(mesh.face_offsets)]
+                corners = reversed_corners(mesh.face_offsets)
+                normals, colors = (None if one is None else one[corners] for one in (normals, colors))
+                shape_normals = {name: offsets[corners] for name, offsets in shape_normals.items()}
                 mesh = turn_faces(mesh, np.ones(mesh.n_faces, dtype=bool))
-        weights = part.weights if skinned else None
         mesh_data = mesh_entry(
-            self._binary, mesh, self._materials(part), weights=weights, shapes=shapes, normals=normals
+            self._binary,
+            mesh,
+            self._materials(part),
+            weights=part.weights if skinned else None,
+            shapes=shapes,
+            normals=normals,
+            shape_normals=shape_normals,
+            colors=colors,
         )
         entry = self._nodes[node]
         if skinned:

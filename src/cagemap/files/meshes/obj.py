@@ -59,9 +59,9 @@ def read_obj(path: str | Path) -> ControlMesh:
 
     Vertices and faces keep the numbering of the ``v`` and ``f`` lines. Polygons stay polygons; texture coordinates keep
     their own indices. ``usemtl`` gives the faces' materials, with ``Kd`` of the ``.mtl`` as colour (NaN if missing),
-    ``o`` and ``g`` their objects and groups. A ``v`` line of six or seven numbers has a position and a colour; without
-    such lines ZBrush's polypaint gives colours. ``t`` lines are creases, corners, holes and options (`obj_tags`).
-    Normals, points, lines and smoothing groups are ignored. Several objects become one mesh.
+    ``o`` and ``g`` their objects and groups; those of one name are one. A ``v`` line of six or seven numbers has a
+    position and a colour; without such lines ZBrush's polypaint gives colours. ``t`` lines are creases, corners, holes
+    and options (`obj_tags`). Normals, points, lines and smoothing groups are ignored. Several objects become one mesh.
     """
     file = Path(path)
     text = read_text(file, "an OBJ file")
@@ -80,6 +80,7 @@ def read_obj(path: str | Path) -> ControlMesh:
     uvs, uv_indices = _read_uvs(statements, corners)
     names, face_materials = _read_names(statements, face_rows, _USE_MATERIAL)
     objects, face_objects = _read_names(statements, face_rows, _OBJECT)
+    _warn_of_equal_objects(statements, corners, face_indices, objects, face_objects)
     groups, face_groups = _read_names(statements, face_rows, _GROUP)
     return ControlMesh(
         positions=positions,
@@ -271,6 +272,26 @@ def _read_names(statements: _Statements, face_rows: IndexArray, kind: int) -> tu
     names = tuple(dict.fromkeys(stated[i] for i in order[0][np.argsort(order[1])]))
     number = {name: i for i, name in enumerate(names)}
     return names, np.array([number.get(name, -1) for name in stated], dtype=np.int64)[used]
+
+
+def _warn_of_equal_objects(
+    statements: _Statements,
+    corners: _Corners,
+    face_indices: IndexArray,
+    names: tuple[str, ...],
+    face_objects: IndexArray | None,
+) -> None:
+    """Warn of objects of one name without common vertices. Exporters repeat the name of one object, too."""
+    blocks = np.searchsorted(statements.rows(_OBJECT), corners.rows)
+    if face_objects is None or len(np.unique(blocks)) == len(names):
+        return
+    for number, name in enumerate(names):
+        of_object = (face_objects == number)[corners.faces]
+        used = np.column_stack([blocks[corners.faces], face_indices])[of_object]
+        count = len(np.unique(used[:, 0]))
+        if count > 1 and len(np.unique(used, axis=0)) == len(np.unique(used[:, 1])):
+            text = "%s: %d objects are named %s and become one. Give each its own name to match or select them apart."
+            _log.warning(text, statements.path, count, name)
 
 
 def _read_vertex_colors(statements: _Statements, n_vertices: int) -> FloatArray | None:

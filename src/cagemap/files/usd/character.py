@@ -27,7 +27,14 @@ from cagemap.files.usd.prims import moved, named_faces
 from cagemap.files.usd.space import StageSpace, to_metres
 from cagemap.files.usd.stages import identifiers, open_stage, usd_modules
 from cagemap.files.usd.write import check_usd_path, export_layer, new_stage
-from cagemap.files.usd.write_mesh import write_blend_shapes, write_subsets, write_topology, write_uvs, write_weights
+from cagemap.files.usd.write_mesh import (
+    write_blend_shapes,
+    write_corner_colors,
+    write_subsets,
+    write_topology,
+    write_uvs,
+    write_weights,
+)
 from cagemap.mesh import Plain
 from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray
@@ -75,6 +82,8 @@ def write_usd_character(
     notes = [*_left_out(scene), *surfaces.notes]
     if any(part.mesh.vertex_colors is not None and _materials(part) for part in character.parts):
         notes.append("vertex colours are written as displayColor, which the materials do not use")
+    if any(part.shape_normals for part in character.parts):
+        notes.append("normals of blend shapes are left out; programs compute them")
     if rig is not None:
         notes += write_rig(stage, rig, character.animations, scene)
     sizes = {}
@@ -123,6 +132,8 @@ def _write_part(stage: Any, path: str, part: Part, materials: Mapping[str, Any],
     pxr = usd_modules()
     mesh, prim = part.mesh, pxr.UsdGeom.Mesh.Define(stage, path)
     write_topology(prim, mesh)
+    if part.colors is not None:
+        write_corner_colors(prim, part.colors)
     if mesh.scheme is None or isinstance(mesh.scheme, Plain):  # subdivision surfaces have normals of their own
         smooth = vertex_normals(mesh.positions, cage_triangles(mesh)[0])[mesh.face_indices]
         normals, interpolation = smooth if part.normals is None else part.normals, "faceVarying"

@@ -51,6 +51,15 @@ def write_topology(prim: Any, mesh: ControlMesh) -> None:
         color.Set(pxr.Vt.Vec3fArray.FromNumpy(linear.astype(np.float32)))
 
 
+def write_corner_colors(prim: Any, colors: FloatArray) -> None:
+    """Write linear colours with opacity (c, 4) of the face corners, in place of those of vertices."""
+    pxr = usd_modules()
+    color = prim.CreateDisplayColorPrimvar(CORNERS)
+    color.Set(pxr.Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(colors[:, :3], dtype=np.float32)))
+    if (colors[:, 3] < 1.0).any():
+        prim.CreateDisplayOpacityPrimvar(CORNERS).Set(_floats(colors[:, 3]))
+
+
 def _camel_case(word: str) -> str:
     """A word of cagemap's schemes, such as "edge_and_corner", as USD writes it."""
     first, *following = re.split("[_-]", word)

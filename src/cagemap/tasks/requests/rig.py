@@ -13,7 +13,9 @@ from cagemap.tasks.requests.options import INPUT, LANDMARKS, OUTPUT, Argument, F
 class RigRequest:
     """Request of `cagemap rig`."""
 
-    body: Annotated[Path, Argument(metavar="BODY", help="Mesh of the body: .glb, .vrm, .fbx, .obj, .ply or USD.")]
+    body: Annotated[
+        Path, Argument(metavar="BODY", help="Mesh of the body: .obj, .ply, .off, .stl, .glb, .gltf, .vrm, .fbx or USD.")
+    ]
     like: Annotated[
         Path, Option(("--like",), group=INPUT, help="Character to transfer from: .glb, .gltf, .vrm, .fbx or USD.")
     ]
