@@ -9,14 +9,11 @@ from pathlib import Path
 from typing import Any, cast
 
 from cagemap.errors import ParameterError
-from cagemap.files.gltf.document import SCENE_SUFFIXES
-from cagemap.files.gltf.material_images import extract_texture
+from cagemap.files import inner_texture
 from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern, udim_path
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import note_transfer
-from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.results import preview_inputs, unbound_maps
-from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
 from cagemap.files.usd.write import UsdResults
 from cagemap.maps.result import MatchResult
 from cagemap.tasks.bake_tiles import (
@@ -101,10 +98,9 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
 
 def _image_file(path: Path, request: TransferRequest, result: MatchResult) -> Path:
     """An image file as given, or the image of a glTF, FBX or USD file, written into RESULT."""
-    if path.suffix.lower() not in (*SCENE_SUFFIXES, *USD_SUFFIXES):
+    if path.suffix.lower() not in inner_texture.SUFFIXES:
         return path
-    document = usd_document(path) if is_usd(path) else None
-    image = extract_texture(path, result.source.control, request.result, document)
+    image = inner_texture.extract_texture(path, result.source.control, request.result)
     if image is None:
         raise ParameterError(
             f"{path}: expected a colour image on most of {result.source.control.name} that repeats over its UV set in "

@@ -13,20 +13,16 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.atomic import write_whole
-from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import MIRROR, REPEAT, texture_slots
 from cagemap.files.images.image import Image, Pixels, image_of_bytes, write_image
 from cagemap.files.ownership import seal
-from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 
 _TRANSFORM = "KHR_texture_transform"
 _WEBP = "EXT_texture_webp"
-_COLOR_SLOT = "baseColorTexture"
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,28 +78,6 @@ def material_images(document: Document, material: str) -> tuple[MaterialImage, .
     return tuple(_image(document, material, slot, holder) for slot, holder in texture_slots(entry))
 
 
-def extract_texture(path: Path, control: ControlMesh, folder: Path, document: Document | None = None) -> Path | None:
-    """Write the colour texture of most of a mesh's faces from a glTF or FBX file.
-
-    None if its image, repeated over the mesh's UV set in use, does not show the texture.
-
-    ``document``: of a file in another format, such as USD.
-    """
-    known = document is not None or path.suffix.lower() in SCENE_SUFFIXES
-    if not known or control.face_materials is None or control.uvs is None:
-        return None
-    document, names = document or read_document(path), control.material_names
-    most = names[int(np.bincount(control.face_materials + 1, minlength=2)[1:].argmax())]
-    slots = material_images(document, most) if most in material_names(document) else ()
-    texture = next((slot for slot in slots if slot.slot == _COLOR_SLOT and _is_repeated_over(slot, control)), None)
-    if texture is None:
-        return None
-    data, suffix = image_bytes(document, texture.image)
-    if suffix not in IMAGE_SUFFIXES:
-        return None
-    return write_numbered(folder / f"{path.stem}_texture{suffix}", data)
-
-
 def _sealed(name: str, data: bytes) -> bytes:
     """The content of a file of this name if cagemap wrote it."""
     with tempfile.TemporaryDirectory() as folder:
@@ -120,14 +94,6 @@ def write_numbered(file: Path, data: bytes) -> Path:
     if not free.exists():
         write_whole(free, data)
     return free
-
-
-def _is_repeated_over(texture: MaterialImage, control: ControlMesh) -> bool:
-    """Whether a texture's image, repeated over a mesh's UV set in use, shows the texture."""
-    in_use = control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0"
-    assert control.uvs is not None
-    is_plain = np.allclose(texture.transform, np.eye(3)) and texture.repeats(control.uvs)
-    return texture.uv_set == in_use and is_plain
 
 
 def read_material_image(document: Document, found: MaterialImage) -> Image:
