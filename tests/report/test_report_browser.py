@@ -53,7 +53,7 @@ def until(done: Any) -> None:
     end = time.monotonic() + PATIENCE
     while not done():
         assert time.monotonic() < end
-        time.sleep(0.05)
+        time.sleep(0.02)
 
 
 def look(browser: Any) -> np.ndarray:

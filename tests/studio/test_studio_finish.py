@@ -266,6 +266,30 @@ def test_downloads_are_the_outputs_and_nothing_else(tmp_path: Path) -> None:
     assert output_content((), ARCHIVE_NAME) is None
 
 
+@pytest.mark.parametrize("line", ["mtllib ../scans/body.mtl", "mtllib own.mtl\nmtllib ../scans/body.mtl"])
+def test_a_mesh_in_the_zip_names_material_files_of_the_zip_only(tmp_path: Path, line: str) -> None:
+    """The colours come along; images of other folders do not."""
+    (tmp_path / "scans").mkdir()
+    (tmp_path / "scans" / "body.mtl").write_text("newmtl skin\nKd 1 0.5 0\nmap_Kd ../../secret.png\n")
+    studio = tmp_path / "studio"
+    studio.mkdir()
+    (studio / "own.mtl").write_text("newmtl hair\nKd 0 0 1\n")
+    faces = "v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl skin\nf 1 2 3\n"
+    (studio / "wrapped.obj").write_text(f"{line}\n{faces}")
+    (studio / "named.obj").write_text(f"mtllib own.mtl\n{faces}")
+    (studio / "bare.obj").write_text(faces)
+    names = ("wrapped.obj", "named.obj", "bare.obj", "own.mtl")
+    packed, _ = output_content([Output(studio / name, "wrap") for name in names], ARCHIVE_NAME) or (b"", "")
+    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+        found = {name: archive.read(name).decode() for name in archive.namelist()}
+    assert set(found) == {*names, "wrapped_materials.mtl"}
+    assert found["wrapped.obj"] == f"mtllib wrapped_materials.mtl\n{faces}"
+    assert "newmtl skin\nKd 1 0.5 0\n" in found["wrapped_materials.mtl"]
+    assert "secret" not in found["wrapped_materials.mtl"]
+    for name in names[1:]:
+        assert found[name] == (studio / name).read_text()
+
+
 def test_a_failing_command_gives_its_own_words_and_the_others_go_on(tmp_path: Path) -> None:
     files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", None)
     told: list[Message] = []

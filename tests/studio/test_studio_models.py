@@ -308,6 +308,20 @@ def test_the_image_inside_a_glb_is_the_texture_where_none_is_named(tmp_path: Pat
     assert opened.source.texture == tmp_path / "t.png"
 
 
+def test_the_image_inside_a_usd_file_is_the_texture_where_none_is_named(tmp_path: Path) -> None:
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    from cagemap.files.usd.write import UsdResults, write_usd
+
+    write_image(tmp_path / "skin.png", np.full((8, 8, 3), [200, 30, 10], dtype=np.uint8))
+    write_usd(tmp_path / "box.usda", unwrapped_cube(), UsdResults(textures={"albedo": "./skin.png"}))
+    write_mesh(tmp_path / "bare.usda", unwrapped_cube())
+    for name, texture in (("box.usda", tmp_path / "box_texture.png"), ("bare.usda", None)):
+        opening = PairFiles(tmp_path / "bare.usda", tmp_path / name, None, 300, tmp_path)
+        _, opened = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
+        assert opened.source.texture == texture
+        assert (opened.source.look.texture is None) == (texture is None)
+
+
 def test_seams_are_found_where_texture_coordinates_jump() -> None:
     shape = refined_shape(refine(unwrapped_cube(), 3))
     images = identity(len(shape.positions), shape.triangles)

@@ -6,7 +6,7 @@ import io
 import mimetypes
 import tempfile
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +17,10 @@ from cagemap.files.gltf.material_images import png_bytes
 from cagemap.files.gltf.textures import with_images
 from cagemap.files.gltf.write import write_glb
 from cagemap.files.images.image import UDIM_MARK, read_image
+from cagemap.files.meshes.colors import read_material_statements
 from cagemap.files.meshes.formats import read_whole
+from cagemap.files.meshes.obj import MATERIAL_FILE_LINE, material_files
+from cagemap.files.text import read_text
 from cagemap.studio.state import Output, StudioState, layout_mesh
 
 ARCHIVE_NAME = "all.zip"
@@ -77,15 +80,37 @@ def archive_name(folder: Path) -> str:
 
 
 def zip_outputs(outputs: Iterable[Output]) -> bytes:
-    """Outputs and the files in their folders as a zip."""
+    """Outputs and the files in their folders as a zip, whose OBJ files name material files in it only."""
+    named = {
+        file: file.relative_to(output.path.parent) for output in outputs for file in sorted(_regular_files(output.path))
+    }
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for output in outputs:
-            for file in sorted(_regular_files(output.path)):
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for file, name in named.items():
+            materials = _missing_materials(file, named.keys())
+            if materials is None:
                 is_compressed = file.suffix.lower() in _COMPRESSED_SUFFIXES
-                compression = zipfile.ZIP_STORED if is_compressed else zipfile.ZIP_DEFLATED
-                archive.write(file, file.relative_to(output.path.parent), compression)
+                archive.write(file, name, zipfile.ZIP_STORED if is_compressed else zipfile.ZIP_DEFLATED)
+                continue
+            library = f"{file.stem}_materials.mtl"
+            text = MATERIAL_FILE_LINE.sub("", read_text(file, "an OBJ file"))
+            archive.writestr(str(name), f"mtllib {library}\n{text}")
+            archive.writestr(str(name.with_name(library)), materials)
     return buffer.getvalue()
+
+
+def _missing_materials(mesh: Path, archived: Collection[Path]) -> str | None:
+    """Materials of an OBJ as the text of a ``.mtl``, without images; None if the archive has all its material files."""
+    if mesh.suffix.lower() != ".obj":
+        return None
+    text = read_text(mesh, "an OBJ file")
+    files = material_files(mesh, text)
+    if len(files) == len(MATERIAL_FILE_LINE.findall(text)) and all(file in archived for file in files):
+        return None
+    statements = dict[str, list[str]]()
+    for file in files:
+        statements = read_material_statements(file) | statements
+    return "".join(f"newmtl {name}\n" + "".join(f"{line}\n" for line in lines) for name, lines in statements.items())
 
 
 def _regular_files(path: Path) -> list[Path]:

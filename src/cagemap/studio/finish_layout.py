@@ -93,10 +93,15 @@ SECTIONS = (
         DETAIL,
         _fields(
             "transfer",
-            ("detail", "Mesh", _MESHES, "a scan or sculpt that fits the source; without it its own ao and colors"),
+            (
+                "detail",
+                "Mesh",
+                _MESHES,
+                "a scan or sculpt at the source's place; without it: ao and colors of the source",
+            ),
             ("detail_texture", "Its image", _IMAGES, "the detailed mesh's own image, for texture"),
             ("bake", "Bake", (), "from the detailed mesh into the target's layout"),
-            ("rays", "Rays", (), "of ambient occlusion, for every vertex of the mesh"),
+            ("rays", "Rays", (), "for ambient occlusion, per vertex of the mesh; more is smoother"),
         ),
     ),
     Section(
@@ -105,12 +110,12 @@ SECTIONS = (
             "transfer",
             ("weights", "Skin weights", (".csv", ".npz", *_RIGS), "of the source's cage, one column per joint"),
             ("influences", "Influences", (), "most joints per vertex; 0: all"),
-            ("only", "Joints carried", (), "names with commas; the target's own weights stay for all others"),
-            ("mirror", "Both sides alike", (), "by left and right in the joints' names"),
+            ("only", "Joints carried", (), "names, separated by commas; all others keep the target's weights"),
+            ("mirror", "Both sides alike", (), "make weights symmetric, by left and right in the joints' names"),
             ("joints", "Joints", (".json", *_RIGS), "skeleton of the source"),
             ("blend_shapes", "Blend shapes", (".obj", ".npz", *_RIGS, FOLDER_SUFFIX), "of the source's cage"),
             ("passenger", "Passenger", (".obj", ".ply", *_RIGS), "clothes, eyes, hair or a prop on the source"),
-            ("kind", "Keeps shape", (), "cloth, rigid or similarity; empty: as the passenger's pieces look"),
+            ("kind", "Keeps shape", (), "cloth bends, rigid does not, similarity also scales; empty: by its pieces"),
             ("attribute", "Attribute", _VALUES, "values at the source's vertices, faces or corners; vertex groups"),
         ),
     ),
@@ -119,8 +124,8 @@ SECTIONS = (
         _fields(
             "wrap",
             ("amount", "Amount", (), "0: the target's own shape, 1: the source's", 0.05),
-            ("fit_level", "Fit level", (), "0 moves the control points, 1 or more the refined net of that level"),
-            ("fairness", "Fairness", (), "larger: a smoother net; smaller: closer to the source", 1e-5),
+            ("fit_level", "Fit level", (), "0: fit the control mesh; 1 or more: fit that subdivision level"),
+            ("fairness", "Fairness", (), "larger: a smoother mesh; smaller: closer to the source", 1e-5),
             ("symmetric", "Symmetric", (), "keep a mirror symmetric cage symmetric"),
             ("weights", "Follow", _TABLES, "how far each control vertex may follow, 0 to 1"),
             ("displacement", "Displacement", (), "image of the remaining distance along the normal"),
@@ -138,7 +143,7 @@ SECTIONS = (
             "match",
             ("target_mask", "Target mask", (*_TABLES, *_IMAGES), _MASK_HINT),
             ("source_mask", "Source mask", (*_TABLES, *_IMAGES), "the same for the source"),
-            ("mask_edge", "Soft edge", (), "relative to the model's size; empty: 0.02 for sets of faces, else 0"),
+            ("mask_edge", "Soft edge", (), "of a mask's border, in model sizes; empty: 0.02 for sets of faces, else 0"),
         )
         + _fields("transfer", ("bases", "Own images", (*_IMAGES, *_TABLES), _BASES_HINT))
         + _fields(
@@ -169,9 +174,7 @@ SECTIONS = (
             ("source_uvs", "UVs of the source", (), "also the target with the source's UVs, so that its image fits"),
             ("usd", "USD layer", (), "also textures, attributes, weights and shapes as a layer over the target"),
         )
-        + _fields(
-            "match", ("force", "Overwrite", (), "also files that cagemap did not write, or that were changed since")
-        ),
+        + _fields("match", ("force", "Overwrite", (), "also files that were changed or that cagemap did not write")),
     ),
 )
 # Keys of the options above the sections.

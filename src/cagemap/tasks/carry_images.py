@@ -9,14 +9,12 @@ from pathlib import Path
 from typing import Any, cast
 
 from cagemap.errors import ParameterError
-from cagemap.files.gltf.document import SCENE_SUFFIXES
-from cagemap.files.gltf.material_images import MaterialImage, color_texture, write_material_image
+from cagemap.files.gltf.material_images import MaterialImage
 from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern, udim_path
+from cagemap.files.inner_texture import SUFFIXES, color_texture, write_texture
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import note_transfer
-from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.results import preview_inputs, unbound_maps
-from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
 from cagemap.files.usd.write import UsdResults
 from cagemap.maps.result import MatchResult
 from cagemap.tasks.bake_tiles import (
@@ -101,10 +99,10 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
 
 def _image_file(path: Path, request: TransferRequest, result: MatchResult) -> tuple[Path, MaterialImage | None]:
     """An image file as given; or the image of a glTF, FBX or USD file, written into RESULT, and how it is laid."""
-    if path.suffix.lower() not in (*SCENE_SUFFIXES, *USD_SUFFIXES):
+    if path.suffix.lower() not in SUFFIXES:
         return path, None
-    found = color_texture(path, result.source.control, usd_document(path) if is_usd(path) else None)
-    image = None if found is None else write_material_image(path, *found, request.result)
+    found = color_texture(path, result.source.control)
+    image = None if found is None else write_texture(path, *found, request.result)
     if found is None or image is None:
         raise ParameterError(
             f"{path}: expected a colour image on most of {result.source.control.name} for its UV set in use, found "

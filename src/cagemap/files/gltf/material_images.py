@@ -13,15 +13,12 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.atomic import write_whole
-from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import MIRROR, REPEAT, texture_slots
 from cagemap.files.images.image import Image, Pixels, image_of_bytes, write_image
 from cagemap.files.ownership import seal
-from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 
 _TRANSFORM = "KHR_texture_transform"
@@ -84,40 +81,6 @@ def material_images(document: Document, material: str) -> tuple[MaterialImage, .
     number = _number(document, material)
     entry = document.entry("materials", number)
     return tuple(_image(document, material, slot, holder) for slot, holder in texture_slots(entry))
-
-
-def color_texture(
-    path: Path, control: ControlMesh, document: Document | None = None
-) -> tuple[Document, MaterialImage] | None:
-    """The colour texture of most of a mesh's faces in a glTF or FBX file, and its document.
-
-    None without one, or if it belongs to another UV set than that in use.
-
-    ``document``: of a file in another format, such as USD.
-    """
-    known = document is not None or path.suffix.lower() in SCENE_SUFFIXES
-    if not known or control.face_materials is None or control.uvs is None:
-        return None
-    document, names = document or read_document(path), control.material_names
-    most = names[int(np.bincount(control.face_materials + 1, minlength=2)[1:].argmax())]
-    slots = material_images(document, most) if most in material_names(document) else ()
-    in_use = control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0"
-    found = next((slot for slot in slots if slot.slot == _COLOR_SLOT and slot.uv_set == in_use), None)
-    return None if found is None else (document, found)
-
-
-def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | None:
-    """Write the image of a mesh's `color_texture`; None if repeating it over the UVs does not show the texture."""
-    found = color_texture(path, control)
-    if found is None or control.uvs is None or not found[1].is_repeated_over(control.uvs):
-        return None
-    return write_material_image(path, *found, folder)
-
-
-def write_material_image(path: Path, document: Document, texture: MaterialImage, folder: Path) -> Path | None:
-    """Write an image that a document of the file ``path`` contains; None for a format that cagemap does not read."""
-    data, suffix = image_bytes(document, texture.image)
-    return write_numbered(folder / f"{path.stem}_texture{suffix}", data) if suffix in IMAGE_SUFFIXES else None
 
 
 def _sealed(name: str, data: bytes) -> bytes:

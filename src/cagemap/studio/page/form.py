@@ -16,14 +16,14 @@ from cagemap.tasks.requests.catalogue import CommandOption, Key, NamedFiles, Opt
 SIZES = ("512", "1024", "2048", "4096", "8192", "16384")
 IMAGE_FORMS = (".png", ".tif", ".exr", ".jpg")
 MAP_FORMS = (".npy", ".npz", ".mtx", ".vts", ".mhclo", ".proxy")
-_MAPS_HINT = "roughness, normals, ... of the source's material, all baked in one run: NAME=FILE, with commas"
-_NAME_HINT = "what files begin with; another name keeps what an earlier bake wrote"
+_MAPS_HINT = "roughness, normals, ... of the source's material: NAME=FILE, separated by commas"
+_NAME_HINT = "beginning of all file names; another name keeps the files of an earlier bake"
 _DEFAULTS = FinishOptions()
 
 
 def form_fields(options: Options) -> dict[str, Any]:
     """Entries of the form: key, label, hint, kind, value, choices and suffixes."""
-    vertices_hint = "how finely the final map is computed, on each model; more is slower"
+    vertices_hint = "of each model in the final map, approximately; more is finer and slower"
     first = [
         _entry("texture", "Texture", "flag", _DEFAULTS.texture, "bake the open image into the target's layout"),
         _option_entry(

@@ -12,7 +12,7 @@ const views = new Views($('views'), {
   click: ray => send('click', ray), probe: ray => send('probe', ray), move: ray => send('move', ray),
   select: number => send('select', {number}), hint: text => { $('status').textContent = text; },
 });
-hint('Drop the target here: the model that receives.\nOr press Open…', 'Drop the source here: the model that gives.\nOr press Open…');
+hint('Drop the target here: the model that gets the texture or rig.\nOr press Open…', 'Drop the source here: the model that has it.\nOr press Open…');
 window.studio = {views, get state() { return state; }};
 
 // The server
@@ -264,7 +264,7 @@ const drop = $('views'), half = event => event.clientX < $('source').getBounding
 drop.addEventListener('dragover', event => {
   event.preventDefault();
   drop.classList.add('dropping');
-  drop.dataset.drop = half(event) === 'target' ? 'Open here as the target, which receives' : 'Open here as the source, which gives';
+  drop.dataset.drop = half(event) === 'target' ? 'Open here as the target, which gets the texture or rig' : 'Open here as the source, which has it';
 });
 drop.addEventListener('dragleave', () => drop.classList.remove('dropping'));
 drop.addEventListener('drop', event => {

@@ -1,0 +1,48 @@
+"""The colour texture inside a glTF, FBX or USD file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.files import IMAGE_SUFFIXES
+from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
+from cagemap.files.gltf.entries import Document, image_bytes
+from cagemap.files.gltf.material_images import MaterialImage, material_images, write_numbered
+from cagemap.files.gltf.primitives import material_names
+from cagemap.files.usd.convert import usd_document
+from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
+from cagemap.mesh import ControlMesh
+
+SUFFIXES = (*SCENE_SUFFIXES, *USD_SUFFIXES)
+_COLOR_SLOT = "baseColorTexture"
+
+
+def color_texture(path: Path, control: ControlMesh) -> tuple[Document, MaterialImage] | None:
+    """The colour texture of most of a mesh's faces in its file, and the file's document.
+
+    None without one, or if it belongs to another UV set than that in use.
+    """
+    if path.suffix.lower() not in SUFFIXES or control.face_materials is None or control.uvs is None:
+        return None
+    document = usd_document(path) if is_usd(path) else read_document(path)
+    most = control.material_names[int(np.bincount(control.face_materials + 1, minlength=2)[1:].argmax())]
+    slots = material_images(document, most) if most in material_names(document) else ()
+    in_use = control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0"
+    found = next((slot for slot in slots if slot.slot == _COLOR_SLOT and slot.uv_set == in_use), None)
+    return None if found is None else (document, found)
+
+
+def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | None:
+    """Write the image of a mesh's `color_texture`; None if repeating it over the UVs does not show the texture."""
+    found = color_texture(path, control)
+    if found is None or control.uvs is None or not found[1].is_repeated_over(control.uvs):
+        return None
+    return write_texture(path, *found, folder)
+
+
+def write_texture(path: Path, document: Document, texture: MaterialImage, folder: Path) -> Path | None:
+    """Write an image that a document of the file ``path`` contains; None for a format that cagemap does not read."""
+    data, suffix = image_bytes(document, texture.image)
+    return write_numbered(folder / f"{path.stem}_texture{suffix}", data) if suffix in IMAGE_SUFFIXES else None
