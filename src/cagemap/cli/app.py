@@ -36,7 +36,12 @@ _Verbose = Annotated[
         help="Print every step and every fallback; -vv: more.  [default: off]",
     ),
 ]
-_Quiet = Annotated[bool, typer.Option("--quiet", "-q", show_default=False, help="Print only errors.  [default: off]")]
+_Quiet = Annotated[
+    bool,
+    typer.Option(
+        "--quiet", "-q", show_default=False, help="Print errors only: no results, warnings or progress.  [default: off]"
+    ),
+]
 
 app = typer.Typer(
     name="cagemap",
