@@ -168,7 +168,7 @@ def check(
 
     check_meshes = mesh_commands.check_values if as_json else mesh_commands.check_files
     text, sound = check_meshes(meshes, SubdivisionRequest(scheme), weld)
-    say(text, always=not sound)
+    say(text, always=as_json or not sound)
     if not sound:
         raise typer.Exit(1)
 
