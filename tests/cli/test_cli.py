@@ -72,6 +72,7 @@ def test_check_reports_and_judges(run: Run, tmp_path: Path) -> None:
     assert fine["n_faces"] == 6
     assert "missing.obj" in gone["error"]
     assert run("-q check good.obj").out == ""
+    assert json.loads(run("-q check --json good.obj").out)[0]["usable"]
     assert "duplicate faces" in run("-q check bad.obj").out
     missing = run("check missing.obj good.obj")
     assert missing.code == 1

@@ -236,6 +236,8 @@ def test_a_job_is_exported_for_farms_and_runs_nothing(folder: Path) -> None:
     assert [step["name"] for step in template["steps"]] == ["prepare", "match", "outputs", "page"]
     assert f"job={folder}/job.toml" in made["slurm"].output
     assert "expected openjd or slurm, got 'cobol'" in str(made["cobol"].exception)
+    for words in (["--export", "slurm"], ["--dry-run"]):  # the text is all that they are run for
+        assert CliRunner().invoke(app, ["run", str(folder / "job.toml"), *words, "-q"]).output
     both = CliRunner().invoke(app, ["run", str(folder / "job.toml"), "--export", "slurm", "--task", "1"])
     assert "--task: expected none of --export beside it" in str(both.exception)
     assert sorted(folder.iterdir()) == before

@@ -27,6 +27,8 @@ from cagemap.tasks.suggest import run_suggest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import run_wrap
 
+from example_result import textured_cube
+
 
 def _scene() -> ControlMesh:
     """An eye, then a body, so that the body's numbers begin somewhere."""
@@ -54,7 +56,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_mesh(place / "hero.obj", scene)
     _own_landmarks(place / "landmarks.json", scene)
     hero = place / "hero.obj"
-    run_match(MatchRequest(hero, hero, place / "landmarks.json", place / "R", level=1, k=30, part="body"), Stages())
+    run_match(MatchRequest(hero, hero, place / "landmarks.json", place / "R", level=2, k=30, part="body"), Stages())
     return place
 
 
@@ -178,12 +180,13 @@ def test_values_of_a_part_whose_file_has_changed_say_whose_numbers_they_have(
 def test_a_wrapped_part_stays_in_its_file(folder: Path) -> None:
     scene = _scene()
     first = scene.n_vertices - creature().n_vertices
-    _, warnings = run_wrap(WrapRequest((folder / "R",), folder / "wrapped.obj"), Stages())
+    summary, warnings = run_wrap(WrapRequest((folder / "R",), folder / "wrapped.obj"), Stages())
     wrapped = read_mesh(folder / "wrapped.obj")
     np.testing.assert_array_equal(wrapped.face_indices, scene.face_indices)
     np.testing.assert_allclose(wrapped.positions[:first], scene.positions[:first], rtol=0, atol=0)
     assert np.abs(wrapped.positions - scene.positions).max() < 0.05 * np.ptp(scene.positions)
     assert any("stay where they are" in text for text in warnings)
+    assert f"wrapped.obj: {scene.n_vertices} vertices, {creature().n_vertices} of them wrapped (level 0)" in summary
 
 
 def test_suggested_landmarks_can_be_matched_again(folder: Path) -> None:
@@ -213,3 +216,36 @@ def test_parts_matched_one_by_one_keep_the_order_of_the_file(folder: Path) -> No
     found = np.load(folder / "numbers_out.npz")["a"]
     np.testing.assert_allclose(found[first:], scene.positions[first:], atol=0.1)  # six functions make no exact map
     assert np.abs(found[:first] - scene.positions[:first]).max() < 0.2 * np.ptp(scene.positions[:first])
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".off"])
+def test_the_whole_file_is_wrapped_into_other_formats(folder: Path, suffix: str) -> None:
+    run_wrap(WrapRequest((folder / "R",), folder / f"wrapped{suffix}"), Stages())
+    found, first = read_mesh(folder / f"wrapped{suffix}"), _scene().n_vertices - creature().n_vertices
+    np.testing.assert_allclose(found.positions[:first], _scene().positions[:first], atol=1e-5)
+    assert found.n_faces == _scene().n_faces
+    _, warnings = run_wrap(WrapRequest((folder / "R",), folder / f"fine{suffix}", fit_level=1), Stages())
+    assert "hero.obj: 24 faces that were not matched are not written. Give --fit-level 0" in warnings
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_the_source_s_uvs_are_written_into_the_whole_file(tmp_path: Path, own: bool) -> None:
+    cubes = [textured_cube(name, size) for name, size in (("one", 1.0), ("two", 2.0))]
+    number = np.zeros(cubes[0].n_faces, dtype=np.int64)
+    named = [replace(cube, face_objects=number, object_names=(cube.name,)) for cube in cubes]
+    scene = join_meshes([named[0], named[1].with_positions(named[1].positions + 9.0)])
+    write_mesh(tmp_path / "source.obj", scene)
+    target = scene if own else scene.with_uvs(None, None)
+    write_mesh(tmp_path / "target.obj", target)
+    files = tmp_path / "target.obj", tmp_path / "source.obj"
+    run_match(MatchRequest(*files, None, tmp_path / "R", level=2, part="two"), Stages())
+    summary, _ = run_transfer(TransferRequest(tmp_path / "R", tmp_path / "laid.obj", source_uvs=True), Stages())
+    laid = read_mesh(tmp_path / "laid.obj")
+    np.testing.assert_array_equal(laid.face_indices, scene.face_indices)
+    assert laid.uvs is not None
+    assert scene.uvs is not None
+    half = len(scene.face_indices) // 2
+    found, wanted = laid.uvs[laid.uv_indices], scene.uvs[scene.uv_indices]
+    np.testing.assert_allclose(found[half:], wanted[half:], atol=1e-5)
+    np.testing.assert_allclose(found[:half], wanted[:half] if own else 0.0, atol=1e-5)
+    assert f"6 faces that were not matched {'keep theirs' if own else 'have them all at (0, 0)'}" in summary

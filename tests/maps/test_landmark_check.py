@@ -375,7 +375,9 @@ def test_landmarks_of_another_mesh_are_asked_about(pair):
     foreign = Landmarks(landmarks.names, moved, landmarks.source, "another", landmarks.source_name)
     result = match(target, source, foreign, QUICK)
     assert result.quality.flipped_area > 0.05
-    (warning,) = [text for text in result.quality.warnings if text.startswith(check.FOREIGN)]
+    warning = result.quality.match_warnings[-1]
+    assert warning in result.quality.warnings
+    assert warning.startswith("are these landmarks of these meshes?")
     assert f"{100 * result.quality.flipped_area:.0f} % of the target is folded over" in warning
 
 

@@ -171,13 +171,17 @@ def test_maps_that_landmarks_decide_are_asked_too(surface: Surface, monkeypatch:
     given = Landmarks(("a", "b", "c"), np.array([0, 10, 20]), np.array([1, 10, 20]))  # not the identity
     result = match(surface, surface, given, MatchConfig(check_landmarks=False))
     assert result.quality.warnings[0].startswith(JUMPING)
+    assert result.quality.match_warnings == result.quality.warnings[:1]
 
 
 def test_parts_of_one_result_keep_what_was_said_of_them() -> None:
     part = identity_result()
-    said = f"{JUMPING} at 5.0 % of the target's area"
-    jumping = replace(part, quality=replace(part.quality, warnings=("little", said)))
-    assert merge_results([part, jumping], {}).quality.warnings[0] == said
+    said = "jumps at 5.0 % of the target's area"
+    jumping = replace(part, quality=replace(part.quality, warnings=("little", said), match_warnings=(said,)))
+    merged = merge_results([part, jumping], {}).quality
+    assert merged.warnings[0] == said
+    assert merged.match_warnings == (said,)
+    assert "little" not in merged.warnings
 
 
 def test_parts_of_one_result_keep_their_shared_area() -> None:

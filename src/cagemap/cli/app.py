@@ -36,7 +36,12 @@ _Verbose = Annotated[
         help="Print every step and every fallback; -vv: more.  [default: off]",
     ),
 ]
-_Quiet = Annotated[bool, typer.Option("--quiet", "-q", show_default=False, help="Print only errors.  [default: off]")]
+_Quiet = Annotated[
+    bool,
+    typer.Option(
+        "--quiet", "-q", show_default=False, help="Print errors only: no results, warnings or progress.  [default: off]"
+    ),
+]
 
 app = typer.Typer(
     name="cagemap",
@@ -163,7 +168,7 @@ def check(
 
     check_meshes = mesh_commands.check_values if as_json else mesh_commands.check_files
     text, sound = check_meshes(meshes, SubdivisionRequest(scheme), weld)
-    say(text, always=not sound)
+    say(text, always=as_json or not sound)
     if not sound:
         raise typer.Exit(1)
 

@@ -128,7 +128,7 @@ def run(request: RunRequest) -> None:
 
     with ConsoleStages() as stages:
         text, complete = run_job(request, stages)
-    say(text, always=not complete)
+    say(text, always=not complete or request.dry_run or request.export is not None)
     if not complete:
         raise Exit(1)
 

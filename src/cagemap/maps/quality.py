@@ -62,6 +62,8 @@ class QualityFigures:
         Mean of ``trust`` by area.
     warnings : tuple of str
         Problems that a user should know, worst first; empty for a good map.
+    match_warnings : tuple of str
+        Those of ``warnings`` that only the match can give, not a measurement of the map; not kept in files.
     """
 
     landmark_errors: FloatArray = field(repr=False)
@@ -73,6 +75,7 @@ class QualityFigures:
     trust: FloatArray = field(repr=False)
     trusted_area: float
     warnings: tuple[str, ...] = ()
+    match_warnings: tuple[str, ...] = ()
 
     def summary(self) -> dict[str, object]:
         """Return the figures as plain numbers and lists for a manifest (the per-vertex trust field left out)."""

@@ -308,7 +308,11 @@ def result_of_fit(
         quality = judge(target, point_map, points, trusted.names, counted)
         area_warnings = () if shared is None else unshared_warnings(shared.target_share, shared.source_share)
         foreign = foreign_warnings(quality.flipped_area, len(landmarks), len(check.suspects))
-        quality = replace(quality, warnings=(*jumps.result(), *quality.warnings, *area_warnings, *foreign))
+        quality = replace(
+            quality,
+            warnings=(*jumps.result(), *quality.warnings, *area_warnings, *foreign),
+            match_warnings=(*jumps.result(), *foreign),
+        )
     return MatchResult(
         target,
         source,

@@ -210,18 +210,25 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     stages("texture coordinates")
     carried = carry_uvs(transfer, *sides)
     original, control = input_file(request.result, result.manifest, "target"), result.target.control
-    laid_out = control.with_uvs(carried.uvs, carried.uv_indices)
+    rows = file_rows(request.result, result, "target")
+    layout = carried.uvs, carried.uv_indices
+    laid_out = control.with_uvs(*layout) if rows is None else rows.laid_out(*layout)
     of_obj = original is not None and original.suffix.lower() == ".obj"  # its images do not fit the new layout
     write_mesh(request.output, laid_out, like=None if of_obj else original, force=request.force)
     note_transfer(request.result, {"kind": "uvs", "output": request.output})
-    count = len(carried.crossed)
+    crossed = carried.crossed if rows is None else rows.faces[carried.crossed]
+    count, others = len(crossed), laid_out.n_faces - control.n_faces
     warnings = missing_file_warnings(original, control.name, request.output)
     if count:
         warnings.append(
             f"seams of the source cross {count} of {control.n_faces} faces, which get no fitting texture "
-            f"coordinates (0-based): {first_few(carried.crossed)}"
+            f"coordinates (0-based): {first_few(crossed)}"
         )
-    return f"wrote {request.output}: {len(carried.uvs)} texture coordinates of the source", warnings
+    line = f"wrote {request.output}: {len(carried.uvs)} texture coordinates of the source"
+    if rows is not None and others:
+        kept = "have them all at (0, 0)" if rows.whole.uvs is None else "keep theirs"
+        line += f"; {others} faces that were not matched {kept}"
+    return line, warnings
 
 
 # Mean distance of a passenger (clothes, hair, props) from the body, in sqrt(body area), above which its units or

@@ -68,10 +68,10 @@ def _of_prim(results: UsdResults, rows: FileRows) -> UsdResults:
     points = None if results.points is None else rows.placed(results.points)
     uvs = results.uvs
     if uvs is not None:  # faces outside the part have all UVs at one point
-        name, values, indices = uvs
-        every = np.full(len(rows.whole.face_indices), len(values), dtype=np.int64)
-        every[rows.corners] = indices
-        uvs = name, np.vstack([values, np.zeros((1, 2))]), every
+        laid_out = replace(rows, whole=rows.whole.with_uvs(None, None)).laid_out(*uvs[1:])
+        assert laid_out.uvs is not None
+        assert laid_out.uv_indices is not None
+        uvs = uvs[0], laid_out.uvs, laid_out.uv_indices
     return replace(results, attributes=to_file(results.attributes, rows), points=points, uvs=uvs)
 
 

@@ -197,10 +197,12 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
     original = input_file(folder, result.manifest, "target")
     stages("write")
     space = _to_target(folder, result)
-    warnings = _write(request, _through(wrapped, space), result, original, request.output)
+    written, warnings = _write(request, _through(wrapped, space), result, original, request.output)
     note_transfer(folder, _entry(request, wrapped))
     note_output("wrap", folder, request)
-    lines = [f"wrote {request.output}: {wrapped.mesh.n_vertices} vertices of level {wrapped.level}", _figures(wrapped)]
+    count = wrapped.mesh.n_vertices
+    among = f", {count} of them wrapped" if written != count else ""
+    lines = [f"wrote {request.output}: {written} vertices{among} (level {wrapped.level})", _figures(wrapped)]
     if request.mhclo is not None:
         places, triangles = wrapped.mesh.positions, wrapped.closest.triangle[: wrapped.mesh.n_vertices]
         write_mhclo(request.mhclo, bind_on(places, result.source, triangles), request.output, force=request.force)
@@ -264,30 +266,34 @@ def _symmetry(control: ControlMesh, level: int) -> IndexArray:
 
 def _write(
     request: WrapRequest, wrapped: Wrapped, result: MatchResult, original: Path | None, output: Path
-) -> list[str]:
-    """Write the cage into a copy of the target's own file, if it exists; returns warnings."""
-    rest = level_mesh(result.target.refinement, wrapped.level)
-    mesh = wrapped.mesh
+) -> tuple[int, list[str]]:
+    """Write the cage into a copy of the target's own file, if it exists; returns its number of vertices, warnings."""
+    rest, control, mesh = level_mesh(result.target.refinement, wrapped.level), result.target.control, wrapped.mesh
     if request.amount < 1.0:
         mesh = mesh.with_positions((1 - request.amount) * rest.positions + request.amount * mesh.positions)
-    both_obj = output.suffix.lower() == ".obj" and original is not None and original.suffix.lower() == ".obj"
-    if wrapped.level == 0 and both_obj and original is not None:
-        rows = rows_of(original, result.target.control)
-        whole = mesh if rows is None else rows.whole.with_positions(rows.placed(mesh.positions))
-        write_obj_positions(output, original, whole, force=request.force)
-        placed = np.arange(whole.n_vertices) if rows is None else [*rows.vertices, *rows.copies[:, 1]]
-        left = whole.n_vertices - len(np.unique(placed))
-        return [f"{original.name}: {left} vertices that were not matched stay where they are"] if left else []
-    check_outputs(mesh_files(output, mesh, original), [], force=request.force)
-    both_usd = all(path is not None and is_usd(path) for path in (output, original))
-    if wrapped.level == 0 and both_usd:
+    if wrapped.level == 0 and original is not None and is_usd(output) and is_usd(original):
+        check_outputs(mesh_files(output, mesh, original), [], force=request.force)
         points = UsdResults(points=mesh.positions)
         write_usd_results(output, request.results[0], result, points, force=request.force)
-        return []
+        return mesh.n_vertices, []
+    rows, warnings = rows_of(original, control), list[str]()
+    if rows is not None and wrapped.level:
+        left = rows.whole.n_faces - control.n_faces
+        warnings = [f"{control.name}: {left} faces that were not matched are not written. Give --fit-level 0"] * (
+            left > 0
+        )
+    elif rows is not None:
+        mesh = rows.whole.with_positions(rows.placed(mesh.positions))
+        left = mesh.n_vertices - len(np.unique([*rows.vertices, *rows.copies[:, 1]]))
+        warnings = [f"{control.name}: {left} vertices that were not matched stay where they are"] if left else []
+    if wrapped.level == 0 and original is not None and {output.suffix.lower(), original.suffix.lower()} == {".obj"}:
+        write_obj_positions(output, original, mesh, force=request.force)
+        return mesh.n_vertices, warnings
+    check_outputs(mesh_files(output, mesh, original), [], force=request.force)
     write_mesh(output, mesh, like=original, force=request.force)
-    if wrapped.level and output.suffix.lower() == ".obj":  # a refined cage has no groups of the file
-        return []
-    return missing_file_warnings(original, result.target.control.name, output)
+    if not (wrapped.level and output.suffix.lower() == ".obj"):  # a refined cage has no groups of the file
+        warnings += missing_file_warnings(original, control.name, output)
+    return mesh.n_vertices, warnings
 
 
 def _to_target(folder: Path, result: MatchResult) -> FloatArray:
@@ -314,7 +320,7 @@ def _write_shapes(request: WrapRequest, results: list[MatchResult], config: Wrap
         if file == files[1]:
             rest = replace(wrapped, mesh=level_mesh(result.target.refinement, wrapped.level))
             _write(replace(request, amount=1.0), rest, result, original, files[0])
-        warnings += _write(request, _through(wrapped, _to_target(folder, result)), result, original, file)
+        warnings += _write(request, _through(wrapped, _to_target(folder, result)), result, original, file)[1]
         lines.append(f"wrote {file}\n{_figures(wrapped)}")
         warnings += [f"{name}: {message}" for message in _warnings(wrapped)]
     for folder in request.results:

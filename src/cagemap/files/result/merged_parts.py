@@ -12,8 +12,8 @@ from scipy.linalg import block_diag
 
 from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import ParameterError
-from cagemap.maps.hypotheses.confidence import JUMPING, Confidence
-from cagemap.maps.landmarks.check import FOREIGN, LandmarkCheck
+from cagemap.maps.hypotheses.confidence import Confidence
+from cagemap.maps.landmarks.check import LandmarkCheck
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import point_pairs
 from cagemap.maps.point_map import PointMap
@@ -72,7 +72,7 @@ def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> M
     counted = masks if shared is None else shared.within(masks)
     quality = measure_quality(point_map, point_pairs(target, source, trusted), trusted.names, masks=counted)
     apart = () if shared is None else unshared_warnings(shared.target_share, shared.source_share)
-    kept = [text for part in parts for text in part.quality.warnings if text.startswith((JUMPING, FOREIGN))]
+    kept = [text for part in parts for text in part.quality.match_warnings]
     trust = np.empty(target_surface.n)
     for part, target_rows in zip(parts, target_numbers, strict=True):
         trust[target_rows.vertices] = part.trust
@@ -81,7 +81,7 @@ def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> M
         source,
         landmarks,
         point_map,
-        replace(quality, trust=trust, warnings=(*kept, *quality.warnings, *apart)),
+        replace(quality, trust=trust, warnings=(*kept, *quality.warnings, *apart), match_warnings=tuple(kept)),
         first.timings,
         check,
         confidence=_least_confidence(parts),

@@ -121,6 +121,15 @@ class FileRows:
         """The file's positions with those of the part replaced."""
         return self._spread(np.array(self.whole.positions), positions)
 
+    def laid_out(self, uvs: FloatArray, uv_indices: IndexArray) -> ControlMesh:
+        """The file's mesh with texture coordinates of the part; its other faces keep theirs, or have (0, 0)."""
+        whole = self.whole
+        others = np.zeros((1, 2)) if whole.uvs is None else whole.uvs
+        every = np.zeros(len(whole.face_indices), dtype=np.int64) if whole.uv_indices is None else whole.uv_indices
+        every = every + len(uvs)
+        every[self.corners] = uv_indices
+        return whole.with_uvs(np.vstack([uvs, others]), every)
+
 
 def file_rows(folder: str | Path, result: MatchResult, side: str) -> FileRows | None:
     """Rows of a side's file; None if the result is about the whole mesh or, with a warning, the file is gone.

@@ -51,7 +51,6 @@ MIRRORED = (
 # Folded share of the target's area that suggests landmarks of other meshes: least and most (beyond, the map is inside
 # out). Correct landmarks of 24 pairs of humans and animals fold 0.3 % at most.
 FOREIGN_FOLDED = 0.05, 0.5
-FOREIGN = "are these landmarks of these meshes?"
 
 # Offsets of the lattices of cells in which small handles (noise) are found: a cell's border cuts some.
 OFFSETS = (0.0, 0.25, 0.5, 0.75)
@@ -261,8 +260,8 @@ def foreign_warnings(folded: float, count: int, left_out: int) -> tuple[str, ...
         return ()
     others = f" and {left_out} of {count} landmarks were left out" if left_out else ""
     return (
-        f"{FOREIGN} {100 * folded:.0f} % of the target is folded over{others}. Look at the landmarks on both meshes, "
-        "and at which file they belong to",
+        f"are these landmarks of these meshes? {100 * folded:.0f} % of the target is folded over{others}. Look at the "
+        "landmarks on both meshes, and at which file they belong to",
     )
 
 

@@ -165,8 +165,8 @@ MaskEdgeOption = Annotated[
     Option(
         group=INPUT,
         min=0.0,
-        help="Width of the masks' soft edge, share of the model's size.  [default: 0.02 for sets of faces, 0 "
-        "for values and images]",
+        help="Distance over which masks fade in, relative to the model's size.  [default: 0.02 for parts by name and "
+        "values at faces, else 0]",
     ),
 ]
 
