@@ -68,6 +68,16 @@ def one_start() -> Iterator[None]:
 
 
 @pytest.fixture
+def quick_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`cagemap.match` fits quickly, where a test asks for something else than accuracy: a third of the time."""
+    from cagemap.pipeline import match
+
+    from quick_match import QUICK
+
+    monkeypatch.setattr(inspect.unwrap(match), "__defaults__", (None, QUICK))
+
+
+@pytest.fixture
 def jobs_in_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """Workers of a job are threads of this process: processes would import everything again."""
     import distributed

@@ -75,7 +75,7 @@ def test_match_from_files_to_a_result(run: Run, pair_files: Path, one_start: Non
 
 @pytest.mark.slow
 def test_a_wrong_landmark_is_left_out_with_a_warning_unless_trusted(
-    run: Run, pair_files: Path, built_in_pair: ExamplePair
+    run: Run, pair_files: Path, built_in_pair: ExamplePair, one_start: None
 ) -> None:
     pair = built_in_pair
     names = pair.landmarks.names

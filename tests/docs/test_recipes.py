@@ -73,6 +73,7 @@ def test_pyfm_there():
     assert error(names, names["T"]) < 0.2 * error(names, names["model"].get_p2p())
 
 
+@pytest.mark.slow  # .ci/run installs the library before these
 def test_pyfm_back():
     names = {**run_without_fit(), "research": research}
     exec(compile(BLOCKS[3], "recipes.md, recipe 4", "exec"), names)
@@ -137,6 +138,7 @@ def test_diffusion_net():
     assert float(names["slope"].norm(dim=0).max()) < 1.5 * names["source"].scale ** -1
 
 
+@pytest.mark.slow  # .ci/run installs the library before these
 def test_potpourri3d():
     names = run(11)
     assert names["errors"].max() < 1e-3

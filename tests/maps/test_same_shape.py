@@ -55,14 +55,29 @@ def gap_and_error(target: Surface, source: Surface, vertices: np.ndarray) -> tup
     return float(areas @ gap / areas.sum()), float(areas @ error / areas.sum())
 
 
+@pytest.fixture(scope="module")
+def pony() -> tuple[ControlMesh, Surface, np.ndarray]:
+    """The pony, prepared, and its landmarks."""
+    pair = example_pair(texture_size=64)
+    return pair.source, prepare_surface(pair.source, 2, BasisConfig(count=100)), pair.landmarks.source
+
+
+@pytest.fixture(scope="module")
+def human(shared_data) -> tuple[ControlMesh, Surface, np.ndarray]:
+    """A body, prepared, and its landmarks."""
+    humans = shared_data / "humans"
+    mesh = read_mesh(humans / "female1605_male_young.obj")
+    file = humans / "landmarks" / "female1605__male1591_fps14.json"
+    vertices = read_landmarks(file, "male1591", "female1605")[0].source
+    return mesh, prepare_surface(mesh, 2, BasisConfig(count=300)), vertices
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-def test_a_pony_under_another_cage_is_the_same_pony(share):
+def test_a_pony_under_another_cage_is_the_same_pony(pony, share):
     """Its own refinement (0), half of the quads split (0.5), and triangles under Loop's scheme (1)."""
-    pony = example_pair(texture_size=64)
-    mesh, vertices = pony.source, pony.landmarks.source
-    basis = BasisConfig(count=100)
-    target, source = prepare_surface(mesh, 2, basis), prepare_surface(requadded(mesh, share), 1, basis)
+    mesh, target, vertices = pony
+    source = prepare_surface(requadded(mesh, share), 1, BasisConfig(count=100))
     for pair in ((target, source), (source, target)):
         gap, error = gap_and_error(*pair, vertices)
         assert gap < 3e-4
@@ -71,13 +86,9 @@ def test_a_pony_under_another_cage_is_the_same_pony(share):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.5])
-def test_a_human_under_another_cage_is_the_same_human(shared_data, share):
-    humans = shared_data / "humans"
-    mesh = read_mesh(humans / "female1605_male_young.obj")
-    file = humans / "landmarks" / "female1605__male1591_fps14.json"
-    vertices = read_landmarks(file, "male1591", "female1605")[0].source
-    basis = BasisConfig(count=300)
-    target, source = prepare_surface(mesh, 2, basis), prepare_surface(requadded(mesh, share), 1, basis)
+def test_a_human_under_another_cage_is_the_same_human(human, share):
+    mesh, target, vertices = human
+    source = prepare_surface(requadded(mesh, share), 1, BasisConfig(count=300))
     errors = []
     for pair in ((target, source), (source, target)):
         gap, error = gap_and_error(*pair, vertices)

@@ -23,8 +23,10 @@ from cagemap import (
     choose_level,
     match,
     prepare_surface,
+    read_image,
     read_landmarks,
     read_mesh,
+    read_result,
     refine,
 )
 
@@ -98,8 +100,14 @@ def programs_of(page: str) -> list[str]:
 
 
 @pytest.mark.slow
-def test_examples_in_the_docs_run(pair_files: Path, monkeypatch: pytest.MonkeyPatch, one_start: None) -> None:
-    """README.md from files to a baked texture, then the steps of docs/api.md on its surfaces; coarse and small.
+def test_examples_in_the_docs_run(
+    pair_files: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    quick_fit: None,
+    one_start: None,
+) -> None:
+    """README.md from files to a baked texture, then the steps of docs/api.md on its surfaces; coarse and quick.
 
     Of the first programs of docs/api.md the last is enough: all five run in tests/docs/test_snippets.py.
     """
@@ -108,6 +116,7 @@ def test_examples_in_the_docs_run(pair_files: Path, monkeypatch: pytest.MonkeyPa
     first, *programs = programs_of("docs/api.md")
     for code in (*programs_of("README.md"), first, *programs[4:]):
         exec(code.replace("level=3", "level=1").replace("size=1024", "size=32"), names)
-    assert (pair_files / "deer.png").exists()
-    assert (pair_files / "RESULT" / "manifest.json").exists()
+    assert "flipped_area" in capsys.readouterr().out
+    assert read_image(pair_files / "deer.png").pixels.shape == (32, 32, 3)
+    assert read_result(pair_files / "RESULT").target.finest == 1
     assert names["figures"].landmark_errors.max() < 1e-12

@@ -84,7 +84,7 @@ def heads() -> tuple[Refinement, Refinement, PointMap, np.ndarray, np.ndarray]:
         target=vertices(target, target_rings, (0.675, 0.38, 0.86, 0.0)),
         source=vertices(source, source_rings, (0.66, 0.4, 0.84, 0.0)),
     )
-    sides = prepare_surfaces(replace(target, name="target"), replace(source, name="source"), (3, 3))
+    sides = prepare_surfaces(replace(target, name="target"), replace(source, name="source"), (2, 2))
     found = match(*sides, landmarks)
     return sides[0].refinement, sides[1].refinement, found.point_map, target_rings, source_rings
 
@@ -112,7 +112,7 @@ def test_closed_lips_are_closed_on_the_other_head_and_do_not_overlap(heads) -> N
     target, source, point_map, target_rings, source_rings = heads
     shape = closing(source.control, source_rings)
     carrier = prepare_shapes(target, source, point_map)
-    given = lip_gaps(source, source.finest.positions + source.prolong(shape, 0, 3), source_rings)
+    given = lip_gaps(source, source.finest.positions + source.prolong(shape, 0, source.n_levels), source_rings)
     np.testing.assert_allclose(given, 0.008, atol=1e-3)
     gaps = lip_gaps(target, carried(carrier, target, shape), target_rings)
     rest = lip_gaps(target, target.finest.positions, target_rings)
@@ -126,7 +126,7 @@ def test_lips_that_are_closed_at_rest_do_not_move_the_other_head(heads) -> None:
     target, source, point_map, _, source_rings = heads
     # The source's own lips are closed; the target's are open and stay so where nothing moves.
     closed = source.control.positions + closing(source.control, source_rings)
-    finest = source.prolong(closed, 0, 3)
+    finest = source.prolong(closed, 0, source.n_levels)
     given = replace(point_map.source, positions=point_map.source.scale * finest)
     images = replace(point_map.images, surface=given)
     shut = replace(
