@@ -39,16 +39,8 @@ from cagemap.maps.result import LevelMap
 from cagemap.mesh.inputs import control_mesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, real_numbers, whole_numbers
-from cagemap.paper.constraints import (
-    Constraints,
-    DescriptorConfig,
-    Filters,
-    MapWeights,
-    choose_filters,
-    gather_constraints,
-    landmark_descriptors,
-    signature_functions,
-)
+from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints, signature_functions
+from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
 from cagemap.paper.hfm import HfmConfig, hfm_map
 from cagemap.paper.method import (

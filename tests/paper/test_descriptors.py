@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cagemap.errors import ParameterError
-from cagemap.paper.constraints import (
+from cagemap.paper.descriptors import (
     choose_filters,
     heat_filters,
     heat_times,
