@@ -38,8 +38,8 @@ def found(
         asked.append(with_rotations)
         return [], []
 
-    monkeypatch.setattr(search, "fit_from_two_starts", lambda *given: ([beside], None if agree else beside))
-    monkeypatch.setattr(search, "fit_from_spectral_starts", lambda problem, shape, fine, first: fine)
+    monkeypatch.setattr(search, "fit_from_two_starts", lambda *given: ([beside], [] if agree else [beside]))
+    monkeypatch.setattr(search, "fit_from_spectral_starts", lambda problem, shape, fine, soft: fine)
     monkeypatch.setattr(search, "fit_small_graph", fit_small_graph)
     monkeypatch.setattr(search, "fit_without_tips", lambda problem, small_fits: [evaluate_placement(prepared, places)])
     monkeypatch.setattr(search, "refit_distinct_to_tips", lambda problem, ranked: ranked)

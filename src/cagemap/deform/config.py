@@ -295,7 +295,7 @@ class ElasticConfig(Brief):
         Vertices from which on a level of the source is fine enough to fit to.
     coarse, fine : Stage
     stiff_coarse : Stage
-        Instead of `coarse` where a placement is known: refits to tips of limbs and in the source's pose.
+        Instead of `coarse` where its placements from both starts agree, see `cagemap.deform.multi_start`.
     landmark_start : Stage
         Positions from the landmarks alone; differentials are smoothed as in the stage that starts there.
     normal_weight : float

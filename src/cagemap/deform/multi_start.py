@@ -108,36 +108,43 @@ def basis_rows(surface: Surface, level: int, vertices: IndexArray) -> FloatArray
 
 def fit_from_two_starts(
     problem: Problem, shape: CoarseShape, start: FloatArray | None = None
-) -> tuple[list[Placement], Placement | None]:
-    """Fine placements from two starts, cheapest first; and the first coarse one, None if the two agree.
+) -> tuple[list[Placement], list[Placement]]:
+    """Fine placements from two starts, cheapest first; and the soft coarse ones of both, none if these agree.
 
     The starts are ZoomOut from landmark coordinates (`start_map`), or positions ``start`` (k, 3), and the constrained
-    points alone (`landmark_start`). Coarse placements disagree if they are far apart or a limb is in another pose;
-    `fit_from_spectral_starts` goes on from the first. With a start and fewer than three constrained points, the start
-    is the only one.
+    points alone (`landmark_start`). From each, clusters are fitted by the soft and by the stiff coarse stage. The stiff
+    one spreads strain more evenly, so its placements are refined. The soft ones disagree if they are far apart or a
+    limb is in another pose; `fit_from_spectral_starts` goes on from them. With a start and fewer than three constrained
+    points, the start is the only one.
     """
-    prepared, config = problem.prepared, problem.prepared.elastic.search
+    prepared, elastic = problem.prepared, problem.prepared.elastic
+    shapes = shape, shape.with_stage(elastic.stiff_coarse)
+
+    def both_stages(positions: FloatArray | None) -> list[Placement]:
+        """Placements of the soft and of the stiff coarse stage."""
+        return in_threads(lambda clusters: coarse_fit(problem, positions, clusters), shapes)
+
     if start is not None and len(shape.constrained_vertices[0]) < FEWEST_LANDMARKS:
-        return refine_placements(problem, [coarse_fit(problem, start, shape)]), None
+        return refine_placements(problem, both_stages(start)), []
     with ThreadPool(1) as pool:  # at the same time as ZoomOut
-        pending = pool.submit(coarse_fit, problem, None, shape)
-        first = coarse_fit(problem, start_map(problem, shape) if start is None else start, shape)
-        second = pending.result()
+        from_points = pool.submit(both_stages, None)
+        first = both_stages(start_map(problem, shape) if start is None else start)
+        soft, stiff = zip(first, from_points.result(), strict=True)
     # Costs of coarse placements differ too little to choose by: a rotated elbow costs only on the mesh.
-    fine = refine_placements(problem, (first, second))
-    rotation = largest_limb_rotation(prepared.energy, prepared.level_masks, fine[0].positions, config.limb_area)
-    distance = mean_distance(first.positions, second.positions, shape.energy.graph.areas)
-    agree = distance <= config.max_start_distance and rotation <= config.max_limb_rotation
-    return fine, None if agree else first
+    fine = refine_placements(problem, stiff)
+    rotation = largest_limb_rotation(prepared.energy, prepared.level_masks, fine[0].positions, elastic.search.limb_area)
+    distance = mean_distance(soft[0].positions, soft[1].positions, shape.energy.graph.areas)
+    agree = distance <= elastic.search.max_start_distance and rotation <= elastic.search.max_limb_rotation
+    return fine, [] if agree else list(soft)
 
 
 def fit_from_spectral_starts(
-    problem: Problem, shape: CoarseShape, fine: Sequence[Placement], first: Placement
+    problem: Problem, shape: CoarseShape, fine: Sequence[Placement], soft: Sequence[Placement]
 ) -> list[Placement]:
-    """Fine placements, those of `fit_from_two_starts` and others from spectral starts of its first coarse one."""
-    starts = spectral_starts(problem, shape)(first)
-    coarse = in_threads(lambda start: coarse_fit(problem, start, shape), starts)
-    return [placed.with_start_of(fine[0]) for placed in refine_cheapest(problem, coarse, fine=fine)]
+    """Fine placements, those of `fit_from_two_starts` and others from spectral starts of its first soft one."""
+    starts = spectral_starts(problem, shape)(soft[0])
+    more = in_threads(lambda start: coarse_fit(problem, start, shape), starts)
+    return [placed.with_start_of(fine[0]) for placed in refine_cheapest(problem, [*soft, *more], fine=fine)]
 
 
 def refine_cheapest(

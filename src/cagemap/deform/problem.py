@@ -44,6 +44,11 @@ class CoarseShape:
     constrained_vertices: tuple[IndexArray, IndexArray]
     stage: Stage
 
+    def with_stage(self, stage: Stage) -> CoarseShape:
+        """The clusters with another coarse stage."""
+        energy = ElasticEnergy.build(self.energy.graph, stage.smoothing, self.energy.admissible)
+        return replace(self, energy=energy, stage=stage)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PreparedPair:

@@ -1,7 +1,7 @@
 """Search for the cheapest placement: from landmarks, assigned limbs, the files' positions and rotations.
 
 A start gives positions to fit from. Fits have three sizes: a small graph (400 clusters) for many starts, the coarse
-stage (1500 clusters) and the fine stage (the mesh). Constraints are landmarks, curves, and tips of limbs
+stage (1500 clusters, soft or stiff) and the fine stage (the mesh). Constraints are landmarks, curves, and tips of limbs
 that are assigned to each other. Fits are ranked by cost times penalty; starts that turn the files' axes have one.
 """
 
@@ -162,27 +162,27 @@ def search(
     then. ``show`` is called with placements of the small graph.
     """
     has_start = start is not None or len(problem.landmarks) >= FEWEST_LANDMARKS
-    # Fits with point constraints: the coarse shape, fine placements, and a coarse one if its two starts disagree
-    constrained, placements = list[tuple[CoarseShape, list[Placement], Placement | None]](), list[Placement]()
+    # Fits with point constraints: the coarse shape, fine placements, and soft coarse ones if its two starts disagree
+    constrained, placements = list[tuple[CoarseShape, list[Placement], list[Placement]]](), list[Placement]()
     if has_start:
         progress("first alignment")
-        fine, coarse = fit_from_two_starts(problem, problem.coarse_shape, start)
-        if coarse is None:
+        fine, soft = fit_from_two_starts(problem, problem.coarse_shape, start)
+        if not soft:
             return fine
-        constrained.append((problem.coarse_shape, fine, coarse))
+        constrained.append((problem.coarse_shape, fine, soft))
     if start is None:
         progress("possible alignments")
         limb_fits, small_fits = fit_small_graph(problem, not has_start, show)
         progress("rough alignment")
         for tips, small_fit in limb_fits:
             shape = problem.coarse_shape_with(tips)
-            fine, coarse = fit_from_two_starts(problem, shape)
-            constrained.append((shape, [placed.with_start_of(small_fit) for placed in fine], coarse))
+            fine, soft = fit_from_two_starts(problem, shape)
+            constrained.append((shape, [placed.with_start_of(small_fit) for placed in fine], soft))
         placements = fit_without_tips(problem, small_fits)
     progress("elastic alignment")
     if constrained:
-        (shape, fine, coarse), *others = sorted(constrained, key=lambda fits: fits[1][0].penalised_cost)
-        best = fine if coarse is None else fit_from_spectral_starts(problem, shape, fine, coarse)
+        (shape, fine, soft), *others = sorted(constrained, key=lambda fits: fits[1][0].penalised_cost)
+        best = fit_from_spectral_starts(problem, shape, fine, soft) if soft else fine
         placements += [*best[: None if has_start else 1], *(fine[0] for _, fine, _ in others)]
     floor = cost_floor(problem.prepared)
     ranked = rank_placements(placements, floor)
