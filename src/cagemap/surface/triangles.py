@@ -6,7 +6,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, read_only
+from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
+from cagemap.numerics.threads import row_slices
 
 CACHED = 16_384  # number of triangles or points whose arrays fit into a core's cache
 
@@ -16,7 +17,10 @@ def triangle_areas(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     if positions.shape[1] == 2:
         a, b, c = (positions[triangles[:, k]] for k in range(3))
         return 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-    return 0.5 * row_lengths(triangle_normals(positions, triangles))
+    areas = np.empty(len(triangles))
+    for part in row_slices(len(triangles), CACHED):
+        areas[part] = 0.5 * row_lengths(triangle_normals(positions, triangles[part]))
+    return areas
 
 
 def triangles(faces: IndexArray) -> IndexArray:
@@ -43,8 +47,12 @@ def surface_area(positions: FloatArray, faces: IndexArray) -> float:
     """Area of faces (m, 4) or (m, 3); of quads, which need not be flat, the mean over both triangulations."""
     if faces.shape[1] == 3:
         return float(triangle_areas(positions, faces).sum())
-    splits = (0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)
-    return 0.5 * sum(float(triangle_areas(positions, faces[:, split]).sum()) for split in splits)
+    areas, total = np.empty(len(faces)), 0.0
+    for split in (0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3):
+        for part in row_slices(len(faces), CACHED):
+            areas[part] = triangle_areas(positions, faces[part].take(split, axis=1))
+        total += float(areas.sum())
+    return 0.5 * total
 
 
 def triangle_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
@@ -69,8 +77,9 @@ def vertex_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
 
 def corner_sums(triangles: IndexArray, values: FloatArray, count: int) -> FloatArray:
     """(count, d) sums of triangle rows (t, d) around each of the first ``count`` vertices."""
-    size = max(count, int(triangles.max(initial=-1)) + 1)
-    return grouped_sums(triangles.ravel(), np.repeat(values, 3, axis=0), size)[:count]
+    sums = np.zeros((count, values.shape[1]))
+    _add_to_corners(read_only(triangles), values, sums)
+    return sums
 
 
 def row_lengths(vectors: FloatArray) -> FloatArray:
@@ -113,6 +122,17 @@ def _fill_normals(positions, triangles, normals):  # type: ignore[no-untyped-def
         normals[t, 0] = uy * vz - uz * vy
         normals[t, 1] = uz * vx - ux * vz
         normals[t, 2] = ux * vy - uy * vx
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _add_to_corners(triangles, values, sums):  # type: ignore[no-untyped-def]
+    """Add every triangle's row to the rows of its corners below ``len(sums)``."""
+    for t in range(len(triangles)):
+        for k in range(3):
+            corner = triangles[t, k]
+            if corner < len(sums):
+                for i in range(values.shape[1]):
+                    sums[corner, i] += values[t, i]
 
 
 @numba.njit(cache=True, nogil=True)
