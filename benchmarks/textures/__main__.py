@@ -37,7 +37,7 @@ from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.transfer import BakeOptions, unwrap
-from cagemap.transfer.baking import make_canvas
+from cagemap.transfer.baking import make_layout
 from cagemap.transfer.texels import rasterize_band
 from cagemap.transfer.texture import FILTERS, Filter
 
@@ -46,8 +46,8 @@ DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 def touched(transfer: cagemap.transfer.Transfer, size: int, finer: int = 1) -> np.ndarray:
     """(size, size) texels whose centre, or for finer rasters any of whose samples, lies in the target's layout."""
-    canvas = make_canvas(transfer, size, BakeOptions(supersample=finer))
-    bare = replace(canvas.layout, gutter=0.0)
+    layout = make_layout(transfer, size, BakeOptions(supersample=finer))
+    bare = replace(layout, gutter=0.0)
     cells = np.concatenate([rasterize_band(bare, band) for band in range(len(bare.band_triangles))]) >= 0
     return np.asarray(cells.reshape(size, finer, size, finer).any(axis=(1, 3)))
 

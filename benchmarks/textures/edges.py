@@ -17,7 +17,7 @@ from scipy import ndimage, sparse
 import cagemap
 from cagemap.surface.triangles import triangle_neighbors
 from cagemap.transfer import BakeOptions
-from cagemap.transfer.baking import make_canvas
+from cagemap.transfer.baking import make_layout
 from cagemap.transfer.texels import dilate, rasterize_band
 
 Image = NDArray[np.float64]
@@ -67,7 +67,7 @@ def _islands(transfer: cagemap.transfer.Transfer, size: int) -> tuple[NDArray[np
         (np.ones(len(triangle)), (triangle, neighbors[triangle, side])), shape=(len(neighbors),) * 2
     )
     labels = sparse.csgraph.connected_components(edges, directed=False)[1]
-    layout = make_canvas(transfer, size, BakeOptions(supersample=1)).layout
+    layout = make_layout(transfer, size, BakeOptions(supersample=1))
     cells, wide = (
         np.concatenate([rasterize_band(one, band) for band in range(len(one.band_triangles))])
         for one in (replace(layout, gutter=0.0), layout)
