@@ -165,7 +165,7 @@ def round_trip_weights(
 ) -> FloatArray:
     """(m,) weights ``1 / (1 + d^2 / s^2)^2`` of source points by round trips d (m, 3) (Geman and McClure 1985).
 
-    The scale s is smaller inside the target, which cannot grow inwards.
+    The scale s is smaller for points inside the deformed target, because it does not expand inwards.
     """
     scale = np.where(heights > 0, config.outside_trips * np.sqrt(alpha), config.inside_trip)
     return np.asarray(1.0 / (1.0 + np.einsum("md,md->m", trips, trips) / scale**2) ** 2)

@@ -147,7 +147,7 @@ def subdivision_matrix(state: MeshState, scheme: Scheme) -> csr_array:
 def sharpen_matrix(
     matrix: csr_array, topology: Topology, sharpness: Sharpness, follows: IndexArray | None = None
 ) -> csr_array:
-    """Add creases and corners to the matrix S (n_fine, n) of one step; S has the boundary's already."""
+    """Apply the crease and corner rules to a one-step subdivision matrix S (n_fine, n) with boundary rules."""
     n = topology.n_vertices
     ends, vertices = topology.edge_ends, np.arange(n)
     smooth, crease, crease_after, corner = vertex_rules(topology, sharpness, follows)

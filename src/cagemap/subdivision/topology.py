@@ -144,7 +144,7 @@ def _edge_numbers(control: ControlMesh, topology: Topology) -> IndexArray:
 
 
 def with_halves(topology: Topology, edges: FloatArray, vertices: FloatArray, creasing: Creasing) -> Sharpness:
-    """Sharpness completed by the values after the next step."""
+    """Sharpness of edges and vertices before and after one subdivision step."""
     halves = _reduced(np.column_stack([edges, edges]))
     if creasing == "chaikin":
         halves = _chaikin_halves(topology, edges, halves)

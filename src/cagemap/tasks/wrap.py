@@ -267,7 +267,7 @@ def _symmetry(control: ControlMesh, level: int) -> IndexArray:
 def _write(
     request: WrapRequest, wrapped: Wrapped, result: MatchResult, original: Path | None, output: Path
 ) -> tuple[int, list[str]]:
-    """Write the cage into a copy of the target's own file, if it exists; returns its number of vertices, warnings."""
+    """Write the target's file with the wrapped vertices; returns its number of vertices, and warnings."""
     rest, control, mesh = level_mesh(result.target.refinement, wrapped.level), result.target.control, wrapped.mesh
     if request.amount < 1.0:
         mesh = mesh.with_positions((1 - request.amount) * rest.positions + request.amount * mesh.positions)

@@ -220,7 +220,7 @@ def mend(
         flat = _lay_flat(graph, positions, np.intersect1d(still_folded, moving))
         positions = moved(flat, moving, rounds=1)
         near = np.intersect1d(moving, graph.rings(lost, rings + numbers.release_rings))
-        # Released points move further: more rounds.
+        # Control points released from the constraint move further, which takes more rounds.
         positions = adjust(moved(positions, near, rounds=numbers.release_rounds))
     return _without_folds(net, positions, folded_at_rest, detached, adjust, numbers)
 

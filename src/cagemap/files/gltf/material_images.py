@@ -23,7 +23,6 @@ from cagemap.numerics.arrays import FloatArray
 
 _TRANSFORM = "KHR_texture_transform"
 _WEBP = "EXT_texture_webp"
-_COLOR_SLOT = "baseColorTexture"
 
 
 @dataclass(frozen=True, eq=False)
