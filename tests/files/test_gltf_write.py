@@ -473,6 +473,12 @@ def test_tangents_of_blend_shapes_are_said_to_be_left_out(caplog: pytest.LogCapt
     assert caplog.messages == ["made.glb: tangents of blend shapes are left out; programs compute them"]
 
 
+def test_a_mesh_that_no_node_uses_may_be_damaged() -> None:
+    document = _painted()
+    document.json["meshes"].append({"primitives": 7})
+    assert len(character_of(document).parts) == 1
+
+
 def test_normals_of_blend_shapes_come_back_and_turn_with_moved_faces() -> None:
     """As stated where the mesh is unchanged, else as the shape turns the faces."""
     raised = np.zeros((6, 3))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast, get_args
 
@@ -36,10 +36,16 @@ def character_of(document: Document) -> Character:
     """
     scene = read_scene(document)
     rig = None if scene.joints is None else scene.joints.rig
-    primitives = [primitive for mesh in document.entries("meshes") for primitive in mesh["primitives"]]
-    if any("TANGENT" in target for primitive in primitives for target in primitive.get("targets", ())):
+    if any(_has_tangents(document, read_part.node) for read_part in scene.parts):
         _log.warning("%s: tangents of blend shapes are left out; programs compute them", document.file)
     return Character(tuple(read_part.part for read_part in scene.parts), rig, read_animations(scene))
+
+
+def _has_tangents(document: Document, node: int) -> bool:
+    """Whether morph targets of a node's mesh, which was read, have tangents."""
+    primitives = document.entries("primitives", document.entry("meshes", document.entry("nodes", node)["mesh"]))
+    targets = (target for primitive in primitives for target in document.entries("targets", primitive))
+    return any(isinstance(target, dict) and "TANGENT" in target for target in targets)
 
 
 def humanoid_bones(document: Document) -> dict[str, str]:
@@ -98,51 +104,60 @@ def read_shape_keys(scene: Scene, animation: int | None) -> dict[tuple[str, str]
             if weight
         }
     entry: dict[str, Any] = {} if animation is None else document.entry("animations", animation)
-    for channel in document.entries("channels", entry, where):
-        target = document.table(channel, "target", where)
-        names = names_of.get(target.get("node", -1), [])
-        if target.get("path") != "weights" or not names:
+    for number, path, sampler in _channels(document, entry, where):
+        names = names_of.get(number, [])
+        if path != "weights" or not names:
             continue
-        sampler = document.entries("samplers", entry, where)[channel["sampler"]]
-        interpolation = sampler.get("interpolation", "LINEAR")
+        times, interpolation = _keys(document, sampler, where)
         between = (3,) if interpolation == "CUBICSPLINE" else ()
-        times = read_accessor(document, sampler["input"], where, ("SCALAR",)).astype(np.float64)
         count = len(times) * len(names) * int(np.prod(between))
-        values = read_accessor(document, sampler["output"], where, ("SCALAR",), count).astype(np.float64)
+        values = read_accessor(document, sampler.get("output"), where, ("SCALAR",), count).astype(np.float64)
         values = values.reshape(len(times), *between, len(names))
         keys |= {name: (times, values[..., [place]], interpolation) for place, name in enumerate(names)}
     return keys
 
 
-def _tracks(document: Document, joints: Joints, entry: dict[str, Any], where: str) -> list[Track]:
+def _channels(document: Document, entry: dict[str, Any], where: str) -> Iterator[tuple[int, str, dict[str, Any]]]:
+    """Node, path and sampler of an animation's channels that move a node."""
     samplers = document.entries("samplers", entry, where)
-    tracks = []
     for channel in document.entries("channels", entry, where):
         if not isinstance(channel, dict):
             document.refuse(where, "expected objects as channels")
         target = document.table(channel, "target", where)
         path = target.get("path")
-        if target.get("node") is None or path not in get_args(Channel):
+        if target.get("node") is None or path not in (*get_args(Channel), "weights"):
             continue
-        node = document.whole(target["node"], f"{where}: node", 0, len(joints.joint_of) - 1)
+        node = document.whole(target["node"], f"{where}: node", 0, len(document.entries("nodes")) - 1)
         sampler = samplers[document.whole(channel.get("sampler"), f"{where}: sampler", 0, len(samplers) - 1)]
         if not isinstance(sampler, dict):
             document.refuse(where, "expected objects as samplers")
-        if joints.joint_of[node] >= 0:
-            tracks.append(_track(document, joints, node, cast(Channel, path), sampler, where))
-    return tracks
+        yield node, str(path), sampler
 
 
-def _track(
-    document: Document, joints: Joints, node: int, channel: Channel, sampler: dict[str, Any], where: str
-) -> Track:
-    where = f"{where}: {channel} of {joints.rig.names[joints.joint_of[node]]}"
+def _keys(document: Document, sampler: dict[str, Any], where: str) -> tuple[FloatArray, Interpolation]:
+    """Rising times (k,) of a sampler, and its interpolation."""
     interpolation = sampler.get("interpolation", "LINEAR")
     if interpolation not in get_args(Interpolation):
         document.refuse(where, f"expected the interpolation {', '.join(get_args(Interpolation))}")
     times = read_accessor(document, sampler.get("input"), where, ("SCALAR",)).astype(np.float64)
     if np.any(np.diff(times) <= 0.0):
         document.refuse(where, "expected rising times")
+    return times, interpolation
+
+
+def _tracks(document: Document, joints: Joints, entry: dict[str, Any], where: str) -> list[Track]:
+    return [
+        _track(document, joints, node, cast(Channel, path), sampler, where)
+        for node, path, sampler in _channels(document, entry, where)
+        if path != "weights" and joints.joint_of[node] >= 0
+    ]
+
+
+def _track(
+    document: Document, joints: Joints, node: int, channel: Channel, sampler: dict[str, Any], where: str
+) -> Track:
+    where = f"{where}: {channel} of {joints.rig.names[joints.joint_of[node]]}"
+    times, interpolation = _keys(document, sampler, where)
     keys = 3 if interpolation == "CUBICSPLINE" else 1
     values = read_accessor(document, sampler.get("output"), where, (_TYPES[channel],), keys * len(times))
     values = values.astype(np.float64)
