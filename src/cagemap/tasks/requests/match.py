@@ -34,7 +34,12 @@ from cagemap.tasks.requests.options import (
 
 @dataclass(frozen=True)
 class MatchRequest:
-    """Request of `cagemap match`."""
+    """Find for every point of the target its place on the source.
+
+    Writes a folder with manifest.json (settings, timings, quality) and map.npz (the map). Without landmarks several
+    alignments are tried, and the verdict says how sure the best one is. Landmarks improve the map: six to thirty,
+    spread over the whole surface; tips of limbs, nose and tail first.
+    """
 
     target: Annotated[
         Path,
