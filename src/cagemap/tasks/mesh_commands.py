@@ -185,11 +185,11 @@ def _with_quads(mesh: ControlMesh, notes: tuple[str, ...]) -> tuple[ControlMesh,
     return replace(joined, scheme=scheme), (*notes, note)
 
 
-def require_size(control: ControlMesh, level: int) -> None:
+def require_size(control: ControlMesh, level: int, option: str = "--level ") -> None:
     """Refuse levels with more than `MOST_REFINED` vertices, before memory runs out."""
     fits = sum(1 for _ in takewhile(lambda count: count <= MOST_REFINED, vertex_counts(control))) - 1
     if level > fits:
         raise ParameterError(
-            f"--level {level}: {control.name} would have too many vertices, expected at most {MOST_REFINED:,}. "
-            f"Use --level {fits} or less."
+            f"{option}{level}: {control.name} would have too many vertices, expected at most {MOST_REFINED:,}. "
+            f"Use {option}{fits} or less."
         )
