@@ -19,7 +19,7 @@ from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import in_rig
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.nodes import distinct, invertible
-from cagemap.files.gltf.parts import turned_normals
+from cagemap.files.gltf.parts import turned_normals, turned_offsets
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.usd.animations import without_scale
@@ -128,14 +128,25 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
             for label, offsets in placed.attributes.items()
             if label.startswith(BLEND_SHAPE)
         }
-        parts.append(Part(name, control, table, shapes, _normals(f"{file}: {mesh.path}", prim, control, mesh_to_world)))
+        normals, shape_normals = _normals(f"{file}: {mesh.path}", prim, control, mesh_to_world), {}
+        if normals is not None:
+            turn = mesh_to_world[:3, :3]
+            shape_normals = {
+                label: turned_offsets(offsets[control.face_indices], normals, turn)
+                for label, offsets in mesh.shape_normals.items()
+            }
+            normals = turned_normals(normals, turn)
+        parts.append(Part(name, control, table, shapes, normals, shape_normals, placed.colors))
     if rig is not None:
         rig, animations = without_scale(rig, animations)
     return Character(tuple(parts), rig, animations), weights
 
 
 def _normals(where: str, prim: Any, control: ControlMesh, matrix: FloatArray) -> FloatArray | None:
-    """Normals (c, 3) of the corners of a plain mesh that a matrix has placed; None for other meshes and without any."""
+    """Normals (c, 3), as stored, of the corners of a plain mesh in world space; None for other meshes and without any.
+
+    ``matrix``: to world space, which has reversed the faces if it mirrors.
+    """
     geometry, primvar = usd_modules().UsdGeom.Mesh(prim), usd_modules().UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar.HasValue():
         values, numbers, kind = primvar_values(where, primvar)
@@ -151,7 +162,7 @@ def _normals(where: str, prim: Any, control: ControlMesh, matrix: FloatArray) ->
         text = "%s: its normals are left out, others are computed: expected finite ones, got %d of interpolation %s"
         _log.warning(text, where, len(numbers), kind)
         return None
-    return turned_normals(values.astype(np.float64), matrix[:3, :3])[numbers[rows]]
+    return values[numbers[rows]].astype(np.float64)
 
 
 def _rig(file: Path, skeleton: Any, rig_to_world: FloatArray) -> Rig:
