@@ -30,6 +30,7 @@ from cagemap.files.usd.read import in_world, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.mesh.faces import reversed_corners
 from cagemap.numerics.srgb import encode_srgb
+from cagemap.tasks.mesh_commands import check_files
 
 from usd_characters import lively, painted, posed, with_shape_weights
 from usd_scenes import stage_at, usd_mesh
@@ -390,3 +391,16 @@ def test_normals_of_blend_shapes_are_read(tmp_path: Path) -> None:
     scaled = normals * [1.0, 0.5, 1.0]
     expected = expected * [1.0, 0.5, 1.0] / np.linalg.norm(scaled, axis=1, keepdims=True)
     np.testing.assert_allclose(part.shape_normals["smile"], expected[part.mesh.face_indices], atol=1e-6)
+
+
+def test_faces_of_two_corners_are_refused_by_name(tmp_path: Path) -> None:
+    """And `check` lists them instead of ending in an internal error."""
+    with stage_at(tmp_path / "cube.usda") as stage:
+        prim = usd_mesh(stage, "/cube", cube())
+        prim.GetFaceVertexCountsAttr().Set([*cube().face_sizes.tolist(), 2])
+        prim.GetFaceVertexIndicesAttr().Set([*cube().face_indices.tolist(), 0, 1])
+    with pytest.raises(
+        FormatError, match=r"cube\.usda: /cube: expected faces of at least three corners, got 1 .* 6\. D"
+    ):
+        usd_document(tmp_path / "cube.usda")
+    assert "degenerate faces" in check_files([tmp_path / "cube.usda"])[0]

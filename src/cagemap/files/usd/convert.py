@@ -18,10 +18,11 @@ from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import in_rig
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.nodes import distinct, invertible
+from cagemap.files.gltf.nodes import invertible
 from cagemap.files.gltf.parts import turned_normals, turned_offsets
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.write import character_glb
+from cagemap.files.text import distinct
 from cagemap.files.usd.animations import without_scale
 from cagemap.files.usd.prims import (
     BLEND_SHAPE,
@@ -41,6 +42,7 @@ from cagemap.files.usd.space import stage_units, to_metres
 from cagemap.files.usd.stages import named_damage, open_stage, opened_once, usd_modules
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.faces import reversed_corners
+from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray
 
 _log = logging.getLogger(__name__)
@@ -112,6 +114,11 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
     names = distinct([*joints, *(prim.GetDisplayName() or prim.GetName() for prim in prims)])[len(joints) :]
     parts = []
     for name, mesh, prim, skeleton in zip(names, meshes, prims, bound, strict=True):
+        if len(thin := np.flatnonzero(mesh.control.face_sizes < 3)):
+            raise FormatError(
+                f"{file}: {mesh.path}: expected faces of at least three corners, got {len(thin)} of fewer, faces: "
+                f"{first_few(thin)}. Delete them."
+            )
         table = mesh.attributes.get(JOINT_WEIGHTS) if skeleton else None
         mesh_to_world = mesh.to_world @ to_world
         if table is not None:

@@ -38,7 +38,7 @@ from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import reversed_corners
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.parts import join_meshes
-from cagemap.mesh.schemes import SCHEMES
+from cagemap.mesh.schemes import SCHEMES, scheme_name
 from cagemap.mesh.weld import COLOR_STEP
 from cagemap.numerics.arrays import FloatArray, grouped_sums
 from cagemap.numerics.srgb import encode_srgb
@@ -156,14 +156,16 @@ def joined(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool = False) 
     file = Path(path)
     if len(meshes) == 1:
         return replace(meshes[0].control, name=file.name)
-    schemes = {str(mesh.control.scheme): mesh.path for mesh in meshes}
+    schemes = {mesh.control.scheme: mesh.path for mesh in meshes}
     whole = replace(join_meshes([in_world(mesh).control for mesh in meshes]), name=file.name)
     if len(schemes) > 1 and mixed:
         return replace(whole, object_schemes=tuple(default_scheme(mesh.control) for mesh in meshes))
     if len(schemes) > 1:
+        words = {scheme_name(scheme): path for scheme, path in schemes.items() if scheme is not None}
+        words = words if len(words) == len(schemes) else {str(scheme): path for scheme, path in schemes.items()}
         raise FormatError(
-            f"{file}: expected meshes that are all subdivided alike, got {' and '.join(schemes)} (of "
-            f"{', '.join(schemes.values())}). Match the one that is meant (`find_part` NAME)."
+            f"{file}: expected meshes that are all subdivided alike, got {' and '.join(words)} (of "
+            f"{', '.join(words.values())}). Match the one that is meant (`find_part` NAME)."
         )
     return whole
 
