@@ -16,7 +16,7 @@ from cagemap.deform.shared_area import SharedArea
 from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
-from cagemap.maps.hypotheses.confidence import answer_confidence, prolong_answers, turned_limb_answers
+from cagemap.maps.hypotheses.confidence import answer_confidence, jump_lengths, prolong_answers, turned_limb_answers
 from cagemap.maps.hypotheses.search import distinct_answers, search, search_from_source
 from cagemap.maps.landmarks.check import (
     LandmarkCheck,
@@ -208,7 +208,6 @@ def _match_elastic(
             placements = distinct_answers(prepared, search_from_source(problem, found, progress))
             progress("closest points")
             point_map = map_of_places(problem, placements[0].map_positions)
-            confidence = answer_confidence(problem, point_map, placements)
         else:
             outliers, notes = dict[int, str](), list[str]()
             if config.check_landmarks:
@@ -223,9 +222,12 @@ def _match_elastic(
                 mirrored, check = check_mirrored(problem, placements[0], outliers, check, progress)
                 confidence = mirrored or turned_limb_answers(placements, prepared)
         shared = SharedArea.of_fit(prepared, placements[0].map_positions)
+        jumps = jump_lengths(prepared, point_map, shared)
+        if coincident is None and len(landmarks) < FEWEST_LANDMARKS:
+            confidence = answer_confidence(problem, point_map, tuple(placements), shared, jumps)
         confidence = None if confidence is None else prolong_answers(confidence, prepared)
     progress("quality")
-    result = result_of_fit(prepared, point_map, landmarks, check, timings, shared, confidence)
+    result = result_of_fit(prepared, point_map, landmarks, check, timings, shared, confidence, jumps)
     return other_answer(result, config.answer, config, progress=progress) if config.answer else result
 
 
