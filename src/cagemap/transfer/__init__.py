@@ -12,7 +12,6 @@ from cagemap.transfer.control_values import CarriedUvs as CarriedUvs
 from cagemap.transfer.control_values import carry_uvs as carry_uvs
 from cagemap.transfer.control_values import combine as combine
 from cagemap.transfer.control_values import control_weights as control_weights
-from cagemap.transfer.control_values import corner_nodes as corner_nodes
 from cagemap.transfer.control_values import corner_weights as corner_weights
 from cagemap.transfer.detail import Detail as Detail
 from cagemap.transfer.detail import bake_detail_heights as bake_detail_heights

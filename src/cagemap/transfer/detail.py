@@ -34,7 +34,7 @@ from cagemap.transfer.baking import (
     unit,
 )
 from cagemap.transfer.displacement import Displacement, scale_ratio
-from cagemap.transfer.exact_corners import SurfaceTargets, corner_samples, make_lookups_exact
+from cagemap.transfer.exact_corners import corner_samples, make_lookups_exact, surface_targets
 from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.lookups import plan_samples
 from cagemap.transfer.rays import MAX_DETAIL_DISTANCE, NormalHits, intersect_normals
@@ -43,11 +43,11 @@ from cagemap.transfer.texture import Pixels, lay_texture, look_up
 from cagemap.transfer.vectors import (
     Green,
     Space,
-    VectorPullback,
     bake_vectors,
     displacement_order,
     green_flip,
     normal_encoder,
+    vector_pullback,
 )
 
 # Corners with at least this weight may slide along the detailed surface.
@@ -155,12 +155,12 @@ def bake_detail_vectors(
     vectors = bake_vectors(transfer, layout, counts, offsets_at, lambda means: means[:, order], space, single, options)
     uvs, samples, triangle, inside = corner_samples(transfer, options.tile)
     hits, weights = _weighted_hits(transfer, detail, samples)
-    pull_back = VectorPullback.of(transfer, space)
+    pull_back = vector_pullback(transfer, space)
     axes = np.broadcast_to(np.eye(3)[:, None], (3, len(uvs), 3))
     coordinates = np.stack([pull_back(axis, samples, triangle, inside) for axis in axes], axis=2)[:, order]
     offsets = weights[:, None] * (hits.foot.positions - hits.points)
     slides = weights >= _FULL_WEIGHT
-    targets = SurfaceTargets(detail.surface, hits.points, hits.normals, offsets, slides, coordinates)
+    targets = surface_targets(detail.surface, hits.points, hits.normals, offsets, slides, coordinates)
     make_lookups_exact(vectors, texel_coordinates(uvs, *vectors.shape[:2]), targets)
     pixels = vectors if kept == single else np.empty(vectors.shape, dtype=kept)
     for rows in row_slices(len(vectors), _ROWS):
