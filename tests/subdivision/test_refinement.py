@@ -303,7 +303,7 @@ def test_uvs_on_n_gons_use_the_mean_of_the_corners() -> None:
         ([(0, 1, 2), (0, 3, 4)], "separate fans of faces touch: 0"),
         ([(0, 1, 1, 2), (0, 2, 3, 4)], r"from a vertex to itself: \(1, 1\)"),
         ([(0, 1, 2, 3)], "vertices without a face: 4"),
-        ([(0, 1, 2, 7), (3, 4, 0)], r"outside 0\.\.4: 7"),
+        ([(0, 1, 2, 7), (3, 4, 0)], "vertex numbers from 0 to 4, got others in 1 face, faces: 0"),
         ([], "at least one face"),
     ],
 )
@@ -351,7 +351,7 @@ def test_parameters_are_checked(refinement: Refinement) -> None:
         refinement.product(1, 2)
     with pytest.raises(ParameterError, match="rows, one per vertex of level 1"):
         refinement.prolong(np.zeros((3, 2)), 1, 2)
-    with pytest.raises(InvalidMeshError, match="UV numbers"):
+    with pytest.raises(InvalidMeshError, match="UV indices from 0 to"):
         refine(replace(_uv_grid(), uv_indices=_uv_grid().uv_indices + 3), 1)
 
 

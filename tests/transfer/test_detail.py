@@ -33,10 +33,10 @@ from cagemap.transfer.detail import (
 )
 from cagemap.transfer.exact_corners import (
     LookupTargets,
-    SurfaceTargets,
     corner_samples,
     lookup_matrix,
     make_lookups_exact,
+    surface_targets,
 )
 from cagemap.transfer.rays import ambient_occlusion
 from cagemap.transfer.texels import texel_coordinates
@@ -147,7 +147,7 @@ def test_displaced_corners_that_share_their_texels_lie_on_the_surface_and_may_sl
         image = np.zeros((5, 5, 3), dtype=np.float32)
         normals = np.broadcast_to(normal, (12, 3))
         make_lookups_exact(
-            image, places, SurfaceTargets(surface, points, normals, scattered, np.full(12, slides), frame)
+            image, places, surface_targets(surface, points, normals, scattered, np.full(12, slides), frame)
         )
         heights[slides] = lookup_matrix(places, 5, 5) @ image.reshape(-1, 3)
     np.testing.assert_allclose(heights[True][:, 2], 0.1, atol=2e-3)

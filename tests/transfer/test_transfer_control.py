@@ -12,7 +12,7 @@ from scipy import sparse
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.faces import cage_triangles, merged_corners
 from cagemap.subdivision import Refinement, refine, triangles
 from cagemap.subdivision.face_varying import corner_triangles, interpolate_linearly
 from cagemap.subdivision.level_meshes import truncate_refinement
@@ -22,7 +22,6 @@ from cagemap.transfer import (
     carry_uvs,
     combine,
     control_weights,
-    corner_nodes,
     corner_weights,
     prepare_transfer,
 )
@@ -71,7 +70,7 @@ def test_identity_gives_every_kind_of_value_back(shape, level: int) -> None:
     np.testing.assert_array_equal(combine(weights, rows), rows)
     # Every corner with a value of its own: all edges are seams, and no face has one inside.
     corners = rng.random((len(control.face_indices), 2))
-    nodes, node_values = corner_nodes(control, corners)
+    node_values, nodes = merged_corners(control.face_indices, corners)
     weights, crossed = corner_weights(transfer, *both, nodes, len(node_values))
     np.testing.assert_allclose(combine(weights, node_values), corners, rtol=0, atol=1e-9)
     assert not crossed.any()

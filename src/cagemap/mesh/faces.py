@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.mesh.control_mesh import ControlMesh, UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of, pair_keys
@@ -91,10 +92,11 @@ def reversed_corners(face_offsets: IndexArray) -> IndexArray:
     return np.asarray(starts + (size - within) % size)
 
 
-def merged_corners(vertices: IndexArray, values: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """Merge equal value pairs (c, 2) of face corners at one vertex (c,): merged pairs, and their index (c,)."""
-    _, equal = np.unique(values[:, 0] + 1j * values[:, 1], return_inverse=True)
-    _, first, numbers = np.unique(vertices * len(values) + equal, return_index=True, return_inverse=True)
+def merged_corners(vertices: IndexArray, values: NDArray[Any]) -> tuple[NDArray[Any], IndexArray]:
+    """Merge equal values (c,) or (c, q) of face corners at one vertex (c,): merged values, and their index (c,)."""
+    pairs = values.dtype.kind == "f" and values.shape[1:] == (2,)  # as numbers, which are sorted faster than rows
+    _, equal = np.unique(values[:, 0] + 1j * values[:, 1] if pairs else values, axis=0, return_inverse=True)
+    _, first, numbers = np.unique(vertices * len(values) + equal.ravel(), return_index=True, return_inverse=True)
     return values[first], numbers
 
 

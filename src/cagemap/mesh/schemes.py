@@ -44,27 +44,19 @@ _CHOICES = {
 
 @dataclass(frozen=True)
 class SubdivisionOptions:
-    """Options of a subdivision scheme that change the surface.
+    """Options of a subdivision scheme that change the surface."""
 
-    Attributes
-    ----------
-    boundary : {"edge_and_corner", "edge_only", "none"}
-        Whether a boundary vertex with a single face is fixed (``edge_and_corner``, USD's default) or smoothed along
-        the boundary curve like the others (``edge_only``). Under ``none`` faces at the boundary are holes: they
-        influence the surface but are no part of it.
-    uv_interpolation : {"all", "boundaries", "corners_plus2", "corners_plus1", "corners_only", "none"}
-        Where UVs are interpolated linearly: everywhere, on all island borders, at island corners and (``plus``) at
-        more or fewer similar points, nowhere. USD's default is ``corners_plus1``, Blender's ``boundaries``.
-    creasing : {"uniform", "chaikin"}
-        Whether sharpness only decreases by 1 in every step, or is also averaged along the crease.
-    triangles : {"catmull_clark", "smooth"}
-        Weights of triangles in edge points under Catmull-Clark.
-    """
-
+    #: whether a boundary vertex with a single face is fixed (``edge_and_corner``, USD's default) or smoothed along the
+    #: boundary curve like the others (``edge_only``). Under ``none`` faces at the boundary are holes: they influence
+    #: the surface but are no part of it.
     boundary: Boundary = "edge_and_corner"
+    #: where UVs are interpolated linearly: everywhere (``all``), on all island borders (``boundaries``), at island
+    #: corners (``corners_only``, ``plus``: and at more or fewer similar points), nowhere (``none``). USD's default is
+    #: ``corners_plus1``, Blender's ``boundaries``.
     uv_interpolation: UvInterpolation = "all"
+    #: whether sharpness only decreases by 1 in every step, or is also averaged along the crease (``chaikin``)
     creasing: Creasing = "uniform"
-    triangles: TriangleRule = "catmull_clark"
+    triangles: TriangleRule = "catmull_clark"  #: weights of triangles in edge points under Catmull-Clark
 
     def __post_init__(self) -> None:
         for name, (choices, remedy) in _CHOICES.items():

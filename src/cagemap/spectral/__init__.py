@@ -1,18 +1,11 @@
 """Eigenfunctions of a surface, functional maps from point matches, and ZoomOut (paper, sections 2.1 and 4)."""
 
-from cagemap.spectral.basis import HierarchicalBasis, hierarchical_basis
-from cagemap.spectral.config import MAP_BASIS, BasisConfig
-from cagemap.spectral.eigenpairs import EigenPairs, band_pairs, exact_basis, residual_norms
-from cagemap.spectral.surface import Surface
-
-__all__ = [
-    "MAP_BASIS",
-    "BasisConfig",
-    "EigenPairs",
-    "HierarchicalBasis",
-    "Surface",
-    "band_pairs",
-    "exact_basis",
-    "hierarchical_basis",
-    "residual_norms",
-]
+from cagemap.spectral.basis import HierarchicalBasis as HierarchicalBasis
+from cagemap.spectral.basis import hierarchical_basis as hierarchical_basis
+from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
+from cagemap.spectral.config import BasisConfig as BasisConfig
+from cagemap.spectral.eigenpairs import EigenPairs as EigenPairs
+from cagemap.spectral.eigenpairs import band_pairs as band_pairs
+from cagemap.spectral.eigenpairs import exact_basis as exact_basis
+from cagemap.spectral.eigenpairs import residual_norms as residual_norms
+from cagemap.spectral.surface import Surface as Surface

@@ -15,6 +15,7 @@ from cagemap.mesh.faces import cage_triangles, faces_of_one_size
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
+from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import BoolArray, mesh_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray, places_of
 from cagemap.numerics.threads import kept
@@ -73,26 +74,17 @@ class Level:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Refinement:
-    """A control mesh and its refined levels, ``X^{l+1} = S^l X^l`` (paper, section 2.2.1).
-
-    Attributes
-    ----------
-    control : ControlMesh
-    scheme : CatmullClark, Loop, Bilinear or Plain
-    matrices : tuple of (n_{l+1}, n_l) csr_array
-        ``matrices[l]`` is S^l. Rows sum to 1 and have the order vertices, edges, faces (Loop: vertices, edges), so that
-        vertex i of a level is vertex i of every finer one. Above a plain mesh see ``coarse_vertices``.
-    levels : tuple of Level
-        ``levels[0]`` is the control mesh, ``levels[-1]`` the finest.
-    coarse_vertices : (n_{L-1},) int64 or None
-        For a plain mesh with coarse levels (`cagemap.operators.coarse_levels`): the finest vertex of every vertex of
-        the level below. None in a subdivision, where vertices keep their numbers.
-    """
+    """A control mesh and its refined levels, ``X^{l+1} = S^l X^l`` (paper, section 2.2.1)."""
 
     control: ControlMesh
     scheme: Scheme
+    #: (n_{l+1}, n_l) each: ``matrices[l]`` is S^l. Rows sum to 1 and have the order vertices, edges, faces (Loop:
+    #: vertices, edges), so that vertex i of a level is vertex i of every finer one. Above a plain mesh see
+    #: ``coarse_vertices``.
     matrices: tuple[csr_array, ...]
-    levels: tuple[Level, ...]
+    levels: tuple[Level, ...]  #: ``levels[0]`` is the control mesh, ``levels[-1]`` the finest
+    #: (n_{L-1},) for a plain mesh with coarse levels (`cagemap.operators.coarse_levels`): the finest vertex of every
+    #: vertex of the level below. None in a subdivision, where vertices keep their numbers.
     coarse_vertices: IndexArray | None = None
 
     @property
@@ -253,6 +245,7 @@ def refine(control: MeshLike, levels: int, scheme: Scheme | None = None) -> Refi
     >>> [level.n_vertices for level in refine(tetrahedron, 2).levels]
     [4, 10, 34]
     """
+    require_structure(control)
     scheme = default_scheme(control) if scheme is None else scheme
     _check_input(control, levels, scheme)
     state = control_state(control, scheme)
@@ -316,12 +309,6 @@ def _check_input(control: ControlMesh, levels: int, scheme: Scheme) -> None:
             f"{control.name}: Loop expects triangles only, got {len(others)} other faces: {first_few(others)}; "
             "use Catmull-Clark, which takes faces of any size"
         )
-    if control.uv_indices is not None and control.uvs is not None and len(control.uv_indices):
-        low, high = int(control.uv_indices.min()), int(control.uv_indices.max())
-        if low < 0 or high >= len(control.uvs):
-            raise InvalidMeshError(
-                f"{control.name}: expected UV numbers in 0..{len(control.uvs) - 1}, got {low} to {high}"
-            )
 
 
 def level_triangles(refinement: Refinement, level: int) -> IndexArray:

@@ -23,7 +23,7 @@ from cagemap.numerics.arrays import Array, FloatArray, IndexArray, pair_keys
 
 
 def control_topology(mesh: ControlMesh) -> Topology:
-    """Topology of a control mesh; InvalidMeshError unless an oriented manifold without loose vertices."""
+    """Topology of a mesh of sound arrays; InvalidMeshError unless an oriented manifold without loose vertices."""
 
     def check(bad: NDArray[np.integer], problem: str) -> None:
         if len(bad):
@@ -33,10 +33,6 @@ def control_topology(mesh: ControlMesh) -> Topology:
                 "`cagemap check` lists everything that needs repair"
             )
 
-    indices, n = mesh.face_indices, mesh.n_vertices
-    if len(indices) == 0:
-        raise InvalidMeshError(f"{mesh.name}: expected at least one face, got none; give a polygon mesh")
-    check(np.unique(indices[(indices < 0) | (indices >= n)]), f"vertex numbers outside 0..{n - 1}")
     topology = mesh_topology(mesh)
     ends = topology.vertices[topology.following]
     pairs = np.column_stack([np.minimum(topology.vertices, ends), np.maximum(topology.vertices, ends)])
@@ -128,21 +124,6 @@ class Sharpness:
         return self.edges[edges], np.where(topology.forward[corners][:, None], halves, halves[:, ::-1])
 
 
-def _edge_numbers(control: ControlMesh, topology: Topology) -> IndexArray:
-    """Edge number of every crease; InvalidMeshError if it is not on an edge."""
-    assert control.crease_edges is not None
-    keys, asked = (pair_keys(ends, control.n_vertices) for ends in (topology.edge_ends, control.crease_edges))
-    numbers = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)  # edges ascend, see `topology_of`
-    missing = keys[numbers] != asked
-    if missing.any():
-        shown = first_few([tuple(pair) for pair in control.crease_edges[missing].tolist()])
-        raise InvalidMeshError(
-            f"{control.name}: expected creases on edges of the mesh, got {missing.sum()} between vertices that no edge "
-            f"joins: {shown}; export the mesh again, or take these creases out"
-        )
-    return numbers
-
-
 def with_halves(topology: Topology, edges: FloatArray, vertices: FloatArray, creasing: Creasing) -> Sharpness:
     """Sharpness of edges and vertices before and after one subdivision step."""
     halves = _reduced(np.column_stack([edges, edges]))
@@ -227,7 +208,9 @@ def control_state(control: ControlMesh, scheme: Scheme) -> MeshState:
     corner = boundary_corners(topology, scheme)
     edges, vertices = np.zeros(topology.n_edges), np.zeros(control.n_vertices)
     if control.crease_edges is not None and control.crease_sharpness is not None:
-        edges[_edge_numbers(control, topology)] = np.clip(control.crease_sharpness, 0.0, INFINITE_SHARPNESS)
+        keys, creases = (pair_keys(ends, control.n_vertices) for ends in (topology.edge_ends, control.crease_edges))
+        # Edges ascend, see `topology_of`.
+        edges[np.searchsorted(keys, creases)] = np.clip(control.crease_sharpness, 0.0, INFINITE_SHARPNESS)
     if control.corner_vertices is not None and control.corner_sharpness is not None:
         vertices[control.corner_vertices] = np.clip(control.corner_sharpness, 0.0, INFINITE_SHARPNESS)
     if not (edges > 0).any() and not (vertices > 0).any():

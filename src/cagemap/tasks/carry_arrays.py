@@ -11,14 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from cagemap.deform.graph import mesh_graph
 from cagemap.errors import ParameterError
 from cagemap.maps.result import MatchResult
-from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.faces import cage_triangles, merged_corners
 from cagemap.numerics.arrays import FloatArray, array_of, real_numbers
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer import (
     combine,
     control_weights,
-    corner_nodes,
     corner_weights,
     prepare_transfer,
     pull_back_faces,
@@ -88,7 +87,7 @@ def carry_values(
         if place == "faces":
             return pull_back_faces(transfer, array, n_target_faces=sides[0].control.n_faces)
         if place == "corners":
-            nodes, node_values = corner_nodes(source, array)
+            node_values, nodes = merged_corners(source.face_indices, array)
             return combine(corner_weights(transfer, *sides, nodes, len(node_values))[0], node_values)
         return combine(transfer.point_map.to_sparse(), array)
 

@@ -50,23 +50,13 @@ _SAMPLE_BUDGET = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """A match prepared for bakes; one serves many images.
-
-    Attributes
-    ----------
-    point_map : PointMap
-        T12, from the target's vertices to the source's triangles.
-    mapped : MappedSurface
-        Images of the target's vertices, and the source as triangles to walk over.
-    masks : Masks
-        Weights of both surfaces' vertices, see `cagemap.transfer.masks`.
-    """
+    """A match prepared for bakes; one serves many images."""
 
     target: TexturedSurface
     source: TexturedSurface
-    point_map: PointMap
-    mapped: MappedSurface
-    masks: Masks = WHOLE
+    point_map: PointMap  #: T12, from the target's vertices to the source's triangles
+    mapped: MappedSurface  #: images of the target's vertices, and the source as triangles to walk over
+    masks: Masks = WHOLE  #: weights of both surfaces' vertices, see `cagemap.transfer.masks`
 
     def __repr__(self) -> str:
         return f"Transfer({self.point_map})"
@@ -74,30 +64,17 @@ class Transfer:
 
 @dataclass(frozen=True)
 class BakeOptions:
-    """Options of every bake of an image.
+    """Options of every bake of an image."""
 
-    Attributes
-    ----------
-    tile : int
-        UDIM number of the tile to bake, or 0 for the unit square of a plain layout.
-    supersample : int, optional
-        Raster samples along a texel's side. Default: 1, or 3 or 5 if triangles are smaller than texels. With odd
-        numbers, texels that span at most one texel of the source use their centre alone. With filter "nearest": 1.
-    dilation : int, optional
-        Width in texels of the filled border around islands; the whole background by default.
-    wrap : "repeat" or "clamp"
-        How a plain source texture continues outside the unit square.
-    threads : int, optional
-        By default as many as `cagemap.thread_limit` allows.
-    filter : "smooth", "linear" or "nearest"
-        Interpolation of textures that are not minified. Nearest is for labels: colours are never mixed.
-    """
-
-    tile: int = 0
+    tile: int = 0  #: UDIM number of the tile to bake, or 0 for the unit square of a plain layout
+    #: raster samples along a texel's side; by default 1, or 3 or 5 if triangles are smaller than texels. With odd
+    #: numbers, texels that span at most one texel of the source use their centre alone. With filter "nearest": 1.
     supersample: int | None = None
-    dilation: int | None = None
-    wrap: Wrap = "repeat"
-    threads: int | None = None
+    dilation: int | None = None  #: width in texels of the filled border around islands; None: the whole background
+    wrap: Wrap = "repeat"  #: how a plain source texture continues outside the unit square: "repeat" or "clamp"
+    threads: int | None = None  #: by default as many as `cagemap.thread_limit` allows
+    #: "smooth", "linear" or "nearest": interpolation of textures that are not minified. Nearest is for labels:
+    #: colours are never mixed.
     filter: Filter = "smooth"
 
     def __post_init__(self) -> None:
@@ -123,22 +100,10 @@ def prepare_transfer(
     masks: Masks = WHOLE,
     holes: NDArray[np.bool_] | None = None,
 ) -> Transfer:
-    """Prepare a match for bakes.
+    """Prepare a match for bakes, from the refined levels of its point map.
 
-    Parameters
-    ----------
-    target, source : Level
-        Refined levels of the point map.
-    point_map : PointMap
-    masks : Masks
-        Weights of both surfaces' vertices.
-    holes : (m1,) bool, optional
-        Target faces that get no texels, see `Refinement.holes`.
-
-    Raises
-    ------
-    ParameterError
-        If the map or the masks do not fit the two levels.
+    ``masks`` are weights of both surfaces' vertices; ``holes`` (m1,) are target faces that get no texels, see
+    `Refinement.holes`. ParameterError if the map or the masks do not fit the two levels.
     """
     target_surface, source_surface = TexturedSurface.from_level(target, holes), TexturedSurface.from_level(source)
     expected, sides = (target_surface, source_surface), (point_map.target, point_map.source)
@@ -169,27 +134,11 @@ def bake_texture(
     dtype: DTypeLike | None = None,
     options: BakeOptions | None = None,
 ) -> Pixels:
-    """Bake the source's texture into the target's layout.
+    """Bake the source's texture into the target's layout: (height, width, c).
 
-    Parameters
-    ----------
-    transfer : Transfer
-    texture : (h, w, c) array, or such arrays by UDIM number
-        Row 0 at the top (v = 1).
-    size : int or (height, width)
-        Of the image to bake, in texels.
-    dtype : optional
-        Number type of the result; by default the texture's. Integers stand for the range 0 to 1.
-    options : BakeOptions, optional
-
-    Returns
-    -------
-    (height, width, c) array
-
-    Raises
-    ------
-    ParameterError
-        If target or source have no texture coordinates, or the image or its size is invalid.
+    ``texture`` is an array (h, w, c), row 0 at the top (v = 1), or such arrays by UDIM number. ``size`` is the number
+    of texels a side, or (height, width). The number type ``dtype`` is by default the texture's; integers stand for the
+    range 0 to 1. ParameterError if target or source have no texture coordinates, or the image or its size is invalid.
     """
     options = options or BakeOptions()
     laid = lay_texture(texture, *transfer.source.layout(), wrap=options.wrap)

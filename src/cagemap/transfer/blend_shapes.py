@@ -54,8 +54,7 @@ class ShapeCarrier:
     gradient: sparse.csr_array  # (3 t, s) gradients of functions on the samples' triangles
     areas: FloatArray  # (t,)
     masses: FloatArray  # (s,)
-    deforming: IndexArray  # (r, 3) source vertices of the triangles whose deformation is carried
-    images: IndexArray  # (t,) row of ``deforming`` for every target triangle
+    deforming: IndexArray  # (t, 3) source vertices of the triangle whose deformation every triangle takes
     rotations: FloatArray  # (t, 3, 3) Q, from the target to the source
     vertex_rotations: FloatArray  # (s, 3, 3)
     ratio: float  # length on the target for a length of 1 on the source, both at unit area
@@ -77,8 +76,8 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
     gradient, areas = _gradients(places, triangles)
     masses = corner_sums(triangles, areas[:, None], count)[:, 0] / 3
     source_surface = point_map.source
-    deforming, triangle_rows = _deforming(point_map, triangles, images)
-    source_normals = normalize_rows(triangle_normals(source_surface.positions, deforming[triangle_rows]))
+    deforming = _deforming(point_map, triangles, images)
+    source_normals = normalize_rows(triangle_normals(source_surface.positions, deforming))
     rotations = _rotations(gradient, places, images, triangles, source_normals)
     around = corner_sums(triangles, (areas[:, None, None] * rotations).reshape(-1, 9), count).reshape(-1, 3, 3)
     samples = target.rows(slice(count), target.n_levels, 0)
@@ -97,7 +96,6 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
         areas,
         masses,
         deforming,
-        triangle_rows,
         rotations,
         nearest_rotations(around),
         _length_ratio(areas, triangle_areas(images, triangles)),
@@ -117,8 +115,8 @@ def _length_ratio(areas: FloatArray, image_areas: FloatArray) -> float:
     return float(weighted_percentiles(stretch, areas[known], [50.0])[0])
 
 
-def _deforming(point_map: PointMap, triangles: IndexArray, images: FloatArray) -> tuple[IndexArray, IndexArray]:
-    """Source triangles (r, 3) whose deformation is carried, and the row (t,) for every target triangle.
+def _deforming(point_map: PointMap, triangles: IndexArray, images: FloatArray) -> IndexArray:
+    """(t, 3) source triangle whose deformation every target triangle takes.
 
     A target triangle takes the source triangle at the image of its centre. Under the identity map it takes its own
     three vertices: on a coarse level they deform differently from the small triangle at the centre.
@@ -127,9 +125,9 @@ def _deforming(point_map: PointMap, triangles: IndexArray, images: FloatArray) -
     weights, corners = point_map.barycentric[:count], source_surface.triangles[point_map.triangle[:count]]
     vertices = np.take_along_axis(corners, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
     if (weights.max(axis=1) == 1.0).all() and np.array_equal(vertices, np.arange(count)):
-        return triangles, np.arange(len(triangles))
+        return triangles
     frames = triangle_frames(source_surface.positions, source_surface.triangles)
-    return source_surface.triangles, _centre_images(point_map, frames, triangles, images)
+    return source_surface.triangles[_centre_images(point_map, frames, triangles, images)]
 
 
 def _centre_images(point_map: PointMap, frames: FloatArray, triangles: IndexArray, images: FloatArray) -> IndexArray:
@@ -166,17 +164,14 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
         )
     source_surface, maps = carrier.point_map.source, carrier.point_map
     moved = source_surface.scale * carrier.source.prolong(np.asarray(displacement), 0, carrier.source.n_levels)
-    used, of_triangle = np.unique(carrier.images, return_inverse=True)
-    deformation = _deformation(source_surface.positions, source_surface.positions + moved, carrier.deforming[used])
-    change = deformation[of_triangle] - np.eye(3)
+    deformation = _deformation(source_surface.positions, source_surface.positions + moved, carrier.deforming)
+    change = deformation - np.eye(3)
     wanted = np.einsum("tba,tbc,tcd->tad", carrier.rotations, change, carrier.rotations)  # Q^T (F - I) Q
     count = len(carrier.masses)
     rotated_moves = carrier.ratio * np.einsum(
         "sba,sb->sa", carrier.vertex_rotations, maps.images.at(slice(count)).interpolate(moved)
     )
-    flow = (
-        (carrier.areas[:, None, None] * wanted).transpose(0, 2, 1).reshape(-1, 3)
-    )  # rows (t, direction), columns x y z
+    flow = (carrier.areas[:, None, None] * wanted).transpose(0, 2, 1).reshape(-1, 3)  # rows (t, direction)
     right = carrier.samples.T @ (carrier.gradient.T @ flow + _ANCHOR * carrier.masses[:, None] * rotated_moves)
     control_moves = carrier.ratio * source_surface.scale * (carrier.own @ np.asarray(displacement, dtype=np.float64))
     right = right + carrier.ridge @ np.einsum(

@@ -15,6 +15,7 @@ from scipy import sparse
 
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.faces import merged_corners
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.subdivision import Refinement
 from cagemap.subdivision.face_varying import LinearValues, corner_triangles, interpolate_linearly
@@ -57,18 +58,6 @@ def combine(weights: sparse.csr_array, values: NDArray[Any]) -> NDArray[Any]:
     owners = np.repeat(np.arange(weights.shape[0]), np.diff(weights.indptr))
     winners = largest_share(owners, number.ravel()[weights.indices], weights.data, weights.shape[0])
     return distinct[winners]
-
-
-def corner_nodes(control: ControlMesh, values: NDArray[Any]) -> tuple[IndexArray, NDArray[Any]]:
-    """Node of every face corner (c,) and the nodes' values (p, ...).
-
-    Corners of one vertex with equal values share a node.
-
-    ``values``: (c,) or (c, q), at the face corners, face by face.
-    """
-    keys = np.column_stack([control.face_indices, values.reshape(len(values), -1)])
-    _, first, nodes = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    return nodes.ravel(), values[first]
 
 
 def corner_weights(
@@ -130,6 +119,6 @@ def carry_uvs(transfer: Transfer, target: Refinement, source: Refinement) -> Car
         raise ParameterError(f"{control.name}: expected a source with texture coordinates to carry, it has none")
     weights, crossed = corner_weights(transfer, target, source, control.uv_indices, len(control.uvs))
     uvs = weights @ control.uvs
-    keys = np.column_stack([target.control.face_indices, np.rint(uvs / _SAME_UV)])
-    _, first, indices = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    return CarriedUvs(uvs[first], indices.ravel(), np.flatnonzero(crossed))
+    _, indices = merged_corners(target.control.face_indices, np.rint(uvs / _SAME_UV))
+    first = np.unique(indices, return_index=True)[1]
+    return CarriedUvs(uvs[first], indices, np.flatnonzero(crossed))

@@ -34,7 +34,7 @@ from cagemap.transfer.baking import (
     unit,
 )
 from cagemap.transfer.displacement import Displacement, scale_ratio
-from cagemap.transfer.exact_corners import SurfaceTargets, corner_samples, make_lookups_exact
+from cagemap.transfer.exact_corners import corner_samples, make_lookups_exact, surface_targets
 from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.lookups import plan_samples
 from cagemap.transfer.rays import MAX_DETAIL_DISTANCE, NormalHits, intersect_normals
@@ -43,11 +43,11 @@ from cagemap.transfer.texture import Pixels, lay_texture, look_up
 from cagemap.transfer.vectors import (
     Green,
     Space,
-    VectorPullback,
     bake_vectors,
     displacement_order,
     green_flip,
     normal_encoder,
+    vector_pullback,
 )
 
 # Corners with at least this weight may slide along the detailed surface.
@@ -58,34 +58,16 @@ _ROWS = 256
 
 @dataclass(frozen=True, eq=False)
 class Detail:
-    """A detailed mesh over the source.
+    """A detailed mesh over the source."""
 
-    Attributes
-    ----------
-    surface : TriangleSurface
-        Scaled to unit area *of the source*.
-    follow : (n2,) float64 or None
-        Weight of the detail at every vertex of the source, from 0 to 1; default 1.
-    """
-
-    surface: TriangleSurface
-    follow: FloatArray | None = None
+    surface: TriangleSurface  #: scaled to unit area *of the source*
+    follow: FloatArray | None = None  #: (n2,) weight of the detail at every vertex of the source, 0 to 1; default 1
 
 
 def detail_over(source: TriangleSurface, positions: FloatArray, triangles: IndexArray) -> Detail:
-    """`Detail` of a mesh in the source's file units.
+    """`Detail` of a mesh with positions (n, 3) in the file units of a map's source, and triangles (t, 3).
 
-    Parameters
-    ----------
-    source : TriangleSurface
-        Source of the map.
-    positions : (n, 3) float64
-    triangles : (t, 3) int64
-
-    Raises
-    ------
-    ParameterError
-        If less than half of the source has detail near it: the mesh has another position or unit.
+    ParameterError if less than half of the source has detail near it: the mesh has another position or unit.
     """
     detail = Detail(TriangleSurface(source.scale * positions, triangles, source.scale))
     share = detailed_share(detail, source)
@@ -126,23 +108,10 @@ def bake_detail_normals(
     dtype: DTypeLike = np.uint8,
     options: BakeOptions | None = None,
 ) -> Pixels:
-    """Bake the detail's normals, relative to the source's, as a normal map of the target.
+    """Bake the normals of detail over the transfer's source, relative to the source's, as a normal map of the target.
 
-    Parameters
-    ----------
-    transfer : Transfer
-    detail : Detail
-        Over the transfer's source.
-    size : int or (height, width)
-    space, green
-        As `bake_normal_map` takes them.
-    dtype : optional
-        Directions n are stored as (n + 1) / 2.
-    options : BakeOptions, optional
-
-    Returns
-    -------
-    (height, width, 3) array
+    ``size`` is a number of texels or (height, width), ``space`` and ``green`` are as in
+    `cagemap.transfer.vectors.bake_normal_map`. Directions n are stored as (n + 1) / 2, (height, width, 3).
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
 
@@ -169,18 +138,9 @@ def bake_detail_vectors(
 ) -> Displacement:
     """Bake offsets from source to detail as vector displacement of the target, in the target's units.
 
-    Bilinear lookups at the vertices of the target's level are exact, on both sides of a seam.
-
-    Parameters
-    ----------
-    transfer, detail, size, options
-        As `bake_detail_normals` takes them.
-    space : "tangent" or "object"
-        In tangent space the channels are tangent, normal, bitangent.
-    scale : float
-        Length of a value of 1, not 0; integers hold the range from -scale / 2 to scale / 2.
-    dtype : optional
-        The middle value of integers means zero.
+    Bilinear lookups at the vertices of the target's level are exact, on both sides of a seam. In tangent space the
+    channels are tangent, normal, bitangent. ``scale``, not 0, is the length of a value of 1; integers hold the range
+    from -scale / 2 to scale / 2, their middle value means zero. Other arguments as in `bake_detail_normals`.
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
     middle, encode = _length_encoder(transfer, detail, scale, kept)
@@ -195,12 +155,12 @@ def bake_detail_vectors(
     vectors = bake_vectors(transfer, layout, counts, offsets_at, lambda means: means[:, order], space, single, options)
     uvs, samples, triangle, inside = corner_samples(transfer, options.tile)
     hits, weights = _weighted_hits(transfer, detail, samples)
-    pull_back = VectorPullback.of(transfer, space)
+    pull_back = vector_pullback(transfer, space)
     axes = np.broadcast_to(np.eye(3)[:, None], (3, len(uvs), 3))
     coordinates = np.stack([pull_back(axis, samples, triangle, inside) for axis in axes], axis=2)[:, order]
     offsets = weights[:, None] * (hits.foot.positions - hits.points)
     slides = weights >= _FULL_WEIGHT
-    targets = SurfaceTargets(detail.surface, hits.points, hits.normals, offsets, slides, coordinates)
+    targets = surface_targets(detail.surface, hits.points, hits.normals, offsets, slides, coordinates)
     make_lookups_exact(vectors, texel_coordinates(uvs, *vectors.shape[:2]), targets)
     pixels = vectors if kept == single else np.empty(vectors.shape, dtype=kept)
     for rows in row_slices(len(vectors), _ROWS):
@@ -217,13 +177,7 @@ def bake_detail_heights(
     dtype: DTypeLike = np.float32,
     options: BakeOptions | None = None,
 ) -> Displacement:
-    """Bake the detail's height along the source's normals as displacement of the target.
-
-    Parameters
-    ----------
-    transfer, detail, size, scale, dtype, options
-        As `bake_detail_vectors` takes them.
-    """
+    """Bake the detail's height along the source's normals as displacement; arguments as of `bake_detail_vectors`."""
     options, kept = options or BakeOptions(), np.dtype(dtype)
     middle, encode = _length_encoder(transfer, detail, scale, kept)
 
@@ -245,21 +199,9 @@ def bake_detail_values(
     dtype: DTypeLike = np.uint8,
     options: BakeOptions | None = None,
 ) -> Pixels:
-    """Bake values at the detail's vertices, such as colours or ambient occlusion.
+    """Bake values (n,) or (n, q) at the detail's vertices, such as colours or ambient occlusion.
 
-    Parameters
-    ----------
-    transfer, detail, size, options
-        As `bake_detail_normals` takes them.
-    values : (n,) or (n, q) float64
-        At the detail's vertices.
-    dtype : optional
-        Integers stand for the range 0 to 1.
-
-    Raises
-    ------
-    ParameterError
-        If there is not one row a vertex.
+    Integers of ``dtype`` stand for the range 0 to 1. ParameterError if there is not one row a vertex.
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
     if len(values) != detail.surface.n:
@@ -287,21 +229,8 @@ def bake_detail_texture(
 ) -> Pixels:
     """Bake the detail's own texture, as of a scan; the filter "nearest" is for labels.
 
-    Parameters
-    ----------
-    transfer, detail, size, options
-        As `bake_detail_normals` takes them.
-    texture : (h, w, c) array, or such arrays by UDIM number
-    uvs : (p, 2) float64
-    uv_triangles : (t, 3) int64
-        Texture coordinates of the corners of the detail's triangles.
-    dtype : optional
-        Number type of the result; by default the texture's.
-
-    Raises
-    ------
-    ParameterError
-        If the number of rows of texture coordinates is not that of triangles, or as `bake_texture`.
+    ``texture`` and ``dtype`` are as in `bake_texture`; ``uvs`` (p, 2) and ``uv_triangles`` (t, 3) are texture
+    coordinates of the corners of the detail's triangles. ParameterError if these are not t, or as of `bake_texture`.
     """
     options = options or BakeOptions()
     if uv_triangles.shape != detail.surface.triangles.shape:

@@ -13,7 +13,6 @@ the distance from the surface's tangent planes, updated in a few rounds.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,31 +93,32 @@ def make_lookups_exact(
     texels[used] = values
 
 
-@dataclass(frozen=True, eq=False)
-class SurfaceTargets:
-    """Lookup targets of a vector displacement: displaced corners lie on a surface."""
+def surface_targets(
+    surface: TriangleSurface,
+    points: FloatArray,
+    normals: FloatArray,
+    offsets: FloatArray,
+    slides: NDArray[np.bool_],
+    coordinates: FloatArray,
+) -> Callable[[FloatArray], LookupTargets]:
+    """Lookup targets of a vector displacement: displaced corners (k,) lie on a surface.
 
-    surface: TriangleSurface
-    # `points`, `normals`: (k, 3) of the corners, not displaced
-    points: FloatArray
-    normals: FloatArray
-    offsets: FloatArray  # (k, 3) displacements of corners that may not slide
-    slides: NDArray[np.bool_]  # (k,)
-    coordinates: FloatArray  # (k, 3, 3) linear maps from displacements to stored values
+    ``offsets`` (k, 3) are displacements of corners that do not slide, ``coordinates`` (k, 3, 3) linear maps from
+    displacements to stored values.
+    """
+    sound = (np.abs(np.linalg.det(coordinates)) > 1e-9)[:, None, None]
+    back = np.linalg.inv(np.where(sound, coordinates, np.eye(3)))
 
-    def __call__(self, read: FloatArray) -> LookupTargets:
-        """Targets for the current lookups (k, 3)."""
-        sound = np.abs(np.linalg.det(self.coordinates)) > 1e-9
-        back = np.linalg.inv(np.where(sound[:, None, None], self.coordinates, np.eye(3)))
-        displaced = self.points + np.einsum("kab,kb->ka", back, read)
-        feet, _ = nearest_facing(self.surface, displaced, self.normals, MAX_DETAIL_DISTANCE)
-        offsets = np.where(self.slides[:, None], feet.positions - self.points, self.offsets)
+    def targets(read: FloatArray) -> LookupTargets:
+        displaced = points + np.einsum("kab,kb->ka", back, read)
+        feet, _ = nearest_facing(surface, displaced, normals, MAX_DETAIL_DISTANCE)
+        wanted = np.where(slides[:, None], feet.positions - points, offsets)
         across = feet.normals[:, :, None] * feet.normals[:, None, :]
-        weights = np.where(
-            self.slides[:, None, None], _TANGENTIAL_WEIGHT * np.eye(3) + (1.0 - _TANGENTIAL_WEIGHT) * across, np.eye(3)
-        )
-        values = np.einsum("kab,kb->ka", self.coordinates, offsets)
-        return values, np.where(sound[:, None, None], weights @ back, 0.0)
+        sliding = _TANGENTIAL_WEIGHT * np.eye(3) + (1.0 - _TANGENTIAL_WEIGHT) * across
+        weights = np.where(slides[:, None, None], sliding, np.eye(3))
+        return np.einsum("kab,kb->ka", coordinates, wanted), np.where(sound, weights @ back, 0.0)
+
+    return targets
 
 
 def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, TexelSamples, IndexArray, FloatArray]:
@@ -140,14 +140,6 @@ def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, TexelSamp
     corner, first = corner[in_image], first[in_image]
     triangle, inside = in_tile[first // 3], np.eye(3)[first % 3]
     vertex = target.triangles[triangle, first % 3]
-    count, points = len(corner), transfer.point_map
-    samples = TexelSamples(
-        triangle.astype(np.int32),
-        np.arange(count),
-        count,
-        0,
-        np.arange(count + 1),
-        points.triangle[vertex].astype(np.int64),
-        np.asarray(points.barycentric[vertex]),
-    )
+    points = transfer.point_map
+    samples = TexelSamples.of_points(triangle, points.triangle[vertex], np.asarray(points.barycentric[vertex]))
     return uvs[corner] - origin, samples, triangle, inside

@@ -118,6 +118,14 @@ class TexelSamples:
     triangle: IndexArray  # (s,) source triangle of every sample
     barycentric: FloatArray  # (s, 3) not negative, rows sum to 1
 
+    @classmethod
+    def of_points(cls, target_triangle: IndexArray, triangle: IndexArray, barycentric: FloatArray) -> TexelSamples:
+        """One sample each at source points (k,), for texels (k,) of a row."""
+        texels = np.arange(len(triangle))
+        return cls(
+            target_triangle.astype(np.int32), texels, len(texels), 0, np.arange(len(texels) + 1), triangle, barycentric
+        )
+
     def part(self, texels: IndexArray) -> TexelSamples:
         """Samples of some texels, given by their index."""
         counts = np.diff(self.first)[texels]
@@ -166,10 +174,8 @@ def locate_samples(
 def locate_centers(surface: MappedSurface) -> IndexArray:
     """(t1,) source triangle at the image of every target triangle's centre."""
     centers = triangle_centres(surface.mapped, surface.target_triangles)
-    triangle = np.empty(len(centers), dtype=np.int64)
     starts = np.where(surface.whole >= 0, surface.whole, surface.start_triangles[surface.target_triangles[:, 0]])
-    _walk_all(surface.frames, surface.neighbors, starts, centers, triangle, np.empty((0, 2)))
-    return triangle
+    return walk_from(surface.frames, surface.neighbors, starts, centers)[0]
 
 
 def walk_from(
@@ -237,12 +243,11 @@ def _walk(frames, neighbors, start, x, y, z):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _walk_all(frames, neighbors, starts, points, found, inside):  # type: ignore[no-untyped-def]
-    """Walk to every point; ``inside``, unless empty, gets barycentric coordinates of corners 1 and 2."""
+    """Walk to every point; ``inside`` gets barycentric coordinates of corners 1 and 2."""
     for i in range(len(points)):
-        t, b1, b2 = _walk(frames, neighbors, starts[i], points[i, 0], points[i, 1], points[i, 2])
-        found[i] = t
-        if i < len(inside):
-            inside[i, 0], inside[i, 1] = b1, b2
+        found[i], inside[i, 0], inside[i, 1] = _walk(
+            frames, neighbors, starts[i], points[i, 0], points[i, 1], points[i, 2]
+        )
 
 
 @numba.njit(cache=True, nogil=True)

@@ -21,29 +21,16 @@ _ROWS = 256
 
 
 def painted_mask(level: Level, image: Pixels | Mapping[int, Pixels]) -> FloatArray:
-    """(n,) mask of a level's vertices from an image painted over its UVs.
+    """(n,) mask of a level's vertices from an image painted over its UVs: (h, w), (h, w, c), or by UDIM number.
 
-    The image's first channel, or the mean of its colours, times its alpha. Vertices on seams get the mean of their
-    values.
-
-    Parameters
-    ----------
-    level : Level
-    image : (h, w) or (h, w, c) array, or such arrays by UDIM number
-        Integers stand for 0 to 1.
-
-    Raises
-    ------
-    ParameterError
-        If the level has no texture coordinates, or a tile of the image is missing.
+    The image's first channel, or the mean of its colours, times its alpha; integers stand for 0 to 1. Vertices on seams
+    get the mean of their values. ParameterError if the level has no texture coordinates, or a tile is missing.
     """
     surface = TexturedSurface.from_level(level)
     laid = lay_texture(image, *surface.layout())
-    count = len(surface.triangles)
-    corners = np.tile(np.eye(3), (count, 1))
-    triangle = np.repeat(np.arange(count), 3)
-    samples = TexelSamples(triangle.astype(np.int32), triangle, 1, 0, np.arange(3 * count + 1), triangle, corners)
-    values = look_up(laid, samples) / unit(laid.dtype)
+    triangle = np.repeat(np.arange(len(surface.triangles)), 3)
+    corners = np.tile(np.eye(3), (len(surface.triangles), 1))
+    values = look_up(laid, TexelSamples.of_points(triangle, triangle, corners)) / unit(laid.dtype)
     colors = values.shape[1] - (1 if values.shape[1] in (2, 4) else 0)
     grey = values[:, :colors].mean(axis=1) * (values[:, -1] if colors < values.shape[1] else 1.0)
     sums = np.bincount(surface.triangles.ravel(), grey, minlength=level.n_vertices)
@@ -53,18 +40,9 @@ def painted_mask(level: Level, image: Pixels | Mapping[int, Pixels]) -> FloatArr
 
 @kinds_checked
 def bake_mask(transfer: Transfer, *, size: int | tuple[int, int], options: BakeOptions | None = None) -> Pixels:
-    """Weight of every texel of the target: the product of both masks, linear in the triangles.
+    """Weight (height, width, 1) float32 of every texel of the target: the product of both masks, linear in triangles.
 
-    Parameters
-    ----------
-    transfer : Transfer
-    size : int or (height, width)
-    options : BakeOptions, optional
-        Options of the bake that the mask is for.
-
-    Returns
-    -------
-    (height, width, 1) float32
+    ``size`` and ``options`` are those of the bake that the mask is for.
     """
     options = options or BakeOptions()
     layout = make_layout(transfer, size, options)
@@ -85,16 +63,8 @@ def bake_mask(transfer: Transfer, *, size: int | tuple[int, int], options: BakeO
 def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
     """Blend a baked image over a base: ``base + weight (baked - base)``; weight 0 is exactly the base.
 
-    Parameters
-    ----------
-    baked, base : (h, w, c) arrays
-        Of one number type.
-    weight : (h, w, 1) float array
-
-    Raises
-    ------
-    ParameterError
-        If sizes, channels or number types differ, or the images are of signed integers.
+    Both images are (h, w, c) of one number type, ``weight`` (h, w, 1). ParameterError if sizes, channels or number
+    types differ, or the images are of signed integers.
     """
     baked, weight = _image_and_weight(baked, weight)
     base = as_pixels(base)
@@ -112,18 +82,9 @@ def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
 
 
 def with_alpha(baked: Pixels, weight: Pixels) -> Pixels:
-    """A baked image with the weight as alpha; an existing alpha is multiplied by it.
+    """A baked image (h, w, 1 to 4) with the weight (h, w, 1) as alpha; an existing alpha is multiplied by it.
 
-    Parameters
-    ----------
-    baked : (h, w, c) array
-        Of one to four channels.
-    weight : (h, w, 1) float array
-
-    Raises
-    ------
-    ParameterError
-        If the weight has another size, or the image is of signed integers.
+    ParameterError if the weight has another size, or the image is of signed integers.
     """
     baked, weight = _image_and_weight(baked, weight)
     full = unit(baked.dtype)

@@ -227,23 +227,11 @@ def look_up(
         half = pixels.dtype == np.float16
         fine = (smooth or {}).get(tile, _ROUGH)
         _accumulate(
-            pixels.view(np.uint16) if half else pixels,
-            _HALVES if half else None,
-            fine.cells,
-            fine.lowest,
-            fine.highest,
-            colors,
-            nearest,
-            tile,
-            u,
-            v,
-            texture.repeat,
-            texture.uvs,
-            texture.uv_triangles,
-            texture.triangle_tiles,
-            samples.first,
-            samples.triangle,
-            samples.barycentric,
+            (pixels.view(np.uint16) if half else pixels, _HALVES if half else None),
+            (fine.cells, fine.lowest, fine.highest),
+            (colors, nearest, texture.repeat, tile, u, v),
+            (texture.uvs, texture.uv_triangles, texture.triangle_tiles),
+            (samples.first, samples.triangle, samples.barycentric),
             result,
         )
     result /= np.diff(samples.first)[:, None]
@@ -251,32 +239,16 @@ def look_up(
 
 
 @numba.njit(cache=True, nogil=True)
-def _accumulate(  # type: ignore[no-untyped-def]
-    pixels,
-    halves,
-    smooth,
-    lowest,
-    highest,
-    colors,
-    nearest,
-    tile,
-    origin_u,
-    origin_v,
-    repeat,
-    uvs,
-    uv_triangles,
-    triangle_tiles,
-    first,
-    triangle,
-    barycentric,
-    result,
-):
+def _accumulate(image, fine, options, layout, points, result):  # type: ignore[no-untyped-def]
     """Add the lookups of samples in one tile to their texels.
 
     Bilinear interpolation is written a + f (b - a), which leaves a constant texture constant to the last bit. A point
     outside wraps around if ``repeat``, but the texels around a point do not: an island at the image's edge must not mix
     with the opposite edge.
     """
+    (pixels, halves), (smooth, lowest, highest) = image, fine
+    colors, nearest, repeat, tile, origin_u, origin_v = options
+    (uvs, uv_triangles, triangle_tiles), (first, triangle, barycentric) = layout, points
     height, width, channels = pixels.shape
     across, down = np.empty(6), np.empty(6)
     for texel in range(len(first) - 1):

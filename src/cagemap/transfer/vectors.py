@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -24,7 +23,7 @@ from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.texels import Layout
 from cagemap.transfer.texture import Pixels, Texture, each_tile, lay_texture
-from cagemap.transfer.textured_surface import TangentFrames, plane_basis, tangent_frames
+from cagemap.transfer.textured_surface import plane_basis, tangent_frames
 
 Space = Literal["tangent", "object"]
 Green = Literal["up", "down"]
@@ -46,24 +45,11 @@ def bake_normal_map(
 ) -> Pixels:
     """Bake the source's normal map into the target's layout, in the target's own frames.
 
-    Parameters
-    ----------
-    transfer : Transfer
-    texture : (h, w, 3) array, or such arrays by UDIM number
-        Directions n, stored as (n + 1) / 2; floats with negative values hold n itself. Alpha is left out.
-    size : int or (height, width)
-    space : "tangent" or "object"
-        Tangent space is MikkTSpace's, of both refined surfaces.
-    green : "up" or "down"
-        In tangent space: whether the green channel increases with v (OpenGL, Blender) or decreases (DirectX), in both
-        images.
-    dtype, options
-        As in `bake_texture`.
-
-    Raises
-    ------
-    ParameterError
-        If the image has fewer than three channels, or as `bake_texture`.
+    ``texture`` (h, w, 3), or such arrays by UDIM number, holds directions n as (n + 1) / 2; floats with negative values
+    hold n itself; alpha is left out. Tangent space is MikkTSpace's, of both refined surfaces. ``green`` says whether in
+    tangent space the green channel increases with v ("up": OpenGL, Blender) or decreases ("down": DirectX), in both
+    images. Other arguments as of `cagemap.bake_texture`. ParameterError if the image has fewer than three channels, or
+    as of `cagemap.bake_texture`.
     """
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
@@ -112,11 +98,10 @@ def bake_vector_displacement(
 ) -> Displacement:
     """Bake the source's vector displacement into the target's layout; lengths grow with the surfaces.
 
-    ``texture``: (h, w, 3), or such arrays by UDIM number; vector = (value - midlevel) * scale, in the source's units;
-        in tangent space the channels are tangent, normal, bitangent.
-    ``midlevel``: by default 0.5 for integers and 0 for floats.
-    ``dtype``, ``options``: as in `bake_texture`. The result has three channels. As in `bake_displacement`, floats get
-        new values and integers a new scale; a warning counts the texels that the rotation moves outside their range.
+    ``texture`` (h, w, 3), or such arrays by UDIM number: vector = (value - midlevel) * scale, in the source's units; in
+    tangent space the channels are tangent, normal, bitangent. ``midlevel`` is by default 0.5 for integers and 0 for
+    floats, ``dtype`` and ``options`` are as in `bake_texture`. As in `bake_displacement`, floats get new values and
+    integers a new scale; a warning counts the texels that the rotation moves outside their range.
     """
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
@@ -205,7 +190,7 @@ def bake_vectors(
     ``space``: "tangent" or "object", of the target, for the result.
     ``crisp``: (t1,), as `run_bake` takes it.
     """
-    pull_back = VectorPullback.of(transfer, space)
+    pull_back = vector_pullback(transfer, space)
 
     def shade(samples: TexelSamples) -> FloatArray:
         repeats = np.diff(samples.first)
@@ -216,35 +201,27 @@ def bake_vectors(
     return run_bake(transfer, layout, counts, shade, 3, kept, options, crisp, encode)
 
 
-@dataclass(frozen=True, eq=False)
-class VectorPullback:
-    """Rotates vectors of the source to the target."""
+def vector_pullback(
+    transfer: Transfer, space: Space
+) -> Callable[[FloatArray, TexelSamples, IndexArray, FloatArray], FloatArray]:
+    """Function that rotates source vectors (s, 3) of samples into tangent or object space of the target.
 
-    transfer: Transfer
-    frames: TangentFrames | None  # of the target; None leaves vectors in object space
-    # `normals`, `source_normals`: (n, 3) of the vertices of target and source
-    normals: FloatArray
-    source_normals: FloatArray
+    Its further arguments are target triangles (s,) and barycentric coordinates (s, 3) in them.
+    """
+    target, source, mapped = transfer.target, transfer.source, transfer.mapped.mapped
+    frames = None if space == "object" else tangent_frames(target)
+    normals, source_normals = (vertex_normals(side.positions, side.triangles) for side in (target, source))
 
-    @classmethod
-    def of(cls, transfer: Transfer, space: Space) -> VectorPullback:
-        """Rotation into tangent or object space of the target."""
-        frames = None if space == "object" else tangent_frames(transfer.target)
-        normals = (vertex_normals(side.positions, side.triangles) for side in (transfer.target, transfer.source))
-        return cls(transfer, frames, *normals)
-
-    def __call__(
-        self, vectors: FloatArray, samples: TexelSamples, triangle: IndexArray, inside: FloatArray
-    ) -> FloatArray:
-        """(s, 3) source vectors rotated to target triangles (s,) at barycentric coordinates (s, 3)."""
-        target, source, mapped = self.transfer.target, self.transfer.source, self.transfer.mapped.mapped
+    def pull_back(vectors: FloatArray, samples: TexelSamples, triangle: IndexArray, inside: FloatArray) -> FloatArray:
         corners = target.triangles[triangle]
         edges = target.positions[corners[:, 1:]] - target.positions[corners[:, :1]]
         images = mapped[corners[:, 1:]] - mapped[corners[:, :1]]
-        n1 = np.einsum("sc,scd->sd", inside, self.normals[corners])
-        n2 = np.einsum("sc,scd->sd", samples.barycentric, self.source_normals[source.triangles[samples.triangle]])
+        n1 = np.einsum("sc,scd->sd", inside, normals[corners])
+        n2 = np.einsum("sc,scd->sd", samples.barycentric, source_normals[source.triangles[samples.triangle]])
         rotated = _rotated_to_target(vectors, n1, n2, edges, images)
-        return rotated if self.frames is None else _solve(self.frames.at(triangle, inside), rotated)
+        return rotated if frames is None else _solve(frames.at(triangle, inside), rotated)
+
+    return pull_back
 
 
 def _rotated_to_target(

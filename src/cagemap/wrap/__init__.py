@@ -1,7 +1,9 @@
 """Wrap: fit the target's cage such that its refined surface is on the source."""
 
-from cagemap.wrap.config import WrapConfig
-from cagemap.wrap.net import level_mesh
-from cagemap.wrap.wrapping import Residual, Wrapped, missing_detail, wrap, wrapped_transfer
-
-__all__ = ["Residual", "WrapConfig", "Wrapped", "level_mesh", "missing_detail", "wrap", "wrapped_transfer"]
+from cagemap.wrap.config import WrapConfig as WrapConfig
+from cagemap.wrap.net import level_mesh as level_mesh
+from cagemap.wrap.wrapping import Residual as Residual
+from cagemap.wrap.wrapping import Wrapped as Wrapped
+from cagemap.wrap.wrapping import missing_detail as missing_detail
+from cagemap.wrap.wrapping import wrap as wrap
+from cagemap.wrap.wrapping import wrapped_transfer as wrapped_transfer
