@@ -30,7 +30,9 @@ from cagemap.files.usd.read import in_world, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.mesh.faces import reversed_corners
 from cagemap.numerics.srgb import encode_srgb
-from cagemap.tasks.mesh_commands import check_files
+from cagemap.tasks.mesh_commands import run_check
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.mesh_commands import CheckRequest
 
 from usd_characters import lively, painted, posed, with_shape_weights
 from usd_scenes import stage_at, usd_mesh
@@ -403,4 +405,4 @@ def test_faces_of_two_corners_are_refused_by_name(tmp_path: Path) -> None:
         FormatError, match=r"cube\.usda: /cube: expected faces of at least three corners, got 1 .* 6\. D"
     ):
         usd_document(tmp_path / "cube.usda")
-    assert "degenerate faces" in check_files([tmp_path / "cube.usda"])[0]
+    assert "degenerate faces" in run_check(CheckRequest((tmp_path / "cube.usda",)), Stages())[0]
