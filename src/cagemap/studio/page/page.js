@@ -172,7 +172,8 @@ function showModels() {
   if (opened) shownFiles = JSON.stringify(files);
   for (const [name, suffixes] of [['target', meshes], ['source', meshes], ['texture', images]]) {
     const known = opened ? files?.[name] ?? '' : fields[name].value, found = matching(listing, suffixes);
-    fill(fields[name], [...none, ...[...new Set(known ? [known, ...found] : found)].map(fileOption)], known);
+    const empty = name === 'texture' ? [['', 'the one in the source, if any']] : none;
+    fill(fields[name], [...empty, ...[...new Set(known ? [known, ...found] : found)].map(fileOption)], known);
   }
   for (const id of ['pairs', 'points']) fill($(id), [...none, ...matching(listing, landmarks).map(fileOption)], $(id).value);
   if (!opened) return;
