@@ -105,7 +105,8 @@ function showViews() {
 
 function showMap() {
   const {answers, chosen} = state;
-  $('answers').replaceChildren(...answers.map((name, index) => {
+  const heading = answers.length ? [element('h2', {textContent: 'Possible alignments'})] : [];
+  $('answers').replaceChildren(...heading, ...answers.map((name, index) => {
     const button = element('button', {textContent: `${index + 1} · ${name}`, onclick: () => send('answer', {index})});
     button.setAttribute('aria-pressed', index === chosen);
     return button;
