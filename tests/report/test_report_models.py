@@ -8,6 +8,7 @@ import re
 import zlib
 from dataclasses import replace
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -170,6 +171,11 @@ def test_troubles_are_marked_where_they_are(result: MatchResult) -> None:
     assert away[0][first.vertex] < 0.7
     assert away[1][second.vertex] < 0.7
     assert (first.number, second.number) == (1, 2)
+    # What is said of a place is what most of it is, not what its middle is.
+    triangles = result.point_map.target.triangles
+    for folded, words in (((triangles == first.vertex).any(axis=1), "stretched strongly"), (True, "folded over")):
+        with patch("cagemap.report.marks.flipped_triangles", return_value=np.broadcast_to(folded, len(triangles))):
+            assert words in find_marks(torn, target, source, everything)[0].text
 
 
 @pytest.mark.parametrize(("shift", "moved"), [(0.0, False), (1.0, False), (1000.0, True), (-300.0, True)])

@@ -107,6 +107,10 @@ def test_files_are_added_faults_are_named_and_a_scan_is_taken_as_it_is(
     assert page.run("return document.getElementById('scheme-target').value") == ""
     page.set("scheme-source", "bilinear")
     page.set("up-target", "z")
+    page.set("up-source", "y")
     page.press("open-now")
-    chosen = "const files = window.studio.state.files; return [files.target, files.schemes[1], files.ups[0]]"
-    page.until(lambda: page.run(chosen) == ["deer.obj", "bilinear", "z"], "the pair as it was chosen")
+    chosen = "const files = window.studio.state.files; return [files.target, files.schemes[1], ...files.ups]"
+    page.until(lambda: page.run(chosen) == ["deer.obj", "bilinear", "z", "y"], "the pair as it was chosen")
+    page.until(lambda: page.state("models"), "the pair")
+    page.press("plain-source")
+    page.until(lambda: page.run(chosen) == ["deer.obj", "none", "z", "y"], "the source as it is")

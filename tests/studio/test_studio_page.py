@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
@@ -28,6 +30,7 @@ from cagemap.studio.state import MapState, Message, Output, RunningJob, StudioSt
 from cagemap.studio.workspace import Workspace
 from cagemap.tasks.requests.catalogue import all_options
 
+from locations import FIXTURES
 from studio_boxes import click, session_of
 
 # Words that only a researcher knows.
@@ -99,8 +102,19 @@ def test_how_sure_a_map_is_is_said_in_words() -> None:
     assert verdict(StudioState(map=doubt), scene).startswith("Two ways fit")
     assert "`" not in confidence_text(doubt.confidence)
     assert "Next landmark" in confidence_text(doubt.confidence)
+    folds = "0.5 % of the target's area is folded over, worst at (0, 3.523, -4.1) of the target's file"
+    assert confidence_text(folds) == "0.5 % of the target's area is folded over"  # it is drawn red
     assert "contradicts" in verdict(StudioState(map=replace(known, contradictions={"nose": "far off"})), scene)
     assert "not yet checked" in verdict(StudioState(map=MapState(rough=True)), scene)
+
+
+def test_every_control_of_the_page_is_used_in_a_browser() -> None:
+    page = (resources.files("cagemap.studio.page") / "index.html").read_text(encoding="utf-8")
+    controls = re.findall(r'<(?:button|input|select) [^>]*?(?:id|name)="([\w-]+)"', page)
+    tests = "".join(path.read_text(encoding="utf-8") for path in Path(__file__).parent.glob("*.py"))
+    tests += (FIXTURES / "browser_page.py").read_text(encoding="utf-8")
+    assert len(controls) > 40
+    assert [name for name in controls if not re.search(rf"[\"'=]{name}[\"'\]]", tests)] == []
 
 
 def test_the_state_of_a_page_names_all_that_is_drawn(opened: Session) -> None:

@@ -71,20 +71,20 @@ def find_marks(
     is_folded = np.zeros(len(is_doubtful), dtype=np.bool_)
     triangles = result.point_map.target.triangles
     is_folded[triangles[flipped_triangles(result.point_map.images, triangles)]] = True
-    for vertex, share in largest_regions(is_doubtful[target.vertices], target):
-        folded = is_folded[target.vertices[vertex]]
+    for vertex, share, region in largest_regions(is_doubtful[target.vertices], target):
+        folded = is_folded[target.vertices[region]].mean() > 0.5
         add(
             f"{'folded over' if folded else 'stretched strongly'}: {_percent(share)} of the target",
             (TARGET, target.vertices[vertex]),
         )
     is_missed = ~source_reached & (counted.of_source(len(result.source.vertices))[source.vertices] > 0)
-    for vertex, share in largest_regions(is_missed, source):
+    for vertex, share, _ in largest_regions(is_missed, source):
         add(f"nothing from here arrives: {_percent(share)} of the source", (SOURCE, source.vertices[vertex]))
     return tuple(marks)
 
 
-def largest_regions(selected: NDArray[np.bool_], display: DisplaySurface) -> list[tuple[int, float]]:
-    """The largest connected regions of selected vertices (n,): central vertex and share of the area."""
+def largest_regions(selected: NDArray[np.bool_], display: DisplaySurface) -> list[tuple[int, float, IndexArray]]:
+    """The largest connected regions of selected vertices (n,): central vertex, share of the area, vertices."""
     triangles = display.triangles
     areas = triangle_areas(display.positions, triangles)
     is_inside = selected[triangles].sum(axis=1) >= 2
@@ -101,7 +101,7 @@ def largest_regions(selected: NDArray[np.bool_], display: DisplaySurface) -> lis
         if share[number] >= MIN_MARKED_AREA:
             of_region = label == number
             vertex = _central_vertex(display.positions, faces[of_region], areas[is_inside][of_region])
-            regions.append((vertex, float(share[number])))
+            regions.append((vertex, float(share[number]), np.unique(faces[of_region])))
     return regions
 
 

@@ -105,7 +105,8 @@ function showViews() {
 
 function showMap() {
   const {answers, chosen} = state;
-  $('answers').replaceChildren(...answers.map((name, index) => {
+  const heading = answers.length ? [element('h2', {textContent: 'Possible alignments'})] : [];
+  $('answers').replaceChildren(...heading, ...answers.map((name, index) => {
     const button = element('button', {textContent: `${index + 1} · ${name}`, onclick: () => send('answer', {index})});
     button.setAttribute('aria-pressed', index === chosen);
     return button;
@@ -172,7 +173,8 @@ function showModels() {
   if (opened) shownFiles = JSON.stringify(files);
   for (const [name, suffixes] of [['target', meshes], ['source', meshes], ['texture', images]]) {
     const known = opened ? files?.[name] ?? '' : fields[name].value, found = matching(listing, suffixes);
-    fill(fields[name], [...none, ...[...new Set(known ? [known, ...found] : found)].map(fileOption)], known);
+    const empty = name === 'texture' ? [['', 'the one in the source, if any']] : none;
+    fill(fields[name], [...empty, ...[...new Set(known ? [known, ...found] : found)].map(fileOption)], known);
   }
   for (const id of ['pairs', 'points']) fill($(id), [...none, ...matching(listing, landmarks).map(fileOption)], $(id).value);
   if (!opened) return;

@@ -72,7 +72,7 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "suggests": map_state.suggestion is not None,
         "said": [
             *([_capitalized(confidence_text(map_state.confidence))] if map_state.confidence else []),
-            *map(in_page_words, (*map_state.contradictions.values(), *map_state.notes)),
+            *(confidence_text(in_page_words(text)) for text in (*map_state.contradictions.values(), *map_state.notes)),
         ],
         "answers": map_state.answers if len(map_state.answers) > 1 else (),
         "chosen": map_state.chosen_answer,

@@ -265,7 +265,10 @@ export class Views {
       this.renderer.render(side.world, side.camera);
       if (side.name === 'target' && this.shown.overlay) {
         this.prepare(this.sides.source, at, 0.45);
-        this.renderer.render(this.sides.source.world, side.camera);
+        for (const only of [true, false]) {  // depths first: only the nearest surface is half transparent
+          for (const mesh of Object.values(this.sides.source.parts)) mesh.material.colorWrite = !only;
+          this.renderer.render(this.sides.source.world, side.camera);
+        }
       }
     }
     this.frames = (this.frames ?? 0) + 1;

@@ -30,13 +30,14 @@ STAGES = (
     ("test landmarks", "checking the landmarks", 0.85),
     ("quality", "checking the map", 0.9),
 )
-# Parts of the package's messages that the page's buttons replace.
-_ANSWER_HINT, _VERTEX_HINT = re.compile(r" \(`answer=\d+`\)"), re.compile(r"(?:, first)? at target vertex \d+")
+# Parts of the package's messages that the page's buttons and colours replace.
+_ANSWER_HINT = re.compile(r" \(`answer=\d+`\)|, worst at \([^)]*\) of the target's file")
+_VERTEX_HINT = re.compile(r"(?:, first)? at target vertex \d+")
 _VERDICTS = {"two answers: ": "Two ways fit", "look at it: ": "Have a look"}
 
 
 def confidence_text(message: str) -> str:
-    """The confidence message of a match in words of the page."""
+    """A message about a match in words of the page."""
     return _VERTEX_HINT.sub(" at the place that Next landmark shows", _ANSWER_HINT.sub("", message))
 
 
