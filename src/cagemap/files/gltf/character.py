@@ -46,7 +46,7 @@ def _has_tangents(document: Document, node: int) -> bool:
     """Whether morph targets of a node's mesh, which was read, have tangents."""
     primitives = document.entries("primitives", document.entry("meshes", document.entry("nodes", node)["mesh"]))
     targets = (target for primitive in primitives for target in document.entries("targets", primitive))
-    return any(isinstance(target, dict) and "TANGENT" in target for target in targets)
+    return any("TANGENT" in target for target in targets)
 
 
 def humanoid_bones(document: Document) -> dict[str, str]:
@@ -122,17 +122,9 @@ def _channels(document: Document, entry: dict[str, Any], where: str) -> Iterator
     """Node, path and sampler of an animation's channels that move a node."""
     samplers = document.entries("samplers", entry, where)
     for channel in document.entries("channels", entry, where):
-        if not isinstance(channel, dict):
-            document.refuse(where, "expected objects as channels")
         target = document.table(channel, "target", where)
-        path = target.get("path")
-        if target.get("node") is None or path not in (*get_args(Channel), "weights"):
-            continue
-        node = document.whole(target["node"], f"{where}: node", 0, len(document.entries("nodes")) - 1)
-        sampler = samplers[document.whole(channel.get("sampler"), f"{where}: sampler", 0, len(samplers) - 1)]
-        if not isinstance(sampler, dict):
-            document.refuse(where, "expected objects as samplers")
-        yield node, str(path), sampler
+        if target.get("node") is not None and target.get("path") in (*get_args(Channel), "weights"):
+            yield target["node"], target["path"], samplers[channel["sampler"]]
 
 
 def _keys(document: Document, sampler: dict[str, Any], where: str) -> tuple[FloatArray, Interpolation]:
@@ -233,9 +225,8 @@ def animation_lengths(document: Document) -> tuple[float, ...]:
     for number in range(len(document.entries("animations"))):
         where = f"animations {number}"
         samplers = document.entries("samplers", document.entry("animations", number), where)
-        inputs = [sampler.get("input") for sampler in samplers if isinstance(sampler, dict)]
-        different = [accessor for place, accessor in enumerate(inputs) if accessor not in inputs[:place]]
-        ends = [float(read_accessor(document, accessor, where, ("SCALAR",)).max()) for accessor in different]
+        inputs = {sampler["input"] for sampler in samplers}
+        ends = [float(read_accessor(document, accessor, where, ("SCALAR",)).max()) for accessor in inputs]
         lengths.append(max(ends, default=0.0))
     return tuple(lengths)
 

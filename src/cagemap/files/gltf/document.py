@@ -253,10 +253,7 @@ def packed(document: Document) -> Document:
     starts = [add(buffer) for buffer in document.buffers]
     views = []
     for number, view in enumerate(document.entries("bufferViews")):
-        buffer_number = document.whole(
-            document.entry("bufferViews", number).get("buffer"), "bufferViews", 0, len(starts) - 1
-        )
-        moved = starts[buffer_number] + document.whole(view.get("byteOffset", 0), f"bufferViews {number}")
+        moved = starts[view["buffer"]] + document.whole(view.get("byteOffset", 0), f"bufferViews {number}")
         views.append(view | {"buffer": 0, "byteOffset": moved} if moved else view | {"buffer": 0})
     images = []
     for number in range(len(document.entries("images"))):

@@ -34,7 +34,9 @@ class Nodes:
 def read_nodes(document: Document) -> Nodes:
     """The nodes of a document."""
     count = len(document.entries("nodes"))
-    children = [_children(document, number) for number in range(count)]
+    children = [
+        document.entries("children", document.entry("nodes", number), f"nodes {number}") for number in range(count)
+    ]
     parents = np.full(count, -1, dtype=np.int64)
     for number, listed in enumerate(children):
         for child in listed:
@@ -56,12 +58,6 @@ def read_nodes(document: Document) -> Nodes:
     return Nodes(tuple(order), frozenset(_below(_roots(document, parents), children)), parents, local, world, names)
 
 
-def _children(document: Document, number: int) -> list[int]:
-    where = f"nodes {number}"
-    children = document.entries("children", document.entry("nodes", number), where)
-    return [document.whole(child, f"{where}: child", 0, len(document.entries("nodes")) - 1) for child in children]
-
-
 def _below(roots: list[int], children: list[list[int]]) -> list[int]:
     """The roots and all nodes below them, depth first."""
     ordered, open_nodes = [], list(reversed(roots))
@@ -80,9 +76,7 @@ def _roots(document: Document, parents: IndexArray) -> list[int]:
     """Root nodes of the displayed scene; all root nodes if there are no scenes."""
     if not document.entries("scenes"):
         return np.flatnonzero(parents < 0).tolist()
-    scene = document.entry("scenes", document.json.get("scene", 0))
-    listed = document.entries("nodes", scene, "scenes")
-    return [document.whole(number, "scenes: node", 0, len(parents) - 1) for number in listed]
+    return document.entries("nodes", document.entry("scenes", document.json.get("scene", 0)), "scenes")
 
 
 def _local(document: Document, number: int) -> FloatArray:
@@ -172,7 +166,7 @@ def _skin(document: Document, nodes: Nodes, number: int) -> Skin:
     where = f"skins {number}"
     entry = document.entry("skins", number)
     count = len(nodes.names)
-    joints = [document.whole(joint, f"{where}: joint", 0, count - 1) for joint in document.entries("joints", entry)]
+    joints = document.entries("joints", entry, where)
     if not joints or len(set(joints)) != len(joints):
         document.refuse(where, f"expected different joints, got {len(joints)} of {len(set(joints))} nodes")
     stated = entry.get("inverseBindMatrices")
@@ -289,14 +283,11 @@ def _with_bound(rig: Rig, joints: IndexArray, skin: Skin, taken: tuple[str, ...]
 def _joint_nodes(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> list[int]:
     """Nodes that become joints, parents before children."""
     stated = {int(node) for skin in skins for node in skin.nodes}
-    targets = [
+    moved = {
         document.table(channel, "target", "animations").get("node")
         for animation in document.entries("animations")
-        if isinstance(animation, dict)
         for channel in document.entries("channels", animation, "animations")
-        if isinstance(channel, dict)
-    ]
-    moved = {node for node in targets if isinstance(node, int)}
+    }
     turned = nodes.local[:, :3, :3]
     lengths = np.linalg.norm(turned, axis=2)
     even = np.ptp(lengths, axis=1) <= 1e-4 * lengths.max(axis=1, initial=0.0)

@@ -72,7 +72,6 @@ def read_scene(document: Document) -> Scene:
         entry = document.entry("nodes", node)
         if node not in nodes.in_scene or entry.get("mesh") is None:
             continue
-        document.entry("meshes", entry["mesh"], f"nodes {node}")
         name = nodes.names[node] if entry.get("name") else document.name("meshes", int(entry["mesh"]))
         arrays = read_vertex_arrays(document, int(entry["mesh"]), name or nodes.names[node])
         if _INSTANCES in document.table(entry, "extensions", f"nodes {node}"):
@@ -101,8 +100,7 @@ def _placed(
     stated = document.entry("nodes", node).get("skin")
     weights, changes, whole = None, None, nodes.world[node]
     if stated is not None and joints is not None:
-        number = document.whole(stated, f"nodes {node}: skin", 0, len(skins) - 1)
-        skin, of = skins[number], joints.of_skins[number]
+        skin, of = skins[stated], joints.of_skins[stated]
         if arrays.joints.shape[1]:
             weights = _weights(document, arrays, of, joints, node)
             whole = skin.to_world
