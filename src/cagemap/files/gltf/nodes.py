@@ -157,12 +157,8 @@ class Joints:
     above: FloatArray = field(repr=False)
 
 
-def read_skins(document: Document, nodes: Nodes) -> tuple[Skin, ...]:
-    """Skins of a document; the joints of each are unique."""
-    return tuple(_skin(document, nodes, number) for number in range(len(document.entries("skins"))))
-
-
-def _skin(document: Document, nodes: Nodes, number: int) -> Skin:
+def read_skin(document: Document, nodes: Nodes, number: int) -> Skin:
+    """A skin of a document; its joints are unique."""
     where = f"skins {number}"
     entry = document.entry("skins", number)
     count = len(nodes.names)
@@ -242,7 +238,7 @@ def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> Jo
         if parent >= 0:
             above[node] = np.eye(4) if joint_of[parent] >= 0 else nodes.local[parent] @ above[parent]
             if joint_of[node] >= 0:
-                parents[joint_of[node]] = _nearest(nodes, joint_of, int(parent))
+                parents[joint_of[node]] = nearest_joint(nodes, joint_of, int(parent))
     local = nodes.local[chosen] @ above[chosen]
     bind = np.full((len(chosen), 4, 4), np.nan)
     for skin in reversed(skins):
@@ -301,13 +297,8 @@ def _joint_nodes(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> l
     return [node for node in nodes.order if node in chosen]
 
 
-def _nearest(nodes: Nodes, joint_of: IndexArray, node: int) -> int:
+def nearest_joint(nodes: Nodes, joint_of: IndexArray, node: int) -> int:
     """The joint of a node or of its nearest ancestor; -1 if none of them is a joint."""
     while node >= 0 and joint_of[node] < 0:
         node = int(nodes.parents[node])
     return int(joint_of[node]) if node >= 0 else -1
-
-
-def nearest_joint(nodes: Nodes, joints: Joints, node: int) -> int:
-    """The joint of a node's nearest ancestor; -1 if no ancestor is a joint."""
-    return _nearest(nodes, joints.joint_of, int(nodes.parents[node]))

@@ -19,7 +19,7 @@ from cagemap.files.gltf.nodes import (
     nearest_joint,
     read_joints,
     read_nodes,
-    read_skins,
+    read_skin,
     rounded,
 )
 from cagemap.files.gltf.primitives import VertexArrays, read_vertex_arrays
@@ -65,7 +65,7 @@ def read_scene(document: Document) -> Scene:
     pose: meshes that were bound in another pose are moved to it. A mesh below a joint follows that joint.
     """
     nodes = read_nodes(document)
-    skins = read_skins(document, nodes)
+    skins = tuple(read_skin(document, nodes, number) for number in range(len(document.entries("skins"))))
     joints = read_joints(document, nodes, skins)
     parts = []
     for node in nodes.order:
@@ -106,7 +106,7 @@ def _placed(
             whole = skin.to_world
             changes = np.tile(whole, (len(joints.rig.names), 1, 1))
             changes[of] = skin.inverse_bind @ joints.rig.bind[of]
-    elif joints is not None and (above := nearest_joint(nodes, joints, node)) >= 0:
+    elif joints is not None and (above := nearest_joint(nodes, joints.joint_of, int(nodes.parents[node]))) >= 0:
         count = arrays.control.n_vertices
         weights = sparse.csr_array(
             (np.ones(count), (np.arange(count), np.full(count, above))), shape=(count, len(joints.rig.names))
