@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from cagemap.character.poses import decompose
 from cagemap.character.values import Rig
 from cagemap.files.gltf.entries import Document, read_accessor
 from cagemap.files.text import distinct
@@ -119,14 +120,10 @@ def transform(translation: FloatArray, quaternion: FloatArray, scale: FloatArray
 
 def decomposed(matrix: FloatArray) -> dict[str, list[float]]:
     """Translation, rotation and scale of a transform (4, 4), as in a node's entry; ``matrix`` if it has shear."""
-    scale = np.linalg.norm(matrix[:3, :3], axis=1)
-    if np.linalg.det(matrix[:3, :3]) < 0.0:
-        scale = -scale
-    turn = matrix[:3, :3] / np.where(scale == 0.0, 1.0, scale)[:, None]
+    translation, turn, scale = decompose(matrix)
     if (scale == 0.0).any() or np.abs(turn @ turn.T - np.eye(3)).max() > _SHEAR:
         return {"matrix": matrix.ravel().tolist()}
-    rotation = Rotation.from_matrix(turn.T).as_quat()
-    parts = {"translation": matrix[3, :3], "rotation": rotation, "scale": scale}
+    parts = {"translation": translation, "rotation": Rotation.from_matrix(turn.T).as_quat(), "scale": scale}
     return {
         name: part.tolist() for name, part in parts.items() if np.abs(part - _REST[name]).max() > _TRANSFORM_ROUNDING
     }

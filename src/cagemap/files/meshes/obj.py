@@ -282,15 +282,15 @@ def _read_objects(
     """
     names, numbers = _read_names(statements, corners.rows, _OBJECT)
     blocks = np.searchsorted(statements.rows(_OBJECT), corners.rows)
-    if numbers is None or len(np.unique(blocks)) == len(names):
+    different, first = np.unique(blocks, return_index=True)
+    if numbers is None or len(different) == len(names):
         return names, numbers
     listed, renamed = list(names), dict[str, IndexArray]()
-    for number, name in enumerate(names):
-        faces = np.flatnonzero(numbers == number)
+    for number in np.flatnonzero(np.bincount(numbers[first]) > 1).tolist():
+        faces, name = numbers == number, names[number]
         stated = np.unique(blocks[faces])
-        of_object = np.isin(corners.faces, faces)
-        used = np.unique(np.column_stack([blocks[corners.faces], face_indices])[of_object], axis=0)
-        if name and len(stated) > 1 and len(used) == len(np.unique(used[:, 1])):
+        used = np.unique(np.column_stack([blocks[corners.faces], face_indices])[faces[corners.faces]], axis=0)
+        if name and len(used) == len(np.unique(used[:, 1])):
             places = np.array([number, *range(len(listed), len(listed) + len(stated) - 1)])
             numbers[faces] = places[np.searchsorted(stated, blocks[faces])]
             listed += [name] * (len(stated) - 1)
