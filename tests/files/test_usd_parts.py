@@ -426,3 +426,15 @@ def test_a_mirrored_mesh_is_shown_upright(tmp_path: Path) -> None:
     assert turn is not None
     np.testing.assert_allclose(np.linalg.det(turn), 1.0)
     np.testing.assert_allclose([1, 0, 0] @ turn, [0, 1, 0], atol=1e-12)
+
+
+def test_a_binding_without_its_schema_is_read_without_a_word_of_usd(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Of exporters that do not apply MaterialBindingAPI: it would name a source file of USD on the console."""
+    with stage_at(tmp_path / "cube.usda") as stage:
+        prim = usd_mesh(stage, "/cube", cube()).GetPrim()
+        UsdShade.Material.Define(stage, "/red")
+        prim.CreateRelationship("material:binding").SetTargets(["/red"])
+    assert read_usd(tmp_path / "cube.usda").material_names == ("red",)
+    assert capfd.readouterr().err == ""

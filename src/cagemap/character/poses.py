@@ -165,6 +165,13 @@ def rotations_of(transforms: FloatArray) -> FloatArray:
     return nearest_rotations(signs[:, None, None] * linear)
 
 
+def quaternion_product(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Products of quaternions (..., 4), x, y, z, w; also of tangents of splines."""
+    vectors, scalars = (first[..., :3], second[..., :3]), (first[..., 3:], second[..., 3:])
+    vector = scalars[0] * vectors[1] + scalars[1] * vectors[0] + np.cross(*vectors)
+    return np.concatenate([vector, scalars[0] * scalars[1] - (vectors[0] * vectors[1]).sum(-1, keepdims=True)], axis=-1)
+
+
 def rest_tracks(rig: Rig, joints: list[int], channels: tuple[Channel, ...]) -> tuple[Track, ...]:
     """Tracks of one key that keep joints at rest."""
     tracks = []

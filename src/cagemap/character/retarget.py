@@ -15,6 +15,7 @@ from cagemap.character.poses import (
     decompose,
     fit_rotation_and_scale,
     parent_transforms,
+    quaternion_product,
     rest_tracks,
     rotations_of,
 )
@@ -140,7 +141,7 @@ def _convert_rotations(
     (source, target), (source_joint, target_joint) = bind_poses, joints
     to_target = _axes_change(joints, bind_poses, turn)
     left = target.local_rotations[target_joint] * to_target * source.local_rotations[source_joint].inv()
-    return _quaternion_product(_quaternion_product(left.as_quat(), track.values), to_target.inv().as_quat())
+    return quaternion_product(quaternion_product(left.as_quat(), track.values), to_target.inv().as_quat())
 
 
 def _convert_translations(
@@ -164,13 +165,6 @@ def _convert_scales(
     source_bind, target_bind = (decompose(pose.local[joint])[2] for pose, joint in zip(bind_poses, joints, strict=True))
     axes = np.abs(_axes_change(joints, bind_poses, turn).as_matrix()).argmax(axis=1)
     return (track.values / np.where(source_bind == 0, 1.0, source_bind))[..., axes] * target_bind
-
-
-def _quaternion_product(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Products of quaternions (..., 4), x, y, z, w; also of tangents of splines."""
-    vectors, scalars = (first[..., :3], second[..., :3]), (first[..., 3:], second[..., 3:])
-    vector = scalars[0] * vectors[1] + scalars[1] * vectors[0] + np.cross(*vectors)
-    return np.concatenate([vector, scalars[0] * scalars[1] - (vectors[0] * vectors[1]).sum(-1, keepdims=True)], axis=-1)
 
 
 def _translation_scales(source: Rig, target: Rig, pairs: Mapping[int, int], rig_ratio: float) -> FloatArray:

@@ -10,6 +10,7 @@ from typing import Any, cast, get_args
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cagemap.character.poses import quaternion_product
 from cagemap.character.values import Animation, Channel, Character, Interpolation, Track
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.document import read_document
@@ -18,7 +19,7 @@ from cagemap.files.gltf.nodes import Joints, read_nodes, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.primitives import shape_names
 from cagemap.files.text import distinct
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, nearest_rotations
 
 _log = logging.getLogger(__name__)
 
@@ -46,7 +47,7 @@ def _has_tangents(document: Document, node: int) -> bool:
     """Whether morph targets of a node's mesh, which was read, have tangents."""
     primitives = document.entries("primitives", document.entry("meshes", document.entry("nodes", node)["mesh"]))
     targets = (target for primitive in primitives for target in document.entries("targets", primitive))
-    return any(isinstance(target, dict) and "TANGENT" in target for target in targets)
+    return any("TANGENT" in target for target in targets)
 
 
 def humanoid_bones(document: Document) -> dict[str, str]:
@@ -122,17 +123,9 @@ def _channels(document: Document, entry: dict[str, Any], where: str) -> Iterator
     """Node, path and sampler of an animation's channels that move a node."""
     samplers = document.entries("samplers", entry, where)
     for channel in document.entries("channels", entry, where):
-        if not isinstance(channel, dict):
-            document.refuse(where, "expected objects as channels")
         target = document.table(channel, "target", where)
-        path = target.get("path")
-        if target.get("node") is None or path not in (*get_args(Channel), "weights"):
-            continue
-        node = document.whole(target["node"], f"{where}: node", 0, len(document.entries("nodes")) - 1)
-        sampler = samplers[document.whole(channel.get("sampler"), f"{where}: sampler", 0, len(samplers) - 1)]
-        if not isinstance(sampler, dict):
-            document.refuse(where, "expected objects as samplers")
-        yield node, str(path), sampler
+        if target.get("node") is not None and target.get("path") in (*get_args(Channel), "weights"):
+            yield target["node"], target["path"], samplers[channel["sampler"]]
 
 
 def _keys(document: Document, sampler: dict[str, Any], where: str) -> tuple[FloatArray, Interpolation]:
@@ -169,7 +162,7 @@ def _track(
     if channel == "scale":
         values = values * signs
     elif channel == "rotation" and (signs < 0.0).any():  # two of them: half a turn about the third axis
-        values = _after(np.append(signs > 0.0, 0.0), values)
+        values = quaternion_product(values, np.append(signs > 0.0, 0.0))
     if channel == "rotation" and keys == 1:
         lengths = np.linalg.norm(values, axis=-1, keepdims=True)
         if not (lengths > 0.0).all():
@@ -233,9 +226,8 @@ def animation_lengths(document: Document) -> tuple[float, ...]:
     for number in range(len(document.entries("animations"))):
         where = f"animations {number}"
         samplers = document.entries("samplers", document.entry("animations", number), where)
-        inputs = [sampler.get("input") for sampler in samplers if isinstance(sampler, dict)]
-        different = [accessor for place, accessor in enumerate(inputs) if accessor not in inputs[:place]]
-        ends = [float(read_accessor(document, accessor, where, ("SCALAR",)).max()) for accessor in different]
+        inputs = {sampler["input"] for sampler in samplers}
+        ends = [float(read_accessor(document, accessor, where, ("SCALAR",)).max()) for accessor in inputs]
         lengths.append(max(ends, default=0.0))
     return tuple(lengths)
 
@@ -297,25 +289,11 @@ def in_rig(values: FloatArray, channel: Channel, above: FloatArray, *, tangents:
             moved[:, 1] += above[3, :3]
             return moved
         return np.asarray(moved + above[3, :3])
-    return _after(values, _quaternion(above[:3, :3] / size))
+    turn = nearest_rotations(above[None, :3, :3] / size)[0]
+    return quaternion_product(Rotation.from_matrix(turn.T).as_quat(), values)
 
 
 def _to_node(track: Track, above: FloatArray) -> FloatArray:
     """Values of a track in the space of the joint's node; the inverse of `in_rig`."""
     tangents = track.interpolation == "CUBICSPLINE"
     return in_rig(track.values, track.channel, np.asarray(np.linalg.inv(above), np.float64), tangents=tangents)
-
-
-def _after(first: FloatArray, then: FloatArray) -> FloatArray:
-    """(..., 4) quaternions of the rotations ``first``, followed by ``then``; linear in both."""
-    axis, angle = then[..., :3], then[..., 3:]
-    inner, w = first[..., :3], first[..., 3:]
-    turned = angle * inner + w * axis + np.cross(axis, inner)
-    return np.concatenate([turned, angle * w - (inner * axis).sum(-1, keepdims=True)], axis=-1)
-
-
-def _quaternion(turn: FloatArray) -> FloatArray:
-    """(4,) quaternion x, y, z, w of the rotation nearest to a matrix (3, 3) for points as rows."""
-    u, _, vt = np.linalg.svd(turn)
-    nearest = u @ vt
-    return np.asarray(Rotation.from_matrix(nearest.T * np.linalg.det(nearest)).as_quat())

@@ -45,68 +45,50 @@ def without_draco(document: Document) -> Document:
     ]
     if not compressed:
         return document
-    plain = _Plain(document)
+    binary, meshes = Binary(document), list(document.entries("meshes"))
     for number, place in compressed:
-        plain.decompress(number, place)
-    return plain.document()
+        primitives = list(meshes[number]["primitives"])
+        primitives[place] = _decompressed(document, binary, primitives[place], f"meshes {number}, primitive {place}")
+        meshes[number] = meshes[number] | {"primitives": primitives}
+    top = document.json | {"meshes": meshes}
+    for name in ("extensionsUsed", "extensionsRequired"):
+        top[name] = [extension for extension in document.entries(name) if extension != DRACO]
+        if not top[name]:
+            top.pop(name)
+    return binary.document(top)
 
 
-class _Plain:
-    """A document whose primitives are decompressed one by one."""
+def _decompressed(given: Document, binary: Binary, primitive: dict[str, Any], where: str) -> dict[str, Any]:
+    """Entry of a compressed primitive, decompressed; adds its arrays to ``binary``."""
+    extensions = given.table(primitive, "extensions", where)
+    packed = given.table(extensions, DRACO, where)
+    decoded = _decoded(given, bytes(view_bytes(given, packed.get("bufferView"), where)), where)
+    attributes = given.table(primitive, "attributes", where)
+    arrays = {entry["unique_id"]: np.asarray(entry["data"]) for entry in decoded.attributes}
+    listed = given.table(packed, "attributes", where).items()
+    named = {name: arrays.get(unique) for name, unique in listed if not isinstance(unique, list | dict)}
+    named |= _normalised({name: values for name, values in named.items() if name.startswith("WEIGHTS_")})
 
-    def __init__(self, document: Document) -> None:
-        self._given = document
-        self._meshes: list[Any] = list(document.entries("meshes"))
-        self._binary = Binary(document)
-
-    def decompress(self, number: int, place: int) -> None:
-        """Decompress one primitive of a mesh."""
-        given, where = self._given, f"meshes {number}, primitive {place}"
-        mesh = self._meshes[number]
-        primitive = mesh["primitives"][place]
-        extensions = given.table(primitive, "extensions", where)
-        packed = given.table(extensions, DRACO, where)
-        decoded = _decoded(given, bytes(view_bytes(given, packed.get("bufferView"), where)), where)
-        attributes = given.table(primitive, "attributes", where)
-        arrays = {entry["unique_id"]: np.asarray(entry["data"]) for entry in decoded.attributes}
-        listed = given.table(packed, "attributes", where).items()
-        named = {name: arrays.get(unique) for name, unique in listed if not isinstance(unique, list | dict)}
-        named |= _normalised({name: values for name, values in named.items() if name.startswith("WEIGHTS_")})
-        changed = {name: self._accessor(attributes.get(name), values, where) for name, values in named.items()}
-        indices = self._accessor(
-            primitive.get("indices"), np.asarray(decoded.faces, np.uint32).reshape(-1), where, INDICES
-        )
-        kept = {name: value for name, value in extensions.items() if name != DRACO}
-        plain = {name: value for name, value in primitive.items() if name != "extensions"}
-        plain |= {"attributes": attributes | changed, "indices": indices, "mode": 4}
-        primitives = list(mesh["primitives"])
-        primitives[place] = plain | ({"extensions": kept} if kept else {})
-        self._meshes[number] = mesh | {"primitives": primitives}
-
-    def document(self) -> Document:
-        """The decompressed document."""
-        given = self._given
-        top = given.json | {"meshes": self._meshes}
-        for name in ("extensionsUsed", "extensionsRequired"):
-            if left := [extension for extension in given.entries(name) if extension != DRACO]:
-                top[name] = left
-            else:
-                top.pop(name, None)
-        return self._binary.document(top)
-
-    def _accessor(self, number: object, array: NDArray[Any] | None, where: str, target: int = VERTICES) -> int:
-        """Add decompressed values; returns the number of their accessor, with names and extras of the file's."""
-        entry = self._given.entry("accessors", number, where)
+    def add(number: object, array: NDArray[Any] | None, target: int) -> int:
+        """Add values; returns the number of their accessor, with names and extras of the file's."""
+        entry = given.entry("accessors", number, where)
         kind = "" if array is None else f"{array.dtype.kind}{array.dtype.itemsize}"
         if array is None or kind not in COMPONENTS or not array.size:
-            self._given.refuse(where, "its Draco data lacks an attribute that it lists")
+            given.refuse(where, "its Draco data lacks an attribute that it lists")
         columns = array.size // len(array)
         if columns > 4:
-            self._given.refuse(where, "its Draco data has attributes of more than four columns")
+            given.refuse(where, "its Draco data has attributes of more than four columns")
         kept: dict[str, Any] = {name: entry[name] for name in ("name", "normalized", "extras") if name in entry}
         if {"min", "max"} <= set(entry) and kind == "f4":
             kept |= {end: getattr(array, end)(axis=0).tolist() for end in ("min", "max")}
-        return self._binary.accessor(array.reshape(-1) if columns == 1 else array.reshape(-1, columns), target, **kept)
+        return binary.accessor(array.reshape(-1) if columns == 1 else array.reshape(-1, columns), target, **kept)
+
+    changed = {name: add(attributes.get(name), values, VERTICES) for name, values in named.items()}
+    indices = add(primitive.get("indices"), np.asarray(decoded.faces, np.uint32).reshape(-1), INDICES)
+    kept = {name: value for name, value in extensions.items() if name != DRACO}
+    plain = {name: value for name, value in primitive.items() if name != "extensions"}
+    plain |= {"attributes": attributes | changed, "indices": indices, "mode": 4}
+    return plain | ({"extensions": kept} if kept else {})
 
 
 def _normalised(weights: dict[str, NDArray[Any] | None]) -> dict[str, NDArray[Any] | None]:
@@ -253,10 +235,7 @@ def packed(document: Document) -> Document:
     starts = [add(buffer) for buffer in document.buffers]
     views = []
     for number, view in enumerate(document.entries("bufferViews")):
-        buffer_number = document.whole(
-            document.entry("bufferViews", number).get("buffer"), "bufferViews", 0, len(starts) - 1
-        )
-        moved = starts[buffer_number] + document.whole(view.get("byteOffset", 0), f"bufferViews {number}")
+        moved = starts[view["buffer"]] + document.whole(view.get("byteOffset", 0), f"bufferViews {number}")
         views.append(view | {"buffer": 0, "byteOffset": moved} if moved else view | {"buffer": 0})
     images = []
     for number in range(len(document.entries("images"))):

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from cagemap.character.poses import decompose
 from cagemap.character.values import Rig
 from cagemap.files.gltf.entries import Document, read_accessor
 from cagemap.files.text import distinct
@@ -34,7 +35,9 @@ class Nodes:
 def read_nodes(document: Document) -> Nodes:
     """The nodes of a document."""
     count = len(document.entries("nodes"))
-    children = [_children(document, number) for number in range(count)]
+    children = [
+        document.entries("children", document.entry("nodes", number), f"nodes {number}") for number in range(count)
+    ]
     parents = np.full(count, -1, dtype=np.int64)
     for number, listed in enumerate(children):
         for child in listed:
@@ -56,12 +59,6 @@ def read_nodes(document: Document) -> Nodes:
     return Nodes(tuple(order), frozenset(_below(_roots(document, parents), children)), parents, local, world, names)
 
 
-def _children(document: Document, number: int) -> list[int]:
-    where = f"nodes {number}"
-    children = document.entries("children", document.entry("nodes", number), where)
-    return [document.whole(child, f"{where}: child", 0, len(document.entries("nodes")) - 1) for child in children]
-
-
 def _below(roots: list[int], children: list[list[int]]) -> list[int]:
     """The roots and all nodes below them, depth first."""
     ordered, open_nodes = [], list(reversed(roots))
@@ -80,9 +77,7 @@ def _roots(document: Document, parents: IndexArray) -> list[int]:
     """Root nodes of the displayed scene; all root nodes if there are no scenes."""
     if not document.entries("scenes"):
         return np.flatnonzero(parents < 0).tolist()
-    scene = document.entry("scenes", document.json.get("scene", 0))
-    listed = document.entries("nodes", scene, "scenes")
-    return [document.whole(number, "scenes: node", 0, len(parents) - 1) for number in listed]
+    return document.entries("nodes", document.entry("scenes", document.json.get("scene", 0)), "scenes")
 
 
 def _local(document: Document, number: int) -> FloatArray:
@@ -125,14 +120,10 @@ def transform(translation: FloatArray, quaternion: FloatArray, scale: FloatArray
 
 def decomposed(matrix: FloatArray) -> dict[str, list[float]]:
     """Translation, rotation and scale of a transform (4, 4), as in a node's entry; ``matrix`` if it has shear."""
-    scale = np.linalg.norm(matrix[:3, :3], axis=1)
-    if np.linalg.det(matrix[:3, :3]) < 0.0:
-        scale = -scale
-    turn = matrix[:3, :3] / np.where(scale == 0.0, 1.0, scale)[:, None]
+    translation, turn, scale = decompose(matrix)
     if (scale == 0.0).any() or np.abs(turn @ turn.T - np.eye(3)).max() > _SHEAR:
         return {"matrix": matrix.ravel().tolist()}
-    rotation = Rotation.from_matrix(turn.T).as_quat()
-    parts = {"translation": matrix[3, :3], "rotation": rotation, "scale": scale}
+    parts = {"translation": translation, "rotation": Rotation.from_matrix(turn.T).as_quat(), "scale": scale}
     return {
         name: part.tolist() for name, part in parts.items() if np.abs(part - _REST[name]).max() > _TRANSFORM_ROUNDING
     }
@@ -163,16 +154,12 @@ class Joints:
     above: FloatArray = field(repr=False)
 
 
-def read_skins(document: Document, nodes: Nodes) -> tuple[Skin, ...]:
-    """Skins of a document; the joints of each are unique."""
-    return tuple(_skin(document, nodes, number) for number in range(len(document.entries("skins"))))
-
-
-def _skin(document: Document, nodes: Nodes, number: int) -> Skin:
+def read_skin(document: Document, nodes: Nodes, number: int) -> Skin:
+    """A skin of a document; its joints are unique."""
     where = f"skins {number}"
     entry = document.entry("skins", number)
     count = len(nodes.names)
-    joints = [document.whole(joint, f"{where}: joint", 0, count - 1) for joint in document.entries("joints", entry)]
+    joints = document.entries("joints", entry, where)
     if not joints or len(set(joints)) != len(joints):
         document.refuse(where, f"expected different joints, got {len(joints)} of {len(set(joints))} nodes")
     stated = entry.get("inverseBindMatrices")
@@ -248,7 +235,7 @@ def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> Jo
         if parent >= 0:
             above[node] = np.eye(4) if joint_of[parent] >= 0 else nodes.local[parent] @ above[parent]
             if joint_of[node] >= 0:
-                parents[joint_of[node]] = _nearest(nodes, joint_of, int(parent))
+                parents[joint_of[node]] = nearest_joint(nodes, joint_of, int(parent))
     local = nodes.local[chosen] @ above[chosen]
     bind = np.full((len(chosen), 4, 4), np.nan)
     for skin in reversed(skins):
@@ -289,14 +276,11 @@ def _with_bound(rig: Rig, joints: IndexArray, skin: Skin, taken: tuple[str, ...]
 def _joint_nodes(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> list[int]:
     """Nodes that become joints, parents before children."""
     stated = {int(node) for skin in skins for node in skin.nodes}
-    targets = [
+    moved = {
         document.table(channel, "target", "animations").get("node")
         for animation in document.entries("animations")
-        if isinstance(animation, dict)
         for channel in document.entries("channels", animation, "animations")
-        if isinstance(channel, dict)
-    ]
-    moved = {node for node in targets if isinstance(node, int)}
+    }
     turned = nodes.local[:, :3, :3]
     lengths = np.linalg.norm(turned, axis=2)
     even = np.ptp(lengths, axis=1) <= 1e-4 * lengths.max(axis=1, initial=0.0)
@@ -310,13 +294,8 @@ def _joint_nodes(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> l
     return [node for node in nodes.order if node in chosen]
 
 
-def _nearest(nodes: Nodes, joint_of: IndexArray, node: int) -> int:
+def nearest_joint(nodes: Nodes, joint_of: IndexArray, node: int) -> int:
     """The joint of a node or of its nearest ancestor; -1 if none of them is a joint."""
     while node >= 0 and joint_of[node] < 0:
         node = int(nodes.parents[node])
     return int(joint_of[node]) if node >= 0 else -1
-
-
-def nearest_joint(nodes: Nodes, joints: Joints, node: int) -> int:
-    """The joint of a node's nearest ancestor; -1 if no ancestor is a joint."""
-    return _nearest(nodes, joints.joint_of, int(nodes.parents[node]))

@@ -19,7 +19,7 @@ from cagemap.files.gltf.nodes import (
     nearest_joint,
     read_joints,
     read_nodes,
-    read_skins,
+    read_skin,
     rounded,
 )
 from cagemap.files.gltf.primitives import VertexArrays, read_vertex_arrays
@@ -65,14 +65,13 @@ def read_scene(document: Document) -> Scene:
     pose: meshes that were bound in another pose are moved to it. A mesh below a joint follows that joint.
     """
     nodes = read_nodes(document)
-    skins = read_skins(document, nodes)
+    skins = tuple(read_skin(document, nodes, number) for number in range(len(document.entries("skins"))))
     joints = read_joints(document, nodes, skins)
     parts = []
     for node in nodes.order:
         entry = document.entry("nodes", node)
         if node not in nodes.in_scene or entry.get("mesh") is None:
             continue
-        document.entry("meshes", entry["mesh"], f"nodes {node}")
         name = nodes.names[node] if entry.get("name") else document.name("meshes", int(entry["mesh"]))
         arrays = read_vertex_arrays(document, int(entry["mesh"]), name or nodes.names[node])
         if _INSTANCES in document.table(entry, "extensions", f"nodes {node}"):
@@ -101,14 +100,13 @@ def _placed(
     stated = document.entry("nodes", node).get("skin")
     weights, changes, whole = None, None, nodes.world[node]
     if stated is not None and joints is not None:
-        number = document.whole(stated, f"nodes {node}: skin", 0, len(skins) - 1)
-        skin, of = skins[number], joints.of_skins[number]
+        skin, of = skins[stated], joints.of_skins[stated]
         if arrays.joints.shape[1]:
             weights = _weights(document, arrays, of, joints, node)
             whole = skin.to_world
             changes = np.tile(whole, (len(joints.rig.names), 1, 1))
             changes[of] = skin.inverse_bind @ joints.rig.bind[of]
-    elif joints is not None and (above := nearest_joint(nodes, joints, node)) >= 0:
+    elif joints is not None and (above := nearest_joint(nodes, joints.joint_of, int(nodes.parents[node]))) >= 0:
         count = arrays.control.n_vertices
         weights = sparse.csr_array(
             (np.ones(count), (np.arange(count), np.full(count, above))), shape=(count, len(joints.rig.names))

@@ -64,9 +64,7 @@ def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArra
     where = f"meshes {number}"
     primitives = document.entries("primitives", document.entry("meshes", number), where)
     groups: dict[str, list[dict[str, Any]]] = {}
-    for place, primitive in enumerate(primitives):
-        if not isinstance(primitive, dict):
-            document.refuse(f"{where}, primitive {place}", f"expected an object, got {shown(primitive)}")
+    for primitive in primitives:
         if primitive.get("mode", TRIANGLES) in _LINES:
             _log.warning("%s: points and lines of %s are left out", document.file, name)
             continue
@@ -158,8 +156,6 @@ def _shapes(
     targets = document.entries("targets", primitive, where)
     shapes = {}
     for name, target in zip(shape_names(document, number, len(targets)), targets, strict=True):
-        if not isinstance(target, dict):
-            document.refuse(where, f"expected an object as a morph target, got {shown(target)}")
         if {"POSITION", attribute} <= set(target):
             offsets = read_accessor(document, target[attribute], f"{where}: shape {name}", ("VEC3",), count)
             shapes[name] = offsets.astype(np.float64)

@@ -39,10 +39,6 @@ def write_glb(path: str | Path, mesh: ControlMesh, *, to_metres: FloatArray | No
     ``to_metres``: (4, 4) transform of the node, for points as rows: from the mesh's space to metres with Y up, as glTF
     demands.
     """
-    write_whole(path, _packed(mesh, to_metres), force=force)
-
-
-def _packed(mesh: ControlMesh, to_metres: FloatArray | None) -> bytes:
     # Stored by columns for points as columns: the rows of a matrix for points as rows.
     placed = {} if to_metres is None else {"matrix": to_metres.ravel().tolist()}
     binary = Binary()
@@ -56,7 +52,7 @@ def _packed(mesh: ControlMesh, to_metres: FloatArray | None) -> bytes:
     }
     if count:
         top["materials"] = [material_entry(mesh, number) for number in range(count)]
-    return glb_bytes(binary.document(top))
+    write_whole(path, glb_bytes(binary.document(top)), force=force)
 
 
 def material_entry(mesh: ControlMesh, number: int) -> dict[str, Any]:

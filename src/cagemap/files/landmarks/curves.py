@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -107,11 +107,11 @@ def _named(path: Path, number: int, item: Any, form: str) -> tuple[str, dict[str
 def _chain(path: Path, name: str, key: str, values: Any, closed: bool | None, form: str) -> tuple[IndexArray, bool]:
     """Vertices of a curve in order, and whether it is closed, from ordered vertices or unordered edges."""
     values = values if isinstance(values, list) else []
-    if values and all(_is_vertex(value) for value in values):
+    if values and all(map(is_vertex, values)):
         if len(values) > 1 and values[0] == values[-1]:  # the first vertex repeated at the end: closed
             values, closed = values[:-1], True
         return np.array(values, dtype=np.int64), bool(closed)
-    edges = values and all(isinstance(e, list) and len(e) == 2 and all(map(_is_vertex, e)) for e in values)
+    edges = values and all(isinstance(e, list) and len(e) == 2 and all(map(is_vertex, e)) for e in values)
     if not edges:
         raise FormatError(
             f"{path}: curve '{name}': expected control vertices, or edges [[3, 4], [4, 9], ...], as '{key}', got "
@@ -123,5 +123,6 @@ def _chain(path: Path, name: str, key: str, values: Any, closed: bool | None, fo
         raise FormatError(f"{path}: curve '{name}', '{key}': {error}") from None
 
 
-def _is_vertex(value: Any) -> bool:
+def is_vertex(value: Any) -> TypeGuard[int]:
+    """Whether a value of JSON, where true and false are no integers, is a vertex number."""
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < _LARGEST

@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.landmarks.curves import MESH_FORM, curve_through, mesh_curves
+from cagemap.files.landmarks.curves import MESH_FORM, curve_through, is_vertex, mesh_curves
 from cagemap.files.npz import read_npy
 from cagemap.files.schema import parse_json
 from cagemap.files.text import read_bytes, read_text, whole_characters
@@ -83,7 +83,7 @@ def _json(path: Path, text: str, mesh: ControlMesh | None) -> NamedPoints:
 def _own(path: Path, number: int, item: Any) -> tuple[str, int, tuple[float, float, float] | None]:
     entry = item if isinstance(item, dict) else {}
     name, vertex = str(entry.get("name", f"point {number}")), entry.get("vertex")
-    if isinstance(vertex, int) and not isinstance(vertex, bool) and 0 <= vertex < 2**62:
+    if is_vertex(vertex):
         return name, vertex, None
     if "position" in entry:
         return name, -1, _place(path, name, entry["position"])

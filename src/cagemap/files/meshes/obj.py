@@ -283,15 +283,15 @@ def _warn_of_equal_objects(
 ) -> None:
     """Warn of objects of one name without common vertices. Exporters repeat the name of one object, too."""
     blocks = np.searchsorted(statements.rows(_OBJECT), corners.rows)
-    if face_objects is None or len(np.unique(blocks)) == len(names):
+    different, first = np.unique(blocks, return_index=True)
+    if face_objects is None or len(different) == len(names):
         return
-    for number, name in enumerate(names):
+    for number in np.flatnonzero(np.bincount(face_objects[first]) > 1).tolist():
         of_object = (face_objects == number)[corners.faces]
         used = np.column_stack([blocks[corners.faces], face_indices])[of_object]
-        count = len(np.unique(used[:, 0]))
-        if count > 1 and len(np.unique(used, axis=0)) == len(np.unique(used[:, 1])):
+        if len(np.unique(used, axis=0)) == len(np.unique(used[:, 1])):
             text = "%s: %d objects are named %s and become one. Give each its own name to match or select them apart."
-            _log.warning(text, statements.path, count, name)
+            _log.warning(text, statements.path, len(np.unique(used[:, 0])), names[number])
 
 
 def _read_vertex_colors(statements: _Statements, n_vertices: int) -> FloatArray | None:

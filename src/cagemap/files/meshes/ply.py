@@ -20,6 +20,7 @@ from cagemap.files.ownership import mark
 from cagemap.files.text import read_bytes
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV
+from cagemap.mesh.faces import merged_corners
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -126,12 +127,7 @@ def _uvs(
         if not np.isfinite(values).all():
             raise FormatError(f"{path}: expected finite texture coordinates, got NaN or infinity. Unwrap again.")
         warn_of_bare_faces(path, int(bare.sum()), len(sizes))
-        keys = np.column_stack([np.where(has_uv, indices, -1), values])
-        order = np.lexsort(keys.T)
-        fresh = np.concatenate([[True], np.any(keys[order][1:] != keys[order][:-1], axis=1)])
-        uv_indices = np.empty(len(indices), dtype=np.int64)
-        uv_indices[order] = np.cumsum(fresh) - 1
-        return values[order][fresh], uv_indices
+        return merged_corners(np.where(has_uv, indices, -1), values)
     for names in _VERTEX_UVS:
         table = _table(path, vertices, names, "texture coordinates")
         if table is not None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
+from cagemap.files.usd.stages import usd_modules
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import merged_corners
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -24,10 +25,8 @@ BLEND_SHAPE = "blendShape:"
 
 def stated(attribute: Any) -> Any:
     """Value of an attribute or primvar: the default one, else that of its first time sample."""
-    from pxr import Usd
-
     value = attribute.Get()
-    return attribute.Get(Usd.TimeCode.EarliestTime()) if value is None else value
+    return attribute.Get(usd_modules().Usd.TimeCode.EarliestTime()) if value is None else value
 
 
 def bind_transform(prim: Any) -> FloatArray:
@@ -53,10 +52,8 @@ def integers(values: Any) -> IndexArray:
 
 def uv_primvars(prim: Any) -> list[Any]:
     """Primvars with texture coordinates: pairs of floats by role, or by the usual names of a first set."""
-    from pxr import UsdGeom
-
     primvars = []
-    for primvar in UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
+    for primvar in usd_modules().UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
         kind = str(primvar.GetTypeName()).removesuffix("[]")
         plain = kind in ("float2", "double2", "half2") and primvar.GetPrimvarName() in ("st", "uv", "UVMap")
         if (kind.startswith("texCoord2") or plain) and primvar.HasValue():
@@ -89,9 +86,7 @@ def _at_corners(where: str, control: ControlMesh, primvar: Any) -> tuple[FloatAr
 
 def display_colors(where: str, control: ControlMesh, prim: Any) -> tuple[str, FloatArray | None]:
     """Interpolation and linear colour and opacity (c, 4) of the face corners; None without, or with one for all."""
-    from pxr import UsdGeom
-
-    api = UsdGeom.PrimvarsAPI(prim)
+    api = usd_modules().UsdGeom.PrimvarsAPI(prim)
     color, opacity = map(api.FindPrimvarWithInheritance, ("displayColor", "displayOpacity"))
     interpolation = str(color.GetInterpolation()) if color.HasValue() and len(stated(color)) else "constant"
     if interpolation == "constant":
@@ -123,8 +118,6 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
     Constant primvars are left out, since they are no function on the mesh. Skinning weights have a column for each
     joint.
     """
-    from pxr import UsdGeom
-
     taken = {primvar.GetPrimvarName() for primvar in uv_primvars(prim)}
     rows = {
         "uniform": control.n_faces,
@@ -133,7 +126,7 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
         "faceVarying": len(control.face_indices),
     }
     arrays: dict[str, NDArray[Any]] = {}
-    for primvar in UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
+    for primvar in usd_modules().UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
         name = primvar.GetPrimvarName()
         if name in taken or name.startswith("skel:") or not primvar.HasValue():
             continue
@@ -155,9 +148,7 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
 
 def corner_primvars(prim: Any) -> frozenset[str]:
     """Names of primvars with a value for each face corner."""
-    from pxr import UsdGeom
-
-    primvars = UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance()
+    primvars = usd_modules().UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance()
     return frozenset(primvar.GetPrimvarName() for primvar in primvars if primvar.GetInterpolation() == "faceVarying")
 
 
@@ -171,16 +162,10 @@ def primvar_values(where: str, primvar: Any) -> tuple[NDArray[Any], IndexArray, 
         values = values.astype(np.float32)
     numbers = np.arange(len(values))
     if primvar.IsIndexed():
-        numbers = integers(_indices(primvar))
+        numbers = integers(primvar.GetIndices() or primvar.GetIndices(usd_modules().Usd.TimeCode.EarliestTime()))
         if len(numbers) and (numbers.min() < 0 or numbers.max() >= len(values)):
             _refuse(where, primvar, f"got indices from {numbers.min()} to {numbers.max()} into {len(values)} values")
     return values, numbers, str(primvar.GetInterpolation())
-
-
-def _indices(primvar: Any) -> Any:
-    from pxr import Usd
-
-    return primvar.GetIndices() or primvar.GetIndices(Usd.TimeCode.EarliestTime())
 
 
 def _refuse(where: str, primvar: Any, found: str) -> None:
@@ -192,12 +177,10 @@ def _refuse(where: str, primvar: Any, found: str) -> None:
 
 def _weights(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:
     """``skel:jointWeights`` as a dense table (n, joints), in the order of the skeleton's joints if there is one."""
-    from pxr import UsdGeom
-
     stated_by = [_skinning_attribute(prim, f"primvars:skel:{name}") for name in ("jointIndices", "jointWeights")]
     if None in stated_by:
         return {}
-    indices, weights = map(UsdGeom.Primvar, stated_by)
+    indices, weights = map(usd_modules().UsdGeom.Primvar, stated_by)
     joints, rows, _ = primvar_values(where, indices)
     values, weight_rows, interpolation = primvar_values(where, weights)
     joints, values = joints.reshape(len(joints), -1)[rows], values.reshape(len(values), -1)[weight_rows]
@@ -213,9 +196,7 @@ def _weights(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[A
 
 def _in_skeleton_order(where: str, weights: Any, joints: NDArray[Any], prim: Any) -> tuple[NDArray[Any], int]:
     """Joint numbers in the order of the bound skeleton, and its number of joints."""
-    from pxr import UsdSkel
-
-    skeleton = UsdSkel.BindingAPI(prim).GetInheritedSkeleton()
+    skeleton = usd_modules().UsdSkel.BindingAPI(prim).GetInheritedSkeleton()
     joints_of_skeleton = list(skeleton.GetJointsAttr().Get() or []) if skeleton else []
     order = _skinning_attribute(prim, "skel:joints")
     joints_of_mesh = list((order and order.Get()) or joints_of_skeleton)
@@ -231,9 +212,8 @@ def _in_skeleton_order(where: str, weights: Any, joints: NDArray[Any], prim: Any
 
 def blend_shapes(where: str, control: ControlMesh, prim: Any) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
     """Offsets (n, 3) of all vertices by name of a blend shape, and offsets of normals of shapes that state them."""
-    from pxr import UsdSkel
-
-    binding = UsdSkel.BindingAPI(prim)
+    pxr = usd_modules()
+    binding = pxr.UsdSkel.BindingAPI(prim)
     names = binding.GetBlendShapesAttr().Get() or []
     targets = binding.GetBlendShapeTargetsRel().GetTargets() if len(names) else []
     if len(names) != len(targets):
@@ -243,7 +223,7 @@ def blend_shapes(where: str, control: ControlMesh, prim: Any) -> tuple[dict[str,
         )
     shapes, shape_normals = dict[str, FloatArray](), dict[str, FloatArray]()
     for name, target in zip(names, targets, strict=True):
-        shape = UsdSkel.BlendShape(prim.GetStage().GetPrimAtPath(target))
+        shape = pxr.UsdSkel.BlendShape(prim.GetStage().GetPrimAtPath(target))
         if not shape:
             raise FormatError(f"{where}: blend shape {name}: {target} is no blend shape. Export it again.")
         if shape.GetInbetweens():
@@ -278,8 +258,7 @@ def face_sets(prim: Any, n_faces: int, labels: Mapping[str, str]) -> dict[str, A
 
     ``labels``: names of materials by path.
     """
-    from pxr import UsdGeom
-
+    pxr = usd_modules()
     materials = np.full(n_faces, -1, dtype=np.int64)
     names: list[str] = []
     groups: list[tuple[str, IndexArray]] = []
@@ -296,7 +275,7 @@ def face_sets(prim: Any, n_faces: int, labels: Mapping[str, str]) -> dict[str, A
     bound = _bound_material(prim)
     if bound:
         materials[:] = number(bound)
-    for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(prim)):
+    for subset in pxr.UsdGeom.Subset.GetAllGeomSubsets(pxr.UsdGeom.Imageable(prim)):
         faces = integers(stated(subset.GetIndicesAttr()))
         if subset.GetElementTypeAttr().Get() != "face" or not len(faces) or faces.min() < 0 or faces.max() >= n_faces:
             continue
@@ -320,9 +299,7 @@ def face_sets(prim: Any, n_faces: int, labels: Mapping[str, str]) -> dict[str, A
 
 def _bound_material(prim: Any) -> Any:
     """The material of a prim in previews, else in final renderings; also one of a prim above it or of a collection."""
-    from pxr import UsdShade
-
-    api = UsdShade.MaterialBindingAPI(prim)
+    api = usd_modules().UsdShade.MaterialBindingAPI(prim)
     return api.ComputeBoundMaterial("preview")[0] or api.ComputeBoundMaterial("full")[0]
 
 
@@ -401,10 +378,9 @@ def unflattened(file: Path, prims: list[Any]) -> list[Any]:
 
 
 def _to_world(prim: Any) -> FloatArray:
-    from pxr import Usd, UsdGeom
-
-    time = Usd.TimeCode.EarliestTime()
-    return np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time), dtype=np.float64)
+    pxr = usd_modules()
+    time = pxr.Usd.TimeCode.EarliestTime()
+    return np.array(pxr.UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time), dtype=np.float64)
 
 
 def _is_flattening(matrix: FloatArray) -> bool:

@@ -174,9 +174,7 @@ def one_mesh(path: str | Path, meshes: tuple[UsdMesh, ...], control: ControlMesh
     """The mesh that a control mesh was read from: the only one of a file, or the one of all its faces."""
     if len(meshes) == 1:
         return meshes[0]
-    objects = None if control is None else control.face_objects
-    numbers = [] if control is None or objects is None else np.unique(objects).tolist()
-    words = {control.object_names[number] for number in numbers} if control is not None else set()
+    words = [] if control is None else objects_of(control)
     chosen = [mesh for mesh in meshes if mesh.path in words]
     if len(chosen) != 1:
         raise FormatError(
@@ -184,6 +182,12 @@ def one_mesh(path: str | Path, meshes: tuple[UsdMesh, ...], control: ControlMesh
             "(`find_part` NAME), or make what is meant a file of its own."
         )
     return chosen[0]
+
+
+def objects_of(control: ControlMesh) -> list[str]:
+    """Names of the objects of a mesh's faces."""
+    numbers = [] if control.face_objects is None else np.unique(control.face_objects).tolist()
+    return [control.object_names[number] for number in numbers]
 
 
 def in_world(mesh: UsdMesh) -> UsdMesh:

@@ -66,24 +66,22 @@ def bind_textures(stage: Any, prim: Any, textures: Mapping[str, str], uv_name: s
     ``textures``: image by map name; paths relative to the layer, ``<UDIM>`` for a set.
     ``uv_name``: primvar of the texture coordinates.
     """
-    from pxr import Tf, UsdShade
-
+    pxr = usd_modules()
     root = prim.GetPath().GetPrefixes()[0]
     material, surface = define_material(stage, root.AppendChild(MATERIAL))
     # Named by its UV set: textures of an earlier transfer may use another one.
-    reader = uv_reader(stage, material.GetPath().AppendChild(Tf.MakeValidIdentifier(f"uv_{uv_name}")), uv_name)
+    reader = uv_reader(stage, material.GetPath().AppendChild(pxr.Tf.MakeValidIdentifier(f"uv_{uv_name}")), uv_name)
     for role, name in preview_inputs(textures).items():
         connect_texture(stage, surface, name, textures[role], reader)
     # Materials of subsets of the mesh would hide it.
-    UsdShade.MaterialBindingAPI.Apply(prim).Bind(material, UsdShade.Tokens.strongerThanDescendants)
+    pxr.UsdShade.MaterialBindingAPI.Apply(prim).Bind(material, pxr.UsdShade.Tokens.strongerThanDescendants)
 
 
 def define_material(stage: Any, path: Any) -> tuple[Any, Any]:
     """Define a material with a UsdPreviewSurface; returns both."""
-    from pxr import UsdShade
-
-    material = UsdShade.Material.Define(stage, path)
-    surface = UsdShade.Shader.Define(stage, material.GetPath().AppendChild("surface"))
+    pxr = usd_modules()
+    material = pxr.UsdShade.Material.Define(stage, path)
+    surface = pxr.UsdShade.Shader.Define(stage, material.GetPath().AppendChild("surface"))
     surface.CreateIdAttr("UsdPreviewSurface")
     material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
     return material, surface
@@ -91,12 +89,11 @@ def define_material(stage: Any, path: Any) -> tuple[Any, Any]:
 
 def uv_reader(stage: Any, path: Any, uv_name: str) -> Any:
     """Define the shader that reads texture coordinates from a primvar."""
-    from pxr import Sdf, UsdShade
-
-    reader = UsdShade.Shader.Define(stage, path)
+    pxr = usd_modules()
+    reader = pxr.UsdShade.Shader.Define(stage, path)
     reader.CreateIdAttr("UsdPrimvarReader_float2")
-    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set(uv_name)
-    reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+    reader.CreateInput("varname", pxr.Sdf.ValueTypeNames.String).Set(uv_name)
+    reader.CreateOutput("result", pxr.Sdf.ValueTypeNames.Float2)
     return reader
 
 
@@ -116,12 +113,11 @@ def connect_texture(
     ``output``: channels of the image; default: the usual ones of the input.
     ``settings``: of the texture shader, such as ``scale``.
     """
-    from pxr import Sdf, UsdShade
-
-    types = Sdf.ValueTypeNames
+    pxr = usd_modules()
+    types = pxr.Sdf.ValueTypeNames
     kind, usual_output, is_color, _ = _INPUTS[name]
     output = output or usual_output
-    texture = UsdShade.Shader.Define(stage, surface.GetPath().GetParentPath().AppendChild(f"{name}_texture"))
+    texture = pxr.UsdShade.Shader.Define(stage, surface.GetPath().GetParentPath().AppendChild(f"{name}_texture"))
     texture.CreateIdAttr("UsdUVTexture")
     texture.CreateInput("file", types.Asset).Set(image)
     texture.CreateInput("sourceColorSpace", types.Token).Set("auto" if is_color else "raw")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.character.joints import Skeleton, tails_of
-from cagemap.character.poses import parent_transforms
+from cagemap.character.poses import parent_transforms, rotations_of
 from cagemap.errors import FormatError
 from cagemap.files.usd.prims import bind_transform, integers, moved
 from cagemap.files.usd.read import one_mesh, read_usd_meshes
@@ -131,11 +131,8 @@ def _binds(skeleton: Skeleton, to_root: FloatArray) -> FloatArray:
     """(j, 4, 4) bind transforms, from the heads and the axes as rotations."""
     count = len(skeleton.names)
     axes = np.tile(np.eye(3), (count, 1, 1)) if skeleton.axes is None else skeleton.axes
-    u, _, vt = np.linalg.svd(axes @ to_root[:3, :3])
-    turned = u @ vt
-    turned[np.linalg.det(turned) < 0] *= -1.0
     binds = np.tile(np.eye(4), (count, 1, 1))
-    binds[:, :3, :3] = turned
+    binds[:, :3, :3] = rotations_of(axes @ to_root[:3, :3])
     binds[:, 3, :3] = moved(skeleton.heads, to_root)
     return binds
 

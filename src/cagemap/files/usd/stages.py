@@ -119,12 +119,16 @@ def _reason(error: Exception) -> str:
 def named_damage(file: str | Path) -> Iterator[None]:
     """Turn errors of damaged values into a FormatError; USD unpacks values only when they are read."""
     pxr = usd_modules()
+    diagnostics = pxr.UsdUtils.CoalescingDiagnosticDelegate()  # as in `_opened`
     try:
         yield
     except FormatError:
         raise
     except (pxr.Tf.ErrorException, RuntimeError, UnicodeDecodeError, TypeError, ValueError) as error:
         raise FormatError(f"{file}: holds values that are damaged ({_reason(error)}). Export it again.") from None
+    finally:
+        for entry in diagnostics.TakeUncoalescedDiagnostics():
+            logger.debug("%s: %s", file, entry.commentary)
 
 
 _LAYERS = (".usd", ".usda", ".usdc")

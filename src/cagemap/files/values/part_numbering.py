@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import input_file
-from cagemap.files.usd.read import UsdMesh, in_world, read_usd, read_usd_meshes
+from cagemap.files.usd.read import UsdMesh, in_world, objects_of, read_usd, read_usd_meshes
 from cagemap.files.usd.stages import is_usd
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
@@ -156,16 +156,10 @@ def rows_of(path: Path | None, control: ControlMesh) -> FileRows | None:
     if not is_usd(path):
         return FileRows(control, read_mesh(path))
     meshes = read_usd_meshes(path)
-    inside = [] if len(meshes) < 2 else _objects(control)
+    inside = [] if len(meshes) < 2 else objects_of(control)
     if len(inside) != 1:
         return FileRows(control, read_usd(path, mixed=True))
     return prim_rows([in_world(mesh) for mesh in meshes], inside[0], control)
-
-
-def _objects(control: ControlMesh) -> list[str]:
-    """Names of the objects of a mesh's faces."""
-    numbers = [] if control.face_objects is None else np.unique(control.face_objects).tolist()
-    return [control.object_names[number] for number in numbers]
 
 
 def prim_rows(meshes: Sequence[UsdMesh], prim: str, control: ControlMesh) -> FileRows | None:
