@@ -15,7 +15,7 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.control_mesh import NO_UV, ControlMesh, UvSet
 from cagemap.mesh.faces import keep_faces
 from cagemap.mesh.topology import face_components, face_pieces
-from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of, places_of
+from cagemap.numerics.arrays import FloatArray, IndexArray, members_of, offsets_of, places_of
 
 PART_KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
@@ -49,7 +49,7 @@ def list_parts(mesh: ControlMesh, *, pieces: bool = True) -> tuple[Part, ...]:
 def connected_parts(mesh: ControlMesh) -> tuple[Part, ...]:
     """Connected components, named as described in `Part`."""
     labels = face_components(mesh)
-    pieces = _members(labels)
+    pieces = members_of(labels)
     names = [str(number) for number in range(len(pieces))]
     for _, numbers, words in reversed(mesh.partitions):
         if numbers is None:
@@ -64,13 +64,6 @@ def connected_parts(mesh: ControlMesh) -> tuple[Part, ...]:
     return tuple(Part("component", name, faces) for name, faces in zip(names, pieces, strict=True))
 
 
-def _members(labels: IndexArray) -> list[IndexArray]:
-    """Ascending indices of every label from 0 on."""
-    if not len(labels):
-        return []
-    return np.split(np.argsort(labels, kind="stable"), np.cumsum(np.bincount(labels))[:-1])
-
-
 def material_pieces(mesh: ControlMesh) -> tuple[Part, ...]:
     """One part per named material, split into numbered parts where not connected."""
     materials = [part for part in list_parts(mesh, pieces=False) if part.kind == "material"]
@@ -79,7 +72,7 @@ def material_pieces(mesh: ControlMesh) -> tuple[Part, ...]:
 
 def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
     """Split a part into numbered connected parts; a connected part keeps its name."""
-    pieces = [part.faces[piece] for piece in _members(face_components(keep_faces(mesh, part.faces)))]
+    pieces = [part.faces[piece] for piece in members_of(face_components(keep_faces(mesh, part.faces)))]
     names = [part.name] if len(pieces) == 1 else [f"{part.name} {number}" for number in range(len(pieces))]
     return tuple(Part(part.kind, name, faces) for name, faces in zip(names, pieces, strict=True))
 
@@ -212,8 +205,8 @@ def pair_parts(
     """Pair the pieces of two meshes by shared landmarks, then by name, then the only remaining ones.
 
     ``landmarks`` (p, 2) are target and source vertices; ``pieces`` are connected parts by default. A name whose last
-    word is a number ("arm 2") is ignored. Returns the pairs, larger target pieces first, and the unpaired pieces of
-    target and source.
+    word is a number ("arm 2") is ignored. Also returns the unpaired pieces of target and source; larger target pieces
+    come first.
     """
     of_target, of_source = pieces or (connected_parts(target), connected_parts(source))
     target_parts = sorted(of_target, key=lambda part: -len(part.faces))
