@@ -31,14 +31,16 @@ docs: .venv/develop  ## docs/_build/html, warnings are errors
 bench: .venv/develop  ## measured tables
 	$(BIN)/python -m benchmarks
 
-blender: .venv/develop  ## dist/cagemap-*.zip, the Blender extension for every platform
+blender: .venv/develop  ## dist/cagemap-*.zip, the extension for every Blender and platform
 	$(BIN)/python blender/build.py
 
 # Blender as a package, 400 MB; of Blender 4.2: make test-blender BPY="bpy==4.2.* numpy==1.24.3"
+# of Blender 5.1: make test-blender BPY="bpy==5.1.*" BPY_PYTHON=python3.13
 BPY ?= bpy==5.0.*
+BPY_PYTHON ?= python3.11
 
 test-blender: .venv/develop  ## install the extension in a fresh profile of Blender and press every button
-	python3.11 -m venv --clear .venv/bpy
+	$(BPY_PYTHON) -m venv --clear .venv/bpy
 	.venv/bpy/bin/python -m pip install --quiet $(BPY)
 	CAGEMAP_BPY=$(CURDIR)/.venv/bpy/bin/python $(BIN)/python -m pytest -n 0 -m "slow or not slow" tests/blender
 

@@ -1,7 +1,7 @@
-"""Build the extension for Blender: one zip file for each platform, with all wheels inside.
+"""Build the extension for Blender: one zip file for each platform and Python of Blender, with all wheels inside.
 
-``python blender/build.py [-o FOLDER] [PLATFORM ...]`` needs pip and hatchling (`make blender`). Wheels come from the
-package index that pip is set up for; cagemap's own is built from this tree.
+``python blender/build.py [-o FOLDER] [--python VERSION] [PLATFORM ...]`` needs pip and hatchling (`make blender`).
+Wheels come from the package index that pip is set up for; cagemap's own is built from this tree.
 """
 
 from __future__ import annotations
@@ -12,15 +12,16 @@ import sys
 import tempfile
 import tomllib
 import zipfile
+from itertools import product
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 EXTENSION = ROOT / "blender" / "cagemap_blender"
 # What `cagemap_blender.worker` imports; the other dependencies read files, draw and serve the command line.
 NEEDED = ("scipy", "numba", "rslab", "fast-simplification", "threadpoolctl")
-# Blender brings numpy; packages are chosen for that of its oldest version here, 4.2, and not packed.
-BLENDERS_NUMPY = "numpy==1.24.3"
-PYTHON = "3.11"  # of Blender 4.2 to 5.0
+# Blender's versions by their Python: the first one, and the first that has another Python; the oldest numpy among them,
+# which Blender brings: packages are chosen for it, and it is not packed.
+BLENDERS = {"3.11": ("4.2.0", "5.1.0", "numpy==1.24.3"), "3.13": ("5.1.0", None, "numpy==2.2.0")}
 # Blender's names of platforms, and the tags of wheels that run there.
 PLATFORMS = {
     "windows-x64": ("win_amd64",),
@@ -37,25 +38,27 @@ def requirements() -> list[str]:
     return [line for name in NEEDED for line in found if line.startswith(name)]
 
 
-def download(platform: str, folder: Path) -> None:
-    """Put the wheels of one platform into a folder."""
+def download(platform: str, python: str, folder: Path) -> None:
+    """Put the wheels of one platform and Python into a folder."""
     tags = [word for tag in PLATFORMS[platform] for word in ("--platform", tag)]
-    version = ["--python-version", PYTHON, "--implementation", "cp", "--only-binary=:all:"]
-    _pip("download", "-d", str(folder), *tags, *version, *requirements(), BLENDERS_NUMPY)
+    version = ["--python-version", python, "--implementation", "cp", "--only-binary=:all:"]
+    _pip("download", "-d", str(folder), *tags, *version, *requirements(), BLENDERS[python][2])
     for wheel in folder.glob("numpy-*.whl"):
         wheel.unlink()
 
 
-def build(platform: str, own: Path, folder: Path) -> Path:
-    """Write the zip file of one platform; returns its path."""
+def build(platform: str, python: str, own: Path, folder: Path) -> Path:
+    """Write the zip file of one platform and Python; returns its path."""
     manifest = (EXTENSION / "blender_manifest.toml").read_text(encoding="utf-8")
     version = tomllib.loads(manifest)["version"]
-    output = folder / f"cagemap-{version}-{platform}.zip"
+    first, end, _ = BLENDERS[python]
+    output = folder / f"cagemap-{version}-blender-{first[:3]}-{platform}.zip"
     with tempfile.TemporaryDirectory() as scratch:
-        download(platform, Path(scratch))
+        download(platform, python, Path(scratch))
         wheels = [own, *sorted(Path(scratch).glob("*.whl"))]
         listed = ",\n".join(f'  "./wheels/{wheel.name}"' for wheel in wheels)
-        whole = f'platforms = ["{platform}"]\nwheels = [\n{listed},\n]\n{manifest}'
+        versions = f'blender_version_min = "{first}"\n' + (f'blender_version_max = "{end}"\n' if end else "")
+        whole = f'platforms = ["{platform}"]\nwheels = [\n{listed},\n]\n{versions}{manifest}'
         with zipfile.ZipFile(output.with_suffix(".part"), "w", zipfile.ZIP_DEFLATED) as made:
             made.writestr("blender_manifest.toml", whole)
             made.write(ROOT / "LICENSE", "LICENSE")
@@ -75,14 +78,15 @@ def main() -> None:
     """Build what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("platforms", nargs="*", choices=[*PLATFORMS, []], metavar="PLATFORM", help=", ".join(PLATFORMS))
+    parser.add_argument("--python", choices=BLENDERS, help="of one kind of Blender only")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "dist")
     asked = parser.parse_args()
     asked.output.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
         _pip("wheel", "--no-deps", "-w", scratch, str(ROOT))
         (own,) = Path(scratch).glob("cagemap-*.whl")
-        for platform in asked.platforms or PLATFORMS:
-            output = build(platform, own, asked.output)
+        for python, platform in product([asked.python] if asked.python else BLENDERS, asked.platforms or PLATFORMS):
+            output = build(platform, python, own, asked.output)
             print(f"{output}: {output.stat().st_size / 1e6:.0f} MB")
 
 

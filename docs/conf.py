@@ -16,7 +16,7 @@ myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
 
 autodoc_member_order = "bysource"
-autodoc_typehints_format = "short"  # docstrings add shapes and units
+autodoc_typehints_format = "short"  # annotations of fields; docstrings add shapes and units
 napoleon_google_docstring = False
 napoleon_use_rtype = False
 

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.studio``: all waits of the studio and a new user's walk, into benchmarks/results/studio.md.
+"""``python -m benchmarks.studio``: waits of studio and report, and a new user's walk; benchmarks/results/studio.md.
 
 Everything is measured in a headless Chromium with a software renderer, which shares the processor with the studio; the
 load of the machine is printed beside.
@@ -16,13 +16,13 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.accuracy.data import DATA
-from benchmarks.studio.waits import Rows, many_rows, map_rows, start_rows
+from benchmarks.studio.waits import Rows, many_rows, map_rows, report_rows, start_rows
 from benchmarks.studio.walk import walk
 from cagemap.studio.opening import built_in_files, default_files
 from cagemap.studio.state import Files
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "studio.md"
-PARTS = ("start", "map", "many", "walk")
+PARTS = ("start", "map", "many", "walk", "report")
 
 
 def copied(folder: Path, target: str, source: str) -> Files:
@@ -80,6 +80,7 @@ def main() -> None:
                 "Many landmarks, many triangles",
                 lambda: table(many_rows(head(Path(folder)), asked.many, asked.landmarks)),
             ),
+            "report": ("The report", lambda: table(report_rows(bodies(Path(folder)), asked.displayed // 2))),
             "walk": ("Spot to cow, from nothing to a baked texture", partial(walk, asked.finish)),
         }
         lines = ["# The studio", ""]

@@ -5,6 +5,9 @@ Every message says what was expected, what was found, where, and what to do abou
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 
 class CagemapError(Exception):
     """Base of every error that cagemap raises on purpose."""
@@ -57,6 +60,34 @@ def use_option_names(text: str) -> str:
     for python, option in OPTION_NAMES.items():
         text = text.replace(python, option)
     return text
+
+
+# What a value should be, by the start of the type of pydantic's error.
+_EXPECTED = {
+    "int": "a whole number",
+    "float": "a number",
+    "finite": "a finite number",
+    "bool": "true or false",
+    "string_pattern": "letters, digits, '.', '_' and '-', a letter or digit first",
+    "string_type": "a text",
+    "path": "the name of a file",
+    "list": "a list",
+    "tuple": "a list",
+    "dict": "a table",
+    "model": "a table",
+    "greater_than_equal": "{ge:g} or more",
+    "less_than_equal": "{le:g} or less",
+    "literal": "{expected}",
+    "enum": "{expected}",
+}
+
+
+def expected_value(problem: Mapping[str, Any]) -> str:
+    """What pydantic expected of a value, from an item of its error's list, in the words of our messages."""
+    for kind, text in _EXPECTED.items():
+        if problem["type"].startswith(kind):
+            return text.format(**problem.get("ctx", {}))
+    return str(problem["msg"])
 
 
 def explain_error(error: Exception) -> str:

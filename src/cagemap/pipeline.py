@@ -16,7 +16,7 @@ from cagemap.deform.shared_area import SharedArea
 from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
-from cagemap.maps.hypotheses.confidence import answer_confidence, prolong_answers, turned_limb_answers
+from cagemap.maps.hypotheses.confidence import answer_confidence, jump_lengths, prolong_answers, turned_limb_answers
 from cagemap.maps.hypotheses.search import distinct_answers, search, search_from_source
 from cagemap.maps.landmarks.check import (
     LandmarkCheck,
@@ -72,16 +72,30 @@ def match(
     *,
     progress: Progress = no_progress,
 ) -> MatchResult:
-    """Map a target surface, which receives, to a source surface, which gives (paper, section 5).
+    """Map a target surface to a source surface (paper, section 5).
 
-    Meshes are any that `cagemap.mesh.inputs.control_mesh` takes; they are prepared with about 200 000 vertices. Use
-    `prepare_surfaces` to choose levels or to reuse surfaces. ``landmarks`` are corresponding points and curves; an
-    array (p, 2) has rows (target vertex, source vertex). With fewer than three many alignments are tried. The result
-    has a ``confidence`` then, and with more landmarks if they are mirrored or leave the rotation of a limb open.
-    ``progress`` is called with the name of each stage.
+    With fewer than three landmarks many alignments are tried. The result has a ``confidence`` then, and with more
+    landmarks if they are mirrored or leave the rotation of a limb open.
 
-    InvalidMeshError if a mesh is not an oriented connected manifold; InvalidLandmarksError if the landmarks do not fit
-    the control meshes, or "hfm" has fewer than three.
+    Parameters
+    ----------
+    target : Surface, or mesh, see `cagemap.mesh.inputs.control_mesh`
+        M1, the surface that receives. A mesh is prepared with about 200 000 vertices; use `prepare_surfaces` to choose
+        levels or to reuse surfaces.
+    source : Surface, or mesh, see `cagemap.mesh.inputs.control_mesh`
+        M2, the surface that gives.
+    landmarks : Landmarks or (p, 2) array, optional
+        Corresponding points and curves; an array has rows (target vertex, source vertex).
+    config : MatchConfig
+    progress : callable
+        Called with the name of each stage.
+
+    Raises
+    ------
+    InvalidMeshError
+        If a mesh is not an oriented connected manifold.
+    InvalidLandmarksError
+        If the landmarks do not fit the control meshes, or "hfm" has fewer than three.
     """
     landmarks = Landmarks.none() if landmarks is None else landmarks
     controls = [side.control if isinstance(side, Surface) else side for side in (target, source)]
@@ -134,12 +148,27 @@ def match_pair(
     timings: dict[str, float] | None = None,
     preview: Callable[[PointMap], None] | None = None,
 ) -> MatchResult:
-    """Match a prepared pair by the elastic method; landmarks and progress as of `match`.
+    """Match a prepared pair by the elastic method.
 
-    Start, elastic and masks of the config must be those of the prepared pair; defaults mean those. ``timings`` are
-    seconds of earlier stages. ``preview`` is called with approximate maps during the search, with fewer than three
-    landmarks. InvalidLandmarksError if the landmarks do not fit the control meshes; ParameterError if the config asks
-    for another method, start, elastic fit or masks than the pair was prepared for.
+    Parameters
+    ----------
+    prepared : PreparedPair
+    landmarks : Landmarks, optional
+        As in `match`.
+    config : MatchConfig
+        Its start, elastic and masks must be those of the prepared pair; defaults mean those.
+    progress : callable
+    timings : dict of str to float, optional
+        Seconds of earlier stages.
+    preview : callable, optional
+        Called with approximate maps during the search, with fewer than three landmarks.
+
+    Raises
+    ------
+    InvalidLandmarksError
+        If the landmarks do not fit the control meshes.
+    ParameterError
+        If the config asks for another method, start, elastic fit or masks than the pair was prepared for.
     """
     if config.method != "elastic":
         raise ParameterError(
@@ -179,7 +208,6 @@ def _match_elastic(
             placements = distinct_answers(prepared, search_from_source(problem, found, progress))
             progress("closest points")
             point_map = map_of_places(problem, placements[0].map_positions)
-            confidence = answer_confidence(problem, point_map, placements)
         else:
             outliers, notes = dict[int, str](), list[str]()
             if config.check_landmarks:
@@ -194,9 +222,12 @@ def _match_elastic(
                 mirrored, check = check_mirrored(problem, placements[0], outliers, check, progress)
                 confidence = mirrored or turned_limb_answers(placements, prepared)
         shared = SharedArea.of_fit(prepared, placements[0].map_positions)
+        jumps = jump_lengths(prepared, point_map, shared)
+        if coincident is None and len(landmarks) < FEWEST_LANDMARKS:
+            confidence = answer_confidence(problem, point_map, tuple(placements), shared, jumps)
         confidence = None if confidence is None else prolong_answers(confidence, prepared)
     progress("quality")
-    result = result_of_fit(prepared, point_map, landmarks, check, timings, shared, confidence)
+    result = result_of_fit(prepared, point_map, landmarks, check, timings, shared, confidence, jumps)
     return other_answer(result, config.answer, config, progress=progress) if config.answer else result
 
 
@@ -213,9 +244,21 @@ def update_match(
     The map responds elastically to the landmarks; its error is within a few percent of that of a new match
     (docs/lab/fit_experiments.md). If landmarks change which parts correspond (an arm instead of a leg), match again.
 
-    ``landmarks`` are all of them, changed or not. Pairs that the match left out stay out unless they changed; changed
-    pairs are checked by their distances to the others. The config is that of the match before. InvalidLandmarksError if
-    the landmarks do not fit the control meshes.
+    Parameters
+    ----------
+    before : MatchResult
+    landmarks : Landmarks
+        All landmarks, changed or not. Pairs that the match left out stay out unless they changed; changed pairs are
+        checked by their distances to the others.
+    config : MatchConfig
+        The config of the match before.
+    progress : callable
+        Called with the name of each stage.
+
+    Raises
+    ------
+    InvalidLandmarksError
+        If the landmarks do not fit the control meshes.
     """
     target, source = before.target, before.source
     check_landmarks(landmarks, target.control, source.control)
@@ -256,9 +299,24 @@ def match_next(
     (docs/lab/sequences.md). If the map folds more than ``max_folded_frame`` of `RefitConfig`, the frame is matched
     without the last one; without landmarks only such a result has a ``confidence``.
 
-    The frame has units and axes of the last one; its connectivity may be another. Landmarks, between the target and
-    this frame, are constraints of the fit; the config is of method "elastic". InvalidMeshError if the frame is not an
-    oriented connected manifold; InvalidLandmarksError if the landmarks do not fit the control meshes.
+    Parameters
+    ----------
+    before : MatchResult
+        Of the same target and the last frame.
+    source : Surface, or mesh, see `cagemap.mesh.inputs.control_mesh`
+        The next frame, in units and axes of the last one. Its connectivity may be another.
+    landmarks : Landmarks or (p, 2) array, optional
+        Between the target and this frame; constraints of the fit.
+    config : MatchConfig
+        Of method "elastic".
+    progress : callable
+
+    Raises
+    ------
+    InvalidMeshError
+        If the frame is not an oriented connected manifold.
+    InvalidLandmarksError
+        If the landmarks do not fit the control meshes.
     """
     landmarks = Landmarks.none() if landmarks is None else landmarks
     if not isinstance(source, Surface):
@@ -285,7 +343,10 @@ def other_answer(
 ) -> MatchResult:
     """Result with another of ``before.confidence.answers``; index 0 is the match's own.
 
-    ParameterError if there is no such answer, or a result that was read does not contain it in full.
+    Raises
+    ------
+    ParameterError
+        If there is no such answer, or a result that was read does not contain it in full.
     """
     answers = () if before.confidence is None else before.confidence.answers
     if not 0 <= index < len(answers):

@@ -262,7 +262,7 @@ def test_faults_of_ours_are_said_to_be(run: Run, monkeypatch: pytest.MonkeyPatch
     def break_down(paths: object) -> None:
         raise ZeroDivisionError("by zero")
 
-    monkeypatch.setattr("cagemap.tasks.mesh_commands.check_files", break_down)
+    monkeypatch.setattr("cagemap.tasks.mesh_commands.run_check", break_down)
     monkeypatch.delenv("CAGEMAP_DEBUG", raising=False)
     outcome = run("check x.obj")
     assert outcome.code == 70

@@ -93,8 +93,23 @@ def run_job(folder: Path, *words: str, code: int = 0) -> str:
 def test_a_dry_run_says_what_would_be_done_and_does_nothing(folder: Path) -> None:
     before = sorted(folder.iterdir())
     said = run_job(folder, "--dry-run")
-    assert [text for text in ("2 pairs", "match pony -> deer", "core minutes") if text not in said] == []
+    head = "9 tasks for 2 pairs, 9 to do; --task takes numbers from 1 to 8"
+    assert [text for text in (head, "match pony -> deer", "core minutes") if text not in said] == []
     assert sorted(folder.iterdir()) == before
+
+
+def test_options_that_contradict_each_other_are_refused_before_any_task(folder: Path) -> None:
+    outputs = 'command = "transfer"\ntexture = "{source.color}"\nrays = 3\noutput = "other.png"\n'
+    outputs += '[[outputs]]\ncommand = "wrap"\nfit_level = 1\nsize = 8\n'
+    job = folder / "job.toml"
+    job.write_text(JOB.replace("vertices = 1500", "vertices = 1500\nlevel = 1") + f"[[outputs]]\n{outputs}")
+    done = CliRunner().invoke(app, ["run", str(job)])
+    assert isinstance(done.exception, FormatError)
+    message = str(done.exception)
+    assert "3 problems; nothing was started" in message
+    for words in ("--level and --vertices: expected one", "--rays: expected with --bake", "--size: expected with"):
+        assert words in message
+    assert not (folder / "night").exists()
 
 
 def test_a_dry_run_counts_plain_meshes_without_subdivision(folder: Path) -> None:

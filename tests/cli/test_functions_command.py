@@ -107,3 +107,9 @@ def test_functions_of_a_scan_are_in_its_own_order(tmp_path):
 def test_wrong_requests_are_refused(mesh, tmp_path, output, options, said):
     with pytest.raises(ParameterError, match=said):
         run(mesh, tmp_path / output, level=1, **options)
+
+
+@pytest.mark.parametrize("option", [{"heat": 3}, {"wave": 3}, {"points": "0,7"}])
+def test_an_option_of_functions_that_are_not_written_is_refused(mesh, tmp_path, option):
+    with pytest.raises(ParameterError, match=f"--{next(iter(option))}: expected with --kinds"):
+        run(mesh, tmp_path / "f.npz", **option)

@@ -16,8 +16,15 @@ from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.operators import AlexaWardetzky, build_operators
 from cagemap.pipeline import MAP_BASIS, MatchConfig, default_basis
 from cagemap.spectral import BasisConfig, hierarchical_basis
-from cagemap.tasks.match import MatchRequest, match_config, run_match
-from cagemap.tasks.method import require_level_or_vertices, side_bases, side_levels, used_parameters, with_parameters
+from cagemap.tasks.match import MatchRequest, match_config, read_inputs, run_match
+from cagemap.tasks.method import (
+    require_level_or_vertices,
+    require_levels,
+    side_bases,
+    side_levels,
+    used_parameters,
+    with_parameters,
+)
 from cagemap.tasks.progress import Stages
 
 
@@ -128,12 +135,39 @@ def test_each_side_has_its_own_laplacian_accuracy_and_definition(tmp_path):
         ({"laplacian": "mean:2"}, "the last two with :LAMBDA"),
         ({"literal": True}, "--set literal: expected a schedule of the target"),
         ({"literal": True, "schedule": "9,5", "source_k": 9}, "--set literal: expected a schedule of the source"),
-        ({"accuracy": 0.1}, "accuracy: expected a residual"),
+        ({"accuracy": 0.1}, "--set accuracy: expected a residual"),
+        ({"source_accuracy": 0.1}, "--set source.accuracy: expected a residual"),
+        ({"target_k": 0}, "--set target.k: expected at least 1 basis function"),
     ],
 )
 def test_wrong_options_of_bases_are_refused(tmp_path, words, said):
     with pytest.raises(ParameterError, match=said):
         side_bases(MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, **words))
+
+
+@pytest.mark.parametrize(
+    ("options", "levels", "said"),
+    [
+        ({"target_level": 0}, (0, 1), "--set target.level=0: expected 1 or more"),
+        ({"source_level": 13}, (1, 13), "--set source.level=13: .* Use --set source.level=[0-9]+ or less"),
+        ({"level": 13}, (13, 13), "--level 13: .* Use --level [0-9]+ or less"),
+    ],
+)
+def test_a_level_that_a_mesh_cannot_have_is_refused_by_its_option(tmp_path, options, levels, said):
+    request = MatchRequest(tmp_path, tmp_path, None, tmp_path, **options)
+    with pytest.raises(ParameterError, match=said):
+        require_levels(request, (shapes.cube(), shapes.cube()), levels)
+
+
+def test_options_of_landmarks_and_symmetries_that_nothing_reads_are_named(tmp_path):
+    (target, *_), _ = files_of(tmp_path)
+    words = {"exchange_landmarks": True, "trust_landmarks": True, "symmetry": False}
+    notes = read_inputs(MatchRequest(target, target, None, tmp_path / "R", **words)).notes
+    assert [note.partition(" is not used")[0] for note in notes] == [
+        "--exchange-landmarks",
+        "--trust-landmarks",
+        "--no-symmetry",
+    ]
 
 
 def test_parameters_reach_the_method_they_belong_to():

@@ -23,7 +23,9 @@ from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.read import contents_of
 from cagemap.files.gltf.write import character_glb
 from cagemap.mesh.checks import check_mesh
-from cagemap.tasks.mesh_commands import check_files
+from cagemap.tasks.mesh_commands import run_check
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.mesh_commands import CheckRequest
 
 from damage import mutated_bytes, mutated_entries, outcome
 from fbx_scenes import fbx_arm
@@ -37,7 +39,7 @@ NUMBERS = (0, 1, -1, 2**31, 4_000_000_000, 2**53, 1e300, 0.5, -0.0)
 
 def use(path: Path) -> None:
     """What `check` does, and a copy of the file as it is and as a character."""
-    text, _ = check_files([path])
+    text, _ = run_check(CheckRequest((path,)), Stages())
     if "cannot be read" in text:
         raise FormatError(text)
     document = read_document(path)

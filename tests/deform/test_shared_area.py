@@ -77,11 +77,15 @@ def test_what_lies_beyond_the_source_has_no_data_term() -> None:
     part = TriangleSurface(whole.scale * part_points, part_triangles, whole.scale)
     graph, places = mesh_graph(whole, triangles), 1.02 * whole.positions
     on_part, on_whole = (
-        target_to_source(
-            graph.areas,
-            SurfacePoints.nearest(source, places, whole.vertex_normals, normal_weight=0.01),
-            whole.vertex_normals,
-        )[2]
+        np.trace(
+            target_to_source(
+                graph.areas,
+                SurfacePoints.nearest(source, places, whole.vertex_normals, normal_weight=0.01),
+                whole.vertex_normals,
+            )[0],
+            axis1=1,
+            axis2=2,
+        )
         for source in (part, whole)
     )
     beyond = np.setdiff1d(np.arange(whole.n), kept)

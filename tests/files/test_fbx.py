@@ -25,7 +25,9 @@ from cagemap.files.usd.prims import JOINT_WEIGHTS
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.rigs import read_shapes, read_skeleton
 from cagemap.mesh import Plain
-from cagemap.tasks.mesh_commands import check_files, refine_file
+from cagemap.tasks.mesh_commands import run_check, run_refine
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.mesh_commands import CheckRequest, RefineRequest
 
 from fbx_scenes import Fbx, Node, fbx_arm, geometry, properties
 from gltf_scenes import arm
@@ -121,7 +123,7 @@ def test_leaf_bones_that_move_nothing_are_no_joints_and_check_says_what_a_file_h
     path = _file(tmp_path, fbx_arm(leaf=True))
     assert read_character(path).rig.names == ("upper", "lower")
     assert "lower_end" in [node["name"] for node in read_document(path).json["nodes"]]
-    text, _ = check_files([path])
+    text, _ = run_check(CheckRequest((path,)), Stages())
     assert [said for said in ("2 joints", "1 (raise)", "1 (bend (2 s))") if said not in text] == []
 
 
@@ -248,7 +250,7 @@ def test_opacity_is_kept(
 
 def test_a_character_becomes_a_glb_with_all_of_it(tmp_path: Path) -> None:
     path = _file(tmp_path, fbx_arm(image=PNG))
-    refine_file(path, 0, tmp_path / "arm.glb")
+    run_refine(RefineRequest(path, 0, tmp_path / "arm.glb"), Stages())
     before, after = read_character(path), read_character(tmp_path / "arm.glb")
     one, again = before.parts[0], after.parts[0]
     np.testing.assert_array_equal(again.mesh.face_sizes, one.mesh.face_sizes)

@@ -31,7 +31,9 @@ from cagemap.files.values.part_numbering import FileRows
 from cagemap.files.values.rigs import read_shapes, read_skeleton, write_shapes
 from cagemap.mesh import Plain
 from cagemap.mesh.parts import extract_faces, find_part
-from cagemap.tasks.mesh_commands import check_files, check_values
+from cagemap.tasks.mesh_commands import run_check
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.mesh_commands import CheckRequest
 
 from gltf_scenes import Maker, arm, matrices, moved
 
@@ -443,7 +445,7 @@ def test_a_file_without_a_skin_is_refused(tmp_path: Path) -> None:
 
 
 def test_check_says_what_a_file_holds(file: Path, tmp_path: Path) -> None:
-    text, _ = check_files([file])
+    text, _ = run_check(CheckRequest((file,)), Stages())
     for line in (
         "arm.glb: strip\n",
         "  vertices              6\n",
@@ -456,10 +458,10 @@ def test_check_says_what_a_file_holds(file: Path, tmp_path: Path) -> None:
         assert line in text
     for word in ("component:", "--weld", "set aside"):
         assert word not in text
-    (held,) = json.loads(check_values([file])[0])
+    (held,) = json.loads(run_check(CheckRequest((file,), True), Stages())[0])
     assert held["contents"]["joints"] == 2
     write_mesh(tmp_path / "plain.obj", read_gltf(file))
-    assert "holds" not in check_files([tmp_path / "plain.obj"])[0]
+    assert "holds" not in run_check(CheckRequest((tmp_path / "plain.obj",)), Stages())[0]
 
 
 @pytest.mark.parametrize("output", ["shapes", "cube.npz"])

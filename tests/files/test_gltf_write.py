@@ -26,7 +26,9 @@ from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.ownership import is_own
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.parts import extract_faces
-from cagemap.tasks.mesh_commands import refine_file
+from cagemap.tasks.mesh_commands import run_refine
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.mesh_commands import RefineRequest
 
 from gltf_scenes import Maker, arm
 from usd_characters import lively, with_shape_weights
@@ -326,7 +328,7 @@ def test_round_trips_by_an_independent_reader(name: str, tmp_path: Path, shared_
         pytest.importorskip("DracoPy")
     before = _inside(given)
     low, high = _box(before)
-    refine_file(given, 0, tmp_path / "refined.glb")
+    run_refine(RefineRequest(given, 0, tmp_path / "refined.glb"), Stages())
     write_document(tmp_path / "copied.glb", read_document(given))
     for path in (tmp_path / "refined.glb", tmp_path / "copied.glb"):
         after = _inside(path)

@@ -206,7 +206,7 @@ def test_materials_of_one_name_stay_two(tmp_path: Path) -> None:
     mesh = replace(cube(), face_materials=np.array([0, 1, 2, 3, 1, 0]), material_names=names, material_colors=colors)
     write_obj(tmp_path / "mesh.obj", mesh)
     found = read_obj(tmp_path / "mesh.obj")
-    assert found.material_names == ("red", "red.002", "red.001", "red.003")
+    assert found.material_names == ("red", "red_2", "red.001", "red_3")
     np.testing.assert_array_equal(found.material_colors[found.face_materials], colors[mesh.face_materials])
 
 
@@ -372,15 +372,18 @@ def test_a_layout_over_a_file_of_others_writes_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "o.mtl").exists()
 
 
-def test_objects_of_one_name_without_common_vertices_are_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_objects_of_one_name_without_common_vertices_are_kept_apart(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """Not those whose name is only repeated, as before another material."""
     quads = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nv 2 1 0\nv 5 0 0\nv 6 0 0\nv 6 1 0\nv 5 1 0\n"
     (tmp_path / "one.obj").write_text(quads + "o body\nf 1 2 3 4\no hat\nf 7 8 9 10\no body\nf 2 5 6 3\n")
     assert read_obj(tmp_path / "one.obj").object_names == ("body", "hat")
     assert not caplog.messages
-    (tmp_path / "two.obj").write_text(quads + "o body\nf 1 2 3 4\nf 2 5 6 3\no body\nf 7 8 9 10\n")
-    assert read_obj(tmp_path / "two.obj").object_names == ("body",)
-    assert caplog.messages == [
-        f"{tmp_path / 'two.obj'}: 2 objects are named body and become one. Give each its own name to match or select "
-        "them apart."
-    ]
+    faces = "o body\nf 1 2 3 4\nf 2 5 6 3\no body_2\nf 7 8 9\no body\nf 7 8 9 10\n"
+    (tmp_path / "two.obj").write_text(
+        quads.replace("v 5 1 0", "v 5 1 0\nv 7 0 0\nv 7 1 0\nv 8 1 0") + faces.replace("f 7 8 9\n", "f 11 12 13\n")
+    )
+    mesh = read_obj(tmp_path / "two.obj")
+    assert [find_part(mesh, name).faces.tolist() for name in ("body", "body_2", "body_3")] == [[0, 1], [2], [3]]
+    assert caplog.messages == [f"{tmp_path / 'two.obj'}: 2 objects are named body: they are read as body, body_3"]

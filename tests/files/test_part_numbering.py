@@ -21,6 +21,7 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, find_part, join_meshes
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.suggest import SuggestRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.suggest import run_suggest
@@ -192,7 +193,7 @@ def test_a_wrapped_part_stays_in_its_file(folder: Path) -> None:
 def test_suggested_landmarks_can_be_matched_again(folder: Path) -> None:
     scene = _scene()
     first = scene.n_vertices - creature().n_vertices
-    run_suggest(folder / "R", folder / "more.json", 3)
+    run_suggest(SuggestRequest(folder / "R", folder / "more.json", 3), Stages())
     landmarks, _ = read_landmarks(folder / "more.json", "hero", "hero")
     assert landmarks.target.min() >= first
     np.testing.assert_array_equal(landmarks.target[:9], landmarks.source[:9])

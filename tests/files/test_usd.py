@@ -19,7 +19,9 @@ from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.parts import extract_faces, find_part
 from cagemap.mesh.topology import uv_islands
 from cagemap.subdivision import finest_mesh, refine
-from cagemap.tasks.mesh_commands import check_files
+from cagemap.tasks.mesh_commands import run_check
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.mesh_commands import CheckRequest
 
 from usd_scenes import complaints, full_cube, stage_at, usd_mesh
 
@@ -381,7 +383,7 @@ def test_meshes_of_different_schemes_are_read_for_their_parts(tmp_path: Path) ->
     part = extract_faces(mixed, find_part(mixed, "eye").faces)
     assert isinstance(part.scheme, Loop)
     assert extract_faces(mixed, find_part(mixed, "mesh").faces).scheme == CatmullClark("edge_only")
-    text, sound = check_files([path])
+    text, sound = run_check(CheckRequest((path,)), Stages())
     assert not sound
     assert "object:/Asset/eye" in text, text
 

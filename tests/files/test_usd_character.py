@@ -34,7 +34,9 @@ from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.read import read_usd_meshes
 from cagemap.files.usd.write import UsdResults, write_usd_over
 from cagemap.numerics.srgb import decode_srgb
-from cagemap.tasks.mesh_commands import check_files
+from cagemap.tasks.mesh_commands import run_check
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.mesh_commands import CheckRequest
 
 from usd_characters import lively, painted, posed, with_shape_weights
 from usd_scenes import complaints, stage_at
@@ -280,7 +282,7 @@ def test_a_character_in_an_instance_is_read_whole(tmp_path: Path) -> None:
 
 def test_check_says_what_a_character_in_usd_holds(tmp_path: Path) -> None:
     _written(tmp_path / "a.usdz", lively())
-    text, _ = check_files([tmp_path / "a.usdz"])
+    text, _ = run_check(CheckRequest((tmp_path / "a.usdz",)), Stages())
     for line in (
         "a.usdz: body\n",
         "body        body: is matched",
@@ -297,7 +299,7 @@ def test_check_reads_a_character_in_usd_once(tmp_path: Path, caplog: pytest.LogC
     with stage_at(tmp_path / "a.usda") as stage:
         shape = UsdSkel.BlendShape(stage.GetPrimAtPath("/Asset/body/raise"))
         shape.CreateInbetween("half").SetWeight(0.5)
-    check_files([tmp_path / "a.usda"])
+    run_check(CheckRequest((tmp_path / "a.usda",)), Stages())
     assert [one.getMessage().partition(": ")[2] for one in caplog.records] == [
         "/Asset/body: blend shape raise: its in-betweens are left out"
     ]

@@ -29,6 +29,8 @@ from cagemap.files.usd.materials import STRENGTH
 from cagemap.files.usd.read import in_world, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.mesh.faces import reversed_corners
+from cagemap.numerics.srgb import encode_srgb
+from cagemap.tasks.mesh_commands import check_files
 
 from usd_characters import lively, painted, posed, with_shape_weights
 from usd_scenes import stage_at, usd_mesh
@@ -330,3 +332,75 @@ def test_a_character_of_another_program(shared_data: Path) -> None:
         seconds = frame / stage.GetTimeCodesPerSecond()
         got = skinned_positions(found.parts[0], found.rig, pose_at(found.rig, animation, seconds))
         np.testing.assert_allclose(got, expected[:, :3], atol=1e-5)
+
+
+@pytest.mark.parametrize("left_handed", [False, True])
+@pytest.mark.parametrize("kind", ["uniform", "vertex", "faceVarying"])
+def test_display_colors_and_opacity_of_every_interpolation_are_read(
+    tmp_path: Path, kind: str, left_handed: bool
+) -> None:
+    """Of every corner, also in the glTF document; vertices have the mean of their corners."""
+    mesh = cube()
+    rows = {"uniform": mesh.corner_faces, "vertex": mesh.face_indices}.get(kind, np.arange(len(mesh.face_indices)))
+    values = np.random.default_rng(3).uniform(size=(rows.max() + 1, 4)).astype(np.float32)
+    with stage_at(tmp_path / "cube.usda", ("Y", 1.0)) as stage:
+        prim = usd_mesh(stage, "/cube", mesh)
+        prim.CreateOrientationAttr("leftHanded" if left_handed else "rightHanded")
+        prim.CreateDisplayColorPrimvar(kind).Set(values[::-1, :3].tolist())
+        prim.GetDisplayColorPrimvar().SetIndices(list(range(len(values)))[::-1])
+        prim.CreateDisplayOpacityPrimvar(kind).Set(values[:, 3].tolist())
+    (part,) = read_usd_character(tmp_path / "cube.usda").parts
+    order = [part.mesh.corner_faces * 8 + part.mesh.face_indices, mesh.corner_faces * 8 + mesh.face_indices]
+    found, expected = (np.argsort(keys) for keys in order)
+    np.testing.assert_allclose(part.colors[found], values[rows][expected], atol=1e-6)
+    encoded = encode_srgb(values[rows, :3])
+    means = [encoded[mesh.face_indices == vertex].mean(axis=0) for vertex in range(8)]
+    np.testing.assert_allclose(part.mesh.vertex_colors, means, atol=1e-6)
+    write_document(tmp_path / "cube.glb", usd_document(tmp_path / "cube.usda"))
+    (again,) = character_of(read_document(tmp_path / "cube.glb")).parts
+    keys = again.mesh.positions[again.mesh.face_indices] @ [1, 10, 100]
+    assert set(zip(keys.tolist(), map(tuple, again.colors.tolist()), strict=True)) == set(
+        zip(
+            (part.mesh.positions[part.mesh.face_indices] @ [1, 10, 100]).tolist(),
+            map(tuple, part.colors.tolist()),
+            strict=True,
+        )
+    )
+
+
+def test_normals_of_blend_shapes_are_read(tmp_path: Path) -> None:
+    """Of listed points; turned as the mesh is, by the inverse transposed transform."""
+    mesh = cube()
+    offsets, turned = np.random.default_rng(4).normal(size=(2, 3, 3))
+    normals = mesh.positions / np.linalg.norm(mesh.positions, axis=1, keepdims=True)
+    with stage_at(tmp_path / "cube.usda", ("Y", 1.0)) as stage:
+        prim = usd_mesh(stage, "/cube", mesh)
+        prim.AddScaleOp().Set((1.0, 2.0, 1.0))
+        prim.CreateSubdivisionSchemeAttr("none")
+        prim.CreateNormalsAttr(normals.tolist())
+        shape = UsdSkel.BlendShape.Define(stage, "/cube/smile")
+        shape.CreatePointIndicesAttr([5, 0, 2])
+        shape.CreateOffsetsAttr(offsets.tolist())
+        shape.CreateNormalOffsetsAttr(turned.tolist())
+        binding = UsdSkel.BindingAPI.Apply(prim.GetPrim())
+        binding.CreateBlendShapesAttr(["smile"])
+        binding.CreateBlendShapeTargetsRel().SetTargets(["/cube/smile"])
+    (part,) = read_usd_character(tmp_path / "cube.usda").parts
+    expected = np.zeros((8, 3))
+    expected[[5, 0, 2]] = turned
+    scaled = normals * [1.0, 0.5, 1.0]
+    expected = expected * [1.0, 0.5, 1.0] / np.linalg.norm(scaled, axis=1, keepdims=True)
+    np.testing.assert_allclose(part.shape_normals["smile"], expected[part.mesh.face_indices], atol=1e-6)
+
+
+def test_faces_of_two_corners_are_refused_by_name(tmp_path: Path) -> None:
+    """And `check` lists them instead of ending in an internal error."""
+    with stage_at(tmp_path / "cube.usda") as stage:
+        prim = usd_mesh(stage, "/cube", cube())
+        prim.GetFaceVertexCountsAttr().Set([*cube().face_sizes.tolist(), 2])
+        prim.GetFaceVertexIndicesAttr().Set([*cube().face_indices.tolist(), 0, 1])
+    with pytest.raises(
+        FormatError, match=r"cube\.usda: /cube: expected faces of at least three corners, got 1 .* 6\. D"
+    ):
+        usd_document(tmp_path / "cube.usda")
+    assert "degenerate faces" in check_files([tmp_path / "cube.usda"])[0]

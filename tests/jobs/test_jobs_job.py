@@ -201,11 +201,11 @@ def test_problems_of_form_and_of_content_are_told_together(folder: Path) -> None
     text += '[[outputs]]\ncommand = "transfer"\nresult = "elsewhere"\ntexture = "{source.colour}"\n'
     said = refusal(folder, text)
     for words in (
-        "line 3: options.vertices: input should be greater than or equal to 1, got -5",
+        "line 3: options.vertices: expected 1 or more, got -5",
         "line 9: assets.1.file: gone.obj does not exist",
         "line 16: pairs.0.landmark: there is no such entry",
         "line 19: outputs.0.texture: gone.png does not exist",
-        "line 20: outputs.0.size: input should be greater than or equal to 1, got 0",
+        "line 20: outputs.0.size: expected 1 or more, got 0",
         "line 23: outputs.1.result: there is no such entry",
         "line 24: outputs.1.texture: no asset has a file 'colour'",
     ):
@@ -374,11 +374,11 @@ def test_values_that_no_command_takes_are_refused_with_what_to_do(folder: Path) 
     text += '[[outputs]]\ncommand = "transfer"\nbits = 17\nmaps = [["x", "{source.typo}"]]\nspace = "world"\n'
     said = refusal(folder, text)
     for words in (
-        "got 'many'. Give a value of this kind.",
-        "assets.1.scheme: input should be 'catmull-clark', 'loop', 'bilinear' or 'none', got 'quads'. Choose one",
-        "outputs.0.bits: input should be 8, 16 or 32, got 17. Choose one",
+        "options.vertices: expected a whole number, got 'many'. Correct it.",
+        "assets.1.scheme: expected 'catmull-clark', 'loop', 'bilinear' or 'none', got 'quads'. Correct it.",
+        "outputs.0.bits: expected 8, 16 or 32, got 17. Correct it.",
         "outputs.0.maps: no asset has a file 'typo'",
-        "outputs.0.space: input should be 'tangent' or 'object', got 'world'. Choose one",
+        "outputs.0.space: expected 'tangent' or 'object', got 'world'. Correct it.",
     ):
         assert words in said, said
 

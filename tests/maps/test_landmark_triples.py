@@ -89,8 +89,8 @@ def test_orientation_is_that_of_all_triples() -> None:
             -(ratios[i, j] ** 2 + ratios[i, k] ** 2 + ratios[j, k] ** 2) / CONFIG.max_triple_change**2
         )
     least = CONFIG.min_orientation * 7 * 6 * 5
-    agreed = [(one * product).sum() / max(np.abs(one * product).sum(), least) for one in (np.ones((7, 7, 7)), alike)]
-    np.testing.assert_allclose(orientation_agreement(*sides), max(agreed), rtol=1e-10)
+    agreed = (alike * product).sum() / max(np.abs(alike * product).sum(), least)
+    np.testing.assert_allclose(orientation_agreement(*sides), agreed, rtol=1e-10)
     near = rng.random((7, 7))
     weighted = product * near[:, :, None] * near[:, None, :]
     around = np.concatenate([part for i in (2, 5) for part in (weighted[i], weighted[:, i])])

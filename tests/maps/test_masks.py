@@ -91,10 +91,10 @@ def test_a_correspondence_counts_as_the_product_of_its_ends() -> None:
     low, left = (surface.positions[:, k] > 0 for k in (2, 0))
     masks = Masks(low.astype(float), left.astype(float))
     nearest = SurfacePoints.nearest(surface, moved, surface.vertex_normals, normal_weight=0.03)
-    _, _, plain, _ = target_to_source(graph.areas, nearest, surface.vertex_normals)
-    _, _, weights, closest = target_to_source(graph.areas, nearest, surface.vertex_normals, masks)
+    plain, _, _ = target_to_source(graph.areas, nearest, surface.vertex_normals)
+    blocks, _, closest = target_to_source(graph.areas, nearest, surface.vertex_normals, masks)
     ends = low * masks.source  # every vertex of the ball lies over itself
-    np.testing.assert_allclose(weights, plain * ends, atol=1e-9)
+    np.testing.assert_allclose(blocks, plain * ends[:, None, None], atol=1e-9)
     pullers = SourceSamples.choose(surface, surface.n, masks)
     places = surface, pullers, moved, surface.vertex_normals
     _, _, back, _ = source_to_target(*places, closest=closest, alpha=1e-3, normal_weight=0.03, masks=masks)

@@ -29,9 +29,10 @@ from cagemap.mesh.parts import (
 from cagemap.subdivision import refine
 from cagemap.tasks.match import MatchRequest, matched_levels, read_inputs, run_match
 from cagemap.tasks.match_parts import asked_parts, chosen_parts
-from cagemap.tasks.mesh_commands import check_files
+from cagemap.tasks.mesh_commands import run_check
 from cagemap.tasks.method import side_levels
 from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.mesh_commands import CheckRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
@@ -66,7 +67,7 @@ def test_parts_are_listed_with_their_sizes(tmp_path: Path) -> None:
         "component:eye_right": 20,
     }
     write_obj(tmp_path / "scene.obj", _scene())
-    text, sound = check_files([tmp_path / "scene.obj"])
+    text, sound = run_check(CheckRequest((tmp_path / "scene.obj",)), Stages())
     assert not sound
     assert "`find_part`" in text
     assert "object:eye_right     20 faces" in text

@@ -16,7 +16,9 @@ from cagemap.mesh.checks import require_valid
 from cagemap.mesh.faces import with_corners_of
 from cagemap.mesh.quads import join_quads
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.mesh_commands import refine_file
+from cagemap.tasks.mesh_commands import run_refine
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.mesh_commands import RefineRequest
 
 
 def split(mesh: ControlMesh) -> ControlMesh:
@@ -63,7 +65,7 @@ def test_a_tetrahedron_is_left_alone() -> None:
 def test_refine_makes_the_cage_of_a_glb(tmp_path: Path) -> None:
     body = creature()
     write_mesh(tmp_path / "body.glb", body)
-    said = refine_file(tmp_path / "body.glb", 0, tmp_path / "cage.obj", quads=True)
+    said, _ = run_refine(RefineRequest(tmp_path / "body.glb", 0, tmp_path / "cage.obj", quads=True), Stages())
     assert "0 triangles stay" in said
     cage = read_mesh(tmp_path / "cage.obj")
     assert (cage.n_vertices, cage.n_faces) == (body.n_vertices, body.n_faces)

@@ -29,10 +29,13 @@ from cagemap.report import build_page
 from cagemap.report.figures import Gallery
 from cagemap.tasks.demo import run_demo
 from cagemap.tasks.match import MatchRequest, run_match
-from cagemap.tasks.mesh_commands import refine_file
+from cagemap.tasks.mesh_commands import run_refine
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.report import run_report
+from cagemap.tasks.requests.demo import DemoRequest
+from cagemap.tasks.requests.mesh_commands import RefineRequest
 from cagemap.tasks.requests.report import ReportRequest
+from cagemap.tasks.requests.suggest import SuggestRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.suggest import run_suggest
@@ -244,7 +247,7 @@ def test_outputs_are_no_inputs(place: Path, force: bool) -> None:
         lambda: run_transfer(shapes("shapes.npz", "shapes.npz"), Stages()),
         lambda: run_transfer(shapes("faces", "faces"), Stages()),
         lambda: run_transfer(shapes("shapes.npz", "other.npz", "shapes.npz"), Stages()),
-        lambda: refine_file(place / "box.obj", 1, place / "box.obj", force=force),
+        lambda: run_refine(RefineRequest(place / "box.obj", 1, place / "box.obj", force=force), Stages()),
         lambda: run_report(ReportRequest(place / "R", place / "R" / MANIFEST, force=force), Stages()),
         lambda: run_report(ReportRequest(place / "R", place / "t.png", place / "t.png", force), Stages()),
     ]
@@ -284,7 +287,7 @@ def test_what_a_match_read_is_no_output_of_what_follows(place: Path, force: bool
         lambda: transfer(models / "a.png", texture=place / "t.png", size=16, unwrap=True),
         lambda: transfer(models, blend_shapes=(place / "shapes.npz",)),
         lambda: transfer(place / "a.png", texture=place / "t.png", usd=models / "large.obj"),
-        lambda: run_suggest(place / "R", models / "large.obj", 1, force=force),
+        lambda: run_suggest(SuggestRequest(place / "R", models / "large.obj", 1, force=force), Stages()),
         lambda: wrapped(models / "large.obj"),
         lambda: wrapped(models, blend_shapes=True),
         lambda: wrapped(place / "w.obj", normal_map=place / "t.png", texture=place / "t.png", baked=place / "b.png"),
@@ -320,7 +323,7 @@ def test_no_command_overwrites_what_it_did_not_write(place: Path) -> None:
     attempts: list[Callable[[], object]] = [
         lambda: texture_of(place, "mine.png"),
         lambda: texture_of(place, "painted.png"),
-        lambda: refine_file(place / "box.obj", 1, place / "mine.obj"),
+        lambda: run_refine(RefineRequest(place / "box.obj", 1, place / "mine.obj"), Stages()),
         lambda: run_report(ReportRequest(place / "R", place / "mine.html"), Stages()),
         lambda: run_transfer(attribute, Stages()),
     ]
@@ -330,7 +333,7 @@ def test_no_command_overwrites_what_it_did_not_write(place: Path) -> None:
     assert contents(place) == before
     texture_of(place, "mine.png", force=True)
     run_transfer(replace(attribute, force=True), Stages())
-    refine_file(place / "box.obj", 1, place / "mine.obj", force=True)
+    run_refine(RefineRequest(place / "box.obj", 1, place / "mine.obj", force=True), Stages())
     for name in ("mine.png", "mine.npz", "mine.obj"):
         assert is_own(place / name)
 
@@ -397,7 +400,7 @@ def test_demo_does_not_write_over_a_painted_texture(tmp_path: Path, monkeypatch:
     monkeypatch.setattr("cagemap.tasks.demo.TEXTURE_SIZE", 8)
     (tmp_path / "pony.png").write_bytes(b"painted")
     with pytest.raises(FormatError, match=r"pony\.png: exists"):
-        run_demo(tmp_path, Stages())
+        run_demo(DemoRequest(tmp_path), Stages())
     assert [path.name for path in tmp_path.iterdir()] == ["pony.png"]
 
 

@@ -20,7 +20,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
 from cagemap.pipeline import update_match
-from cagemap.studio.compute import FindMap, OpenModels, PairFiles, PreviewCache, _suggested_vertex, run_task
+from cagemap.studio.compute import FindMap, OpenModels, PairFiles, _suggested_vertex, run_task
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.subdivision import refine
 from cagemap.surface.closest_points import build_tree, closest_points
@@ -73,7 +73,7 @@ def test_the_studio_maps_plain_files_and_goes_on_from_another_answer(
     for place, height in zip(places, (1.0, 1.2), strict=True):
         write_mesh(place, mesh.with_positions(mesh.positions * (1.0, height, 1.0)))
     opening = PairFiles(*places, None, 5000, tmp_path)
-    cache, opened = run_task(PreviewCache(), OpenModels(opening), lambda stage: None)
+    cache, opened = run_task(None, OpenModels(opening), lambda stage: None)
     assert len(opened.scene.target.positions) == mesh.n_vertices
     cache, found = run_task(cache, FindMap(opening, LandmarkList()), lambda stage: None)
     wanted = mesh.positions * (1.0, 1.2, 1.0)

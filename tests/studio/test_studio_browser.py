@@ -81,7 +81,7 @@ def other(now: np.ndarray, before: np.ndarray) -> bool:
 
 def back_to(page: Page, count: int) -> None:
     """Undo until so many landmarks are left, and none waits for its other place."""
-    while page.landmarks() != count or page.state("asks"):
+    while page.landmarks() != count or page.state("proposal"):
         before = page.state("undo")
         page.press("undo")
         page.until(lambda before=before: page.state("undo") < before, "one step back")
@@ -118,7 +118,7 @@ def test_views_change_what_is_shown(page: Page) -> None:
     assert np.abs(page.look("target") - page.look("source")).mean() < OTHER
     page.click("target", FLANK)
     page.until(lambda: "Set Wrap back" in page.text("status"), "why no landmark is placed")
-    assert not page.state("asks")
+    assert not page.state("proposal")
     page.set("morph", 0.0)
     page.set("overlay", True)
     page.until(lambda: other(page.look("target"), first["target"]), "both over each other")
@@ -232,7 +232,7 @@ def test_a_drag_that_the_system_ends_moves_no_landmark(page: Page) -> None:
         assert page.run(script, page.at("target", number), FLANK, kind) == [True, False, True]
     page.click("target", page.clear_point("target", FLANK))
     page.until(lambda: page.state("undo") == steps + 1, "a new landmark by the next click")
-    assert page.state("asks")
+    assert page.state("proposal")
     back_to(page, count)
 
 

@@ -42,7 +42,7 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> tuple[PreviewCache, Open
     write_mesh(folder / "b.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4003] + [5.0, 0.0, 0.0]))
     write_image(folder / "t.png", np.full((8, 8, 3), [255, 0, 0], dtype=np.uint8))
     task = OpenModels(PairFiles(folder / "a.obj", folder / "b.obj", folder / "t.png", 300, folder))
-    cache, _ = run_task(PreviewCache(), task, lambda _: None)
+    cache, _ = run_task(None, task, lambda _: None)
     return cache, task
 
 
@@ -83,7 +83,7 @@ def test_fbx_models_are_converted_once_to_files_of_their_own(tmp_path: Path, mon
     pair_files = PairFiles(target, source, None, 300, tmp_path)
     for _ in range(2):  # the files that were put there are used again
         converted.clear()
-        cache, opened = run_task(PreviewCache(), OpenModels(pair_files), lambda _: None)
+        cache, opened = run_task(None, OpenModels(pair_files), lambda _: None)
         assert (opened.target.path, opened.source.path) == (tmp_path / "body1.glb", tmp_path / "body2.glb")
         assert opened.source.path.read_bytes() == (source.parent / "made.glb").read_bytes()
         assert "body.fbx is converted: body2.glb is used in its place" in opened.source.notes

@@ -126,7 +126,7 @@ def test_an_animated_source_poses_both_models(tmp_path: Path, browser: Any) -> N
         for side, still in zip(("target", "source"), rest, strict=True):
             page.until(lambda side=side, still=still: np.abs(page.look(side) - still).mean() < 0.1, f"{side} at rest")
         assert page.landmarks() == 0
-        assert not page.state("asks")
+        assert not page.state("proposal")
 
 
 def test_files_of_another_folder_are_listed_with_its_name(tmp_path: Path, browser: Any) -> None:

@@ -54,7 +54,7 @@ def test_a_page_says_that_its_studio_ended_and_is_whole_again(
         assert page.landmarks() == count
         if moment == "half a landmark":
             page.until(lambda: page.said("recovered"), "the recovered landmarks")
-            assert page.state("asks")
+            assert page.state("proposal")
             complete_and_delete(page, count)
     page.run("document.getElementById('models').close()")
     assert not files.result.exists()  # the bake left nothing half made

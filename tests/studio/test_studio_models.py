@@ -26,7 +26,6 @@ from cagemap.studio.compute import (
     FindMap,
     OpenModels,
     PairFiles,
-    PreviewCache,
     ShowBaked,
     run_task,
 )
@@ -138,7 +137,7 @@ def test_a_bake_in_a_new_layout_lies_on_the_model_as_it_is_shown(tmp_path: Path)
     for scheme in ("none", "bilinear", None):
         paths = tmp_path / "a.obj", tmp_path / "b.obj"
         opening = PairFiles(*paths, None, 300, tmp_path, schemes=(scheme, scheme), ups=("z", None))
-        cache, opened = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
+        cache, opened = run_task(None, OpenModels(opening), lambda _: None)
         task = ShowBaked(opening, tmp_path / "c.png", tmp_path / "c_unwrapped.obj", None, None)
         _, skin = run_task(cache, task, lambda _: None)
         (plain,), (shown,) = (read_back(one) for one in (opened.skins[0], skin))
@@ -173,7 +172,7 @@ def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     for name in ("a.obj", "b.obj"):
         write_mesh(tmp_path / name, speck)
     opening = PairFiles(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, tmp_path, ("none", "none"))
-    cache, opened = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
+    cache, opened = run_task(None, OpenModels(opening), lambda _: None)
     assert any("set aside" in note for note in opened.target.notes)
     shape = opened.scene.target
     np.testing.assert_allclose(shape.positions, points)
@@ -278,7 +277,7 @@ def test_a_bake_in_the_second_uv_set_is_shown_in_it(tmp_path: Path) -> None:
     write_image(tmp_path / "t.png", np.full((8, 8, 3), 90, dtype=np.uint8))
     files = default_files(tmp_path, tmp_path / "box.glb", tmp_path / "box.glb", None)
     opening = PairFiles(tmp_path / "box.glb", tmp_path / "box.glb", None, 300, tmp_path)
-    cache, _ = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
+    cache, _ = run_task(None, OpenModels(opening), lambda _: None)
     outputs = (Output(tmp_path / "t.png", "texture"),)
     for uv_set, factor in ((None, 1.0), ("TEXCOORD_1", 0.5)):
         largest = factor * mesh.uvs[:, 0].max()
@@ -296,15 +295,15 @@ def test_the_image_inside_a_glb_is_the_texture_where_none_is_named(tmp_path: Pat
     (tmp_path / "box.glb").write_bytes(model)
     opening = PairFiles(tmp_path / "box.obj", tmp_path / "box.glb", None, 300, tmp_path)
     for _ in range(2):  # the file that was put there is used again
-        _, opened = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
+        _, opened = run_task(None, OpenModels(opening), lambda _: None)
         assert opened.source.texture == tmp_path / "box_texture.png"
     np.testing.assert_array_equal(np.unique(opened.source.look.texture[..., 0]), [255])
     (tmp_path / "box_texture.png").write_bytes(b"another's")
-    _, opened = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
+    _, opened = run_task(None, OpenModels(opening), lambda _: None)
     assert opened.source.texture == tmp_path / "box_texture1.png"
     assert (tmp_path / "box_texture.png").read_bytes() == b"another's"
     named = replace(opening, texture=tmp_path / "t.png")
-    _, opened = run_task(PreviewCache(), OpenModels(named), lambda _: None)
+    _, opened = run_task(None, OpenModels(named), lambda _: None)
     assert opened.source.texture == tmp_path / "t.png"
 
 
@@ -317,7 +316,7 @@ def test_the_image_inside_a_usd_file_is_the_texture_where_none_is_named(tmp_path
     write_mesh(tmp_path / "bare.usda", unwrapped_cube())
     for name, texture in (("box.usda", tmp_path / "box_texture.png"), ("bare.usda", None)):
         opening = PairFiles(tmp_path / "bare.usda", tmp_path / name, None, 300, tmp_path)
-        _, opened = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
+        _, opened = run_task(None, OpenModels(opening), lambda _: None)
         assert opened.source.texture == texture
         assert (opened.source.look.texture is None) == (texture is None)
 

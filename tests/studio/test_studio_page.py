@@ -11,7 +11,7 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 
-from cagemap.studio.compute import FindMap, OpenModels, PreviewCache, run_task
+from cagemap.studio.compute import FindMap, OpenModels, run_task
 from cagemap.studio.downloads import textured_model, textured_model_name
 from cagemap.studio.finish import DEFAULT_VERTICES, FinishOptions
 from cagemap.studio.finish_layout import OMITTED_OPTIONS, sections
@@ -42,7 +42,7 @@ def test_every_stage_of_a_match_is_said_in_words_of_the_page(opened: Session) ->
     stages: list[str] = []
     opening = opened._preview.pair_files
     assert opening is not None
-    cache, _ = run_task(PreviewCache(), OpenModels(opening), stages.append)
+    cache, _ = run_task(None, OpenModels(opening), stages.append)
     shapes = cache.target.shape, cache.source.shape
     pairs = [(0, 0), (2, 2), (5, 5), (6, 1)]
     items = tuple(
@@ -62,7 +62,7 @@ def test_every_stage_of_a_match_is_said_in_words_of_the_page(opened: Session) ->
 def test_the_status_says_what_is_asked_of_the_user() -> None:
     files = default_files(Path(), Path("a.obj"), Path("b.obj"), None)
     landmark = LandmarkList((Landmark(1, "nose"),))
-    ready = StudioState(files=files, map=MapState(revision=1, seconds=1.25))
+    ready = StudioState(files=files, map=MapState(revision=1))
     wrong = Message("error", "a.obj, line 4: expected a number. Correct it.")
     for state, kind, words in (
         (StudioState(), "ready", "Open two models"),
@@ -108,7 +108,7 @@ def test_the_state_of_a_page_names_all_that_is_drawn(opened: Session) -> None:
     state = page_state(opened.state, opened.scene, opened.workspace, {})
     json.dumps(state)
     (row,) = state["landmarks"]
-    assert (row["complete"], row["proposed"], state["proposal"], state["asks"]) == (False, "source", True, True)
+    assert (row["complete"], row["proposed"], state["proposal"]) == (False, "source", True)
     place = opened.state.history.present.open_landmark.target
     np.testing.assert_allclose(row["target"][:3], opened.scene.target.to_view(np.array(place.position)), atol=1e-5)
     assert isinstance(opened.state.proposal, Proposal)

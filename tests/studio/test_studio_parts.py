@@ -22,7 +22,7 @@ from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.parts import extract_faces, in_one_piece, join_meshes, list_parts, numbers_on_part
 from cagemap.studio.autosave import FileTracker, autosave_path, read_autosave, read_autosave_parts, write_autosave
-from cagemap.studio.compute import OpenModels, PairFiles, PreviewCache, run_task
+from cagemap.studio.compute import OpenModels, PairFiles, run_task
 from cagemap.studio.file_parts import select_part
 from cagemap.studio.finish import FinishOptions, finish_commands
 from cagemap.studio.landmark_files import (
@@ -73,7 +73,7 @@ def opened(part: str) -> Scene:
         for file in files:
             write_mesh(file, figure())
         opening = PairFiles(*files, None, 300, Path(name), parts=(part, part))
-        _, answer = run_task(PreviewCache(), OpenModels(opening), lambda _: None)
+        _, answer = run_task(None, OpenModels(opening), lambda _: None)
     return answer.scene
 
 

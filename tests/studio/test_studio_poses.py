@@ -14,7 +14,7 @@ from cagemap.character.values import skinned_positions
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
-from cagemap.studio.compute import FindMap, PairFiles, PreviewCache, ShowPosed, run_task
+from cagemap.studio.compute import FindMap, PairFiles, ShowPosed, run_task
 from cagemap.studio.landmarks import LandmarkList
 
 from example_character import bare_body, character, write_character
@@ -30,7 +30,7 @@ def test_the_target_moves_as_the_source_does(tmp_path: Path, body: ControlMesh) 
     write_character(tmp_path / "C.glb", made)
     write_mesh(tmp_path / "B.glb", body)
     pair_files = PairFiles(tmp_path / "B.glb", tmp_path / "C.glb", None, 300, tmp_path, parts=(None, "object:body"))
-    cache, found = run_task(PreviewCache(), FindMap(pair_files, LandmarkList()), lambda _: None)
+    cache, found = run_task(None, FindMap(pair_files, LandmarkList()), lambda _: None)
     assert found.map_state.poses == tuple(f"nod, {time:.2g} s" for time in (0.25, 0.5, 0.75))
 
     def drawn(pose: str) -> list[np.ndarray]:
@@ -50,7 +50,7 @@ def test_the_target_moves_as_the_source_does(tmp_path: Path, body: ControlMesh) 
     with pytest.raises(ParameterError, match="Pose: expected a pose of the source"):
         run_task(cache, ShowPosed(pair_files, "wave, 1 s", found.preview_map), lambda _: None)
     with pytest.raises(ParameterError, match="Pose: expected"):
-        run_task(PreviewCache(), ShowPosed(pair_files, "nod, 0.5 s", None), lambda _: None)
+        run_task(None, ShowPosed(pair_files, "nod, 0.5 s", None), lambda _: None)
 
 
 def test_poses_after_a_cancelled_match_are_those_of_the_map_on_the_page(tmp_path: Path, body: ControlMesh) -> None:
@@ -59,10 +59,10 @@ def test_poses_after_a_cancelled_match_are_those_of_the_map_on_the_page(tmp_path
     write_character(tmp_path / "C.glb", character(body))
     write_mesh(tmp_path / "B.glb", turned)
     pair_files = PairFiles(tmp_path / "B.glb", tmp_path / "C.glb", None, 300, tmp_path, parts=(None, "object:body"))
-    cache, found = run_task(PreviewCache(), FindMap(pair_files, LandmarkList()), lambda _: None)
+    cache, found = run_task(None, FindMap(pair_files, LandmarkList()), lambda _: None)
     for pose in ("", "nod, 0.5 s"):
         task = ShowPosed(pair_files, pose, found.preview_map)
-        kept, again = (run_task(cached, task, lambda _: None)[1] for cached in (cache, PreviewCache()))
+        kept, again = (run_task(cached, task, lambda _: None)[1] for cached in (cache, None))
         assert isinstance(kept, tuple)
         assert isinstance(again, tuple)
         for one, other in zip(kept, again, strict=True):
@@ -77,5 +77,5 @@ def test_other_files_have_no_poses(tmp_path: Path, body: ControlMesh) -> None:
     for name in ("B.obj", "S.obj"):
         write_mesh(tmp_path / name, body)
     pair_files = PairFiles(tmp_path / "B.obj", tmp_path / "S.obj", None, 300, tmp_path)
-    _, found = run_task(PreviewCache(), FindMap(pair_files, LandmarkList()), lambda _: None)
+    _, found = run_task(None, FindMap(pair_files, LandmarkList()), lambda _: None)
     assert found.map_state.poses == ()

@@ -17,7 +17,7 @@ from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, read_autosave, write_autosave
 from cagemap.studio.landmarks import History, LandmarkList, Place
 from cagemap.studio.opening import command_line_files
-from cagemap.studio.state import MapState, Output, StudioState, View, add_message, baked_view
+from cagemap.studio.state import MapState, Output, StudioState, View, add_message, baked_view, layout_mesh
 
 from example_result import identity_result
 
@@ -35,9 +35,10 @@ def test_the_view_shows_what_was_baked_in_the_layout_that_it_lies_in() -> None:
     outputs = tuple(Output(Path(name), "wrap" if name == "wrapped.png" else "texture") for name in names)
     state = StudioState(outputs=outputs)
     assert state.baked_images == (Path("a.png"), Path("tiles.<UDIM>.png"))
-    shown = baked_view(state, Path("a.png"))
-    assert (shown.mode, shown.baked, shown.layout) == ("baked", Path("a.png"), Path("a_unwrapped.obj"))
-    assert baked_view(replace(state, view=shown), None) == View()
+    shown = baked_view(View(), Path("a.png"))
+    assert (shown.mode, shown.baked) == ("baked", Path("a.png"))
+    assert layout_mesh(state, shown.baked) == Path("a_unwrapped.obj")
+    assert baked_view(shown, None) == View()
 
 
 def test_two_clicks_make_a_landmark_and_a_third_begins_the_next() -> None:

@@ -124,6 +124,16 @@ REFUSED = {
     "a net of a level with holes": Refusal(
         wrapped_with_holes, "large.obj:  ... has hole faces, so that only level 0 can be a net ... Give level 0."
     ),
+    **{
+        f"a wrap that reads no --{option}": Refusal(
+            lambda place, option=option, value=value: run_wrap(
+                WrapRequest((result(place),), output=place / "n.obj", **{option: value}), Stages()
+            ),
+            f"--{option}: expected with --",
+            "which bake an image. Leave it out.",
+        )
+        for option, value in {"size": 32, "rays": 3, "green": "down", "space": "object"}.items()
+    },
     "a neck that moves no face": Refusal(
         neck_of_a_corner, "part 'box':  ... its neck and head joints move no whole face ... Give the head alone."
     ),

@@ -19,6 +19,7 @@ from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.files.usd.write import UsdResults, write_usd
 from cagemap.mesh import ControlMesh
+from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
@@ -146,3 +147,15 @@ def test_every_file_of_several_maps_is_named_on_a_line_of_its_own(tmp_path: Path
     lines = run_transfer(request, Stages())[0].splitlines()
     files = ", ".join(str(tmp_path / name) for name in ("o_albedo.png", "o_roughness.png", "o_unwrapped.obj"))
     assert lines == [f"wrote 2 maps: {files}", "  alpha says how much counts"]
+
+
+def test_booleans_are_labels_in_files_as_in_arrays(tmp_path: Path) -> None:
+    """A mean of true and false is neither."""
+    result = identity_result(2)
+    write_result(tmp_path / "R", result)
+    marked = np.arange(8) % 2 == 0
+    np.savez(tmp_path / "v.npz", marked=marked)
+    run_transfer(TransferRequest(tmp_path / "R", tmp_path / "o.npz", attribute=tmp_path / "v.npz"), Stages())
+    carried = np.load(tmp_path / "o.npz")["marked"]
+    assert carried.dtype.kind == "i"
+    np.testing.assert_array_equal(carried, carry_values(result, marked))

@@ -92,7 +92,7 @@ class Part:
     shape_normals : dict of str to (c, 3) float64
         Offsets of ``normals``, of the shapes that state them.
     colors : (c, 4) float64 or None
-        Linear red, green, blue and opacity of every face corner, if a glTF file has them. ``mesh.vertex_colors`` has
+        Linear red, green, blue and opacity of every face corner, if the file has them. ``mesh.vertex_colors`` has
         one for each vertex.
     """
 

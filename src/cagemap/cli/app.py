@@ -3,45 +3,69 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from functools import wraps
-from inspect import Parameter, Signature, signature
-from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from functools import partial
+from importlib import import_module
+from typing import Annotated, Any
 
 import typer
 
 from cagemap import __version__
-from cagemap.cli.commands import face, functions, map_file, match, report, rig, run, studio, transfer, wrap
-from cagemap.cli.console import say, set_verbosity
-from cagemap.cli.request_command import command_class, typer_parameter
-from cagemap.tasks.requests.options import (
-    BoundaryOption,
-    CreasingOption,
-    Force,
-    MeshFile,
-    ResultFolder,
-    SchemeOption,
-    UvOption,
-    WeldOption,
-)
+from cagemap.cli.console import say, set_verbosity, warn
+from cagemap.cli.progress import ConsoleStages
+from cagemap.cli.request_command import LAZY_MODULES, QUIET, VERBOSE, command_class, command_of, load_lazily
+from cagemap.tasks.requests.demo import DemoRequest
+from cagemap.tasks.requests.face import FaceRequest
+from cagemap.tasks.requests.functions import FunctionsRequest
+from cagemap.tasks.requests.import_map import MapRequest
+from cagemap.tasks.requests.match import MatchRequest
+from cagemap.tasks.requests.mesh_commands import CheckRequest, RefineRequest
+from cagemap.tasks.requests.report import ReportRequest
+from cagemap.tasks.requests.rig import RigRequest
+from cagemap.tasks.requests.run import RunRequest
+from cagemap.tasks.requests.settings import moved_options
+from cagemap.tasks.requests.studio import StudioRequest
+from cagemap.tasks.requests.suggest import SuggestRequest
+from cagemap.tasks.requests.transfer import TransferRequest, texture_and_maps
+from cagemap.tasks.requests.wrap import WrapRequest
 
-_Verbose = Annotated[
-    int,
-    typer.Option(
-        "--verbose",
-        "-v",
-        count=True,
-        show_default=False,
-        help="Print every step and every fallback; -vv: more.  [default: off]",
+
+def _read_transfer(
+    texture: tuple[str, ...], bases: tuple[str, ...], bake: str | None, **others: Any
+) -> TransferRequest:
+    """The transfer request of option words: named images and comma-separated kinds of bakes."""
+    image, maps = texture_and_maps(texture)
+    base, named_bases = texture_and_maps(bases, "--base")
+    bakes = tuple(name.strip() for name in bake.split(",")) if bake else ()
+    all_bases = named_bases if base is None else (("", base),)
+    return TransferRequest(texture=image, maps=maps, bases=all_bases, bake=bakes, **others)
+
+
+# Commands in the order of `--help`: request, the function that runs it, and how its words are read.
+_COMMANDS: dict[str, tuple[type, str, dict[str, Any]]] = {
+    "demo": (DemoRequest, "tasks.demo.run_demo", {}),
+    "check": (CheckRequest, "tasks.mesh_commands.run_check", {}),
+    "refine": (RefineRequest, "tasks.mesh_commands.run_refine", {}),
+    "match": (MatchRequest, "tasks.match.run_match", {}),
+    "transfer": (
+        TransferRequest,
+        "tasks.transfer.run_transfer",
+        {
+            "word_types": {"texture": tuple[str, ...], "bases": tuple[str, ...], "bake": str | None},
+            "make_request": _read_transfer,
+        },
     ),
-]
-_Quiet = Annotated[
-    bool,
-    typer.Option(
-        "--quiet", "-q", show_default=False, help="Print errors only: no results, warnings or progress.  [default: off]"
-    ),
-]
+    "rig": (RigRequest, "tasks.rig_character.run_rig", {}),
+    "face": (FaceRequest, "tasks.face.run_face", {}),
+    "report": (ReportRequest, "tasks.report.run_report", {}),
+    "suggest": (SuggestRequest, "tasks.suggest.run_suggest", {}),
+    "run": (RunRequest, "tasks.run_job.run_job", {}),
+    "studio": (StudioRequest, "cli.studio.run_studio", {}),
+    "functions": (FunctionsRequest, "tasks.functions.run_functions", {}),
+    "wrap": (WrapRequest, "tasks.wrap.run_wrap", {}),
+    "map": (MapRequest, "tasks.import_map.run_map", {}),
+}
+# Commands whose exit code is 1 where not all is well: their functions return this instead of warnings.
+_JUDGING = (CheckRequest, RunRequest)
 
 app = typer.Typer(
     name="cagemap",
@@ -57,40 +81,6 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-
-def _command(name: str | None = None) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator that adds a command with the options -v and -q."""
-
-    def add(run: Callable[..., None]) -> Callable[..., None]:
-        @wraps(run)
-        def command(*, verbose: int, quiet: bool, **options: Any) -> None:
-            if verbose or quiet:
-                set_verbosity(verbose, quiet)
-            run(**options)
-
-        hints = get_type_hints(run, include_extras=True)
-        parameters = [
-            parameter.replace(annotation=_typer_annotation(hints[parameter.name], parameter.default))
-            for parameter in signature(run).parameters.values()
-        ]
-        output_options = [
-            Parameter("verbose", Parameter.KEYWORD_ONLY, default=0, annotation=_Verbose),
-            Parameter("quiet", Parameter.KEYWORD_ONLY, default=False, annotation=_Quiet),
-        ]
-        vars(command).update(__signature__=Signature([*parameters, *output_options]))
-        app.command(name, cls=command_class(getattr(run, "replacements", {})))(command)
-        return run
-
-    return add
-
-
-def _typer_annotation(hint: Any, default: Any) -> Any:
-    """A parameter's type with request options converted for typer."""
-    if get_origin(hint) is not Annotated:
-        return hint
-    kind, *metadata = get_args(hint)
-    return Annotated[kind, *(typer_parameter(item, default) for item in metadata)]
 
 
 def _version(is_wanted: bool) -> None:
@@ -118,122 +108,30 @@ def _root(
             help="Largest number of threads; CAGEMAP_THREADS does the same.  [default: all cores]",
         ),
     ] = None,
-    verbose: _Verbose = 0,
-    quiet: _Quiet = False,
+    verbose: VERBOSE = 0,
+    quiet: QUIET = False,
 ) -> None:
     set_verbosity(verbose, quiet)
     if threads is not None:
         os.environ["CAGEMAP_THREADS"] = os.environ["OPENIMAGEIO_THREADS"] = str(threads)
 
 
-@_command()
-def demo(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write everything to.")] = Path(
-        "cagemap-demo"
-    ),
-    force: Force = False,
-) -> None:
-    """Run the built-in pair end to end and write DIR/report.html.
-
-    Two small creatures made for this purpose: the striped pony gives its texture to the deer. The folder also gets
-    the meshes, landmarks and texture, so that you can repeat every step by hand.
-    """
-    from cagemap.cli.progress import ConsoleStages
-    from cagemap.tasks.demo import run_demo
-
+def _run(name: str, request: Any) -> None:
+    """Run a request with its progress on standard error, and write its outcome."""
+    load_lazily(LAZY_MODULES)
+    module, _, function = _COMMANDS[name][1].rpartition(".")
+    run = getattr(import_module(f"cagemap.{module}"), function)
     with ConsoleStages() as stages:
-        report, by_hand = run_demo(output, stages, force=force)
-    say(f"The same by hand:\n{by_hand}\nOpen {report} in a browser.")
-
-
-@_command()
-def check(
-    meshes: Annotated[
-        list[Path],
-        typer.Argument(metavar="MESH", help="Control meshes, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."),
-    ],
-    as_json: Annotated[
-        bool, typer.Option("--json", show_default=False, help="Print JSON, for scripts.  [default: off]")
-    ] = False,
-    scheme: SchemeOption = None,
-    weld: WeldOption = None,
-) -> None:
-    """Check control meshes, and say what to repair.
-
-    A mesh must be manifold, consistently oriented and in one piece; boundaries are allowed. With scheme none, of the
-    file or by --scheme, it lists what a match repairs and leaves out. Exit code 1 if any mesh has a problem.
-    """
-    from cagemap.tasks import mesh_commands
-    from cagemap.tasks.subdivision import SubdivisionRequest
-
-    check_meshes = mesh_commands.check_values if as_json else mesh_commands.check_files
-    text, sound = check_meshes(meshes, SubdivisionRequest(scheme), weld)
-    say(text, always=as_json or not sound)
-    if not sound:
+        summary, rest = run(request, stages)
+    if not isinstance(request, _JUDGING):
+        warn(rest)
+        if summary:
+            say(summary)
+        return
+    say(summary, always=request.for_scripts or not rest)
+    if not rest:
         raise typer.Exit(1)
 
 
-@_command()
-def refine(
-    mesh: MeshFile,
-    level: Annotated[
-        int, typer.Option("--level", "-l", min=0, help="Subdivision steps; each has about 4 times the faces.")
-    ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Mesh to write, .obj, .ply, .off, .glb or USD.")],
-    scheme: SchemeOption = None,
-    boundary: BoundaryOption = None,
-    uv_interpolation: UvOption = None,
-    creasing: CreasingOption = None,
-    weld: WeldOption = None,
-    quads: Annotated[
-        bool,
-        typer.Option(
-            "--quads", show_default=False, help="Join triangles to the quads that an exporter split.  [default: off]"
-        ),
-    ] = False,
-    force: Force = False,
-) -> None:
-    """Subdivide a control mesh.
-
-    Loop for triangle meshes, Catmull-Clark for all others, unless its file says otherwise. Creases and corners shape
-    it, holes are left out. Vertex i of the mesh stays vertex i (but for holes and welded vertices). UVs, materials,
-    objects and groups come along. The mesh may have several pieces.
-    """
-    from cagemap.tasks.mesh_commands import refine_file
-    from cagemap.tasks.subdivision import SubdivisionRequest
-
-    subdivision = SubdivisionRequest(scheme, boundary, uv_interpolation, creasing)
-    say(refine_file(mesh, level, output, subdivision=subdivision, weld=weld, quads=quads, force=force))
-
-
-_command()(match)
-_command()(transfer)
-_command()(rig)
-_command()(face)
-_command()(report)
-
-
-@_command()
-def suggest(
-    result: ResultFolder,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Landmark file to write, .json.")] = Path(
-        "landmarks.json"
-    ),
-    count: Annotated[int, typer.Option(min=1, help="How many more landmarks.")] = 3,
-    force: Force = False,
-) -> None:
-    """Suggest places for more landmarks.
-
-    The file holds the landmarks of the result and the new ones, on the source where the map puts them now. Correct the
-    wrong ones and match again.
-    """
-    from cagemap.tasks.suggest import run_suggest
-
-    say(run_suggest(result, output, count, force=force))
-
-
-_command()(run)
-_command()(studio)
-_command()(functions)
-_command()(wrap)
-_command("map")(map_file)
+for _name, (_kind, _, _how) in _COMMANDS.items():
+    app.command(_name, cls=command_class(moved_options(_kind)))(command_of(_kind, partial(_run, _name), **_how))

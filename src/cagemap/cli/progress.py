@@ -45,6 +45,8 @@ class ConsoleStages(Stages):
         with self._lock:
             super().__call__(stage)
             self._write_line()
+        if self._status is not None:
+            self._status.start()
         self.show(f"{stage} ...")
 
     def show(self, text: str) -> None:
@@ -59,8 +61,6 @@ class ConsoleStages(Stages):
             self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def __enter__(self) -> Self:
-        if self._status is not None:
-            self._status.start()
         if self._timer is not None:
             self._timer.start()
         return self

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields
-from functools import wraps
 from importlib.util import LazyLoader, find_spec, module_from_spec
 from inspect import Parameter, Signature
 from types import MappingProxyType
@@ -14,10 +13,8 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 import typer
 from typer.core import TyperCommand
 
-from cagemap.cli.console import say, warn
-from cagemap.cli.progress import ConsoleStages
+from cagemap.cli.console import set_verbosity
 from cagemap.errors import ParameterError
-from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.options import INPUT, LANDMARKS, OUTPUT, RESEARCH, Argument, Option
 from cagemap.tasks.requests.settings import moved_options, read_settings
 
@@ -35,6 +32,22 @@ _SET = Annotated[
         rich_help_panel=RESEARCH,
     ),
 ]
+VERBOSE = Annotated[
+    int,
+    typer.Option(
+        "--verbose",
+        "-v",
+        count=True,
+        show_default=False,
+        help="Print every step and every fallback; -vv: more.  [default: off]",
+    ),
+]
+QUIET = Annotated[
+    bool,
+    typer.Option(
+        "--quiet", "-q", show_default=False, help="Print errors only: no results, warnings or progress.  [default: off]"
+    ),
+]
 # Sections of `--help`, in this order.
 _SECTIONS = ("Arguments", INPUT, LANDMARKS, OUTPUT, RESEARCH, "Options")
 
@@ -42,21 +55,24 @@ _SECTIONS = ("Arguments", INPUT, LANDMARKS, OUTPUT, RESEARCH, "Options")
 LAZY_MODULES = ("numpy.f2py", "numpy.testing")
 
 
-def request_command(
+def command_of(
     kind: type[Request],
+    run: Callable[[Request], None],
     *,
     word_types: Mapping[str, Any] = MappingProxyType({}),
     make_request: Callable[..., Request] | None = None,
-) -> Callable[[Callable[[Request], None]], Callable[..., None]]:
-    """Decorator that makes a typer command, with a request's fields as parameters, of a function.
+) -> Callable[..., None]:
+    """A function for typer, with a request's fields as parameters, that runs the request.
 
-    Fields without an option are not on the command line. Fields that may be None are optional; tuples of any length are
-    optional and may be repeated.
+    Its help is the docstring of the request. Fields without an option are not on the command line. Fields that may be
+    None are optional; tuples of any length may be repeated.
 
     Parameters
     ----------
     kind : type
         The request's dataclass.
+    run : callable
+        Runs the request.
     word_types : mapping of str to type
         Types on the command line of fields that have another type there.
     make_request : callable, optional
@@ -80,36 +96,25 @@ def request_command(
         for field_type, *options in [get_args(hints[field.name])]
         for word_type in [word_types.get(field.name, field_type)]
         if not any(isinstance(option, Option) and option.setting for option in options)
-        for default in [_typer_default(MISSING if field.name in word_types else field.default, word_type)]
+        for default in [_typer_default(MISSING if field.name in word_types else field.default, word_type, options)]
     ]
     if replacements:
         parameters.append(Parameter(_SETTINGS, Parameter.KEYWORD_ONLY, default=[], annotation=_SET))
+    parameters += [
+        Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+        for name, default, annotation in (("verbose", 0, VERBOSE), ("quiet", False, QUIET))
+    ]
 
-    def command_of(run: Callable[[Request], None]) -> Callable[..., None]:
-        @wraps(run)
-        def command(**given: Any) -> None:
-            values = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
-            settings = read_settings(kind, values.pop(_SETTINGS, ()))
-            run((make_request or kind)(**values, **settings))
+    def command(*, verbose: int, quiet: bool, **given: Any) -> None:
+        if verbose or quiet:
+            set_verbosity(verbose, quiet)
+        values = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+        settings = read_settings(kind, values.pop(_SETTINGS, ()))
+        run((make_request or kind)(**values, **settings))
 
-        vars(command).update(__signature__=Signature(parameters), replacements=replacements)
-        command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters} | {"return": None}
-        return command
-
-    return command_of
-
-
-def with_stages(run: Callable[[Request, Stages], Outcome]) -> Callable[[Request], None]:
-    """Decorator that shows the stages of a task and writes its outcome."""
-
-    @wraps(run)
-    def command(request: Request) -> None:
-        load_lazily(LAZY_MODULES)
-        with ConsoleStages() as stages:
-            summary, warnings = run(request, stages)
-        warn(warnings)
-        say(summary)
-
+    vars(command).update(__signature__=Signature(parameters))
+    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters} | {"return": None}
+    command.__doc__ = kind.__doc__
     return command
 
 
@@ -178,10 +183,10 @@ def command_class(replacements: Mapping[str, str]) -> type[TyperCommand]:
     return Command
 
 
-def _typer_default(default: Any, kind: Any) -> Any:
-    """The default of a parameter for typer."""
+def _typer_default(default: Any, kind: Any, options: Sequence[Any]) -> Any:
+    """The default of a parameter for typer; a metavar in brackets says that an argument may be left out."""
     if default is MISSING:
-        if _is_list(kind):
+        if _is_list(kind) and not any((getattr(option, "metavar", None) or "[")[0] != "[" for option in options):
             return []
         return None if type(None) in get_args(kind) else Parameter.empty
     return list(default) if isinstance(default, tuple) else default

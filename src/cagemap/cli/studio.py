@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
+from cagemap.cli.console import say
 from cagemap.errors import ParameterError
 from cagemap.studio.opening import BUILT_IN_FOLDER, built_in_files, command_line_files
+from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.catalogue import all_options
 from cagemap.tasks.requests.studio import StudioRequest
 
 
-def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
+def run_studio(request: StudioRequest, stages: Stages) -> Outcome:
     """Serve the studio until interrupted.
 
     Raises
@@ -35,9 +36,7 @@ def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
     if files is None:
         folders = request.folder or (BUILT_IN_FOLDER, Path.cwd())
         if not request.folder:
-            tell(
-                f"No models named: the built-in pair opens (in {BUILT_IN_FOLDER}); choose yours from here on the left."
-            )
+            say(f"No models named: the built-in pair opens (in {BUILT_IN_FOLDER}); choose yours from here on the left.")
         files = built_in_files(folders[0]) if not request.folder else None
     else:
         for model in (files.target, files.source):
@@ -47,4 +46,5 @@ def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
         folders = (*request.folder, *(path.parent for path in input_paths if path is not None))
     serving = request.host, request.port, request.vertices, not request.no_browser
     page = PageRequest(files, all_options(), folders, *serving)
-    run_page(page, tell)
+    run_page(page, say)
+    return "", []

@@ -1,7 +1,7 @@
 """Data terms: point-to-plane distances to closest points, target to source and source to target.
 
-A term is ``sum_i (x_i - y_i)^T B_i (x_i - y_i)`` up to a constant: blocks B (n, 3, 3), right side B y (n, 3), and the
-area weight (n,) of every vertex in it.
+A term is ``sum_i (x_i - y_i)^T B_i (x_i - y_i)`` up to a constant: blocks B (n, 3, 3) and right side B y (n, 3). Its
+planes have unit normals, so that the trace of B_i is the area weight of vertex i.
 
 Closest points also pair parts without a counterpart (cavities, skin between toes, fingers in a mitten) with something:
 the inside of a mouth with the chin. Two tests detect them, and their terms get no weight: such a part of the target
@@ -49,7 +49,7 @@ class SourceSamples:
 
 def target_to_source(
     areas: FloatArray, nearest: SurfacePoints, normals: FloatArray, masks: Masks = WHOLE, *, beyond: bool = False
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Point-to-plane term of the deformed vertices, to tangent planes of the source; and its closest points (n, 3).
 
     Normals (n, 3) are of the deformed target. Beyond the source's boundary a vertex has a term only if ``beyond``:
@@ -63,7 +63,7 @@ def target_to_source(
     if not beyond:
         weights *= ~nearest.at_boundary
     blocks = weights[:, None, None] * plane[:, :, None] * plane[:, None, :]
-    return blocks, np.einsum("nab,nb->na", blocks, closest), weights, closest
+    return blocks, np.einsum("nab,nb->na", blocks, closest), closest
 
 
 def source_to_target(
@@ -117,7 +117,7 @@ def source_to_clusters(
     *,
     normal_weight: float,
     masks: Masks = WHOLE,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray]:
     """Point-to-plane term of source samples, each for the coarse vertex nearest in position and normal.
 
     Only source-to-target terms detect a short leg inside a long one. The plane has the mean of both normals (symmetric
@@ -130,9 +130,9 @@ def source_to_clusters(
     shares = samples.areas * np.clip(facing, 0.0, 1.0) * masks.of_target(len(positions))[nearest]
     planes_between = between[:, :, None] * between[:, None, :]
     right = np.einsum("mab,mb->ma", planes_between, points)
-    terms = np.hstack([planes_between.reshape(-1, 9), right, np.ones((len(points), 1))])
+    terms = np.hstack([planes_between.reshape(-1, 9), right])
     summed = grouped_sums(nearest, shares[:, None] * terms, len(positions))
-    return summed[:, :9].reshape(-1, 3, 3), summed[:, 9:12], summed[:, 12]
+    return summed[:, :9].reshape(-1, 3, 3), summed[:, 9:]
 
 
 def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatArray) -> FloatArray:

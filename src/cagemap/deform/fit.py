@@ -39,9 +39,9 @@ def cluster_terms(prepared: PreparedPair, shape: CoarseShape, samples: SourceSam
         guess = None if before is None else before.guesses[0]
         normals = deformed_normals(graph.normals, differentials.result()[0])
         nearest = SurfacePoints.nearest(source, positions, normals, normal_weight=weight, guess=guess)
-        blocks, right, _, _ = target_to_source(graph.areas, nearest, normals, masks, beyond=True)
+        blocks, right, _ = target_to_source(graph.areas, nearest, normals, masks, beyond=True)
         if samples is not None:
-            source_blocks, source_right, _ = source_to_clusters(
+            source_blocks, source_right = source_to_clusters(
                 samples, positions, normals, normal_weight=weight, masks=masks
             )
             blocks, right = blocks + source_blocks, right + source_right
@@ -68,7 +68,7 @@ def mesh_terms(prepared: PreparedPair, constraints: PlacementConstraints) -> Ter
         nearest = SurfacePoints.nearest(
             source, positions, normals, normal_weight=config.fine_normal_weight, guess=guesses[0]
         )
-        blocks, right, _, closest = target_to_source(energy.graph.areas, nearest, normals, masks)
+        blocks, right, closest = target_to_source(energy.graph.areas, nearest, normals, masks)
         source_blocks, source_right, weights, triangles = source_to_target(
             mesh,
             prepared.source_samples,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import stat
 import unicodedata
+from collections.abc import Sequence
 from pathlib import Path
 
 from cagemap.errors import FormatError
@@ -65,6 +66,20 @@ def decoded(content: bytes, path: Path, what: str) -> str:
 def whole_characters(text: str) -> str:
     """A text without lone surrogates, which JSON and file names may have but nothing can write."""
     return text.encode("utf-8", "replace").decode()
+
+
+def distinct(names: Sequence[str]) -> tuple[str, ...]:
+    """Unique names: repeated ones get a number appended, which gives none of the other names."""
+    given, used, counts = set(names), set[str](), dict[str, int]()
+    unique = []
+    for name in names:
+        word = name
+        while word in used or (word != name and word in given):
+            counts[name] = counts.get(name, 1) + 1
+            word = f"{name}_{counts[name]}"
+        used.add(word)
+        unique.append(word)
+    return tuple(unique)
 
 
 def file_in(folder: Path, name: str) -> Path:

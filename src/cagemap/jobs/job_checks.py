@@ -11,6 +11,7 @@ from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
+from cagemap.errors import expected_value
 from cagemap.files import INVERT_PREFIX
 from cagemap.files.images.image import texture_files
 from cagemap.jobs.job_schema import (
@@ -86,29 +87,17 @@ def _remove_entries(data: Any, key_paths: Iterable[KeyPath]) -> Any:
 
 
 def _validation_problems(error: ValidationError, key_path: KeyPath) -> Iterator[JobProblem]:
-    for item in error.errors(include_url=False, include_context=False):
+    for item in error.errors(include_url=False):
         entry = (*key_path, *item["loc"])
         name = ".".join(map(str, entry)) or "the file"
         value = repr(item["input"])
         excerpt = value if len(value) <= 60 else value[:57] + "..."
-        message = item["msg"][:1].lower() + item["msg"][1:]
         if item["type"] == "extra_forbidden":
             yield entry, f"{name}: there is no such entry. Check its spelling, or remove it."
         elif item["type"] == "missing":
             yield entry, f"{name}: is missing. Add it."
         else:
-            yield entry, f"{name}: {message}, got {excerpt}. {_remedy(item['type'])}"
-
-
-def _remedy(kind: str) -> str:
-    """Remedy for a kind of pydantic error."""
-    if kind in ("enum", "literal_error"):
-        return "Choose one of these."
-    if kind.startswith(("greater_than", "less_than", "too_", "string_too")):
-        return "Give a value within this bound."
-    if kind == "string_pattern_mismatch":
-        return "Use letters, digits, '.', '_' and '-', a letter or digit first."
-    return "Give a value of this kind."
+            yield entry, f"{name}: expected {expected_value(item)}, got {excerpt}. Correct it."
 
 
 def find_problems(

@@ -152,15 +152,13 @@ def near_vertices(points: SurfacePoints, surface: Surface, finest: int | None = 
 
 
 def nearest_free_vertices(positions: FloatArray, places: FloatArray, taken: IndexArray) -> IndexArray:
-    """(q,) distinct vertices nearest to places (q, 3), one after the other, none of them taken."""
-    tree, used = cKDTree(positions), set(taken.tolist())
-    chosen = []
-    for place in places:
-        _, order = tree.query(place, k=min(tree.n, len(used) + 1))
-        free = next(int(vertex) for vertex in np.atleast_1d(order) if int(vertex) not in used)
-        used.add(free)
-        chosen.append(free)
-    return np.array(chosen, dtype=np.int64)
+    """(q,) distinct vertices nearest to places (q, 3), none of them taken. If places share one, the first gets it."""
+    chosen, free = np.full(len(places), -1, dtype=np.int64), np.setdiff1d(np.arange(len(positions)), taken)
+    while len(left := np.flatnonzero(chosen < 0)):
+        near, first = np.unique(cKDTree(positions[free]).query(places[left])[1], return_index=True)
+        chosen[left[first]] = free[near]
+        free = np.delete(free, near)
+    return chosen
 
 
 def vertices_near(points: SurfacePoints, surface: Surface, level: int) -> IndexArray:

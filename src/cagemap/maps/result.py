@@ -12,7 +12,7 @@ from cagemap.deform.problem import PreparedPair
 from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import ParameterError
 from cagemap.maps.functional_maps import functional_map_of
-from cagemap.maps.hypotheses.confidence import Confidence, jump_warnings
+from cagemap.maps.hypotheses.confidence import Confidence, jump_lengths, jump_warnings
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect, foreign_warnings
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import LevelPair, point_pairs
@@ -22,7 +22,7 @@ from cagemap.maps.quality import QualityFigures, judge, measure_quality, unshare
 from cagemap.mesh.curves import Curves
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import ThreadPool, in_threads, kept, one_blas_thread
+from cagemap.numerics.threads import in_threads, kept, one_blas_thread
 from cagemap.spectral import Surface
 from cagemap.subdivision.level_meshes import truncate_refinement
 
@@ -297,21 +297,26 @@ def result_of_fit(
     timings: dict[str, float],
     shared: SharedArea | None,
     confidence: Confidence | None = None,
+    jumps: FloatArray | None = None,
 ) -> MatchResult:
-    """Result of an elastic match, with the quality of its map; area without a counterpart is not counted."""
+    """Result of an elastic match, with the quality of its map; area without a counterpart is not counted.
+
+    ``jumps`` are the map's `jump_lengths`; None if they are not known yet.
+    """
     start = time.perf_counter()
     target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
     points, masks = point_pairs(target, source, trusted), prepared.masks
-    with one_blas_thread(), ThreadPool(1) as pool:
+    with one_blas_thread():
         counted = masks if shared is None else shared.within(masks)
-        jumps = pool.submit(jump_warnings, prepared, point_map, counted.of_target(len(target.vertices)))
+        jumps = jump_lengths(prepared, point_map, shared) if jumps is None else jumps
+        jumping = jump_warnings(prepared, jumps)
         quality = judge(target, point_map, points, trusted.names, counted)
         area_warnings = () if shared is None else unshared_warnings(shared.target_share, shared.source_share)
         foreign = foreign_warnings(quality.flipped_area, len(landmarks), len(check.suspects))
         quality = replace(
             quality,
-            warnings=(*jumps.result(), *quality.warnings, *area_warnings, *foreign),
-            match_warnings=(*jumps.result(), *foreign),
+            warnings=(*jumping, *quality.warnings, *area_warnings, *foreign),
+            match_warnings=(*jumping, *foreign),
         )
     return MatchResult(
         target,

@@ -10,9 +10,11 @@ from typing import TypeVar
 
 import numpy as np
 
+from cagemap.maps.places import refined_edges
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.topology import mesh_topology
 from cagemap.mesh.udim import udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool
@@ -372,27 +374,11 @@ def refined_wrap(target: Refinement, cage: ControlMesh) -> Refinement:
 
 def control_edges(refinement: Refinement) -> FloatArray:
     """(e, 2, 3) edges of the finest level that lie on edges of the control mesh."""
-    level = refinement.finest
-    faces = np.asarray(level.faces)
-    edges, edge_faces = _edge_faces(faces)
-    parents = np.where(edge_faces >= 0, level.face_parents[np.maximum(edge_faces, 0)], -1)
-    return np.asarray(level.positions[edges[parents[:, 0] != parents[:, 1]]])
-
-
-def _edge_faces(faces: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """(e, 2) edges of triangles or quads, and (e, 2) faces on both sides, -1 for none."""
-    ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    owner = np.repeat(np.arange(len(faces)), faces.shape[1])
-    edges, edge_of = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
-    edge_of = edge_of.ravel()
-    edge_faces = np.full((len(edges), 2), -1, dtype=np.int64)
-    edge_faces[edge_of, 0] = owner
-    edge_faces[edge_of[::-1], 1] = owner[::-1]
-    edge_faces[edge_faces[:, 0] == edge_faces[:, 1], 1] = -1
-    return edges, edge_faces
+    chains = refined_edges(refinement, mesh_topology(refinement.control).edge_vertices, refinement.n_levels)
+    ends = np.stack([chains[:, :-1], chains[:, 1:]], axis=2).reshape(-1, 2)
+    return np.asarray(refinement.finest.positions[ends])
 
 
 def cage_edges(mesh: ControlMesh) -> FloatArray:
     """(e, 2, 3) edges of a control mesh."""
-    ends = np.stack([mesh.face_indices, mesh.face_indices[mesh.next_corners]], axis=1)
-    return np.asarray(mesh.positions[np.unique(np.sort(ends, axis=1), axis=0)])
+    return np.asarray(mesh.positions[mesh_topology(mesh).edge_vertices])

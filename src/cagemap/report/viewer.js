@@ -466,22 +466,6 @@
   showLook(0);
   dotted && dotsShown();
 
-  // For tests and the curious: the mean time of a frame while the models turn, in milliseconds.
-  root.frameTime = (frames = 30, low = false) => {
-    const gl = renderer.getContext(), pixel = new Uint8Array(4);
-    detail(low);
-    const once = () => {
-      turn(2 * Math.PI / frames, 0);
-      draw();
-      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);  // waits until all is drawn
-    };
-    once();
-    const begin = performance.now();
-    for (let i = 0; i < frames; i++) once();
-    const time = (performance.now() - begin) / frames;
-    detail(false);
-    return {time, triangles: renderer.info.render.triangles};
-  };
   root.dataset.ready = 'yes';
 })();
 addEventListener('beforeprint', () => document.querySelectorAll('details').forEach(one => { one.open = true; }));

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -149,8 +148,8 @@ class PreviewCache:
 
     Attributes
     ----------
-    pair_files : PairFiles or None
-    target, source : OpenedModel or None
+    pair_files : PairFiles
+    target, source : OpenedModel
         After a map the source is rotated to face like the target.
     prepared_pair : PreparedPair or None
         Everything that does not depend on landmarks.
@@ -164,9 +163,9 @@ class PreviewCache:
         Of the source's file; None before the first map.
     """
 
-    pair_files: PairFiles | None = None
-    target: OpenedModel | None = None
-    source: OpenedModel | None = None
+    pair_files: PairFiles
+    target: OpenedModel
+    source: OpenedModel
     prepared_pair: PreparedPair | None = None
     free_match: MatchResult | None = None
     chosen_answer: int = 0
@@ -175,7 +174,7 @@ class PreviewCache:
 
 
 def run_task(
-    cache: PreviewCache, task: Task, progress: Progress, show: Callable[[MapUpdate], None] = lambda _: None
+    cache: PreviewCache | None, task: Task, progress: Progress, show: Callable[[MapUpdate], None] = lambda _: None
 ) -> tuple[PreviewCache, TaskResult]:
     """Run a task; return the new cache and the result.
 
@@ -186,9 +185,9 @@ def run_task(
     CagemapError
         If files or landmarks are wrong.
     """
-    if isinstance(task, OpenModels) or cache.pair_files != task.pair_files:
+    if cache is None or isinstance(task, OpenModels) or cache.pair_files != task.pair_files:
         cache = PreviewCache(task.pair_files, *open_models(task.pair_files, progress))
-    target, source = _opened_models(cache)
+    target, source = cache.target, cache.source
     match task:
         case OpenModels():
             skins = (
@@ -199,7 +198,7 @@ def run_task(
         case FindMap():
             return find_map(cache, task, progress, show)
         case ShowBaked():
-            return cache, _baked_skin(target, source, task)
+            return cache, _baked_skin(cache, task)
         case ShowPosed():
             return cache, _posed_skins(cache, task)
 
@@ -232,10 +231,8 @@ def find_map(
     ParameterError
         If there is no such answer.
     """
-    start_time = time.perf_counter()
     cache, prepared_pair = _prepare(cache, progress)
-    target, source = _opened_models(cache)
-    landmarks = to_landmarks(task.landmarks, target.control, source.control)
+    landmarks = to_landmarks(task.landmarks, cache.target.control, cache.source.control)
     has_constraints = bool(len(landmarks) + len(landmarks.curves))
     if task.answer is not None or not has_constraints:
         preview = None if cache.result is not None else lambda rough: show(_rough_update(cache, rough))
@@ -250,12 +247,12 @@ def find_map(
         cache = replace(cache, result=match_pair(prepared_pair, landmarks, progress=progress))
     else:
         cache = replace(cache, result=update_match(cache.result, landmarks, progress=progress))
-    return _map_update(cache, start_time)
+    return _map_update(cache)
 
 
 def _rough_update(cache: PreviewCache, point_map: PointMap) -> MapUpdate:
     """A rough map, to be shown during the search."""
-    target, source = _opened_models(cache)
+    target, source = cache.target, cache.source
     preview_map = PreviewMap(point_map.triangle, point_map.barycentric, np.ones(point_map.target.n))
     skin = target_skin(target.shape, target.look, source.shape, source.look, preview_map)
     return MapUpdate(preview_map, (skin, None), MapState(rough=True))
@@ -265,16 +262,10 @@ def _prepare(cache: PreviewCache, progress: Progress) -> tuple[PreviewCache, Pre
     """Prepare the pair, if that is not done."""
     if cache.prepared_pair is not None:
         return cache, cache.prepared_pair
-    target, source = _opened_models(cache)
+    target, source = cache.target, cache.source
     surfaces = prepare_surfaces(target.control, source.control, (target.level, source.level), progress=progress)
     prepared_pair = prepare_pair(*surfaces)
     return replace(cache, prepared_pair=prepared_pair), prepared_pair
-
-
-def _opened_models(cache: PreviewCache) -> tuple[OpenedModel, OpenedModel]:
-    assert cache.target is not None
-    assert cache.source is not None
-    return cache.target, cache.source
 
 
 def number_duplicates(names: Sequence[str]) -> tuple[str, ...]:
@@ -283,12 +274,12 @@ def number_duplicates(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"{name} ({count})" if count > 1 else name for name, count in zip(names, counts, strict=True))
 
 
-def _map_update(cache: PreviewCache, start_time: float) -> tuple[PreviewCache, MapUpdate]:
+def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:
     """The current map for the page, with the source rotated to face like the target."""
     result = cache.result
     assert result is not None
     preview_map = PreviewMap(result.point_map.triangle, result.point_map.barycentric, result.quality.trust)
-    target, source = _opened_models(cache)
+    target, source = cache.target, cache.source
     shape = align_facing(source.shape, target.shape, preview_map)
     rotated_skin = None if shape is source.shape else source_skin(shape, source.look)
     cache = replace(cache, source=replace(source, shape=shape))
@@ -303,7 +294,6 @@ def _map_update(cache: PreviewCache, start_time: float) -> tuple[PreviewCache, M
         strain=_landmark_strain(result),
         contradictions={suspect.name: str(suspect) for suspect in result.suspects},
         notes=tuple(result.landmark_check.notes) + tuple(result.quality.warnings),
-        seconds=time.perf_counter() - start_time,
         suggestion=_suggested_vertex(cache, result),
         poses=tuple(animation_poses(character)),
     )
@@ -328,9 +318,8 @@ def _suggested_vertex(cache: PreviewCache, result: MatchResult) -> int | None:
 
 def _source_character(cache: PreviewCache) -> Character:
     """The source's file as an animated character, read once."""
-    _, source = _opened_models(cache)
-    assert source.path is not None
-    return cache.character or animated_character(source.path)
+    assert cache.source.path is not None
+    return cache.character or animated_character(cache.source.path)
 
 
 def _landmark_strain(result: MatchResult) -> dict[str, float]:
@@ -350,8 +339,7 @@ def _posed_skins(cache: PreviewCache, task: ShowPosed) -> tuple[bytes, bytes]:
     ParameterError
         If there is no such pose.
     """
-    target, source = _opened_models(cache)
-    preview_map = task.preview_map
+    target, source, preview_map = cache.target, cache.source, task.preview_map
     shapes = target.shape, align_facing(source.shape, target.shape, preview_map)
     if task.pose:
         character = _source_character(cache)
@@ -365,8 +353,9 @@ def _posed_skins(cache: PreviewCache, task: ShowPosed) -> tuple[bytes, bytes]:
     return skin, source_skin(shapes[1], source.look)
 
 
-def _baked_skin(target: OpenedModel, source: OpenedModel, task: ShowBaked) -> bytes:
+def _baked_skin(cache: PreviewCache, task: ShowBaked) -> bytes:
     """The target with a baked image, in the task's UV set or layout."""
+    target, source = cache.target, cache.source
     shape, preview_map = target.shape, task.preview_map
     if task.uv_set is not None:
         refined = refined_shape(refine(shape.control.with_uv_set(task.uv_set), target.level))

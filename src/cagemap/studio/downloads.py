@@ -87,30 +87,27 @@ def zip_outputs(outputs: Iterable[Output]) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for file, name in named.items():
-            materials = _missing_materials(file, named.keys())
-            if materials is None:
+            contents = _with_one_library(file, named.keys()) if file.suffix.lower() == ".obj" else {}
+            if not contents:
                 is_compressed = file.suffix.lower() in _COMPRESSED_SUFFIXES
                 archive.write(file, name, zipfile.ZIP_STORED if is_compressed else zipfile.ZIP_DEFLATED)
-                continue
-            library = f"{file.stem}_materials.mtl"
-            text = MATERIAL_FILE_LINE.sub("", read_text(file, "an OBJ file"))
-            archive.writestr(str(name), f"mtllib {library}\n{text}")
-            archive.writestr(str(name.with_name(library)), materials)
+            for other, text in contents.items():
+                archive.writestr(str(name.with_name(other)), text)
     return buffer.getvalue()
 
 
-def _missing_materials(mesh: Path, archived: Collection[Path]) -> str | None:
-    """Materials of an OBJ as the text of a ``.mtl``, without images; None if the archive has all its material files."""
-    if mesh.suffix.lower() != ".obj":
-        return None
+def _with_one_library(mesh: Path, archived: Collection[Path]) -> dict[str, str]:
+    """An OBJ and one ``.mtl`` without images, by name; empty if the archive has all its material files."""
     text = read_text(mesh, "an OBJ file")
     files = material_files(mesh, text)
     if len(files) == len(MATERIAL_FILE_LINE.findall(text)) and all(file in archived for file in files):
-        return None
+        return {}
     statements = dict[str, list[str]]()
     for file in files:
         statements = read_material_statements(file) | statements
-    return "".join(f"newmtl {name}\n" + "".join(f"{line}\n" for line in lines) for name, lines in statements.items())
+    library = f"{mesh.stem}_materials.mtl"
+    materials = (f"newmtl {name}\n" + "".join(f"{line}\n" for line in lines) for name, lines in statements.items())
+    return {mesh.name: f"mtllib {library}\n{MATERIAL_FILE_LINE.sub('', text)}", library: "".join(materials)}
 
 
 def _regular_files(path: Path) -> list[Path]:

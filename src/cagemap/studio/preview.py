@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from cagemap.studio.compute import FindMap, OpenModels, PairFiles, ShowBaked, ShowPosed, Task
 from cagemap.studio.landmarks import LandmarkList
@@ -16,6 +17,8 @@ from cagemap.studio.worker import Worker
 OPENING_TITLE, MATCHING_TITLE, BAKED_TITLE = "Opening the models", "Matching", "Showing the baked image"
 POSE_TITLE = "Showing a pose"
 _TITLES = {OpenModels: OPENING_TITLE, FindMap: MATCHING_TITLE, ShowBaked: BAKED_TITLE, ShowPosed: POSE_TITLE}
+# Kinds of requests, in the order in which they are computed.
+_KINDS = ("models", "map", "answer", "pose", "baked")
 # Appended to the first title of a kind: the first run compiles.
 _COMPILE_NOTE = " (some seconds longer on the first run after installing)"
 
@@ -49,12 +52,7 @@ class Preview:
         self._current_inputs, self._on_job, self._on_result = current_inputs, on_job, on_result
         self._condition = threading.Condition()
         self._pair_files: PairFiles | None = None
-        # Requests that wait.
-        self._open_request = False
-        self._map_request: bool | None = None  # True: a match from the start
-        self._answer_request: int | None = None
-        self._baked_request: tuple[Path, Path | None, str | None] | None = None
-        self._pose_request: str | None = None
+        self._requests: dict[str, tuple[Any, ...]] = {}  # those that wait: arguments by kind
         self._closed = False
         self._title = ""
         self._task: Task | None = None
@@ -74,9 +72,8 @@ class Preview:
             task = self._task
             if task is not None and not isinstance(task, OpenModels) and task.pair_files != self._pair_files:
                 self._worker.cancel(task)
-            self._open_request = True
-            self._map_request = self._answer_request = self._baked_request = self._pose_request = None
-            self._condition.notify()
+            self._requests.clear()
+            self._request("models")
 
     @property
     def pair_files(self) -> PairFiles | None:
@@ -86,26 +83,19 @@ class Preview:
     def find(self, *, fresh: bool) -> None:
         """Compute the map, by an update if there is one and ``fresh`` is not set."""
         with self._condition:
-            self._map_request = fresh or bool(self._map_request)
-            self._condition.notify()
+            self._request("map", fresh or self._requests.get("map") == (True,))
 
     def choose(self, answer: int) -> None:
         """Compute the map from another alignment found without landmarks."""
-        with self._condition:
-            self._answer_request = answer
-            self._condition.notify()
+        self._request("answer", answer)
 
     def show_baked(self, image: Path, layout: Path | None, uv_set: str | None) -> None:
         """Show a baked image, in a UV set of the target or the layout of a mesh file."""
-        with self._condition:
-            self._baked_request = image, layout, uv_set
-            self._condition.notify()
+        self._request("baked", image, layout, uv_set)
 
     def show_posed(self, pose: str) -> None:
         """Show both models in a pose; '': unposed."""
-        with self._condition:
-            self._pose_request = pose
-            self._condition.notify()
+        self._request("pose", pose)
 
     def kill(self) -> None:
         """Kill the running task; its result is a failure."""
@@ -117,6 +107,11 @@ class Preview:
             self._closed = True
             self._condition.notify()
         self._worker.kill()
+
+    def _request(self, kind: str, *arguments: Any) -> None:
+        with self._condition:
+            self._requests[kind] = arguments
+            self._condition.notify()
 
     def _on_early_result(self, result: object) -> None:
         if self._task is not None and not self._closed:
@@ -139,35 +134,24 @@ class Preview:
     def _next_task(self) -> Task | None:
         """Wait for a request: models first, images last."""
         with self._condition:
-            while not self._has_request():
-                self._condition.wait()
+            self._condition.wait_for(lambda: self._closed or self._requests)
             if self._closed:
                 return None
-            pair_files, is_open_request = self._pair_files, self._open_request
-            fresh, answer, baked = self._map_request, self._answer_request, self._baked_request
-            pose = self._pose_request
-            if is_open_request:
-                self._open_request = False
-            elif fresh is not None:
-                self._map_request = None
-            elif answer is not None:
-                self._answer_request = None
-            elif pose is not None:
-                self._pose_request = None
-            else:
-                self._baked_request = None
+            kind = min(self._requests, key=_KINDS.index)
+            pair_files, arguments = self._pair_files, self._requests.pop(kind)
         # Outside the lock: the callee has its own lock, and may be waiting for this one.
         landmarks, preview_map = self._current_inputs()
         assert pair_files is not None  # the first request is to open
-        if is_open_request:
-            return OpenModels(pair_files)
-        if fresh is not None or answer is not None:
-            return FindMap(pair_files, landmarks, bool(fresh), answer if fresh is None else None)
-        if pose is not None:
-            return ShowPosed(pair_files, pose, preview_map)
-        assert baked is not None
-        return ShowBaked(pair_files, *baked, preview_map)
-
-    def _has_request(self) -> bool:
-        requests = self._map_request, self._answer_request, self._baked_request, self._pose_request
-        return self._closed or self._open_request or any(request is not None for request in requests)
+        match kind:
+            case "models":
+                return OpenModels(pair_files)
+            case "map":
+                return FindMap(pair_files, landmarks, *arguments)
+            case "answer":
+                return FindMap(pair_files, landmarks, False, *arguments)
+            case "pose":
+                (pose,) = arguments
+                return ShowPosed(pair_files, pose, preview_map)
+            case _:
+                image, layout, uv_set = arguments
+                return ShowBaked(pair_files, image, layout, uv_set, preview_map)

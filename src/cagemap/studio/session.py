@@ -25,7 +25,17 @@ from cagemap.studio.runner import Runner
 from cagemap.studio.scene import probe_map, propose_place
 from cagemap.studio.shape import pick
 from cagemap.studio.skins import PreviewMap
-from cagemap.studio.state import INITIAL_FIELDS, Files, Message, Output, View, baked_view, map_view, update_view
+from cagemap.studio.state import (
+    INITIAL_FIELDS,
+    Files,
+    Message,
+    Output,
+    View,
+    baked_view,
+    layout_mesh,
+    map_view,
+    update_view,
+)
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.studio.workspace import Workspace
 from cagemap.tasks.requests.catalogue import Options
@@ -133,7 +143,7 @@ class Session(LandmarkEdits):
             if view.pose != before.pose and self._scene is not None:
                 self._preview.show_posed(view.pose)
             if view.baked is not None and view.baked != before.baked and self._scene is not None:
-                self._preview.show_baked(view.baked, view.layout, self._state.uv_set)
+                self._preview.show_baked(view.baked, layout_mesh(self._state, view.baked), self._state.uv_set)
 
     def change_view(self, **fields: object) -> None:
         """Change fields of the view; mode "baked" shows the last baked image by default."""
@@ -143,7 +153,7 @@ class Session(LandmarkEdits):
     def show_baked_image(self, image: Path | None) -> None:
         """Show a baked image; None: the map."""
         with self._lock:
-            self.show(baked_view(self._state, image))
+            self.show(baked_view(self._state.view, image))
 
     def match_again(self) -> None:
         """Match from the start with the current landmarks."""

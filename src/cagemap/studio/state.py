@@ -80,8 +80,6 @@ class View:
         Show parts that are not open, in grey.
     baked : Path or None
         Image of mode "baked".
-    layout : Path or None
-        Mesh with the UV layout of that image, where the target has none.
     pose : str
         Name of the pose in which both models are shown, one of `MapState.poses`; '' for none.
     """
@@ -93,7 +91,6 @@ class View:
     linked: bool = True
     rest: bool = True
     baked: Path | None = None
-    layout: Path | None = None
     pose: str = ""
 
 
@@ -117,8 +114,6 @@ class MapState:
         For each landmark name that contradicts the others, the reason.
     notes : tuple of str
         Warnings of the match.
-    seconds : float
-        Time that the last map took.
     suggestion : int or None
         Control vertex of the target where the next landmark helps most.
     rough : bool
@@ -134,7 +129,6 @@ class MapState:
     strain: dict[str, float] = field(default_factory=dict)
     contradictions: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    seconds: float = 0.0
     suggestion: int | None = None
     rough: bool = False
     poses: tuple[str, ...] = ()
@@ -281,14 +275,12 @@ INITIAL_FIELDS: dict[str, object] = {name: getattr(StudioState(), name) for name
 
 def map_view(view: View) -> View:
     """The view without a baked image or pose."""
-    return replace(view, mode="texture" if view.mode == "baked" else view.mode, baked=None, layout=None, pose="")
+    return replace(view, mode="texture" if view.mode == "baked" else view.mode, baked=None, pose="")
 
 
-def baked_view(state: StudioState, image: Path | None) -> View:
+def baked_view(view: View, image: Path | None) -> View:
     """The view with a baked image; without an image the map as a texture."""
-    if image is None:
-        return map_view(state.view)
-    return replace(state.view, mode="baked", baked=image, layout=layout_mesh(state, image), pose="")
+    return map_view(view) if image is None else replace(view, mode="baked", baked=image, pose="")
 
 
 def layout_mesh(state: StudioState, image: Path) -> Path | None:
@@ -310,7 +302,7 @@ def update_view(state: StudioState, **fields: object) -> View:
         return view
     if not state.baked_images:
         raise ParameterError("Show: expected a baked image, there is none yet. Press Bake.")
-    return baked_view(replace(state, view=view), state.baked_images[0])
+    return baked_view(view, state.baked_images[0])
 
 
 def add_message(messages: tuple[Message, ...], kind: MessageKind, text: str) -> tuple[Message, ...]:

@@ -192,9 +192,9 @@ class Worker:
 
 def _serve_preview(connection: Connection) -> None:
     """Loop of the preview's process: receives tasks, sends stages and results."""
-    from cagemap.studio.compute import OpenModels, PreviewCache, run_task
+    from cagemap.studio.compute import OpenModels, run_task
 
-    cache = PreviewCache()
+    cache = None
 
     def send_stage(stage: str) -> None:
         connection.send(StageReply(stage))

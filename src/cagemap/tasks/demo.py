@@ -13,8 +13,9 @@ from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import mesh_files, write_mesh
 from cagemap.files.result.folder import check_result_folder
 from cagemap.tasks.match import run_match
-from cagemap.tasks.progress import Stages
+from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.report import run_report
+from cagemap.tasks.requests.demo import DemoRequest
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.tasks.requests.transfer import TransferRequest
@@ -22,10 +23,16 @@ from cagemap.tasks.transfer import run_transfer
 
 TEXTURE_SIZE = 2048
 VERTICES = 100_000
+_DONE = """The same by hand:
+  cagemap match --target {0} --source {1} --landmarks {2} --vertices {vertices} -o {3}
+  cagemap transfer {3} --texture {4} --size {size} -o {5}
+  cagemap report {3} -o {6}
+Open {report} in a browser."""
 
 
-def run_demo(folder: Path, stages: Stages, *, force: bool = False) -> tuple[Path, str]:
-    """Write the pair's files, match, bake and report; returns the report's path and the equivalent commands."""
+def run_demo(request: DemoRequest, stages: Stages) -> Outcome:
+    """Write the pair's files, match, bake and report; returns the equivalent commands and the report's path."""
+    folder, force = request.output, request.force
     if folder.exists() and not folder.is_dir():
         raise FormatError(f"{folder}: expected a folder to write to, got a file. Give another name.")
     stages("model and paint the pair")
@@ -44,17 +51,5 @@ def run_demo(folder: Path, stages: Stages, *, force: bool = False) -> tuple[Path
     run_match(MatchRequest(target, source, landmarks, result, vertices=VERTICES, force=force), stages)
     run_transfer(TransferRequest(result, baked, texture=texture, force=force), stages)
     run_report(ReportRequest(result, report, force=force), stages)
-    files = (target, source, landmarks, result, texture, baked, report)
-    return report, _by_hand(*(shlex.quote(str(file)) for file in files))
-
-
-def _by_hand(target: str, source: str, landmarks: str, result: str, texture: str, baked: str, report: str) -> str:
-    """Equivalent commands."""
-    return "\n".join(
-        [
-            f"  cagemap match --target {target} --source {source} --landmarks {landmarks} "
-            f"--vertices {VERTICES} -o {result}",
-            f"  cagemap transfer {result} --texture {texture} --size {TEXTURE_SIZE} -o {baked}",
-            f"  cagemap report {result} -o {report}",
-        ]
-    )
+    quoted = [shlex.quote(str(path)) for path in (target, source, landmarks, result, texture, baked, report)]
+    return _DONE.format(*quoted, report=report, vertices=VERTICES, size=TEXTURE_SIZE), []

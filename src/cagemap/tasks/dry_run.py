@@ -65,8 +65,8 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
     problems = {name: size.problem for (name, _), size in sizes.items() if size.problem}
     lines, total, memory, disk = [], 0.0, 0.0, 0.0
     missing = missing_tasks(plan)
-    waiting = {task.name for task in missing}
-    for number, task in numbered_tasks(farm_steps(plan)):
+    waiting, steps = {task.name for task in missing}, farm_steps(plan)
+    for number, task in numbered_tasks(steps):
         if task.name not in waiting:
             lines.append(f"  {number} {task.name}: done")
             continue
@@ -84,9 +84,10 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
     minutes = (total / used + STARTUP_SECONDS * bool(missing)) / 60
     return "\n".join(
         [
-            f"{len(plan.tasks)} tasks for {count_noun(len(plan.pairs), 'pair')}, {len(missing)} to do",
+            f"{count_noun(len(plan.tasks), 'task')} for {count_noun(len(plan.pairs), 'pair')}, {len(missing)} to do; "
+            f"--task takes numbers from 1 to {steps[-1].last}, one for all outputs of a pair",
             *lines,
-            f"  {farm_steps(plan)[-1].last} page",
+            f"  {steps[-1].last} page",
             *(f"  {text}" for text in plan.omitted_outputs),
             *(f"  {name} cannot be used: {problems[name]}" for name in job.assets if name in problems),
             f"about {total / 60:.1f} core minutes, {minutes:.1f} minutes with {workers} workers (within a factor of "

@@ -111,6 +111,9 @@ def _kinds(request: FunctionsRequest) -> tuple[str, ...]:
         raise ParameterError(f"--kinds: expected one kind for {suffix}, got {len(kinds)}. Write an .npz.")
     if request.column is not None and suffix != ".ply":
         raise ParameterError("--column: expected a .ply with it, which shows one function in colours.")
+    for option, word in (("heat", "heat"), ("wave", "wave"), ("points", "kernels")):
+        if getattr(request, option) != getattr(FunctionsRequest, option) and not any(word in kind for kind in kinds):
+            raise ParameterError(f"--{option}: expected with --kinds that have {word} in their names. Leave it out.")
     return kinds
 
 

@@ -32,12 +32,12 @@ from cagemap.spectral.surface import DEFAULT_VERTICES, prepare_checked
 from cagemap.tasks.job_file import note_match
 from cagemap.tasks.masks import GivenMasks, mask_inputs, masks_on, read_masks
 from cagemap.tasks.match_parts import PartInputs, asked_parts, chosen_parts, ready_inputs
-from cagemap.tasks.mesh_commands import require_size
 from cagemap.tasks.method import (
     SIDES,
     basis_parameters,
     read_symmetries,
     require_level_or_vertices,
+    require_levels,
     side_bases,
     side_levels,
     used_parameters,
@@ -88,9 +88,7 @@ def match_files(request: MatchRequest, stages: Stages, before: MatchResult | Non
 
     ``before``, of the same target and the source's last frame, is the start of the match; its target is used again.
     """
-    require_level_or_vertices(request)
-    config = match_config(request)
-    side_bases(request)  # refuse invalid bases before meshes are read
+    config = check_match(request)
     stages("read")
     optional = ("landmarks", "target_points", "source_points", "curves")
     files = {"target": request.target, "source": request.source}
@@ -103,6 +101,8 @@ def match_files(request: MatchRequest, stages: Stages, before: MatchResult | Non
     stated = stated_inputs(files, request.output)
     inputs = read_inputs(request)
     levels = matched_levels(request, inputs)
+    for part in inputs.parts:
+        require_levels(request, (part.target, part.source), levels)
     bases = side_bases(request, levels)
     sides = {
         side: basis_parameters(basis) | {"level": level}
@@ -131,6 +131,13 @@ def match_files(request: MatchRequest, stages: Stages, before: MatchResult | Non
     return result
 
 
+def check_match(request: MatchRequest) -> MatchConfig:
+    """Refuse options that contradict each other, before meshes are read; returns the configuration."""
+    require_level_or_vertices(request)
+    side_bases(request)
+    return match_config(request)
+
+
 def match_config(request: MatchRequest) -> MatchConfig:
     """Configuration of a match from its request."""
     config = MatchConfig(
@@ -148,7 +155,7 @@ def read_inputs(request: MatchRequest) -> Inputs:
     files = request.target, request.source
     target, source = (read_control(path, request, side) for side, path in zip(SIDES, files, strict=True))
     landmarks, notes = read_given_landmarks(request, target, source)
-    notes += unit_notes(request.target, request.source)
+    notes = (*notes, *unit_notes(request.target, request.source), *_unused_notes(request))
     masks = read_masks(request, (target, source), files)
     welded = [weld_control(control, request, side) for control, side in zip((target, source), SIDES, strict=True)]
     check_landmarks(landmarks, target, source)
@@ -162,6 +169,31 @@ def read_inputs(request: MatchRequest) -> Inputs:
     parts = tuple(ready_inputs(part) for part in chosen)
     notes = (*notes, *left_alone, *(note for part in parts for note in part.notes))
     return Inputs(target, source, parts, named, masks, notes)
+
+
+def _unused_notes(request: MatchRequest) -> list[str]:
+    """A note for each option that the match does not read."""
+    pairs = request.landmarks is not None or request.curves is not None
+    unused = {
+        "--exchange-landmarks": request.exchange_landmarks and not pairs,
+        "--trust-landmarks": request.trust_landmarks and not pairs and request.target_points is None,
+    }
+    of_method = {
+        "--no-symmetry": not request.symmetry and request.method != "paper",
+        "--set target.symmetry": bool(request.target_symmetry) and request.method == "elastic",
+    }
+    return [
+        *(
+            f"{option} is not used: no file of landmarks that it applies to is given"
+            for option in unused
+            if unused[option]
+        ),
+        *(
+            f"{option} is not used: it is of other methods than {request.method}"
+            for option in of_method
+            if of_method[option]
+        ),
+    ]
 
 
 def matched_levels(request: MatchRequest, inputs: Inputs) -> tuple[int, int]:
@@ -239,7 +271,6 @@ def _match_part(part: PartInputs, inputs: Inputs, settings: MatchSettings, stage
     """Prepare and match both surfaces; the result has timings and provenance."""
     controls, config = (part.target, part.source), settings.config
     for control, level in zip(controls, settings.levels, strict=True):
-        require_size(control, level)
         _log.info("%s: level %d", control.name, level)
     prepare = prepare_checked if settings.cache is None else partial(prepared, settings.cache)
     if settings.before is None:

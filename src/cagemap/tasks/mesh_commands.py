@@ -30,48 +30,34 @@ from cagemap.mesh.weld import coincident_vertices, count_pieces, weld_tolerance
 from cagemap.subdivision import finest_mesh
 from cagemap.subdivision import refine as refine_mesh
 from cagemap.subdivision.refinement import vertex_counts
+from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.requests.mesh_commands import CheckRequest, RefineRequest
 from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
 
 MOST_REFINED = 20_000_000
 MOST_PARTS = 40
 
 
-def check_files(
-    paths: Sequence[Path], subdivision: SubdivisionRequest = SubdivisionRequest(), weld: str | None = None
-) -> tuple[str, bool]:
-    """Text with a report per file, and whether all are sound; unreadable files are not."""
-    parts, sound = [], True
-    for path in paths:
-        try:
-            mesh, report, holds = _checked(path, subdivision, weld)
-        except CagemapError as error:
-            parts.append(f"{path}\n  cannot be read: {error}")
-            sound = False
-            continue
-        listed = _part_lines(mesh, pieces=holds is None and not _of_one_piece(mesh))
-        parts.append("\n".join(filter(None, [str(report), "" if holds is None else str(holds)])) + listed)
-        sound &= not report.problems
-    return "\n\n".join(parts), sound
+def run_check(request: CheckRequest, stages: Stages) -> tuple[str, bool]:
+    """Text with a report per file, or all as JSON; and whether all are sound: unreadable files are not.
 
-
-def check_values(
-    paths: Sequence[Path], subdivision: SubdivisionRequest = SubdivisionRequest(), weld: str | None = None
-) -> tuple[str, bool]:
-    """Reports as JSON, and whether all files are usable.
-
-    The list has the fields of a `MeshReport` and the parts of each file, or the error of reading it.
+    The JSON list has the fields of a `MeshReport` and the parts of each file, or the error of reading it.
     """
-    reports: list[dict[str, Any]] = []
-    for path in paths:
+    texts, values = list[str](), list[dict[str, Any]]()
+    for path in request.meshes:
         try:
-            mesh, report, holds = _checked(path, subdivision, weld)
+            mesh, report, holds = _checked(path, SubdivisionRequest(request.scheme), request.weld)
         except CagemapError as error:
-            reports.append({"file": str(path), "usable": False, "error": str(error)})
+            values.append({"file": str(path), "usable": False, "error": str(error)})
+            texts.append(f"{path}\n  cannot be read: {error}")
             continue
         parts = [{"name": part.title, "faces": len(part.faces)} for part in _parts(mesh)]
         held = {} if holds is None else {"contents": asdict(holds)}
-        reports.append({"file": str(path), "usable": report.is_valid, **asdict(report), "parts": parts, **held})
-    return json.dumps(reports, indent=1, default=int), all(entry["usable"] for entry in reports)
+        values.append({"file": str(path), "usable": report.is_valid, **asdict(report), "parts": parts, **held})
+        listed = _part_lines(mesh, pieces=holds is None and not _of_one_piece(mesh))
+        texts.append("\n".join(filter(None, [str(report), "" if holds is None else str(holds)])) + listed)
+    text = json.dumps(values, indent=1, default=int) if request.for_scripts else "\n\n".join(texts)
+    return text, all(entry["usable"] for entry in values)
 
 
 def _checked(
@@ -168,33 +154,26 @@ def _part_lines(mesh: ControlMesh, *, pieces: bool = True) -> str:
     return "\n".join(["\n  parts, for --part:", *lines])
 
 
-def refine_file(
-    path: Path,
-    level: int,
-    output: Path,
-    *,
-    subdivision: SubdivisionRequest = SubdivisionRequest(),
-    weld: str | None = None,
-    quads: bool = False,
-    force: bool = False,
-) -> str:
-    """Refine a mesh file into another; returns the table of levels and notes about welds and quads."""
+def run_refine(request: RefineRequest, stages: Stages) -> Outcome:
+    """Refine a mesh file into another; returns the table of levels, and notes about welds and quads."""
+    path, output, level = request.mesh, request.output, request.level
     check_mesh_path(output)
-    check_outputs([output], [path], force=force)
-    welded = weld_asked(read_mesh(path), weld)
-    mesh, notes = _with_quads(welded.mesh, welded.notes) if quads else (welded.mesh, welded.notes)
-    control = subdivision.applied(mesh)
-    check_outputs(mesh_files(output, control, path), [path], force=force)
+    check_outputs([output], [path], force=request.force)
+    welded = weld_asked(read_mesh(path), request.weld)
+    mesh, notes = _with_quads(welded.mesh, welded.notes) if request.quads else (welded.mesh, welded.notes)
+    options = SubdivisionRequest(request.scheme, request.boundary, request.uv_interpolation, request.creasing)
+    control = options.applied(mesh)
+    check_outputs(mesh_files(output, control, path), [path], force=request.force)
     if level == 0 and isinstance(control.scheme, Plain) and not structure_problems(control):
-        write_mesh(output, control, like=path, force=force)
-        return "\n".join([*notes, f"wrote {output}"])
+        write_mesh(output, control, like=path, force=request.force)
+        return "\n".join([*notes, f"wrote {output}"]), []
     require_valid(control, allowed=UNREFINED)
     require_size(control, level)
     refinement = refine_mesh(control, level)
-    write_mesh(output, finest_mesh(refinement), like=path, force=force)
+    write_mesh(output, finest_mesh(refinement), like=path, force=request.force)
     tolerance = weld_tolerance(control)
     seams = "" if tolerance is None else f"note: {control.name} is split at seams, --weld {tolerance:g} joins them"
-    return "\n".join(filter(None, [*notes, str(refinement), seams, f"wrote {output}"]))
+    return "\n".join(filter(None, [*notes, str(refinement), seams, f"wrote {output}"])), []
 
 
 def _with_quads(mesh: ControlMesh, notes: tuple[str, ...]) -> tuple[ControlMesh, tuple[str, ...]]:
@@ -206,11 +185,11 @@ def _with_quads(mesh: ControlMesh, notes: tuple[str, ...]) -> tuple[ControlMesh,
     return replace(joined, scheme=scheme), (*notes, note)
 
 
-def require_size(control: ControlMesh, level: int) -> None:
+def require_size(control: ControlMesh, level: int, option: str = "--level ") -> None:
     """Refuse levels with more than `MOST_REFINED` vertices, before memory runs out."""
     fits = sum(1 for _ in takewhile(lambda count: count <= MOST_REFINED, vertex_counts(control))) - 1
     if level > fits:
         raise ParameterError(
-            f"--level {level}: {control.name} would have too many vertices, expected at most {MOST_REFINED:,}. "
-            f"Use --level {fits} or less."
+            f"{option}{level}: {control.name} would have too many vertices, expected at most {MOST_REFINED:,}. "
+            f"Use {option}{fits} or less."
         )

@@ -15,6 +15,7 @@ from cagemap.operators import LAPLACIANS
 from cagemap.pipeline import MatchConfig, choose_level, default_basis
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.surface import DEFAULT_VERTICES, MOST_LEVELS
+from cagemap.tasks.mesh_commands import require_size
 from cagemap.tasks.requests.match import MatchRequest
 
 # The field of `MatchConfig` that holds each method's parameters.
@@ -87,12 +88,16 @@ def basis_config(request: MatchRequest, level: int = MOST_LEVELS, side: str = ""
         k, schedule, accuracy, laplacian = (
             getattr(request, before + name) for name in ("k", "schedule", "accuracy", "laplacian")
         )
-        if k is not None:  # a number of functions replaces an earlier schedule
-            basis = replace(basis, count=k, schedule=None)
-        if schedule is not None:
-            basis = replace(basis, schedule=parse_schedule(schedule, f"{option}schedule"))
-        if accuracy is not None:
-            basis = replace(basis, accuracy=accuracy)
+        if schedule is not None:  # parsed first, so that its refusal names its option
+            schedule = parse_schedule(schedule, f"{option}schedule")
+        try:
+            if k is not None:  # a number of functions replaces an earlier schedule
+                basis = replace(basis, count=k, schedule=None)
+            basis = replace(
+                basis, schedule=schedule or basis.schedule, accuracy=basis.accuracy if accuracy is None else accuracy
+            )
+        except ParameterError as error:
+            raise ParameterError(f"{option}{str(error).replace('count:', 'k:', 1)}") from None
         basis = with_laplacian(basis, laplacian, f"{option}laplacian")
         literal |= getattr(request, f"{before}literal")
     if side and literal and basis.schedule is None:
@@ -147,6 +152,18 @@ def side_levels(request: MatchRequest, controls: Sequence[ControlMesh]) -> tuple
         wanted = vertices or request.vertices or DEFAULT_VERTICES
         levels.append(choose_level(control, wanted) if level is None else level)
     return levels[0], levels[1]
+
+
+def require_levels(request: MatchRequest, controls: Sequence[ControlMesh], levels: tuple[int, int]) -> None:
+    """Refuse levels that a mesh does not have or that are too large, by the option that states them."""
+    for side, control, level in zip(SIDES, controls, levels, strict=True):
+        option = "--level " if getattr(request, f"{side}_level") is None else f"--set {side}.level="
+        if level == 0 and not isinstance(control.scheme, Plain):
+            raise ParameterError(
+                f"{option}0: expected 1 or more: level 0 is the control mesh, and only a plain mesh (scheme none) is "
+                "matched as it is."
+            )
+        require_size(control, level, option)
 
 
 def basis_parameters(basis: BasisConfig) -> dict[str, Any]:

@@ -11,13 +11,14 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from cagemap.errors import CagemapError, ParameterError, use_option_names
+from cagemap.errors import CagemapError, FormatError, ParameterError, use_option_names
 from cagemap.files.images.image import write_image
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.files.result.manifest import code_version, landmark_messages, read_manifest
 from cagemap.files.result.surface_store import prepared
 from cagemap.jobs import (
     Consistency,
+    Job,
     Plan,
     Task,
     TaskOutcome,
@@ -46,14 +47,15 @@ from cagemap.numerics.threads import core_count
 from cagemap.report import draw_thumbnail
 from cagemap.tasks.dry_run import dry_run
 from cagemap.tasks.import_map import run_map
-from cagemap.tasks.match import read_control, run_match, weld_control
-from cagemap.tasks.mesh_commands import require_size
-from cagemap.tasks.method import SIDES, side_bases, side_levels
+from cagemap.tasks.match import check_match, read_control, run_match, weld_control
+from cagemap.tasks.method import SIDES, require_levels, side_bases, side_levels
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN, run_request
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.run import RunRequest
+from cagemap.tasks.transfer import check_transfer
+from cagemap.tasks.wrap import check_wrap
 
 
 class Ticker:
@@ -78,6 +80,7 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     version = code_version()
     plan = add_carry_tasks(plan_job(job, version, spanning_tree), job, version)
     _require_one_way(request)
+    _require_sound(job, plan)
     if request.dry_run:
         return dry_run(job, plan, request.workers or core_count()), True
     if request.export is not None:
@@ -146,6 +149,34 @@ def _require_one_way(request: RunRequest) -> None:
         used.append("--workers")
     if len(used) > 1 and used != ["--scheduler", "--workers"]:
         raise ParameterError(f"{used[0]}: expected none of {', '.join(used[1:])} beside it. Give one of them.")
+
+
+def _require_sound(job: Job, plan: Plan) -> None:
+    """Refuse a job with tasks whose options contradict each other, before any of them runs."""
+    checks: dict[str, Callable[[Any], object]] = {"match": check_match, "transfer": check_transfer, "wrap": check_wrap}
+    problems: dict[str, str] = {}
+    for task in plan.tasks:
+        if task.kind in checks and "map" not in task.request:
+            try:
+                checks[task.kind](_request_of(task))
+            except CagemapError as error:
+                problems.setdefault(str(error), task.name)
+    if problems:
+        listing = "\n".join(f"  {name}: {message}" for message, name in problems.items())
+        raise FormatError(f"{job.path}: {count_noun(len(problems), 'problem')}; nothing was started.\n{listing}")
+
+
+def _request_of(task: Task) -> Any:
+    """The request of a task that a command does."""
+    arguments = dict(task.request)
+    if task.kind == "match":
+        kind, arguments = (
+            (MapRequest, arguments) if "map" in arguments else (MatchRequest, {"landmarks": None, **arguments})
+        )
+        return TypeAdapter(kind).validate_python(arguments)
+    if task.kind == "wrap":
+        arguments["results"] = [arguments.pop("result")]
+    return TypeAdapter(COMMANDS[task.kind]).validate_python(arguments)
 
 
 def _done_alone(name: str, plan: Plan) -> TaskOutcome:
@@ -270,20 +301,13 @@ def run_task(task: Task) -> dict[str, Any]:
         return {"quality": result.manifest["quality"], "notes": result.manifest["notes"]}
     if task.kind == "match":
         return _match(task, stages)
-    arguments = dict(task.request)
-    if task.kind == "wrap":
-        arguments["results"] = [arguments.pop("result")]
-    request: Any = TypeAdapter(COMMANDS[task.kind]).validate_python(arguments)
-    _, warnings = run_request(request, stages)
+    _, warnings = run_request(_request_of(task), stages)
     return {"warnings": warnings}
 
 
 def _match(task: Task, stages: Stages) -> dict[str, Any]:
     """Match a pair, or import its given map."""
-    if "map" in task.request:
-        run_map(TypeAdapter(MapRequest).validate_python(task.request), stages)
-    else:
-        run_match(TypeAdapter(MatchRequest).validate_python({"landmarks": None, **task.request}), stages)
+    (run_map if "map" in task.request else run_match)(_request_of(task), stages)
     manifest = read_manifest(Path(task.request["output"]))
     warnings = [*landmark_messages(manifest), *manifest["quality"]["warnings"]]
     return {name: manifest[name] for name in ("quality", "timings", "notes") if name in manifest} | {
@@ -303,6 +327,6 @@ def _prepare(task: Task) -> dict[str, Any]:
         require_valid(control)
     levels = side_levels(request, (control, control))
     level = levels[side]
-    require_size(control, level)
+    require_levels(request, (control, control), (level, level))
     surface = prepared(task.request["cache"], control, level, side_bases(request, (level, level))[side])
     return {"vertices": surface.refinement.finest.n_vertices, "level": level}

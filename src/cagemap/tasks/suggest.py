@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -16,23 +15,25 @@ from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.pair import nearest_free_vertices
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.requests.suggest import SuggestRequest
 
 
-def run_suggest(folder: Path, output: Path, count: int, *, force: bool = False) -> str:
-    """Write the landmarks of a result and ``count`` suggested ones; returns lines for the terminal."""
-    check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=force)
+def run_suggest(request: SuggestRequest, stages: Stages) -> Outcome:
+    """Write the landmarks of a result and ``count`` suggested ones."""
+    folder, output, count = request.result, request.output, request.count
+    check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=request.force)
     result = read_result(folder)
     require_no_input([output], read_files(folder, result.manifest))
     if output.suffix.lower() != ".json":
         raise FormatError(f"{output}: expected the name of a landmark file ending in .json. Give such a name.")
     landmarks = _in_files(suggested_landmarks(result, count), result)
-    write_landmarks(output, landmarks, force=force)
+    write_landmarks(output, landmarks, force=request.force)
     new = landmarks.names[-count:]
     pairs = zip(new, landmarks.target[-count:].tolist(), landmarks.source[-count:].tolist(), strict=True)
     lines = [f"  {name}: target vertex {target}, now on source vertex {source}" for name, target, source in pairs]
-    return "\n".join(
-        [f"{count} more landmarks would tell most here:", *lines, f"wrote {output}; correct them and match again"]
-    )
+    head = f"{count} more landmarks would tell most here:"
+    return "\n".join([head, *lines, f"wrote {output}; correct them and match again"]), []
 
 
 def _in_files(landmarks: Landmarks, result: MatchResult) -> Landmarks:

@@ -48,6 +48,7 @@ from cagemap.tasks.usd_output import missing_file_warnings, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 from cagemap.transfer.texture import FILTERS
 
+Carrier = Callable[[TransferRequest, MatchResult, Stages], Outcome]
 # Data that is carried whole: masks are refused with it.
 _WHOLE = ("--source-uvs", "--joints", "--passenger", "--write-map")
 
@@ -86,20 +87,7 @@ def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
 
 def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
     """Carry one kind of data to the target and write it, without a note in the RESULT's job file."""
-    carry = _carrier(request)
-    require_map_names(request.maps)
-    named = [base for base in request.bases if base[0]]
-    require_map_names(named if len(request.bases) - len(named) < 2 else request.bases, "--base")
-    images = [name for name, _ in request.maps] or list(request.bake)
-    unknown = [name for name, _ in named if name not in images]
-    if unknown:
-        expected = f"names of what is carried ({', '.join(images)})" if images else "one file without a name"
-        raise ParameterError(f"--base: expected {expected}, got {', '.join(unknown)}. Name them alike.")
-    for option, value in (("--scale", request.scale), ("--midlevel", request.midlevel)):
-        if value is not None and not math.isfinite(value):
-            raise ParameterError(f"{option}: expected a finite number, got {value}.")
-    if request.filter not in FILTERS:
-        raise ParameterError(f"--filter: expected {', '.join(FILTERS)}, got {request.filter}.")
+    carry = check_transfer(request)
     outputs = [path for path in (request.output, request.usd) if path is not None]
     require_no_input(outputs, inputs_of(request))
     require_writable_folder(request.output)
@@ -121,7 +109,26 @@ def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
     return summary, warnings
 
 
-def _carrier(request: TransferRequest) -> Callable[[TransferRequest, MatchResult, Stages], Outcome]:
+def check_transfer(request: TransferRequest) -> Carrier:
+    """Refuse options that contradict each other; returns the function that carries the requested data."""
+    carry = _carrier(request)
+    require_map_names(request.maps)
+    named = [base for base in request.bases if base[0]]
+    require_map_names(named if len(request.bases) - len(named) < 2 else request.bases, "--base")
+    images = [name for name, _ in request.maps] or list(request.bake)
+    unknown = [name for name, _ in named if name not in images]
+    if unknown:
+        expected = f"names of what is carried ({', '.join(images)})" if images else "one file without a name"
+        raise ParameterError(f"--base: expected {expected}, got {', '.join(unknown)}. Name them alike.")
+    for option, value in (("--scale", request.scale), ("--midlevel", request.midlevel)):
+        if value is not None and not math.isfinite(value):
+            raise ParameterError(f"{option}: expected a finite number, got {value}.")
+    if request.filter not in FILTERS:
+        raise ParameterError(f"--filter: expected {', '.join(FILTERS)}, got {request.filter}.")
+    return carry
+
+
+def _carrier(request: TransferRequest) -> Carrier:
     """Function that carries the requested kind of data; refuses none or several kinds."""
     options = {
         "--texture": (request.texture is not None or bool(request.maps), carry_texture),

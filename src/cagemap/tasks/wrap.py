@@ -54,11 +54,19 @@ from cagemap.wrap.wrapping import NO_CAGE
 
 # Least share of the target's area without a counterpart that is reported; less is single triangles.
 _TOLD = 5e-4
+# Options of images, and the images whose bake reads them.
+_READ_BY = {
+    "space": ("normal_map", "vector_displacement"),
+    "green": ("normal_map",),
+    "rays": ("occlusion",),
+    "size": ("normal_map", "displacement", "vector_displacement", "occlusion", "colors", "baked"),
+}
 
 
 def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
     """Wrap the target of one or several results, and write the cages; returns a summary and warnings."""
-    _check_request(request)
+    check_wrap(request)
+    _check_files(request)
     match_inputs = (request.target, request.source, request.landmarks, request.map)
     if not any(match_inputs):
         return _with_texture(request, *_run(request, stages), stages)
@@ -132,7 +140,8 @@ def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stage
     return f"{summary}\n{more}", warnings + others
 
 
-def _check_request(request: WrapRequest) -> None:
+def check_wrap(request: WrapRequest) -> None:
+    """Refuse options that contradict each other."""
     if not 0.0 <= request.amount <= 1.0:
         raise ParameterError(f"--amount: expected 0 (the target) to 1 (the source's shape), got {request.amount}")
     if request.detail_texture is not None and (request.detail is None or request.texture is not None):
@@ -152,9 +161,8 @@ def _check_request(request: WrapRequest) -> None:
     if request.map is not None and len(request.results) > 1:
         raise ParameterError("--map: expected one --source, got frames. Wrap each frame with a map of its own.")
     require_green(request)
-    bakes = wrap_bakes(request)
+    bakes, images = wrap_bakes(request), outputs_beside(request)
     bakes.check()
-    images = outputs_beside(request)
     many = len(request.results) > 1
     if many and not request.blend_shapes:
         raise ParameterError(
@@ -167,6 +175,15 @@ def _check_request(request: WrapRequest) -> None:
         )
     if request.detail is not None and not bakes.images:
         raise ParameterError("--detail: expected an image to bake from it, such as --normal-map")
+    for option, readers in _READ_BY.items():
+        if getattr(request, option) != getattr(WrapRequest, option) and not any(map(request.__getattribute__, readers)):
+            words = " or ".join(f"--{reader.replace('_', '-')}" for reader in readers)
+            raise ParameterError(f"--{option}: expected with {words} only, which bake an image. Leave it out.")
+    if not request.blend_shapes:
+        check_mesh_path(request.output)
+
+
+def _check_files(request: WrapRequest) -> None:
     inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]
     named = (request.target, request.source, request.landmarks, request.map, request.weights, request.detail)
     inputs += [path for path in named if path is not None]
@@ -174,10 +191,8 @@ def _check_request(request: WrapRequest) -> None:
     if request.blend_shapes:
         if request.output.exists() and not request.output.is_dir():
             raise ParameterError(f"{request.output}: --blend-shapes writes a folder of OBJ files, got a file")
-        check_outputs(images, inputs, force=request.force)
-        return
-    check_mesh_path(request.output)
-    check_outputs([request.output, *images], inputs, force=request.force)
+    outputs = [*outputs_beside(request), *([] if request.blend_shapes else [request.output])]
+    check_outputs(outputs, inputs, force=request.force)
 
 
 def _run(request: WrapRequest, stages: Stages) -> Outcome:

@@ -23,12 +23,28 @@ UNKNOWN_COLOR = 0.8
 
 
 def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces: int | None = None) -> NDArray[Any]:
-    """Pull values of the source's control faces, (m2,) or (m2, q), back to the target's: (m1,) or (m1, q).
+    """Pull values of the source's control faces back to the target's control faces.
 
     Each refined target triangle takes the value at its centre's image. A control face takes the area-weighted mean of
     its triangles' values. Integers (materials, groups), or rows of them, are labels: the one with the largest area is
-    taken. ``n_target_faces`` is by default the number of control faces of the target's level. ParameterError if there
-    is not one row a source face.
+    taken.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    values : (m2,) or (m2, q) array
+        At the source's control faces.
+    n_target_faces : int, optional
+        Default: number of control faces of the target's level.
+
+    Returns
+    -------
+    (m1,) or (m1, q) array of the same kind
+
+    Raises
+    ------
+    ParameterError
+        If there is not one row a source face.
     """
     values = np.asarray(values)
     _require_rows(values, transfer)
@@ -80,9 +96,22 @@ def bake_face_colors(
 ) -> Pixels:
     """Bake colours of the source's control faces into the target's layout, with antialiased edges.
 
-    Texels that a boundary between two colours may cross take 4 x 4 samples, averaged in linear light. ``colors`` (m2,
-    3) are linear RGB, ``size`` is a number of texels or (height, width). Integers of ``dtype`` are encoded as sRGB;
-    floats stay linear. ParameterError if there is not one row a source face, or the target has no texture coordinates.
+    Texels that a boundary between two colours may cross take 4 x 4 samples, averaged in linear light.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    colors : (m2, 3) float64
+        Linear RGB of the source's control faces.
+    size : int or (height, width)
+    dtype : optional
+        Integers are encoded as sRGB; floats stay linear.
+    options : BakeOptions, optional
+
+    Raises
+    ------
+    ParameterError
+        If there is not one row a source face, or the target has no texture coordinates.
     """
     options = options or BakeOptions()
     kept = np.dtype(dtype)

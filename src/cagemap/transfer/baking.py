@@ -100,10 +100,22 @@ def prepare_transfer(
     masks: Masks = WHOLE,
     holes: NDArray[np.bool_] | None = None,
 ) -> Transfer:
-    """Prepare a match for bakes, from the refined levels of its point map.
+    """Prepare a match for bakes.
 
-    ``masks`` are weights of both surfaces' vertices; ``holes`` (m1,) are target faces that get no texels, see
-    `Refinement.holes`. ParameterError if the map or the masks do not fit the two levels.
+    Parameters
+    ----------
+    target, source : Level
+        Refined levels of the point map.
+    point_map : PointMap
+    masks : Masks
+        Weights of both surfaces' vertices.
+    holes : (m1,) bool, optional
+        Target faces that get no texels, see `Refinement.holes`.
+
+    Raises
+    ------
+    ParameterError
+        If the map or the masks do not fit the two levels.
     """
     target_surface, source_surface = TexturedSurface.from_level(target, holes), TexturedSurface.from_level(source)
     expected, sides = (target_surface, source_surface), (point_map.target, point_map.source)
@@ -134,11 +146,27 @@ def bake_texture(
     dtype: DTypeLike | None = None,
     options: BakeOptions | None = None,
 ) -> Pixels:
-    """Bake the source's texture into the target's layout: (height, width, c).
+    """Bake the source's texture into the target's layout.
 
-    ``texture`` is an array (h, w, c), row 0 at the top (v = 1), or such arrays by UDIM number. ``size`` is the number
-    of texels a side, or (height, width). The number type ``dtype`` is by default the texture's; integers stand for the
-    range 0 to 1. ParameterError if target or source have no texture coordinates, or the image or its size is invalid.
+    Parameters
+    ----------
+    transfer : Transfer
+    texture : (h, w, c) array, or such arrays by UDIM number
+        Row 0 at the top (v = 1).
+    size : int or (height, width)
+        Of the image to bake, in texels.
+    dtype : optional
+        Number type of the result; by default the texture's. Integers stand for the range 0 to 1.
+    options : BakeOptions, optional
+
+    Returns
+    -------
+    (height, width, c) array
+
+    Raises
+    ------
+    ParameterError
+        If target or source have no texture coordinates, or the image or its size is invalid.
     """
     options = options or BakeOptions()
     laid = lay_texture(texture, *transfer.source.layout(), wrap=options.wrap)

@@ -65,9 +65,19 @@ class Detail:
 
 
 def detail_over(source: TriangleSurface, positions: FloatArray, triangles: IndexArray) -> Detail:
-    """`Detail` of a mesh with positions (n, 3) in the file units of a map's source, and triangles (t, 3).
+    """`Detail` of a mesh in the source's file units.
 
-    ParameterError if less than half of the source has detail near it: the mesh has another position or unit.
+    Parameters
+    ----------
+    source : TriangleSurface
+        Source of the map.
+    positions : (n, 3) float64
+    triangles : (t, 3) int64
+
+    Raises
+    ------
+    ParameterError
+        If less than half of the source has detail near it: the mesh has another position or unit.
     """
     detail = Detail(TriangleSurface(source.scale * positions, triangles, source.scale))
     share = detailed_share(detail, source)
@@ -108,10 +118,23 @@ def bake_detail_normals(
     dtype: DTypeLike = np.uint8,
     options: BakeOptions | None = None,
 ) -> Pixels:
-    """Bake the normals of detail over the transfer's source, relative to the source's, as a normal map of the target.
+    """Bake the detail's normals, relative to the source's, as a normal map of the target.
 
-    ``size`` is a number of texels or (height, width), ``space`` and ``green`` are as in
-    `cagemap.transfer.vectors.bake_normal_map`. Directions n are stored as (n + 1) / 2, (height, width, 3).
+    Parameters
+    ----------
+    transfer : Transfer
+    detail : Detail
+        Over the transfer's source.
+    size : int or (height, width)
+    space, green
+        As `bake_normal_map` takes them.
+    dtype : optional
+        Directions n are stored as (n + 1) / 2.
+    options : BakeOptions, optional
+
+    Returns
+    -------
+    (height, width, 3) array
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
 
@@ -138,9 +161,18 @@ def bake_detail_vectors(
 ) -> Displacement:
     """Bake offsets from source to detail as vector displacement of the target, in the target's units.
 
-    Bilinear lookups at the vertices of the target's level are exact, on both sides of a seam. In tangent space the
-    channels are tangent, normal, bitangent. ``scale``, not 0, is the length of a value of 1; integers hold the range
-    from -scale / 2 to scale / 2, their middle value means zero. Other arguments as in `bake_detail_normals`.
+    Bilinear lookups at the vertices of the target's level are exact, on both sides of a seam.
+
+    Parameters
+    ----------
+    transfer, detail, size, options
+        As `bake_detail_normals` takes them.
+    space : "tangent" or "object"
+        In tangent space the channels are tangent, normal, bitangent.
+    scale : float
+        Length of a value of 1, not 0; integers hold the range from -scale / 2 to scale / 2.
+    dtype : optional
+        The middle value of integers means zero.
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
     middle, encode = _length_encoder(transfer, detail, scale, kept)
@@ -177,7 +209,13 @@ def bake_detail_heights(
     dtype: DTypeLike = np.float32,
     options: BakeOptions | None = None,
 ) -> Displacement:
-    """Bake the detail's height along the source's normals as displacement; arguments as of `bake_detail_vectors`."""
+    """Bake the detail's height along the source's normals as displacement of the target.
+
+    Parameters
+    ----------
+    transfer, detail, size, scale, dtype, options
+        As `bake_detail_vectors` takes them.
+    """
     options, kept = options or BakeOptions(), np.dtype(dtype)
     middle, encode = _length_encoder(transfer, detail, scale, kept)
 
@@ -199,9 +237,21 @@ def bake_detail_values(
     dtype: DTypeLike = np.uint8,
     options: BakeOptions | None = None,
 ) -> Pixels:
-    """Bake values (n,) or (n, q) at the detail's vertices, such as colours or ambient occlusion.
+    """Bake values at the detail's vertices, such as colours or ambient occlusion.
 
-    Integers of ``dtype`` stand for the range 0 to 1. ParameterError if there is not one row a vertex.
+    Parameters
+    ----------
+    transfer, detail, size, options
+        As `bake_detail_normals` takes them.
+    values : (n,) or (n, q) float64
+        At the detail's vertices.
+    dtype : optional
+        Integers stand for the range 0 to 1.
+
+    Raises
+    ------
+    ParameterError
+        If there is not one row a vertex.
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
     if len(values) != detail.surface.n:
@@ -229,8 +279,21 @@ def bake_detail_texture(
 ) -> Pixels:
     """Bake the detail's own texture, as of a scan; the filter "nearest" is for labels.
 
-    ``texture`` and ``dtype`` are as in `bake_texture`; ``uvs`` (p, 2) and ``uv_triangles`` (t, 3) are texture
-    coordinates of the corners of the detail's triangles. ParameterError if these are not t, or as of `bake_texture`.
+    Parameters
+    ----------
+    transfer, detail, size, options
+        As `bake_detail_normals` takes them.
+    texture : (h, w, c) array, or such arrays by UDIM number
+    uvs : (p, 2) float64
+    uv_triangles : (t, 3) int64
+        Texture coordinates of the corners of the detail's triangles.
+    dtype : optional
+        Number type of the result; by default the texture's.
+
+    Raises
+    ------
+    ParameterError
+        If the number of rows of texture coordinates is not that of triangles, or as `bake_texture`.
     """
     options = options or BakeOptions()
     if uv_triangles.shape != detail.surface.triangles.shape:

@@ -56,14 +56,30 @@ def bake_displacement(
 ) -> Displacement:
     """Bake the source's displacement into the target's layout, scaled by the ratio of the surfaces.
 
-    Heights are multiplied by sqrt(area of target / area of source), with ``local_stretch`` by the map's local stretch.
-    Float images get new values and keep the scale; integer images keep their values and get a new scale.
+    Heights are multiplied by sqrt(area of target / area of source). Float images get new values and keep the scale;
+    integer images keep their values and get a new scale.
 
-    ``texture`` (h, w, c), or such arrays by UDIM number, is grey, also as equal colour channels; alpha is ignored.
-    ``midlevel`` is the value that means no displacement, by default 0.5 for integers and 0 for floats; ``scale`` is the
-    source's height between the values 0 and 1, in its length unit. Other arguments as of `bake_texture`. ParameterError
-    if the image is not grey (see `cagemap.transfer.vectors.bake_vector_displacement`), if its floats are not from 0 to
-    1 and ``dtype`` is of integers, or as of `bake_texture`.
+    Parameters
+    ----------
+    transfer : Transfer
+    texture : (h, w, c) array, or such arrays by UDIM number
+        Grey, also as equal colour channels; alpha is ignored.
+    size : int or (height, width)
+    midlevel : float, optional
+        Value that means no displacement; by default 0.5 for integers and 0 for floats.
+    scale : float
+        Source height between the values 0 and 1, in the source's length unit.
+    local_stretch : bool
+        Multiply heights by the map's local stretch instead of one ratio.
+    dtype : optional
+        Number type of the result; by default the texture's.
+    options : BakeOptions, optional
+
+    Raises
+    ------
+    ParameterError
+        If the image is not grey (see `bake_vector_displacement`), if its floats are not from 0 to 1 and ``dtype`` is
+        of integers, or as `bake_texture`.
     """
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, grey), *transfer.source.layout(), wrap=options.wrap)

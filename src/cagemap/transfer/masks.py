@@ -21,10 +21,21 @@ _ROWS = 256
 
 
 def painted_mask(level: Level, image: Pixels | Mapping[int, Pixels]) -> FloatArray:
-    """(n,) mask of a level's vertices from an image painted over its UVs: (h, w), (h, w, c), or by UDIM number.
+    """(n,) mask of a level's vertices from an image painted over its UVs.
 
-    The image's first channel, or the mean of its colours, times its alpha; integers stand for 0 to 1. Vertices on seams
-    get the mean of their values. ParameterError if the level has no texture coordinates, or a tile is missing.
+    The image's first channel, or the mean of its colours, times its alpha. Vertices on seams get the mean of their
+    values.
+
+    Parameters
+    ----------
+    level : Level
+    image : (h, w) or (h, w, c) array, or such arrays by UDIM number
+        Integers stand for 0 to 1.
+
+    Raises
+    ------
+    ParameterError
+        If the level has no texture coordinates, or a tile of the image is missing.
     """
     surface = TexturedSurface.from_level(level)
     laid = lay_texture(image, *surface.layout())
@@ -40,9 +51,18 @@ def painted_mask(level: Level, image: Pixels | Mapping[int, Pixels]) -> FloatArr
 
 @kinds_checked
 def bake_mask(transfer: Transfer, *, size: int | tuple[int, int], options: BakeOptions | None = None) -> Pixels:
-    """Weight (height, width, 1) float32 of every texel of the target: the product of both masks, linear in triangles.
+    """Weight of every texel of the target: the product of both masks, linear in the triangles.
 
-    ``size`` and ``options`` are those of the bake that the mask is for.
+    Parameters
+    ----------
+    transfer : Transfer
+    size : int or (height, width)
+    options : BakeOptions, optional
+        Options of the bake that the mask is for.
+
+    Returns
+    -------
+    (height, width, 1) float32
     """
     options = options or BakeOptions()
     layout = make_layout(transfer, size, options)
@@ -63,8 +83,16 @@ def bake_mask(transfer: Transfer, *, size: int | tuple[int, int], options: BakeO
 def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
     """Blend a baked image over a base: ``base + weight (baked - base)``; weight 0 is exactly the base.
 
-    Both images are (h, w, c) of one number type, ``weight`` (h, w, 1). ParameterError if sizes, channels or number
-    types differ, or the images are of signed integers.
+    Parameters
+    ----------
+    baked, base : (h, w, c) arrays
+        Of one number type.
+    weight : (h, w, 1) float array
+
+    Raises
+    ------
+    ParameterError
+        If sizes, channels or number types differ, or the images are of signed integers.
     """
     baked, weight = _image_and_weight(baked, weight)
     base = as_pixels(base)
@@ -82,9 +110,18 @@ def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
 
 
 def with_alpha(baked: Pixels, weight: Pixels) -> Pixels:
-    """A baked image (h, w, 1 to 4) with the weight (h, w, 1) as alpha; an existing alpha is multiplied by it.
+    """A baked image with the weight as alpha; an existing alpha is multiplied by it.
 
-    ParameterError if the weight has another size, or the image is of signed integers.
+    Parameters
+    ----------
+    baked : (h, w, c) array
+        Of one to four channels.
+    weight : (h, w, 1) float array
+
+    Raises
+    ------
+    ParameterError
+        If the weight has another size, or the image is of signed integers.
     """
     baked, weight = _image_and_weight(baked, weight)
     full = unit(baked.dtype)

@@ -29,5 +29,13 @@ def bake(
     dtype: DTypeLike | None = None,
     options: BakeOptions | None = None,
 ) -> Pixels:
-    """Bake the source's texture into the target's layout: `cagemap.bake_texture`, of a result of `cagemap.match`."""
+    """Bake the source's texture into the target's layout: `bake_texture` after `transfer_of`.
+
+    Parameters
+    ----------
+    result : MatchResult
+        Of `cagemap.match` or `cagemap.read_result`.
+    texture, size, dtype, options
+        See `cagemap.bake_texture`.
+    """
     return bake_texture(transfer_of(result), texture, size=size, dtype=dtype, options=options)

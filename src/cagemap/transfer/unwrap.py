@@ -34,12 +34,27 @@ _PAIRS = 2**18
 
 @arrays_accepted
 def unwrap(control: MeshLike, *, padding: float = 1 / 256) -> ControlMesh:
-    """Give a control mesh, see `cagemap.mesh.inputs.control_mesh`, texture coordinates in place of any that it has.
+    """Give a control mesh texture coordinates.
 
-    They lie in the unit square, with one density: the area of an island is proportional to that of its polygons.
-    Islands do not overlap, nor do the linearly refined UVs; none is mirrored. The same mesh gives the same UVs.
-    ``padding`` is the distance between islands, as a part of the image's side; half of it to the border.
-    InvalidMeshError if the mesh has no extent; ParameterError if the padding is negative or leaves islands no room.
+    Parameters
+    ----------
+    control : mesh, see `cagemap.mesh.inputs.control_mesh`
+        Any polygon mesh; texture coordinates it already has are replaced.
+    padding : float
+        Distance between islands, as a part of the image's side; half of it to the border.
+
+    Returns
+    -------
+    ControlMesh
+        With UVs in the unit square, of one density: the area of an island is proportional to that of its polygons.
+        Islands do not overlap, nor do the linearly refined UVs; none is mirrored. The same mesh gives the same UVs.
+
+    Raises
+    ------
+    InvalidMeshError
+        If the mesh has no extent.
+    ParameterError
+        If the padding is negative, or leaves no room for the islands.
     """
     low, high = control.positions.min(axis=0, initial=np.inf), control.positions.max(axis=0, initial=-np.inf)
     size = float((high - low).max())

@@ -45,11 +45,24 @@ def bake_normal_map(
 ) -> Pixels:
     """Bake the source's normal map into the target's layout, in the target's own frames.
 
-    ``texture`` (h, w, 3), or such arrays by UDIM number, holds directions n as (n + 1) / 2; floats with negative values
-    hold n itself; alpha is left out. Tangent space is MikkTSpace's, of both refined surfaces. ``green`` says whether in
-    tangent space the green channel increases with v ("up": OpenGL, Blender) or decreases ("down": DirectX), in both
-    images. Other arguments as of `cagemap.bake_texture`. ParameterError if the image has fewer than three channels, or
-    as of `cagemap.bake_texture`.
+    Parameters
+    ----------
+    transfer : Transfer
+    texture : (h, w, 3) array, or such arrays by UDIM number
+        Directions n, stored as (n + 1) / 2; floats with negative values hold n itself. Alpha is left out.
+    size : int or (height, width)
+    space : "tangent" or "object"
+        Tangent space is MikkTSpace's, of both refined surfaces.
+    green : "up" or "down"
+        In tangent space: whether the green channel increases with v (OpenGL, Blender) or decreases (DirectX), in both
+        images.
+    dtype, options
+        As in `bake_texture`.
+
+    Raises
+    ------
+    ParameterError
+        If the image has fewer than three channels, or as `bake_texture`.
     """
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from cagemap.errors import FormatError
-from cagemap.files.gltf.nodes import distinct
+from cagemap.files.text import distinct
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray

@@ -14,9 +14,10 @@ from cagemap.character.values import Animation, Channel, Character, Interpolatio
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.document import read_document
 from cagemap.files.gltf.entries import Document, read_accessor
-from cagemap.files.gltf.nodes import Joints, distinct, read_nodes, scale_signs
+from cagemap.files.gltf.nodes import Joints, read_nodes, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.primitives import shape_names
+from cagemap.files.text import distinct
 from cagemap.numerics.arrays import FloatArray
 
 _log = logging.getLogger(__name__)

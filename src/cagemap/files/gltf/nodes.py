@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.character.values import Rig
 from cagemap.files.gltf.entries import Document, read_accessor
+from cagemap.files.text import distinct
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # Relative to the length of a transform's axes.
@@ -53,21 +54,6 @@ def read_nodes(document: Document) -> Nodes:
         document.refuse("nodes", "their transforms are too large")
     names = distinct([document.name("nodes", number) or f"node {number}" for number in range(count)])
     return Nodes(tuple(order), frozenset(_below(_roots(document, parents), children)), parents, local, world, names)
-
-
-def distinct(names: list[str]) -> tuple[str, ...]:
-    """Unique names: repeated ones get a number appended."""
-    used: set[str] = set()
-    unique = []
-    counts: dict[str, int] = {}
-    for name in names:
-        word = name
-        while word in used:
-            counts[name] = counts.get(name, 1) + 1
-            word = f"{name}_{counts[name]}"
-        used.add(word)
-        unique.append(word)
-    return tuple(unique)
 
 
 def _children(document: Document, number: int) -> list[int]:

@@ -15,7 +15,6 @@ from cagemap.files.gltf.nodes import (
     Joints,
     Nodes,
     Skin,
-    distinct,
     invertible,
     nearest_joint,
     read_joints,
@@ -24,6 +23,7 @@ from cagemap.files.gltf.nodes import (
     rounded,
 )
 from cagemap.files.gltf.primitives import VertexArrays, read_vertex_arrays
+from cagemap.files.text import distinct
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import merged_corners

@@ -11,8 +11,7 @@ import numpy as np
 
 from cagemap.files.gltf.binary import NGONS, STARTS, corners_from
 from cagemap.files.gltf.entries import Document, read_accessor
-from cagemap.files.gltf.nodes import distinct
-from cagemap.files.text import whole_characters
+from cagemap.files.text import distinct, whole_characters
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.parts import join_meshes

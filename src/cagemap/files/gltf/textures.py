@@ -9,8 +9,8 @@ from typing import Any
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document, image_bytes, image_suffix, image_type
-from cagemap.files.gltf.nodes import distinct
 from cagemap.files.gltf.primitives import material_names
+from cagemap.files.text import distinct
 
 _COLOR = "baseColorTexture"
 REPEAT, CLAMP, MIRROR = 10497, 33071, 33648  # wrap modes of samplers

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError
 from cagemap.files.meshes.colors import KEYWORD, as_shares, polypaint, read_material_colors
 from cagemap.files.meshes.obj_tags import parse_tags
-from cagemap.files.text import at_line, decoded, file_in, is_number, read_text
+from cagemap.files.text import at_line, decoded, distinct, file_in, is_number, read_text
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV
 from cagemap.mesh.mesh_report import count_noun, first_few
@@ -59,7 +59,7 @@ def read_obj(path: str | Path) -> ControlMesh:
 
     Vertices and faces keep the numbering of the ``v`` and ``f`` lines. Polygons stay polygons; texture coordinates keep
     their own indices. ``usemtl`` gives the faces' materials, with ``Kd`` of the ``.mtl`` as colour (NaN if missing),
-    ``o`` and ``g`` their objects and groups; those of one name are one. A ``v`` line of six or seven numbers has a
+    ``o`` and ``g`` their objects and groups; groups of one name are one. A ``v`` line of six or seven numbers has a
     position and a colour; without such lines ZBrush's polypaint gives colours. ``t`` lines are creases, corners, holes
     and options (`obj_tags`). Normals, points, lines and smoothing groups are ignored. Several objects become one mesh.
     """
@@ -79,8 +79,7 @@ def read_obj(path: str | Path) -> ControlMesh:
     face_indices = _resolve(statements, corners, corners.vertices, _POSITION, "vertex")
     uvs, uv_indices = _read_uvs(statements, corners)
     names, face_materials = _read_names(statements, face_rows, _USE_MATERIAL)
-    objects, face_objects = _read_names(statements, face_rows, _OBJECT)
-    _warn_of_equal_objects(statements, corners, face_indices, objects, face_objects)
+    objects, face_objects = _read_objects(statements, corners, face_indices)
     groups, face_groups = _read_names(statements, face_rows, _GROUP)
     return ControlMesh(
         positions=positions,
@@ -274,24 +273,33 @@ def _read_names(statements: _Statements, face_rows: IndexArray, kind: int) -> tu
     return names, np.array([number.get(name, -1) for name in stated], dtype=np.int64)[used]
 
 
-def _warn_of_equal_objects(
-    statements: _Statements,
-    corners: _Corners,
-    face_indices: IndexArray,
-    names: tuple[str, ...],
-    face_objects: IndexArray | None,
-) -> None:
-    """Warn of objects of one name without common vertices. Exporters repeat the name of one object, too."""
+def _read_objects(
+    statements: _Statements, corners: _Corners, face_indices: IndexArray
+) -> tuple[tuple[str, ...], IndexArray | None]:
+    """Objects as by `_read_names`; those of one name get different ones if no two have a vertex in common.
+
+    Otherwise an exporter has repeated the name of one object.
+    """
+    names, numbers = _read_names(statements, corners.rows, _OBJECT)
     blocks = np.searchsorted(statements.rows(_OBJECT), corners.rows)
-    if face_objects is None or len(np.unique(blocks)) == len(names):
-        return
+    if numbers is None or len(np.unique(blocks)) == len(names):
+        return names, numbers
+    listed, renamed = list(names), dict[str, IndexArray]()
     for number, name in enumerate(names):
-        of_object = (face_objects == number)[corners.faces]
-        used = np.column_stack([blocks[corners.faces], face_indices])[of_object]
-        count = len(np.unique(used[:, 0]))
-        if count > 1 and len(np.unique(used, axis=0)) == len(np.unique(used[:, 1])):
-            text = "%s: %d objects are named %s and become one. Give each its own name to match or select them apart."
-            _log.warning(text, statements.path, count, name)
+        faces = np.flatnonzero(numbers == number)
+        stated = np.unique(blocks[faces])
+        of_object = np.isin(corners.faces, faces)
+        used = np.unique(np.column_stack([blocks[corners.faces], face_indices])[of_object], axis=0)
+        if name and len(stated) > 1 and len(used) == len(np.unique(used[:, 1])):
+            places = np.array([number, *range(len(listed), len(listed) + len(stated) - 1)])
+            numbers[faces] = places[np.searchsorted(stated, blocks[faces])]
+            listed += [name] * (len(stated) - 1)
+            renamed[name] = places
+    unique = distinct(listed)
+    for name, places in renamed.items():
+        text = "%s: %d objects are named %s: they are read as %s"
+        _log.warning(text, statements.path, len(places), name, first_few([unique[place] for place in places]))
+    return unique, numbers
 
 
 def _read_vertex_colors(statements: _Statements, n_vertices: int) -> FloatArray | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from cagemap.files.meshes.colors import NO_IMAGES, color_statements, read_materi
 from cagemap.files.meshes.obj import MATERIAL_FILE_LINE, material_files, read_obj
 from cagemap.files.meshes.obj_tags import format_tags
 from cagemap.files.ownership import mark
-from cagemap.files.text import check_writable_name, read_text
+from cagemap.files.text import check_writable_name, distinct, read_text
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 
@@ -43,7 +43,7 @@ def write_obj(
     file = Path(path)
     if images and (mesh.face_materials is None or "" in mesh.material_names):
         mesh = _all_named(mesh)
-    mesh = replace(mesh, material_names=_distinct(mesh.material_names))
+    mesh = replace(mesh, material_names=distinct(mesh.material_names))
     for name in (*mesh.material_names, *mesh.object_names, *mesh.group_names):
         check_writable_name(name)
     library, has_materials = file.with_suffix(".mtl"), mesh.face_materials is not None
@@ -63,16 +63,6 @@ def _all_named(mesh: ControlMesh) -> ControlMesh:
     if mesh.face_materials is None:
         return replace(mesh, face_materials=np.zeros(mesh.n_faces, np.int64), material_names=(_UNNAMED,))
     return replace(mesh, material_names=tuple(name or _UNNAMED for name in mesh.material_names))
-
-
-def _distinct(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of materials; .001, .002, ... after a name that an earlier one has."""
-    used: list[str] = []
-    for name in names:
-        others = [*used, *names] if name in used else used
-        free = (f"{name}.{number:03}" for number in range(1, len(names) + 2))
-        used.append(next(other for other in (name, *free) if other not in others))
-    return tuple(used)
 
 
 def obj_files(path: Path, mesh: ControlMesh, like: str | Path | None = None) -> list[Path]:

@@ -18,10 +18,11 @@ from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import in_rig
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.nodes import distinct, invertible
-from cagemap.files.gltf.parts import turned_normals
+from cagemap.files.gltf.nodes import invertible
+from cagemap.files.gltf.parts import turned_normals, turned_offsets
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.write import character_glb
+from cagemap.files.text import distinct
 from cagemap.files.usd.animations import without_scale
 from cagemap.files.usd.prims import (
     BLEND_SHAPE,
@@ -41,6 +42,7 @@ from cagemap.files.usd.space import stage_units, to_metres
 from cagemap.files.usd.stages import named_damage, open_stage, opened_once, usd_modules
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.faces import reversed_corners
+from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray
 
 _log = logging.getLogger(__name__)
@@ -112,6 +114,11 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
     names = distinct([*joints, *(prim.GetDisplayName() or prim.GetName() for prim in prims)])[len(joints) :]
     parts = []
     for name, mesh, prim, skeleton in zip(names, meshes, prims, bound, strict=True):
+        if len(thin := np.flatnonzero(mesh.control.face_sizes < 3)):
+            raise FormatError(
+                f"{file}: {mesh.path}: expected faces of at least three corners, got {len(thin)} of fewer, faces: "
+                f"{first_few(thin)}. Delete them."
+            )
         table = mesh.attributes.get(JOINT_WEIGHTS) if skeleton else None
         mesh_to_world = mesh.to_world @ to_world
         if table is not None:
@@ -128,14 +135,25 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
             for label, offsets in placed.attributes.items()
             if label.startswith(BLEND_SHAPE)
         }
-        parts.append(Part(name, control, table, shapes, _normals(f"{file}: {mesh.path}", prim, control, mesh_to_world)))
+        normals, shape_normals = _normals(f"{file}: {mesh.path}", prim, control, mesh_to_world), {}
+        if normals is not None:
+            turn = mesh_to_world[:3, :3]
+            shape_normals = {
+                label: turned_offsets(offsets[control.face_indices], normals, turn)
+                for label, offsets in mesh.shape_normals.items()
+            }
+            normals = turned_normals(normals, turn)
+        parts.append(Part(name, control, table, shapes, normals, shape_normals, placed.colors))
     if rig is not None:
         rig, animations = without_scale(rig, animations)
     return Character(tuple(parts), rig, animations), weights
 
 
 def _normals(where: str, prim: Any, control: ControlMesh, matrix: FloatArray) -> FloatArray | None:
-    """Normals (c, 3) of the corners of a plain mesh that a matrix has placed; None for other meshes and without any."""
+    """Normals (c, 3), as stored, of the corners of a plain mesh in world space; None for other meshes and without any.
+
+    ``matrix``: to world space, which has reversed the faces if it mirrors.
+    """
     geometry, primvar = usd_modules().UsdGeom.Mesh(prim), usd_modules().UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar.HasValue():
         values, numbers, kind = primvar_values(where, primvar)
@@ -151,7 +169,7 @@ def _normals(where: str, prim: Any, control: ControlMesh, matrix: FloatArray) ->
         text = "%s: its normals are left out, others are computed: expected finite ones, got %d of interpolation %s"
         _log.warning(text, where, len(numbers), kind)
         return None
-    return turned_normals(values.astype(np.float64), matrix[:3, :3])[numbers[rows]]
+    return values[numbers[rows]].astype(np.float64)
 
 
 def _rig(file: Path, skeleton: Any, rig_to_world: FloatArray) -> Rig:

@@ -70,15 +70,39 @@ def corner_values(where: str, control: ControlMesh, primvar: Any) -> tuple[Float
     If a file has a value for every corner, as Blender writes them, equal ones at a vertex are merged. Otherwise every
     face would be a UV island.
     """
+    values, rows = _at_corners(where, control, primvar)
+    if primvar.GetInterpolation() == "faceVarying" and not primvar.IsIndexed():
+        return merged_corners(control.face_indices, values[rows])
+    return values, rows
+
+
+def _at_corners(where: str, control: ControlMesh, primvar: Any) -> tuple[FloatArray, IndexArray]:
+    """Values of a primvar as stored, and the row of each face corner."""
     values, numbers, interpolation = primvar_values(where, primvar)
     values, owners = values.astype(np.float64), corner_rows(control, interpolation)
     if owners is None or len(numbers) <= owners.max():
         _refuse(where, primvar, f"got {len(numbers)} values of interpolation {interpolation!r}")
     if not np.isfinite(values).all():
         _refuse(where, primvar, "got values that are not numbers")
-    if interpolation == "faceVarying" and not primvar.IsIndexed():
-        return merged_corners(control.face_indices, values[owners])
     return values, numbers[owners]
+
+
+def display_colors(where: str, control: ControlMesh, prim: Any) -> tuple[str, FloatArray | None]:
+    """Interpolation and linear colour and opacity (c, 4) of the face corners; None without, or with one for all."""
+    from pxr import UsdGeom
+
+    api = UsdGeom.PrimvarsAPI(prim)
+    color, opacity = map(api.FindPrimvarWithInheritance, ("displayColor", "displayOpacity"))
+    interpolation = str(color.GetInterpolation()) if color.HasValue() and len(stated(color)) else "constant"
+    if interpolation == "constant":
+        return interpolation, None
+    values, rows = _at_corners(where, control, color)
+    shares, share_rows = np.ones(1), np.zeros_like(rows)
+    if opacity.HasValue() and len(stated(opacity)):
+        shares, share_rows = _at_corners(where, control, opacity)
+    if values.shape[1:] != (3,) or shares.ndim != 1:
+        _refuse(where, color, f"got colours of shape {values.shape} and opacities of shape {shares.shape}")
+    return interpolation, np.column_stack([values[rows], shares[share_rows]])
 
 
 def corner_rows(control: ControlMesh, interpolation: str) -> IndexArray | None:
@@ -97,7 +121,7 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
     """All other numeric primvars by name: a row for each control vertex, face or face corner.
 
     Constant primvars are left out, since they are no function on the mesh. Skinning weights have a column for each
-    joint; blend shapes are offsets at all vertices.
+    joint.
     """
     from pxr import UsdGeom
 
@@ -126,7 +150,7 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
         if len(numbers) != expected:
             _refuse(where, primvar, f"got {len(numbers)} values where {expected} belong")
         arrays[name] = values[numbers]
-    return arrays | _weights(where, control, prim) | _blend_shapes(where, control, prim)
+    return arrays | _weights(where, control, prim)
 
 
 def corner_primvars(prim: Any) -> frozenset[str]:
@@ -205,7 +229,8 @@ def _in_skeleton_order(where: str, weights: Any, joints: NDArray[Any], prim: Any
     )
 
 
-def _blend_shapes(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:
+def blend_shapes(where: str, control: ControlMesh, prim: Any) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Offsets (n, 3) of all vertices by name of a blend shape, and offsets of normals of shapes that state them."""
     from pxr import UsdSkel
 
     binding = UsdSkel.BindingAPI(prim)
@@ -216,26 +241,34 @@ def _blend_shapes(where: str, control: ControlMesh, prim: Any) -> dict[str, NDAr
             f"{where}: expected a target for each blend shape, got {len(names)} names and {len(targets)} targets. "
             "Export it again."
         )
-    arrays = {}
+    shapes, shape_normals = dict[str, FloatArray](), dict[str, FloatArray]()
     for name, target in zip(names, targets, strict=True):
         shape = UsdSkel.BlendShape(prim.GetStage().GetPrimAtPath(target))
         if not shape:
             raise FormatError(f"{where}: blend shape {name}: {target} is no blend shape. Export it again.")
         if shape.GetInbetweens():
             logger.warning("%s: blend shape %s: its in-betweens are left out", where, name)
-        offsets = np.asarray(shape.GetOffsetsAttr().Get() or np.zeros((0, 3)), dtype=np.float64).reshape(-1, 3)
-        points = shape.GetPointIndicesAttr().Get()
-        numbers = np.arange(len(offsets)) if points is None or not len(points) else np.asarray(points, dtype=np.int64)
-        in_range = not len(numbers) or 0 <= numbers.min() <= numbers.max() < control.n_vertices
-        if len(numbers) != len(offsets) or not in_range or not np.isfinite(offsets).all():
-            raise FormatError(
-                f"{where}: blend shape {name}: expected one finite offset a point, got {len(offsets)} for "
-                f"{len(numbers)} points of {control.n_vertices}. Export it again."
-            )
-        table = np.zeros((control.n_vertices, 3))
-        table[numbers] = offsets
-        arrays[f"{BLEND_SHAPE}{name}"] = table
-    return arrays
+        points = integers(shape.GetPointIndicesAttr().Get())
+        shapes[name] = _sparse_offsets(f"{where}: blend shape {name}", control, shape.GetOffsetsAttr().Get(), points)
+        if normal_offsets := shape.GetNormalOffsetsAttr().Get():
+            place = f"{where}: normals of blend shape {name}"
+            shape_normals[name] = _sparse_offsets(place, control, normal_offsets, points)
+    return shapes, shape_normals
+
+
+def _sparse_offsets(where: str, control: ControlMesh, stored: Any, points: IndexArray) -> FloatArray:
+    """(n, 3) offsets of all vertices from those of points; of all in order if ``points`` is empty."""
+    offsets = np.asarray(stored or np.zeros((0, 3)), dtype=np.float64).reshape(-1, 3)
+    numbers = points if len(points) else np.arange(len(offsets))
+    in_range = not len(numbers) or 0 <= numbers.min() <= numbers.max() < control.n_vertices
+    if len(numbers) != len(offsets) or not in_range or not np.isfinite(offsets).all():
+        raise FormatError(
+            f"{where}: expected one finite offset a point, got {len(offsets)} for {len(numbers)} points of "
+            f"{control.n_vertices}. Export it again."
+        )
+    table = np.zeros((control.n_vertices, 3))
+    table[numbers] = offsets
+    return table
 
 
 def face_sets(prim: Any, n_faces: int, labels: Mapping[str, str]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import itertools
 import logging
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,10 @@ import numpy as np
 from cagemap.errors import FormatError
 from cagemap.files.usd.prims import (
     BLEND_SHAPE,
+    blend_shapes,
     corner_primvars,
     corner_values,
+    display_colors,
     face_sets,
     integers,
     is_mirrored,
@@ -36,8 +38,9 @@ from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import reversed_corners
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.parts import join_meshes
-from cagemap.mesh.schemes import SCHEMES
-from cagemap.numerics.arrays import FloatArray
+from cagemap.mesh.schemes import SCHEMES, scheme_name
+from cagemap.mesh.weld import COLOR_STEP
+from cagemap.numerics.arrays import FloatArray, grouped_sums
 from cagemap.numerics.srgb import encode_srgb
 from cagemap.subdivision import default_scheme
 
@@ -66,6 +69,8 @@ class UsdMesh:
     to_world: FloatArray  # (4, 4) from local to world space, for positions as rows with 1 appended
     # names of attributes with rows for face corners; if no faces share vertices, the number of rows does not show it
     of_corners: frozenset[str] = frozenset()
+    shape_normals: dict[str, FloatArray] = field(default_factory=dict)  # offsets (n, 3) of normals by blend shape
+    colors: FloatArray | None = None  # (c, 4) linear with opacity, of face corners; None if ``control`` has them all
 
 
 def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
@@ -151,14 +156,16 @@ def joined(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool = False) 
     file = Path(path)
     if len(meshes) == 1:
         return replace(meshes[0].control, name=file.name)
-    schemes = {str(mesh.control.scheme): mesh.path for mesh in meshes}
+    schemes = {mesh.control.scheme: mesh.path for mesh in meshes}
     whole = replace(join_meshes([in_world(mesh).control for mesh in meshes]), name=file.name)
     if len(schemes) > 1 and mixed:
         return replace(whole, object_schemes=tuple(default_scheme(mesh.control) for mesh in meshes))
     if len(schemes) > 1:
+        words = {scheme_name(scheme): path for scheme, path in schemes.items() if scheme is not None}
+        words = words if len(words) == len(schemes) else {str(scheme): path for scheme, path in schemes.items()}
         raise FormatError(
-            f"{file}: expected meshes that are all subdivided alike, got {' and '.join(schemes)} (of "
-            f"{', '.join(schemes.values())}). Match the one that is meant (`find_part` NAME)."
+            f"{file}: expected meshes that are all subdivided alike, got {' and '.join(words)} (of "
+            f"{', '.join(words.values())}). Match the one that is meant (`find_part` NAME)."
         )
     return whole
 
@@ -181,18 +188,17 @@ def one_mesh(path: str | Path, meshes: tuple[UsdMesh, ...], control: ControlMesh
 
 def in_world(mesh: UsdMesh) -> UsdMesh:
     """The mesh and its blend shapes in world space, as an object named by its path; faces reversed if mirrored."""
-    control, attributes = mesh.control, dict(mesh.attributes)
     if is_mirrored(mesh.to_world):
-        control, attributes = _turned_round(control, attributes, mesh.of_corners)
-    turn = mesh.to_world[:3, :3]
+        mesh = _turned_round(mesh)
+    control, turn = mesh.control, mesh.to_world[:3, :3]
     control = replace(
         control,
         positions=moved(control.positions, mesh.to_world),
         face_objects=np.zeros(control.n_faces, dtype=np.int64),
         object_names=(mesh.path,),
     )
-    shapes = {name: array @ turn for name, array in attributes.items() if name.startswith(BLEND_SHAPE)}
-    return replace(mesh, control=control, attributes=attributes | shapes)
+    shapes = {name: array @ turn for name, array in mesh.attributes.items() if name.startswith(BLEND_SHAPE)}
+    return replace(mesh, control=control, attributes=mesh.attributes | shapes)
 
 
 def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
@@ -221,14 +227,28 @@ def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
         further_sets = tuple(uv_set for uv_set in sets if uv_set is not first)
         control = replace(control.with_uvs(first.uvs, first.uv_indices), uv_name=first.name, uv_sets=further_sets)
     control = replace(control, **face_sets(prim, control.n_faces, labels))
+    shapes, shape_normals = blend_shapes(where, control, prim)
     attributes = primvar_arrays(where, control, prim)
-    colors = attributes.get("displayColor")
-    if colors is not None and colors.shape == (control.n_vertices, 3):
-        control = replace(control, vertex_colors=encode_srgb(colors.astype(np.float64)))
-    of_corners = corner_primvars(prim)
-    if mesh.GetOrientationAttr().Get() == "leftHanded":
-        control, attributes = _turned_round(control, attributes, of_corners)
-    return UsdMesh(str(prim.GetPath()), control, attributes, local_to_world(prim), of_corners)
+    attributes |= {f"{BLEND_SHAPE}{name}": offsets for name, offsets in shapes.items()}
+    interpolation, colors = display_colors(where, control, prim)
+    if colors is not None and interpolation in ("vertex", "varying"):
+        control = replace(control, vertex_colors=encode_srgb(attributes["displayColor"].astype(np.float64)))
+        colors = None if (colors[:, 3] == 1.0).all() else colors
+    elif colors is not None:
+        control = replace(control, vertex_colors=_mean_colors(where, control, encode_srgb(colors[:, :3])))
+    path = str(prim.GetPath())
+    read = UsdMesh(path, control, attributes, local_to_world(prim), corner_primvars(prim), shape_normals, colors)
+    return _turned_round(read) if mesh.GetOrientationAttr().Get() == "leftHanded" else read
+
+
+def _mean_colors(where: str, control: ControlMesh, of_corners: FloatArray) -> FloatArray:
+    """(n, 3) mean colour of the corners of every vertex; NaN at vertices of no face."""
+    counts = np.bincount(control.face_indices, minlength=control.n_vertices)
+    with np.errstate(invalid="ignore"):
+        mean = grouped_sums(control.face_indices, of_corners, control.n_vertices) / counts[:, None]
+    if differ := int(np.sum(np.abs(of_corners - mean[control.face_indices]).max(axis=1) > COLOR_STEP)):
+        logger.info("%s: colours of %d corners differ from the mean at their vertex", where, differ)
+    return mean
 
 
 def _scheme(where: str, mesh: Any) -> Scheme:
@@ -279,10 +299,9 @@ def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
     return result | ({"hole_faces": np.unique(holes)} if len(holes) else {})
 
 
-def _turned_round(
-    control: ControlMesh, attributes: dict[str, Any], of_corners: frozenset[str]
-) -> tuple[ControlMesh, dict[str, Any]]:
-    """A mesh and its attributes with reversed face orientation, for left-handed meshes."""
+def _turned_round(mesh: UsdMesh) -> UsdMesh:
+    """A mesh and its values with reversed face orientation, for left-handed meshes."""
+    control, attributes = mesh.control, mesh.attributes
     mirrored = reversed_corners(control.face_offsets)
     turned = replace(
         control,
@@ -290,7 +309,9 @@ def _turned_round(
         uv_indices=None if control.uv_indices is None else control.uv_indices[mirrored],
         uv_sets=tuple(replace(uv_set, uv_indices=uv_set.uv_indices[mirrored]) for uv_set in control.uv_sets),
     )
-    return turned, attributes | {name: attributes[name][mirrored] for name in of_corners & set(attributes)}
+    attributes = attributes | {name: attributes[name][mirrored] for name in mesh.of_corners & set(attributes)}
+    colors = None if mesh.colors is None else mesh.colors[mirrored]
+    return replace(mesh, control=turned, attributes=attributes, colors=colors)
 
 
 def _floats(values: Any) -> FloatArray:

@@ -166,7 +166,7 @@ def _check(file: Path, name: str, array: NDArray[Any]) -> NDArray[Any]:
         raise FormatError(
             f"{file}: expected numbers of shape (n,) or (n, q) in '{name}', found {array.dtype} of shape {array.shape}"
         )
-    if array.dtype.kind in "iu":
+    if array.dtype.kind in "iub":  # labels
         if array.dtype == np.uint64 and array.max() > np.iinfo(np.int64).max:
             raise FormatError(f"{file}: expected whole numbers below 2^63 in '{name}', found {array.max()}.")
         return array.astype(np.int64)

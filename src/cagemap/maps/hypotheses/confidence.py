@@ -157,21 +157,23 @@ class Confidence:
         }
 
 
-def answer_confidence(problem: Problem, point_map: PointMap, answers: tuple[Placement, ...]) -> Confidence:
-    """Confidence in the map of the first of several answers, from the `SIGNS` of a wrong map."""
+def answer_confidence(
+    problem: Problem, point_map: PointMap, answers: tuple[Placement, ...], shared: SharedArea | None, jumps: FloatArray
+) -> Confidence:
+    """Confidence in the map of the first of several answers, from the `SIGNS` of a wrong map.
+
+    ``jumps`` are the map's `jump_lengths` (n,). Area that is not shared tells nothing about the map.
+    """
     prepared, controls = problem.prepared, problem.prepared.target.control.n_vertices
-    shared, weights = SharedArea.of_fit(prepared, answers[0].positions), None
-    if shared is not None:  # area without a counterpart tells nothing about the map
-        weights = shared.within(prepared.masks).of_target(point_map.target.n)
-    farthest = jump_lengths(prepared, point_map, weights)
-    signs = {"jumps": jump_share(prepared, farthest), "stretched": median_distortion(point_map, weights)}
+    weights = None if shared is None else shared.within(prepared.masks).of_target(point_map.target.n)
+    signs = {"jumps": jump_share(prepared, jumps), "stretched": median_distortion(point_map, weights)}
     confidence = Confidence.of(answers, controls, signs)
     if confidence.verdict == SURE:  # takes as long as all other signs
         signs["mirrored"] = mirrored_gain(problem, answers[0].positions)
         confidence = Confidence.of(answers, controls, signs)
     if signs["jumps"] > SIGNS["jumps"].bound:  # a landmark at the jump decides, not where answers differ
         places = prepared.mesh.positions
-        confidence = replace(confidence, deciding=int(cKDTree(places[:controls]).query(places[farthest.argmax()])[1]))
+        confidence = replace(confidence, deciding=int(cKDTree(places[:controls]).query(places[jumps.argmax()])[1]))
     if confidence.deciding is not None:
         confidence = replace(confidence, deciding=int(prepared.vertices[confidence.deciding]))
     return confidence
@@ -231,11 +233,11 @@ def median_distortion(found: PointMap, weights: FloatArray | None = None) -> flo
     return float(weighted_percentiles(distortion(sigma), areas, [50.0])[0])
 
 
-def jump_lengths(prepared: PreparedPair, found: PointMap, weights: FloatArray | None = None) -> FloatArray:
+def jump_lengths(prepared: PreparedPair, found: PointMap, shared: SharedArea | None = None) -> FloatArray:
     """(n,) lengths of a map's jumps at the vertices of the deformed level, of sqrt(area); else 0.
 
     A map jumps where neighbours on one surface are far apart along the other. No cost shows this where parts touch.
-    Only finest vertices with ``weights`` (n1,) above 0 are compared, by default the unmasked ones.
+    Only unmasked vertices are compared, and only shared area.
     """
     target, source = prepared.graphs
     images = found.images.at(prepared.vertices)
@@ -245,8 +247,8 @@ def jump_lengths(prepared: PreparedPair, found: PointMap, weights: FloatArray | 
     tree = cKDTree(np.hstack([source.positions, NORMAL_WEIGHT * source.normals]))
     at = tree.query(np.hstack([places, NORMAL_WEIGHT * normals]))[1]
     pairs = np.concatenate([edges, image_pairs(places, normals)])
-    weights = prepared.masks.of_target(found.target.n) if weights is None else weights
-    pairs = pairs[(weights[prepared.vertices] > 0)[pairs].all(axis=1)]
+    masks = prepared.masks if shared is None else shared.within(prepared.masks)
+    pairs = pairs[(masks.of_target(found.target.n)[prepared.vertices] > 0)[pairs].all(axis=1)]
     on_target = distances_apart(target.station_distances, pairs)
     on_source = distances_apart(source.station_distances[:, at], pairs)
     beyond = np.maximum(on_target, on_source) - 2 * np.minimum(on_target, on_source)
@@ -255,19 +257,18 @@ def jump_lengths(prepared: PreparedPair, found: PointMap, weights: FloatArray | 
     return farthest
 
 
-def jump_share(prepared: PreparedPair, farthest: FloatArray) -> float:
+def jump_share(prepared: PreparedPair, jumps: FloatArray) -> float:
     """Share of the target's area at which a map jumps, from `jump_lengths` (n,)."""
-    return float(prepared.energy.graph.areas[farthest > 0].sum())
+    return float(prepared.energy.graph.areas[jumps > 0].sum())
 
 
-def jump_warnings(prepared: PreparedPair, found: PointMap, weights: FloatArray | None = None) -> tuple[str, ...]:
-    """A warning if the map jumps on more area than the bound allows; see `jump_lengths`."""
-    farthest = jump_lengths(prepared, found, weights)
-    share = jump_share(prepared, farthest)
+def jump_warnings(prepared: PreparedPair, jumps: FloatArray) -> tuple[str, ...]:
+    """A warning if `jump_lengths` (n,) are not 0 on more area than the bound allows."""
+    share = jump_share(prepared, jumps)
     if share <= SIGNS["jumps"].bound:
         return ()
     mesh = prepared.mesh
-    place = ", ".join(f"{x:.4g}" for x in mesh.positions[farthest.argmax()] / mesh.scale)
+    place = ", ".join(f"{x:.4g}" for x in mesh.positions[jumps.argmax()] / mesh.scale)
     return (
         f"{JUMPING}, at {100 * share:.1f} % of the target's area, most at ({place}) of the target's file. Add "
         "landmarks on these parts",

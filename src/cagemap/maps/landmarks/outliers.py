@@ -200,18 +200,16 @@ def orientation_agreement(target: Marks, source: Marks, config: LandmarkConfig =
     """Agreement of the landmarks' orientation on both surfaces: 1 the same, -1 mirrored, 0 unknown.
 
     Every triple (i; j, k) votes with the product of ``n_i . (e_ij x e_ik)`` on both surfaces, e the unit vectors to j
-    and k. In a second vote, triples whose distances in space differ count less, as where arms are crossed. The larger
-    result counts.
+    and k. Triples whose distances in space differ count less, as where arms are crossed.
     """
     p, changed = len(target[0]), _changed_squared(target[0], source[0], config.added_distance)
-    agreed, counted = np.zeros(2), np.zeros(2)
+    agreed = counted = 0.0
     for i in range(p):
-        votes = _turns(i, *target) * _turns(i, *source)
         alike = np.exp(-(changed[i, :, None] + changed[i] + changed) / config.max_triple_change**2)
-        both = np.stack([votes, alike * votes])
-        agreed += both.sum(axis=(1, 2))
-        counted += np.abs(both).sum(axis=(1, 2))
-    return float((agreed / np.maximum(counted, max(config.min_orientation * p * (p - 1) * (p - 2), 1e-12))).max())
+        votes = alike * _turns(i, *target) * _turns(i, *source)
+        agreed += float(votes.sum())
+        counted += float(np.abs(votes).sum())
+    return agreed / max(counted, config.min_orientation * p * (p - 1) * (p - 2), 1e-12)
 
 
 def exchanged_sides(

@@ -64,13 +64,11 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "count": len(present.complete_landmarks),
         "curves": 0 if present.curves is None else len(present.curves),
         "selected": state.selected,
-        "asks": present.open_landmark is not None,
         "proposal": state.proposal is not None,
         "undo": len(state.history.past),
         "redo": len(state.history.future),
         "saved": state.saved,
         "revision": map_state.revision,
-        "seconds": map_state.seconds,
         "suggests": map_state.suggestion is not None,
         "said": [
             *([_capitalized(confidence_text(map_state.confidence))] if map_state.confidence else []),

@@ -11,7 +11,12 @@ from cagemap.tasks.requests.options import INPUT, LANDMARKS, OUTPUT, Argument, F
 
 @dataclass(frozen=True)
 class FaceRequest:
-    """Request of `cagemap face`."""
+    """Give a head the face shapes of ARKit.
+
+    51 of the 52, from ICT-FaceKit (MIT): tongueOut is not among them. The head keeps its vertices, materials, rig and
+    own shapes; teeth, tongue and eyes that are parts of their own stay. Of a body with a skeleton the head and neck are
+    taken.
+    """
 
     head: Annotated[Path, Argument(metavar="HEAD", help="Head, or rigged body: .glb, .vrm, .fbx, .obj, .ply or USD.")]
     output: Annotated[Path, Option(("-o", "--output"), group=OUTPUT, help="File to write: .glb, .gltf, .vrm or USD.")]

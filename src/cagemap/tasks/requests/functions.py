@@ -19,7 +19,11 @@ from cagemap.tasks.requests.options import (
 
 @dataclass(frozen=True)
 class FunctionsRequest:
-    """Request of `cagemap functions`."""
+    """Write eigenfunctions and descriptors of one mesh.
+
+    Row i belongs to vertex i of the mesh that `cagemap refine` writes at the same level. The surface has unit area:
+    eigenvalues and times do not depend on the file's unit.
+    """
 
     mesh: MeshFile
     output: Annotated[

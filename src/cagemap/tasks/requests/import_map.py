@@ -21,7 +21,13 @@ from cagemap.tasks.requests.options import (
 
 @dataclass(frozen=True)
 class MapRequest:
-    """Request of `cagemap map`."""
+    """Import a point map of any method as a RESULT.
+
+    The RESULT can be used for baking, wrapping and reports. A map is a list of source vertices, one for each vertex of
+    the target at any level; or triangles of the source's level and barycentric coordinates; or a sparse matrix.
+    `cagemap transfer RESULT --write-map` writes them. With --weld the numbers are those of what `cagemap refine --weld`
+    writes.
+    """
 
     map: Annotated[Path, Argument(metavar="MAP", help="Point map: .npy, .npz, .mtx or .vts.")]
     target: Annotated[Path, Option(("--target", "-t"), help="Mesh that the map starts from; it receives.")]

@@ -34,7 +34,12 @@ from cagemap.tasks.requests.options import (
 
 @dataclass(frozen=True)
 class MatchRequest:
-    """Request of `cagemap match`."""
+    """Find for every point of the target its place on the source.
+
+    Writes a folder with manifest.json (settings, timings, quality) and map.npz (the map). Without landmarks several
+    alignments are tried, and the verdict says how sure the best one is. Landmarks improve the map: six to thirty,
+    spread over the whole surface; tips of limbs, nose and tail first.
+    """
 
     target: Annotated[
         Path,
@@ -64,13 +69,13 @@ class MatchRequest:
     schedule: Annotated[
         str | None, setting("Basis functions per level, such as 100,50,50,50 (the paper's); replaces -k.")
     ] = None
-    target_level: Annotated[int | None, setting("level of the target alone.")] = None
+    target_level: Annotated[int | None, setting("level of the target alone.", min=0)] = None
     target_vertices: Annotated[int | None, setting("vertices of the target alone.", min=1)] = None
-    target_k: Annotated[int | None, setting("k of the target alone.")] = None
+    target_k: Annotated[int | None, setting("k of the target alone.", min=3)] = None
     target_schedule: Annotated[str | None, setting("schedule of the target alone.")] = None
-    source_level: Annotated[int | None, setting("level of the source alone.")] = None
+    source_level: Annotated[int | None, setting("level of the source alone.", min=0)] = None
     source_vertices: Annotated[int | None, setting("vertices of the source alone.", min=1)] = None
-    source_k: Annotated[int | None, setting("k of the source alone.")] = None
+    source_k: Annotated[int | None, setting("k of the source alone.", min=3)] = None
     source_schedule: Annotated[str | None, setting("schedule of the source alone.")] = None
     laplacian: Annotated[
         str | None,

@@ -19,7 +19,11 @@ class UpAxis(StrEnum):
 
 @dataclass(frozen=True)
 class ReportRequest:
-    """Request of `cagemap report`; without a texture it shows the last baked one, if its files exist."""
+    """Write one HTML page: a verdict, and both models in 3D.
+
+    Shows both models coloured by the map, marks of doubtful places, and what was transferred. The page is one file and
+    needs no network.
+    """
 
     result: ResultFolder
     output: Annotated[Path, Option(("-o", "--output"), help="HTML file to write.")] = Path("report.html")

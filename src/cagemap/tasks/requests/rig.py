@@ -11,7 +11,11 @@ from cagemap.tasks.requests.options import INPUT, LANDMARKS, OUTPUT, Argument, F
 
 @dataclass(frozen=True)
 class RigRequest:
-    """Request of `cagemap rig`."""
+    """Rig, texture, dress and animate a body like a character.
+
+    Joints, weights, blend shapes, textures, clothes, eyes, hair and animations of the character go to the body, as one
+    file. The body's mesh stays as it is; what it has of its own, such as eyes, stays and follows it.
+    """
 
     body: Annotated[
         Path, Argument(metavar="BODY", help="Mesh of the body: .obj, .ply, .off, .stl, .glb, .gltf, .vrm, .fbx or USD.")

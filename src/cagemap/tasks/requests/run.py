@@ -11,7 +11,11 @@ from cagemap.tasks.requests.options import Argument, OneOf, Option
 
 @dataclass(frozen=True)
 class RunRequest:
-    """Request of `cagemap run`."""
+    """Match and transfer all pairs of a job file.
+
+    Writes a folder with a RESULT for every pair, the outputs of the job, index.html and figures.csv. Finished tasks are
+    kept: after a failure or a change, run it again and only missing tasks are done. Exit code 1 if anything failed.
+    """
 
     job: Annotated[Path, Argument(help="Job file, .toml.")]
     scheduler: Annotated[
@@ -33,3 +37,8 @@ class RunRequest:
         Option(metavar="openjd|slurm", help="Print a template or script that runs each task by its number."),
         OneOf(("openjd", "slurm")),
     ] = None
+
+    @property
+    def for_scripts(self) -> bool:
+        """Whether the text is what was asked for, and no report of what was done."""
+        return self.dry_run or self.export is not None

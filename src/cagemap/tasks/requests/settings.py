@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_origin
 
-from cagemap.errors import FormatError, ParameterError
+from cagemap.errors import FormatError, ParameterError, expected_value
 from cagemap.files.text import require_file
 from cagemap.tasks.requests.options import Option, options_in
 
@@ -36,13 +36,6 @@ def settings_of(request: type) -> dict[str, Setting]:
     }
 
 
-def bounded(setting: Setting) -> Any:
-    """A setting's type with its bounds as a pydantic annotation."""
-    from pydantic import Field
-
-    return setting.kind if setting.option.min is None else Annotated[setting.kind, Field(ge=setting.option.min)]
-
-
 def setting_name(field: str) -> str:
     """Name of a field after ``--set``: the side, a dot, the rest."""
     side, _, rest = field.partition("_")
@@ -66,7 +59,7 @@ def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
     """
     if not words:
         return {}
-    from pydantic import TypeAdapter, ValidationError  # here, since it takes 0.05 s and few commands need it
+    from pydantic import Field, TypeAdapter, ValidationError  # here, since it takes 0.05 s and few commands need it
 
     known = settings_of(request)
     values: dict[str, Any] = {}
@@ -82,12 +75,14 @@ def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
             )
         setting = known[name]
         several = get_origin(setting.kind) is tuple
+        kind: Any = Annotated[setting.kind, Field(ge=setting.option.min)]
         try:
-            checked = TypeAdapter(bounded(setting)).validate_python(
-                (value,) if several and isinstance(value, str) else value
-            )
+            given = (value,) if several and isinstance(value, str) else value
+            checked = TypeAdapter(kind, config={"allow_inf_nan": False}).validate_python(given)
         except ValidationError as error:
-            raise ParameterError(f"--set {name}: {error.errors()[0]['msg']}, got '{value}'.") from None
+            raise ParameterError(
+                f"--set {name}: expected {expected_value(error.errors()[0])}, got '{value}'."
+            ) from None
         checked = tuple(_in_folder(folder, item) for item in checked) if several else _in_folder(folder, checked)
         values[setting.field] = (*values.get(setting.field, ()), *checked) if several else checked
     stated = tuple(f"{name}={value}" for name, value in parameters.items())

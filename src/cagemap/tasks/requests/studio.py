@@ -18,7 +18,10 @@ from cagemap.tasks.requests.options import (
 
 @dataclass(frozen=True)
 class StudioRequest:
-    """Request of `cagemap studio`."""
+    """View and correct the map in the browser, and bake textures.
+
+    Without models the built-in pair opens. The page reads and writes only in the folders of the files given here.
+    """
 
     target: Annotated[Path | None, Option(("--target", "-t"), help="Control mesh that receives.")] = None
     source: Annotated[Path | None, Option(("--source", "-s"), help="Control mesh that gives.")] = None

@@ -24,7 +24,10 @@ from cagemap.tasks.requests.options import (
 
 @dataclass(frozen=True)
 class TransferRequest:
-    """Request of `cagemap transfer`; several images have names, a base without one is for all."""
+    """Carry textures, values, rigs or shapes to the target.
+
+    Images are baked into the target's own UV layout, texel by texel, across the source's seams.
+    """
 
     result: ResultFolder
     output: Annotated[

@@ -26,7 +26,10 @@ from cagemap.tasks.requests.options import (
 
 @dataclass(frozen=True)
 class WrapRequest:
-    """Request of `cagemap wrap`."""
+    """Give the target's cage the source's shape.
+
+    The refined surface is fitted to the source. Vertices, faces, UVs, groups and materials stay those of the target.
+    """
 
     results: Annotated[
         tuple[Path, ...],

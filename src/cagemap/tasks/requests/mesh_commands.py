@@ -1,0 +1,57 @@
+"""Requests of `cagemap check` and `cagemap refine`: their fields are the commands' options."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cagemap.tasks.requests.options import (
+    Argument,
+    BoundaryOption,
+    CreasingOption,
+    Force,
+    MeshFile,
+    Option,
+    SchemeOption,
+    UvOption,
+    WeldOption,
+)
+
+
+@dataclass(frozen=True)
+class CheckRequest:
+    """Check control meshes, and say what to repair.
+
+    A mesh must be manifold, consistently oriented and in one piece; boundaries are allowed. With scheme none, of the
+    file or by --scheme, it lists what a match repairs and leaves out. Exit code 1 if any mesh has a problem.
+    """
+
+    meshes: Annotated[
+        tuple[Path, ...],
+        Argument(metavar="MESH", help="Control meshes, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."),
+    ]
+    for_scripts: Annotated[bool, Option(("--json",), help="Print JSON, for scripts.")] = False
+    scheme: SchemeOption = None
+    weld: WeldOption = None
+
+
+@dataclass(frozen=True)
+class RefineRequest:
+    """Subdivide a control mesh.
+
+    Loop for triangle meshes, Catmull-Clark for all others, unless its file says otherwise. Creases and corners shape
+    it, holes are left out. Vertex i of the mesh stays vertex i (but for holes and welded vertices). UVs, materials,
+    objects and groups come along. The mesh may have several pieces.
+    """
+
+    mesh: MeshFile
+    level: Annotated[int, Option(("--level", "-l"), min=0, help="Subdivision steps; each has about 4 times the faces.")]
+    output: Annotated[Path, Option(("-o", "--output"), help="Mesh to write, .obj, .ply, .off, .glb or USD.")]
+    scheme: SchemeOption = None
+    boundary: BoundaryOption = None
+    uv_interpolation: UvOption = None
+    creasing: CreasingOption = None
+    weld: WeldOption = None
+    quads: Annotated[bool, Option(("--quads",), help="Join triangles to the quads that an exporter split.")] = False
+    force: Force = False
