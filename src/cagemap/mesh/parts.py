@@ -1,4 +1,4 @@
-"""Parts of a mesh (objects, groups, materials, connected pieces): find, extract, pair and join them."""
+"""Parts of a mesh (objects, groups, materials, connected pieces): find, extract and join them."""
 
 from __future__ import annotations
 
@@ -62,12 +62,6 @@ def connected_parts(mesh: ControlMesh) -> tuple[Part, ...]:
     while repeated := {name for name, count in Counter(names).items() if count > 1}:  # "1" may be an object's name
         names = [str(number) if name in repeated else name for number, name in enumerate(names)]
     return tuple(Part("component", name, faces) for name, faces in zip(names, pieces, strict=True))
-
-
-def material_pieces(mesh: ControlMesh) -> tuple[Part, ...]:
-    """One part per named material, split into numbered parts where not connected."""
-    materials = [part for part in list_parts(mesh, pieces=False) if part.kind == "material"]
-    return tuple(piece for part in materials for piece in connected_pieces(mesh, part))
 
 
 def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
@@ -169,14 +163,14 @@ def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
 
 def in_one_piece(mesh: ControlMesh, parts: Sequence[Part]) -> tuple[Part, ...]:
     """Those of disjoint parts that are connected."""
-    of_corner = _part_of_corners(mesh, parts) + 1
+    of_corner = part_of_corners(mesh, parts) + 1
     # One node for every pair of a vertex and a part around it.
     nodes, corners = np.unique(mesh.face_indices * (len(parts) + 1) + of_corner, return_inverse=True)
     labels = face_pieces(mesh, corners, len(nodes))
     return tuple(part for part in parts if len(part.faces) and (labels[part.faces] == labels[part.faces[0]]).all())
 
 
-def _part_of_corners(mesh: ControlMesh, parts: Sequence[Part]) -> IndexArray:
+def part_of_corners(mesh: ControlMesh, parts: Sequence[Part]) -> IndexArray:
     """(c,) part of every face corner, the last one if several share its face; -1 for none."""
     of_face = np.full(mesh.n_faces, -1, dtype=np.int64)
     for number, part in enumerate(parts):
@@ -194,57 +188,6 @@ def _own_scheme(part: ControlMesh) -> dict[str, Any]:
 def _used(values: FloatArray, indices: IndexArray) -> tuple[FloatArray, IndexArray]:
     used, renumbered = np.unique(indices, return_inverse=True)
     return values[used], renumbered.astype(np.int64)
-
-
-def pair_parts(
-    target: ControlMesh,
-    source: ControlMesh,
-    landmarks: IndexArray,
-    pieces: tuple[Sequence[Part], Sequence[Part]] | None = None,
-) -> tuple[tuple[tuple[Part, Part], ...], tuple[Part, ...], tuple[Part, ...]]:
-    """Pair the pieces of two meshes by shared landmarks, then by name, then the only remaining ones.
-
-    ``landmarks`` (p, 2) are target and source vertices; ``pieces`` are connected parts by default. A name whose last
-    word is a number ("arm 2") is ignored. Also returns the unpaired pieces of target and source; larger target pieces
-    come first.
-    """
-    of_target, of_source = pieces or (connected_parts(target), connected_parts(source))
-    target_parts = sorted(of_target, key=lambda part: -len(part.faces))
-    source_parts = list(of_source)
-    votes = np.zeros((len(target_parts), len(source_parts)), dtype=np.int64)
-    ends = np.column_stack(
-        [_owners(target, target_parts)[landmarks[:, 0]], _owners(source, source_parts)[landmarks[:, 1]]]
-    )
-    np.add.at(votes, tuple(ends[(ends >= 0).all(axis=1)].T), 1)
-    most_votes = np.argsort(-votes, axis=None, kind="stable")[: np.count_nonzero(votes)]
-    candidates = [divmod(number, len(source_parts)) for number in most_votes.tolist()]
-    candidates += [
-        (row, column)
-        for row, part in enumerate(target_parts)
-        if not part.name.rpartition(" ")[2].isdigit()
-        for column, source_part in enumerate(source_parts)
-        if part.name.rpartition("/")[2] == source_part.name.rpartition("/")[2]
-    ]
-    chosen: dict[int, int] = {}
-    for row, column in candidates:
-        if row not in chosen and column not in chosen.values():
-            chosen[row] = column
-    unpaired_target = [row for row in range(len(target_parts)) if row not in chosen]
-    unpaired_source = [column for column in range(len(source_parts)) if column not in chosen.values()]
-    if len(unpaired_target) == len(unpaired_source) == 1:
-        chosen[unpaired_target[0]] = unpaired_source[0]
-    return (
-        tuple((target_parts[row], source_parts[chosen[row]]) for row in sorted(chosen)),
-        tuple(part for row, part in enumerate(target_parts) if row not in chosen),
-        tuple(part for column, part in enumerate(source_parts) if column not in chosen.values()),
-    )
-
-
-def _owners(mesh: ControlMesh, parts: list[Part]) -> IndexArray:
-    """(n,) part of every vertex, the last one if several share it; -1 for none."""
-    owners = np.full(mesh.n_vertices, -1, dtype=np.int64)
-    np.maximum.at(owners, mesh.face_indices, _part_of_corners(mesh, parts))
-    return owners
 
 
 def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
