@@ -21,11 +21,11 @@ from cagemap.maps.functional_maps import (
     MapLike,
     check_map,
     from_bases,
-    functional_map_from,
     image_positions,
     to_bases,
     zoomout_of_map,
 )
+from cagemap.maps.functional_maps import functional_map_from as functional_map_of
 from cagemap.maps.hypotheses.search import search
 from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, vertices_at
 from cagemap.maps.places import cage_points_of, choose_points
@@ -199,17 +199,12 @@ def point_map(pair: Pair, map_like: MapLike) -> PointMap:
     if checked_map.ndim == 1 and len(checked_map) == len(pair.target.vertices):
         vertices = checked_map.astype(np.int64)
         return PointMap.from_vertices(pair.target.finest_triangles, pair.source.finest_triangles, vertices)
-    matrix = functional_map_from(pair, checked_map)
+    matrix = functional_map_of(pair, checked_map)
     start = search_levels(pair.target, pair.source, HfmConfig().search_vertices)
     level_map = LevelMap(start, matrix, search_full(pair, matrix, start))
     for levels in finer_level_pairs(pair, start):
         level_map = LevelMap(levels, matrix, search_level(pair, matrix, levels, level_map))
     return recover_points(pair, level_map)
-
-
-def functional_map_of(pair: Pair, map_like: MapLike) -> FloatArray:
-    """C12 = Phi~1^+ P12 Phi~2 (k1, k2) of a point or vertex map (2.1.2), on sampled vertices."""
-    return functional_map_from(pair, map_like)
 
 
 def zoomout(pair: Pair, start: MapLike, schedule: ZoomOutSchedule = ZoomOutSchedule()) -> FloatArray:

@@ -29,7 +29,7 @@ from cagemap.files.result.folder import ARRAYS, write_result
 from cagemap.files.result.maps import write_map
 from cagemap.files.values.attributes import write_attributes
 from cagemap.subdivision import refine
-from cagemap.subdivision.level_meshes import finest_mesh
+from cagemap.subdivision.refinement import finest_mesh
 
 from example_result import identity_result
 from locations import FIXTURES

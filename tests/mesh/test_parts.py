@@ -23,12 +23,10 @@ from cagemap.mesh.parts import (
     find_part,
     join_meshes,
     list_parts,
-    material_pieces,
-    pair_parts,
 )
 from cagemap.subdivision import refine
 from cagemap.tasks.match import MatchRequest, matched_levels, read_inputs, run_match
-from cagemap.tasks.match_parts import asked_parts, chosen_parts
+from cagemap.tasks.match_parts import asked_parts, chosen_parts, material_pieces, pair_parts
 from cagemap.tasks.mesh_commands import run_check
 from cagemap.tasks.method import side_levels
 from cagemap.tasks.progress import Stages

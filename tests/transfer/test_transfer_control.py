@@ -15,7 +15,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles, merged_corners
 from cagemap.subdivision import Refinement, refine, triangles
 from cagemap.subdivision.face_varying import corner_triangles, interpolate_linearly
-from cagemap.subdivision.level_meshes import truncate_refinement
+from cagemap.subdivision.refinement import truncate_refinement
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer import (

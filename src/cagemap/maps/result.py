@@ -24,7 +24,7 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, kept, one_blas_thread
 from cagemap.spectral import Surface
-from cagemap.subdivision.level_meshes import truncate_refinement
+from cagemap.subdivision.refinement import truncate_refinement
 
 
 @dataclass(frozen=True, eq=False)

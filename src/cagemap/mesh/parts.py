@@ -1,4 +1,4 @@
-"""Parts of a mesh (objects, groups, materials, connected pieces): find, extract, pair and join them."""
+"""Parts of a mesh (objects, groups, materials, connected pieces): find, extract and join them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.control_mesh import NO_UV, ControlMesh, UvSet
 from cagemap.mesh.faces import keep_faces
 from cagemap.mesh.topology import face_components, face_pieces
-from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of, places_of
+from cagemap.numerics.arrays import FloatArray, IndexArray, members_of, offsets_of, places_of
 
 PART_KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
@@ -49,7 +49,7 @@ def list_parts(mesh: ControlMesh, *, pieces: bool = True) -> tuple[Part, ...]:
 def connected_parts(mesh: ControlMesh) -> tuple[Part, ...]:
     """Connected components, named as described in `Part`."""
     labels = face_components(mesh)
-    pieces = _members(labels)
+    pieces = members_of(labels)
     names = [str(number) for number in range(len(pieces))]
     for _, numbers, words in reversed(mesh.partitions):
         if numbers is None:
@@ -64,22 +64,9 @@ def connected_parts(mesh: ControlMesh) -> tuple[Part, ...]:
     return tuple(Part("component", name, faces) for name, faces in zip(names, pieces, strict=True))
 
 
-def _members(labels: IndexArray) -> list[IndexArray]:
-    """Ascending indices of every label from 0 on."""
-    if not len(labels):
-        return []
-    return np.split(np.argsort(labels, kind="stable"), np.cumsum(np.bincount(labels))[:-1])
-
-
-def material_pieces(mesh: ControlMesh) -> tuple[Part, ...]:
-    """One part per named material, split into numbered parts where not connected."""
-    materials = [part for part in list_parts(mesh, pieces=False) if part.kind == "material"]
-    return tuple(piece for part in materials for piece in connected_pieces(mesh, part))
-
-
 def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
     """Split a part into numbered connected parts; a connected part keeps its name."""
-    pieces = [part.faces[piece] for piece in _members(face_components(keep_faces(mesh, part.faces)))]
+    pieces = [part.faces[piece] for piece in members_of(face_components(keep_faces(mesh, part.faces)))]
     names = [part.name] if len(pieces) == 1 else [f"{part.name} {number}" for number in range(len(pieces))]
     return tuple(Part(part.kind, name, faces) for name, faces in zip(names, pieces, strict=True))
 
@@ -176,14 +163,14 @@ def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
 
 def in_one_piece(mesh: ControlMesh, parts: Sequence[Part]) -> tuple[Part, ...]:
     """Those of disjoint parts that are connected."""
-    of_corner = _part_of_corners(mesh, parts) + 1
+    of_corner = part_of_corners(mesh, parts) + 1
     # One node for every pair of a vertex and a part around it.
     nodes, corners = np.unique(mesh.face_indices * (len(parts) + 1) + of_corner, return_inverse=True)
     labels = face_pieces(mesh, corners, len(nodes))
     return tuple(part for part in parts if len(part.faces) and (labels[part.faces] == labels[part.faces[0]]).all())
 
 
-def _part_of_corners(mesh: ControlMesh, parts: Sequence[Part]) -> IndexArray:
+def part_of_corners(mesh: ControlMesh, parts: Sequence[Part]) -> IndexArray:
     """(c,) part of every face corner, the last one if several share its face; -1 for none."""
     of_face = np.full(mesh.n_faces, -1, dtype=np.int64)
     for number, part in enumerate(parts):
@@ -201,57 +188,6 @@ def _own_scheme(part: ControlMesh) -> dict[str, Any]:
 def _used(values: FloatArray, indices: IndexArray) -> tuple[FloatArray, IndexArray]:
     used, renumbered = np.unique(indices, return_inverse=True)
     return values[used], renumbered.astype(np.int64)
-
-
-def pair_parts(
-    target: ControlMesh,
-    source: ControlMesh,
-    landmarks: IndexArray,
-    pieces: tuple[Sequence[Part], Sequence[Part]] | None = None,
-) -> tuple[tuple[tuple[Part, Part], ...], tuple[Part, ...], tuple[Part, ...]]:
-    """Pair the pieces of two meshes by shared landmarks, then by name, then the only remaining ones.
-
-    ``landmarks`` (p, 2) are target and source vertices; ``pieces`` are connected parts by default. A name whose last
-    word is a number ("arm 2") is ignored. Returns the pairs, larger target pieces first, and the unpaired pieces of
-    target and source.
-    """
-    of_target, of_source = pieces or (connected_parts(target), connected_parts(source))
-    target_parts = sorted(of_target, key=lambda part: -len(part.faces))
-    source_parts = list(of_source)
-    votes = np.zeros((len(target_parts), len(source_parts)), dtype=np.int64)
-    ends = np.column_stack(
-        [_owners(target, target_parts)[landmarks[:, 0]], _owners(source, source_parts)[landmarks[:, 1]]]
-    )
-    np.add.at(votes, tuple(ends[(ends >= 0).all(axis=1)].T), 1)
-    most_votes = np.argsort(-votes, axis=None, kind="stable")[: np.count_nonzero(votes)]
-    candidates = [divmod(number, len(source_parts)) for number in most_votes.tolist()]
-    candidates += [
-        (row, column)
-        for row, part in enumerate(target_parts)
-        if not part.name.rpartition(" ")[2].isdigit()
-        for column, source_part in enumerate(source_parts)
-        if part.name.rpartition("/")[2] == source_part.name.rpartition("/")[2]
-    ]
-    chosen: dict[int, int] = {}
-    for row, column in candidates:
-        if row not in chosen and column not in chosen.values():
-            chosen[row] = column
-    unpaired_target = [row for row in range(len(target_parts)) if row not in chosen]
-    unpaired_source = [column for column in range(len(source_parts)) if column not in chosen.values()]
-    if len(unpaired_target) == len(unpaired_source) == 1:
-        chosen[unpaired_target[0]] = unpaired_source[0]
-    return (
-        tuple((target_parts[row], source_parts[chosen[row]]) for row in sorted(chosen)),
-        tuple(part for row, part in enumerate(target_parts) if row not in chosen),
-        tuple(part for column, part in enumerate(source_parts) if column not in chosen.values()),
-    )
-
-
-def _owners(mesh: ControlMesh, parts: list[Part]) -> IndexArray:
-    """(n,) part of every vertex, the last one if several share it; -1 for none."""
-    owners = np.full(mesh.n_vertices, -1, dtype=np.int64)
-    np.maximum.at(owners, mesh.face_indices, _part_of_corners(mesh, parts))
-    return owners
 
 
 def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:

@@ -97,6 +97,12 @@ def label_components(heads: NDArray[np.integer], tails: NDArray[np.integer], cou
     return np.asarray(connected_components(edges, directed=False)[1], dtype=np.int64)
 
 
+def members_of(labels: IndexArray) -> list[IndexArray]:
+    """Ascending indices of every label that occurs, in the order of labels."""
+    order = np.argsort(labels, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1) if len(labels) else []
+
+
 def nearest_rotations(maps: FloatArray) -> FloatArray:
     """(n, 3, 3) rotations nearest to linear maps, by polar decomposition; a reflection's least axis is reversed."""
     left, _, right = np.linalg.svd(maps)

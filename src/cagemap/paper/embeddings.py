@@ -76,9 +76,9 @@ def nearest_candidates(
 ) -> IndexArray:
     """(n1,) nearest of every target vertex's candidate source vertices (paper, Fig. 9).
 
-    Candidates are the source vertices influenced by the matches (n1_l,) of the vertex's parents: the nonzeros of their
-    columns in ``children`` (n2, n2_l), usually S_2^l. ``parents`` (n1, n1_l) are `strongest_parents`. ParameterError if
-    a vertex has no candidate at a finite distance.
+    Candidates are nonzeros of ``children`` (n2, n2_l), usually S_2^l, in the columns of the matches (n1_l,) of the
+    vertex's ``parents`` (n1, n1_l), see `strongest_parents`. ParameterError if a vertex has no candidate at a finite
+    distance.
     """
     match = np.empty(parents.shape[0], dtype=np.int64)
     matched = sparse.csr_array(

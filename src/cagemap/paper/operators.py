@@ -76,8 +76,7 @@ def symmetry_operator(basis: HierarchicalBasis, symmetry: IndexArray) -> FloatAr
     """(k, k) operator O~ = Phi~^+ S Phi~ of a self-symmetry S (n,), cut to three diagonals (paper, 5.2).
 
     S is a self-map of the basis's last level. The pseudo-inverse uses the inner product M, so that an exact symmetry
-    has +-1 on the diagonal. S g is 0 where the image is unknown: this should be on the same parts of both surfaces.
-    Leading blocks are the operators of coarser levels.
+    has +-1 on the diagonal. S g is 0 where the image is unknown, which should be on the same parts of both surfaces.
     """
     level, columns = basis.last_level, []
     for i, band in enumerate(basis.bands):

@@ -251,10 +251,10 @@ def new_directions(
 ) -> tuple[FloatArray, IndexArray]:
     """Directions in a window of eigenvectors (m, m - present) that the refined basis lacks, and their indices.
 
-    ``values`` (m,) are the window's ascending eigenvalues of M-orthonormal vectors, ``overlap`` (k, m) and ``gram``
-    (k, k) inner products of the refined basis with the window and with itself. The ``present`` directions of largest
-    overlap are left out. If a band's end splits a repeated eigenvalue, its eigenvectors are first rotated, so that each
-    is as far as possible inside the span of the refined basis or outside.
+    ``values`` (m,) ascend; ``overlap`` (k, m) and ``gram`` (k, k) are inner products of the refined basis with the
+    M-orthonormal window and with itself. The ``present`` directions of largest overlap are left out. Eigenvectors of a
+    repeated eigenvalue that a band's end splits are first rotated, to be inside or outside the refined span if
+    possible.
     """
     m = len(values)
     # In an orthonormal basis of the refined span, squared column norms are the shares of vectors inside that span.

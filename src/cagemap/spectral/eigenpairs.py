@@ -64,10 +64,9 @@ def band_pairs(
     """Eigenpairs first..last-1 of W (n, n) and M, complete for any multiplicity.
 
     Small problems are solved densely, others by block shift-invert Lanczos around a shift sigma inside the band. The
-    inertia of W - sigma M gives the pairs' indices. The inertia of W - tau M, with tau in gaps at both ends of the
-    band, proves that none was missed. ``accuracy`` of the iteration is relative to each eigenvalue of the inverted
-    operator. ParameterError if the range is empty or not within the spectrum; SolverError if the iteration does not
-    converge or misses eigenvalues.
+    inertia of W - sigma M gives the pairs' indices, that of W - tau M, with tau in gaps at both ends of the band,
+    proves that none was missed. ``accuracy`` is relative to each eigenvalue of the inverted operator. ParameterError if
+    the range is empty or not within the spectrum; SolverError if the iteration does not converge or misses eigenvalues.
     """
     n = stiffness.shape[0]
     if not 0 <= first < last <= n:
@@ -257,12 +256,11 @@ def shift_invert_lanczos(
 ) -> tuple[FloatArray, Block]:
     """Ascending eigenvalues (below + above,) on both sides of a shift, and their M-orthonormal eigenvectors.
 
-    Block Lanczos iteration on (W - sigma M)^{-1} M, given the factors of W - sigma M. ``block_size`` is the highest
-    multiplicity that is certainly found; narrow blocks need fewer columns. ``accuracy`` is the largest residual of a
-    pair of the inverted operator relative to its eigenvalue 1 / (lambda - sigma); it is `SolverConfig.loose` for the
-    ``loose`` outermost pairs below and above. The Krylov space is stored and orthogonalised in ``dtype``; solves are in
-    double. Full reorthogonalisation costs O(n m^2), m about 1.6 times the number of wanted pairs. SolverError if the
-    Krylov space reaches its largest size without convergence.
+    Block Lanczos iteration on (W - sigma M)^{-1} M, given the factors of W - sigma M, with full reorthogonalisation:
+    O(n m^2), m about 1.6 times the number of wanted pairs. ``block_size`` is the highest multiplicity that is certainly
+    found. ``accuracy`` is the largest residual of a pair of the inverted operator relative to its eigenvalue 1 /
+    (lambda - sigma), but `SolverConfig.loose` for the ``loose`` outermost pairs below and above. The Krylov space is in
+    ``dtype``; solves are in double. SolverError if the Krylov space reaches its largest size without convergence.
     """
     n = mass.shape[0]
     rng = np.random.default_rng(SOLVER.seed)

@@ -18,14 +18,15 @@ from cagemap.mesh.parts import (
     connected_pieces,
     extract_faces,
     find_part,
-    material_pieces,
+    list_parts,
     numbers_on_part,
-    pair_parts,
+    part_of_corners,
 )
 from cagemap.mesh.plain import PlainMesh, plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.topology import handle_count
 from cagemap.mesh.weld import Welded, keep_unwelded
+from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.threads import in_threads
 from cagemap.subdivision import default_scheme
 
@@ -104,6 +105,63 @@ def _each(
         for side, names in left.items()
     ]
     return tuple(_inputs(target, source, landmarks, *pair) for pair in pairs), tuple(notes)
+
+
+def pair_parts(
+    target: ControlMesh,
+    source: ControlMesh,
+    landmarks: IndexArray,
+    pieces: tuple[Sequence[Part], Sequence[Part]] | None = None,
+) -> tuple[tuple[tuple[Part, Part], ...], tuple[Part, ...], tuple[Part, ...]]:
+    """Pair the pieces of two meshes by shared landmarks, then by name, then the only remaining ones.
+
+    ``landmarks`` (p, 2) are target and source vertices; ``pieces`` are connected parts by default. A name whose last
+    word is a number ("arm 2") is ignored. Also returns the unpaired pieces of target and source; larger target pieces
+    come first.
+    """
+    of_target, of_source = pieces or (connected_parts(target), connected_parts(source))
+    target_parts = sorted(of_target, key=lambda part: -len(part.faces))
+    source_parts = list(of_source)
+    votes = np.zeros((len(target_parts), len(source_parts)), dtype=np.int64)
+    ends = np.column_stack(
+        [_owners(target, target_parts)[landmarks[:, 0]], _owners(source, source_parts)[landmarks[:, 1]]]
+    )
+    np.add.at(votes, tuple(ends[(ends >= 0).all(axis=1)].T), 1)
+    most_votes = np.argsort(-votes, axis=None, kind="stable")[: np.count_nonzero(votes)]
+    candidates = [divmod(number, len(source_parts)) for number in most_votes.tolist()]
+    candidates += [
+        (row, column)
+        for row, part in enumerate(target_parts)
+        if not part.name.rpartition(" ")[2].isdigit()
+        for column, source_part in enumerate(source_parts)
+        if part.name.rpartition("/")[2] == source_part.name.rpartition("/")[2]
+    ]
+    chosen: dict[int, int] = {}
+    for row, column in candidates:
+        if row not in chosen and column not in chosen.values():
+            chosen[row] = column
+    unpaired_target = [row for row in range(len(target_parts)) if row not in chosen]
+    unpaired_source = [column for column in range(len(source_parts)) if column not in chosen.values()]
+    if len(unpaired_target) == len(unpaired_source) == 1:
+        chosen[unpaired_target[0]] = unpaired_source[0]
+    return (
+        tuple((target_parts[row], source_parts[chosen[row]]) for row in sorted(chosen)),
+        tuple(part for row, part in enumerate(target_parts) if row not in chosen),
+        tuple(part for column, part in enumerate(source_parts) if column not in chosen.values()),
+    )
+
+
+def _owners(mesh: ControlMesh, parts: list[Part]) -> IndexArray:
+    """(n,) part of every vertex, the last one if several share it; -1 for none."""
+    owners = np.full(mesh.n_vertices, -1, dtype=np.int64)
+    np.maximum.at(owners, mesh.face_indices, part_of_corners(mesh, parts))
+    return owners
+
+
+def material_pieces(mesh: ControlMesh) -> tuple[Part, ...]:
+    """One part per named material, split into numbered parts where not connected."""
+    materials = [part for part in list_parts(mesh, pieces=False) if part.kind == "material"]
+    return tuple(piece for part in materials for piece in connected_pieces(mesh, part))
 
 
 def _pieces(mesh: ControlMesh, word: str) -> tuple[Part, ...]:

@@ -249,12 +249,10 @@ def run_bake(
 ) -> Pixels:
     """Rasterise, locate and shade band by band, then fill the background.
 
-    ``samples_per_axis``: (t1, 2), samples along x and y in every raster cell of a target triangle.
-    ``shade``: samples -> (k, channels) values of their k raster cells, which are averaged over each texel. Called from
-        several threads.
-    ``dtype``: number type of the result; integers are rounded and clipped.
-    ``crisp``: (t1,), see `cagemap.transfer.lookups.Lookups`.
-    ``encode``: means (k, channels) of k texels -> stored values in the range of ``dtype``; default: the means.
+    ``samples_per_axis`` (t1, 2) are samples along x and y in every raster cell of a target triangle. ``shade``, called
+    from several threads, gives values (k, channels) of the k cells of samples, which are averaged over each texel;
+    ``encode`` stored values of these means. Integers of ``dtype`` are rounded and clipped. ``crisp`` is as of
+    `Lookups`.
     """
     finer = layout.supersample
     image = np.zeros((layout.height // finer, layout.width // finer, channels), dtype=dtype)

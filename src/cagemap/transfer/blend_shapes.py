@@ -65,10 +65,7 @@ class ShapeCarrier:
 
 
 def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) -> ShapeCarrier:
-    """Linear system that carries shapes from a source to a target.
-
-    ``target``, ``source``: up to the levels of the map.
-    """
+    """Linear system that carries shapes from a source to a target, both refined up to the levels of the map."""
     level = min(max(target.coarsest_level(_SAMPLES), 1), target.n_levels)
     triangles = level_triangles(target, level)
     count = target.levels[level].n_vertices
@@ -151,11 +148,7 @@ def _centre_images(point_map: PointMap, frames: FloatArray, triangles: IndexArra
 
 
 def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
-    """Displacement of the target's control vertices from the source's displacement.
-
-    ``displacement``: (n2, 3), of the source's control vertices, in its file units. Returns (n1, 3), in the target's
-    file units.
-    """
+    """Displacement (n1, 3) of the target's control vertices from the source's (n2, 3), each in its file units."""
     expected = (carrier.source.control.n_vertices, 3)
     if np.shape(displacement) != expected or not np.isfinite(displacement).all():
         raise ParameterError(
@@ -190,11 +183,10 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
 def contacts(carrier: ShapeCarrier, moved: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
     """Pairs of samples (k,), (k,) in contact in a source shape, and their relative displacement (k, 3).
 
-    Samples are in contact if their images are close, face each other and are not neighbours: closed lips and eyelids.
-    Samples that come into contact get the gap of the source's shape. The gap of samples in contact at rest changes as
-    it does on the source: if the source does not move, the target does not either.
-
-    ``moved``: (n, 3), displacement of the source's finest vertices at unit area.
+    Samples are in contact if their images, displaced by ``moved`` (n, 3) at unit area, are close, face each other and
+    are not neighbours: closed lips and eyelids. Samples that come into contact get the gap of the source's shape. The
+    gap of samples in contact at rest changes as it does on the source: if the source does not move, the target does not
+    either.
     """
     source_surface, count = carrier.point_map.source, len(carrier.masses)
     images = carrier.point_map.images.at(slice(count))

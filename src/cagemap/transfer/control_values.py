@@ -43,11 +43,10 @@ def control_weights(transfer: Transfer, target: Refinement, source: Refinement) 
 
 
 def combine(weights: sparse.csr_array, values: NDArray[Any]) -> NDArray[Any]:
-    """Weighted means of values; of labels (integers, booleans) the one with the largest weight.
+    """Weighted means of values; of labels (integers, booleans) the one with the largest weight, or the smaller of two.
 
-    ``weights``: (n1, n2), rows not negative, with at least one entry.
-    ``values``: (n2,) or (n2, q), a row of several integers is one label. Returns (n1,) or (n1, q), of the same kind;
-        of two labels of equal weight the smaller one.
+    ``weights`` (n1, n2), not negative, have at least one entry in each row. A row of several integers in ``values``,
+    (n2,) or (n2, q), is one label. Returns (n1,) or (n1, q), of the same kind.
     """
     values = np.asarray(values)
     if len(values) != weights.shape[1]:
@@ -65,13 +64,9 @@ def corner_weights(
 ) -> tuple[sparse.csr_array, NDArray[np.bool_]]:
     """Weights (c1, p2) of source nodes at target face corners; (m1,) whether a source seam crosses a face.
 
-    A corner takes its value from its own side of a seam: the walk from the centre of the refined triangle at the
-    corner to the image of its vertex does not cross seams.
-
-    ``target``, ``source``: up to the levels of the transfer.
-    ``nodes``: (c2,), node of every corner of the source's control faces; faces that do not share nodes along an edge
-        have a seam there.
-    ``count``: number of nodes.
+    ``nodes`` (c2,), below ``count``, are the nodes of the corners of the source's control faces; faces that do not
+    share nodes along an edge have a seam there. A corner takes its value from its own side of a seam: the walk from the
+    centre of the refined triangle at the corner to the image of its vertex does not cross seams.
     """
     control = target.control
     linear = interpolate_linearly(source.control, nodes, count, source.n_levels, source.scheme)

@@ -55,11 +55,9 @@ LookupTargets = tuple[FloatArray, FloatArray]
 def make_lookups_exact(
     image: NDArray[np.float32], places: FloatArray, targets: Callable[[FloatArray], LookupTargets]
 ) -> None:
-    """Change a float image in place, as little as possible, to make its lookups exact.
+    """Change a float image (h, w, c) in place, as little as possible, to make its lookups at places (k, 2) exact.
 
-    ``image``: (h, w, c).
-    ``places``: (k, 2), texel coordinates.
-    ``targets``: function from the current lookups (k, c) to their targets; called once a round.
+    ``targets`` is a function from the current lookups (k, c) to their targets; called once a round.
     """
     if not len(places):
         return
@@ -122,10 +120,9 @@ def surface_targets(
 
 
 def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, TexelSamples, IndexArray, FloatArray]:
-    """Corners of the target's layout in a tile: their UVs and, as samples, their source points.
+    """UVs (k, 2) of the layout's corners in a tile, in its unit square, and their source points as samples.
 
-    Returns ``uvs`` (k, 2), in the tile's unit square; ``triangle`` (k,), a target triangle that has the corner;
-    ``inside`` (k, 3), barycentric coordinates there.
+    Also returns a target triangle (k,) that has the corner, and barycentric coordinates (k, 3) there.
     """
     target = transfer.target
     uvs, uv_triangles = target.layout()

@@ -62,12 +62,8 @@ def whole_triangles(
 ) -> IndexArray:
     """(t1,) source triangle with the images of all corners of a target triangle; -1: none.
 
-    Exactly three vertices of the source have weights in these images, and they form a triangle. Its
-    border is included.
-
-    ``target_triangles``: (t1, 3).
-    ``source_triangles``: (t2, 3).
-    ``triangle``, ``barycentric``: (n1,) and (n1, 3), images of the target's vertices on the source.
+    Exactly three vertices of the source have weights in these images, ``triangle`` (n1,) and ``barycentric`` (n1, 3),
+    and they form a triangle, whose border is included.
     """
     corners = source_triangles[triangle]
     heaviest = np.take_along_axis(corners, barycentric.argmax(axis=1)[:, None], axis=1)
@@ -154,13 +150,11 @@ def locate_samples(
     target_triangle: NDArray[np.int32],
     samples_per_axis: NDArray[np.int32],
 ) -> TexelSamples:
-    """Find the source points of a grid of samples in every texel.
+    """Find the source points of a grid of samples in every texel (k,).
 
-    ``layout_corners``: (t1, 3, 2), texel coordinates of the target triangles' corners.
-    ``cells``: (k,), the texels, as ``(row - top) * width + column``, ascending. Whole rows at a time make results
-        repeatable where a map is torn and a point has several closest ones.
-    ``target_triangle``: (k,), target triangle of every texel.
-    ``samples_per_axis``: (t1, 2), samples along x and y in a texel of each target triangle.
+    ``cells`` are the texels, ascending, as ``(row - top) * width + column``. Whole rows at a time make results
+    repeatable where a map is torn and a point has several closest ones. ``layout_corners`` (t1, 3, 2) are texel
+    coordinates, ``samples_per_axis`` (t1, 2) counts along x and y in a texel.
     """
     along = samples_per_axis[target_triangle]
     first = np.concatenate([[0], np.cumsum(along[:, 0] * along[:, 1], dtype=np.int64)])
@@ -181,12 +175,10 @@ def locate_centers(surface: MappedSurface) -> IndexArray:
 def walk_from(
     frames: FloatArray, neighbors: NDArray[np.int32], starts: IndexArray, points: FloatArray
 ) -> tuple[IndexArray, FloatArray]:
-    """Walk from triangles to points close to the surface, across edges that have neighbours.
+    """Walk from triangles (k,) to points (k, 3) close to the surface, across edges that have neighbours.
 
-    ``frames``, ``neighbors``: as in `MappedSurface`.
-    ``starts``: (k,), triangle where each walk begins.
-    ``points``: (k, 3). Returns ``triangle`` (k,); ``barycentric`` (k, 3), not negative, rows sum to 1. A walk that ends
-        before its point gives a point on the last triangle's border.
+    ``frames`` and ``neighbors`` are as in `MappedSurface`. Returns triangles (k,) and barycentric coordinates (k, 3),
+    not negative, rows sum to 1. A walk that ends before its point gives a point on the last triangle's border.
     """
     triangle, inside = np.empty(len(points), dtype=np.int64), np.empty((len(points), 2))
     _walk_all(frames, neighbors, np.ascontiguousarray(starts), np.ascontiguousarray(points), triangle, inside)

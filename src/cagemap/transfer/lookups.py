@@ -50,10 +50,8 @@ def plan_lookups(
 ) -> Lookups:
     """Choose mip levels and samples with which a raster of the target's layout reads a texture.
 
-    ``layout``: the target's, in raster cells.
-    ``exact``: see `MipMaps.build`.
-    ``kind``: "smooth", "linear" or "nearest": interpolation of a texture that is not minified; "nearest" also when it
-        is.
+    ``exact`` is as of `MipMaps.build`; ``kind`` is the interpolation of a texture that is not minified, "nearest" also
+    of one that is.
     """
     centers = locate_centers(mapped)
     if kind == "nearest":
@@ -108,10 +106,7 @@ def _covered(layout: Layout) -> NDArray[np.bool_]:
 
 
 def plan_samples(surface: MappedSurface, layout_corners: FloatArray, source_texels: FloatArray) -> NDArray[np.int32]:
-    """(t1, 2) samples along x and y in a texel of each target triangle, against aliasing.
-
-    One sample for each texel of the source that it spans, see `texel_spans`.
-    """
+    """(t1, 2) samples along x and y in a texel of each target triangle: one for each source texel of `texel_spans`."""
     return samples_for(texel_spans(surface, layout_corners, source_texels, locate_centers(surface)))
 
 
@@ -125,13 +120,9 @@ def texel_spans(
 ) -> FloatArray:
     """(t1, 2) texels of the source spanned by a texel of each target triangle, along x and y.
 
-    With ``G`` the (2, 3) gradient of the source's texel coordinates on its triangle and ``Q`` the (3, 2) differential
-    of the map from target texels to space, the columns of ``G Q`` say how many source texels a target texel spans
-    along x and along y.
-
-    ``layout_corners``: (t1, 3, 2), texel coordinates of the target triangles' corners.
-    ``source_texels``: (t2, 3, 2), texel coordinates of the source triangles' corners in the source texture.
-    ``source``: (t1,), source triangle at the image of every target triangle's centre.
+    With ``G`` the (2, 3) gradient of the source's texel coordinates (t2, 3, 2) on its triangle at the image of the
+    centre, ``source`` (t1,), and ``Q`` the (3, 2) differential of the map from target texels (t1, 3, 2) to space, the
+    columns of ``G Q`` say how many source texels a target texel spans along x and along y.
     """
     spans = np.empty((len(source), 2))
 

@@ -50,15 +50,12 @@ class MipMaps:
         exact: bool = False,
         smooth: bool = True,
     ) -> MipMaps:
-        """Mip levels of a texture that target triangles read.
+        """Mip levels of a texture that target triangles read, ``of_triangle`` (t1,).
 
         Level l is the image halved l - 1 times and then low-passed to half its frequencies, so that bilinear lookups
-        are accurate.
-
-        ``of_triangle``: (t1,), see `cagemap.transfer.lookups.mip_levels`.
-        ``coverage``: texels in the source's layout, by tile; only these tiles are halved.
-        ``exact``: keep floats instead of the texture's number type: means of directions are short.
-        ``smooth``: whether level 0 is looked up smoothly instead of bilinearly.
+        are accurate. Only tiles with ``coverage``, texels in the source's layout, are halved. ``exact`` keeps floats
+        instead of the texture's number type: means of directions are short. ``smooth``: level 0 is looked up smoothly,
+        not bilinearly.
         """
         fine = {tile: SmoothTile.of(texture.tiles[tile], share) for tile, share in coverage.items()} if smooth else {}
         levels, tiles = {0: texture}, {tile: texture.tiles[tile] for tile in coverage}

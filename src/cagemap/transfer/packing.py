@@ -11,7 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, members_of
 
 _COLUMNS = 512
 _ANGLES = np.deg2rad(np.arange(0.0, 90.0, 2.0))
@@ -31,14 +31,11 @@ _Island = tuple[FloatArray, IndexArray]
 def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, padding: float) -> FloatArray:
     """Rotate, move and scale islands, all by one factor, into the unit square.
 
-    ``uvs``: (p, 2).
-    ``edges``: (e, 2), edges of the islands' polygons, as pairs of UVs.
-    ``islands``: (p,), island of every UV.
-    ``padding``: distance between islands, as a part of the square's side; half of it to the border. Returns (p, 2).
-
-    Raises ParameterError if the padding is negative, or leaves no room for the islands.
+    ``edges`` (e, 2) of the islands' polygons are pairs of UVs (p, 2), ``islands`` (p,) the island of each. ``padding``
+    is the least distance between islands, as a part of the square's side. Half of it is left at the border.
+    ParameterError if it is negative, or leaves no room.
     """
-    members = _split(islands)
+    members = members_of(islands)
     too_wide = ParameterError(
         f"padding: expected 0 or more, and so little that {len(members)} islands fit into the square, got {padding:g}"
     )
@@ -49,7 +46,7 @@ def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, paddin
         local[rows] = np.arange(len(rows))
     shapes = [
         (_upright(uvs[rows]), local[edges[edge_rows]])
-        for rows, edge_rows in zip(members, _split(islands[edges[:, 0]]), strict=True)
+        for rows, edge_rows in zip(members, members_of(islands[edges[:, 0]]), strict=True)
     ]
     boxes = np.array([np.ptp(points, axis=0) for points, _ in shapes])
     side = max(1.2 * float(np.sqrt(boxes.prod(axis=1).sum())), float(boxes.max()))
@@ -67,12 +64,6 @@ def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, paddin
                 packed[rows] = points / extent
         side = max(float(np.sqrt(side * height)), float(boxes.max()) * (1 + 4 * padding))
     return packed
-
-
-def _split(labels: IndexArray) -> list[IndexArray]:
-    """Rows of every label."""
-    order = np.argsort(labels, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
 
 
 def _upright(points: FloatArray) -> FloatArray:

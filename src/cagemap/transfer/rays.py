@@ -37,12 +37,10 @@ class NormalHits:
 
 
 def intersect_normals(surface: TriangleSurface, points: FloatArray, normals: FloatArray) -> NormalHits:
-    """Intersect normals with the detail by Newton's method, starting at nearest points with agreeing normals.
+    """Intersect unit normals (s, 3) at source points (s, 3) with the detail, both at the source's unit area.
 
-    Each step intersects the normal with the plane of the triangle that is nearest to the last point.
-
-    ``surface``: the detailed mesh, in the source's position and unit.
-    ``points``, ``normals``: (s, 3), of the source at unit area; unit length.
+    By Newton's method from nearest points with agreeing normals: each step intersects the normal with the plane of the
+    triangle that is nearest to the last point.
     """
     first, distance = nearest_facing(surface, points, normals, MAX_DETAIL_DISTANCE)
     triangle, barycentric = first.triangle.copy(), first.barycentric.copy()

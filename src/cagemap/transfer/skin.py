@@ -29,14 +29,12 @@ def carry_skin(
     *,
     influences: int | None = 4,
 ) -> FloatArray:
-    """Skinning weights of the target's control vertices from the source's weights.
+    """Skinning weights (n1, j) of the target's control vertices from the source's (n2, j), see `normalised_skin`.
 
-    ``weights``: (n1, n2), convex, see `control_weights`.
-    ``skin``: (n2, j), weight of each joint at the source's control vertices; rows as `normalised_skin` takes them.
-    ``net``: graph of the target's control mesh.
-    ``trusted``: (n1,), where the map is trusted. Elsewhere weights are harmonic on the net, so they stay convex.
-    ``influences``: most joints per vertex; the smallest weights are left out. None for all. Returns (n1, j); rows
-        sum to 1, unless the source rows that they come from are 0.
+    ``weights`` (n1, n2) are convex, see `cagemap.transfer.control_values.control_weights`. Where the map is not
+    ``trusted`` (n1,), weights are harmonic on the net of the target's control mesh, so they stay convex.
+    ``influences``: most joints per vertex, None for all; the smallest weights are left out. Rows sum to 1, unless the
+    source rows that they come from are 0.
     """
     skin, _ = normalised_skin(skin)
     if len(skin) != weights.shape[1]:
@@ -48,10 +46,9 @@ def carry_skin(
 
 
 def normalised_skin(skin: FloatArray) -> tuple[FloatArray, str]:
-    """Skinning weights with rows that sum to 1, and a note if rows were scaled.
+    """Skinning weights (n, j) with rows that sum to 1 or 0, and a note if rows were scaled, else ''.
 
-    ``skin``: (n, j), not negative; a row sums to 0 (no joint) or to 1 within 0.1. Returns (n, j), in which rows
-    that sum to 1 or 0 are unchanged; a note, empty if no row was scaled.
+    Rows are not negative and sum to 0 (no joint) or to 1 within 0.1; those that sum to 1 or 0 are unchanged.
     """
     skin = np.asarray(skin, dtype=np.float64)
     sums = skin.sum(axis=1)
@@ -109,10 +106,10 @@ def normalised(skin: FloatArray, sums: FloatArray) -> FloatArray:
 
 
 def chosen_joints(carried: FloatArray, own: FloatArray, chosen: IndexArray) -> FloatArray:
-    """Weights (n, j): carried ones of chosen joints, the mesh's own of other joints, scaled to sum 1.
+    """Weights (n, j): carried ones of the chosen joints (q,), the mesh's own of other joints, scaled to sum 1.
 
-    ``carried``, ``own``: (n, j), rows sum to 1, or to 0 in ``own`` for vertices without weights.
-    ``chosen``: (q,), columns. Rows whose own weights all belong to chosen joints take all carried weights.
+    Rows of both tables sum to 1, or to 0 in ``own`` for vertices without weights. Rows whose own weights all belong to
+    chosen joints take all carried weights.
     """
     if carried.shape != own.shape:
         raise ParameterError(f"skinning weights: expected two tables of one shape, got {carried.shape} and {own.shape}")
@@ -132,9 +129,8 @@ def chosen_joints(carried: FloatArray, own: FloatArray, chosen: IndexArray) -> F
 def mirrored_skin(skin: FloatArray, vertices: IndexArray, joints: IndexArray) -> FloatArray:
     """Mean of skinning weights (n, j) and of their mirror image.
 
-    ``skin``: (n, j).
-    ``vertices``: (n,), vertex at each vertex's mirror image, see `cagemap.mesh.mirrors`.
-    ``joints``: (j,), joint on the other side, or the joint itself, see `cagemap.character.bones.mirrored_joints`.
+    ``vertices`` (n,) are those at mirror images, see `cagemap.mesh.mirrors`; ``joints`` (j,) the ones on the other
+    side, or the joint itself, see `cagemap.character.bones.mirrored_joints`.
     """
     return 0.5 * (skin + skin[vertices][:, joints])
 
@@ -148,13 +144,11 @@ _BLOCK = 1024
 
 
 def carry_joints(point_map: PointMap, joints: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Carry joints, or other points inside or near the source, to the target.
+    """Carry joints (j, 3), or other points in or near the source, to the target; both are in file units.
 
     Every joint is moved by the affine map from images on the source to vertices of the target that fits best around it
-    (moving least squares, Schaefer et al. 2006). Affine deformations are reproduced exactly.
-
-    ``joints``: (j, 3), in the source's file units. Returns ``places`` (j, 3), in the target's file units; ``rotations``
-    (j, 3, 3), rotation of each map: a source direction as a row vector times it is the target's direction.
+    (moving least squares, Schaefer et al. 2006). Affine deformations are reproduced exactly. Also returns the rotation
+    (j, 3, 3) of each map: a source direction as a row vector times it is the target's direction.
     """
     source = point_map.images.positions
     target = point_map.target.positions

@@ -64,12 +64,10 @@ def lay_out(
     gutter: float = GUTTER_RADIUS,
     supersample: int = 1,
 ) -> Layout:
-    """Convert a layout to texel coordinates and sort its triangles and borders into bands.
+    """Convert a layout (t, 3, 2) to texel coordinates and sort its triangles and borders into bands.
 
-    ``corner_uvs``: (t, 3, 2).
-    ``neighbors``: (t, 3), triangle across the edge opposite to every corner *in the UV layout*, -1 at an island's
-        border.
-    ``gutter``: width of the extension of islands beyond their border, in texels.
+    ``neighbors`` (t, 3) are triangles across the edge opposite to every corner *in the UV layout*, -1 at an island's
+    border. Islands are extended by ``gutter`` texels beyond their border.
     """
     corners = np.ascontiguousarray(texel_coordinates(corner_uvs, height, width))
     triangle, opposite = np.nonzero(neighbors < 0)
@@ -189,11 +187,9 @@ LARGEST_SIDE = int(np.iinfo(np.int16).max)
 
 
 def dilate(image: NDArray[Any], covered: NDArray[np.bool_], *, distance: int | None = None, threads: int = 1) -> None:
-    """Copy the nearest covered texel, in place, to texels that are not covered.
+    """Copy the nearest covered texel, in place, to texels of a contiguous image (h, w, c) that are not covered (h, w).
 
-    ``image``: (h, w, c), any number type; contiguous; sides up to 32767.
-    ``covered``: (h, w).
-    ``distance``: largest distance to fill, in texels; default: the whole background.
+    Sides are up to 32767 texels. ``distance`` is the largest to fill, in texels; default: the whole background.
     """
     height, width = covered.shape
     if not covered.any():

@@ -145,13 +145,9 @@ class Texture:
 def lay_texture(
     texture: Pixels | Mapping[int, Pixels], uvs: FloatArray, uv_triangles: IndexArray, *, wrap: Wrap = "repeat"
 ) -> Texture:
-    """Check a texture and combine it with the source's texture coordinates.
+    """Check a texture, (h, w), (h, w, c) or such by UDIM number, and combine it with texture coordinates.
 
-    ``texture``: (h, w) or (h, w, c), or such arrays by UDIM number.
-    ``uvs``: (p, 2).
-    ``uv_triangles``: (t2, 3).
-    ``wrap``: "repeat" or "clamp", how a plain image continues outside the unit square. Renderers and material libraries
-        repeat it.
+    ``wrap``: "repeat", as renderers do, or "clamp", how a plain image continues outside the unit square.
     """
     if wrap not in ("repeat", "clamp"):
         raise ParameterError(f"wrap: expected 'repeat' or 'clamp', got {wrap!r}")
@@ -174,11 +170,9 @@ def lay_texture(
 
 
 def tile_cells(corners: FloatArray) -> FloatArray:
-    """(t, 2) lower left corner of the unit square of each UV triangle.
+    """(t, 2) lower left corner of the unit square of each UV triangle (t, 3, 2).
 
     A triangle that crosses a border only by rounding belongs to the tile of its other corners.
-
-    ``corners``: (t, 3, 2).
     """
     cells = np.floor(corners.mean(axis=1))
     cells = cells - (corners.max(axis=1) - cells <= OVERHANG)
@@ -213,8 +207,8 @@ def look_up(
 ) -> FloatArray:
     """(k, c) mean over every texel's samples of the interpolated texture, in the texture's own values.
 
-    ``smooth``: cells to look up smoothly, by tile; bilinear elsewhere.
-    ``nearest``: take the texel that contains the point, for labels.
+    Cells ``smooth``, by tile, are looked up smoothly, others bilinearly. ``nearest`` takes the texel that contains the
+    point, for labels.
     """
     result = np.zeros((len(samples.first) - 1, texture.channels))
     # A band of texels uses few tiles of a large set: the others are skipped.

@@ -197,11 +197,9 @@ def bake_vectors(
 ) -> Pixels:
     """Bake vectors of the source, rotated to the target per sample and averaged in the target's frame.
 
-    ``counts``: (t1, 2), samples in a texel, as `run_bake` takes them.
-    ``vectors_at``: samples, each a texel of its own -> (s, 3) vectors of the source in object space.
-    ``encode``: mean vectors (k, 3) of k texels: tangent, bitangent and normal, or x, y and z -> their values.
-    ``space``: "tangent" or "object", of the target, for the result.
-    ``crisp``: (t1,), as `run_bake` takes it.
+    ``counts`` and ``crisp`` are as of `run_bake`. ``vectors_at`` gives source vectors (s, 3) in object space of
+    samples, each a texel of its own. ``encode`` gives values of mean vectors (k, 3): tangent, bitangent and normal, or
+    x, y and z.
     """
     pull_back = vector_pullback(transfer, space)
 
@@ -283,11 +281,9 @@ _TEXELS = 100_000
 
 
 def looks_like_normal_map(pixels: Pixels) -> bool:
-    """Whether nearly all texels are unit vectors (r, g, b) = (n + 1) / 2 that point out of the surface.
+    """Whether nearly all texels (h, w, c) are unit vectors (r, g, b) = (n + 1) / 2 that point out of the surface.
 
     Every colour counts once: a large uniform background does not decide. Black and transparent texels are ignored.
-
-    ``pixels``: (h, w, c), integers stand for 0 to 1.
     """
     normals = _normals(pixels)
     if not len(normals):
@@ -297,10 +293,7 @@ def looks_like_normal_map(pixels: Pixels) -> bool:
 
 
 def share_of_normals(pixels: Pixels) -> float:
-    """Share of the colours that are unit vectors of any direction; 1 for an unpainted image.
-
-    ``pixels``: (h, w, c), integers stand for 0 to 1.
-    """
+    """Share of an image's colours that are unit vectors of any direction; 1 for an unpainted image."""
     normals = _normals(pixels)
     return float(_unit(normals).mean()) if len(normals) else 1.0
 

@@ -23,7 +23,14 @@ from cagemap.deform.fit import fit_similarity
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.minimise import Differentials, minimise
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray, label_components, nearest_rotations
+from cagemap.numerics.arrays import (
+    FloatArray,
+    IndexArray,
+    label_components,
+    mask_of,
+    members_of,
+    nearest_rotations,
+)
 from cagemap.numerics.factorization import factor
 from cagemap.wrap.config import MendConfig, WrapConfig
 from cagemap.wrap.net import ControlNet, NetTerms, Samples, face_aspects, folded_faces
@@ -70,11 +77,9 @@ def free_points(samples: Samples, config: WrapConfig) -> IndexArray:
 
 def whole_pieces(graph: ElasticGraph, points: IndexArray) -> list[IndexArray]:
     """Connected pieces of a graph whose vertices are all in points (k,)."""
-    piece = label_components(graph.heads, graph.tails, graph.n)
-    sizes = np.bincount(piece)
-    whole = np.bincount(piece[points], minlength=len(sizes)) == sizes
-    order = np.argsort(piece, kind="stable")
-    return np.split(order[whole[piece[order]]], np.cumsum(sizes[whole]))[:-1]
+    inside = mask_of(points, graph.n)
+    pieces = members_of(label_components(graph.heads, graph.tails, graph.n))
+    return [piece for piece in pieces if inside[piece].all()]
 
 
 def detached_pieces(graph: ElasticGraph, free: IndexArray) -> list[IndexArray]:
@@ -146,7 +151,7 @@ def moved_locally(
     stiffness: FloatArray,
     fixed: bool = False,
 ) -> FloatArray:
-    """(n, 3) net after rounds in which few points (m,) move; maps of points ``similar`` (k,) are similarities.
+    """(n, 3) net after rounds in which few points (m,) move; maps at ``similar`` (k,) are similarities.
 
     The energy is that of the part around them, with stiffness (n,). If ``fixed``, differentials are constant, which
     needs no factorisation.
