@@ -49,19 +49,7 @@ def position_colors(points: FloatArray, reference: FloatArray, cells: int = 24) 
     """Colours of positions: x, y, z as red, green, blue, with a faint checker.
 
     They show a map when the source gets its own positions and the target the positions its vertices map to.
-
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Positions on the source surface.
-    reference : (m, 3) float64
-        All positions of the source; they define the range.
-    cells : int
-        Checker cells along the longest side of the bounding box; 0 for none.
-
-    Returns
-    -------
-    (n, 3) float64
+    ``reference``: (m, 3) all positions of the source, which define the range; ``cells``: along its longest side, or 0.
     """
     low, high = reference.min(0), reference.max(0)
     span = np.maximum(high - low, 1e-9 * max(float((high - low).max()), np.finfo(np.float64).tiny))
