@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -154,17 +155,11 @@ def content_hash(path: str) -> str:
     return " ".join(f"{file.name} {file_hash(file)}" for file in [*files, *referred]) or path
 
 
+@dataclass(frozen=True)
 class _FileHashes:
     """Hashes of files; each file is read once."""
 
-    def __init__(self) -> None:
-        self._hashes: dict[str, str] = {}
-
-    def of(self, path: str | Path) -> str:
-        text = str(path)
-        if text not in self._hashes:
-            self._hashes[text] = content_hash(text)
-        return self._hashes[text]
+    of: Callable[[str], str] = field(default_factory=lambda: cache(content_hash))
 
     def of_value(self, value: Any) -> Any:
         """A value, such as a request, with files replaced by their hashes; ``not:`` before a mask stays."""
@@ -215,7 +210,7 @@ class _Planner:
                 choices[name] = value
         side = side if any(name.startswith(f"{side}_") for name in choices) else "target"
         request = {"asset": asset.name, "file": str(asset.file), "side": side, "options": choices}
-        key = task_key(self.version, "prepare", self.hashes.of(asset.file), side, choices)
+        key = task_key(self.version, "prepare", self.hashes.of(str(asset.file)), side, choices)
         input_hashes, request = self.hashes.files_in(request), {**request, "cache": self.cache}
         return Task("prepare", f"prepare {asset.name} {key[:8]}", key, (), request, input_hashes=input_hashes)
 
