@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from cagemap.errors import CagemapError
 from cagemap.files.meshes.formats import read_whole
@@ -133,7 +134,7 @@ def _bytes(task: Task, sizes: list[AssetSize]) -> float:
 def _size(job: Job, name: str, side: str, plan: Plan, read: Callable[[str], ControlMesh]) -> AssetSize:
     """Size of an asset as target or source, with the options of its first task."""
     tasks = (task for task in plan.tasks if task.kind in ("prepare", "match") and (name, side) in _models(task))
-    options = next((task.request.get("options", task.request) for task in tasks), {})
+    options: dict[str, Any] = next((task.request.get("options", task.request) for task in tasks), {})
     request = MatchRequest(Path(), Path(), None, Path())
     request = replace(request, **{key: value for key, value in options.items() if key in _SIZE_OPTIONS})
     try:
