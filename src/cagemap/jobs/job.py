@@ -109,7 +109,10 @@ def read_job(
         schemas = {name: options_schema(request, EXCLUDED_FIELDS[name]) for name, request in commands.items()}
         problems += find_problems(parsed, file.parent, schemas, kinds, output_options or {})
     if problems or parsed is None:
-        lines = sorted((find_line(text, key_path), message) for key_path, message in problems)
+        lines = sorted(
+            (find_line(text, key_path), f"{'.'.join(map(str, key_path)) or 'the file'}: {message}")
+            for key_path, message in problems
+        )
         listing = "\n".join(f"  line {line}: {message}" for line, message in lines[:MAX_LISTED_PROBLEMS])
         more = f"\n  and {len(lines) - MAX_LISTED_PROBLEMS} more" if len(lines) > MAX_LISTED_PROBLEMS else ""
         raise FormatError(f"{file}: {count_noun(len(lines), 'problem')}; nothing was started.\n{listing}{more}")

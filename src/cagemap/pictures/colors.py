@@ -1,23 +1,10 @@
-"""Colour encodings, colour scales, colours that show a map; sRGB in [0, 1]."""
+"""Colour scales, colours that show a map; sRGB in [0, 1]."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.srgb import decode_srgb as to_linear
-from cagemap.numerics.srgb import encode_srgb as to_display
-
-__all__ = [
-    "AMOUNT_SCALE",
-    "BALANCE_SCALE",
-    "TRUST_SCALE",
-    "distinct_colors",
-    "position_colors",
-    "scalar_colors",
-    "to_display",
-    "to_linear",
-]
 
 # Evenly spaced anchors of colour scales: like viridis for amounts, blue-white-red for signed values.
 AMOUNT_SCALE = np.array(

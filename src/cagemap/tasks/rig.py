@@ -30,7 +30,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights, trusted_vertices
-from cagemap.tasks.masks import in_file, keep_base
+from cagemap.tasks.masks import in_file, keep_base, own_values
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.options import comma_words
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
@@ -262,16 +262,9 @@ def _chosen(
     if base is None:
         raise ParameterError("--only: expected the target's own weights of the other joints. Give them as --base.")
     columns = np.array([names.index(word) for word in words])
-    chosen = chosen_joints(carried, _own(base, control, names, rows), columns)
-    return np.where(np.any(carried[:, columns], axis=1, keepdims=True), _pruned(request, chosen), chosen)
-
-
-def _own(base: Path, control: ControlMesh, names: Sequence[str], rows: FileRows | None) -> FloatArray:
-    """(n, j) weights of a file, by the joints' names; a single table has their order."""
-    arrays = read_attributes(base, control, rows)
-    if all(name in arrays for name in names):
-        return np.column_stack([arrays[name] for name in names]).astype(np.float64)
-    (table,) = arrays.values() if len(arrays) == 1 else (None,)
-    if table is None or table.shape != (control.n_vertices, len(names)):
+    own = own_values(base, control, rows, names)
+    if any(own[name].shape != (control.n_vertices,) for name in names):
         raise ParameterError(f"--base {base}: expected weights of {', '.join(names)} for each vertex of {control.name}")
-    return np.asarray(table, dtype=np.float64)
+    kept = np.column_stack([own[name] for name in names]).astype(np.float64)
+    chosen = chosen_joints(carried, kept, columns)
+    return np.where(np.any(carried[:, columns], axis=1, keepdims=True), _pruned(request, chosen), chosen)
