@@ -21,7 +21,7 @@ class MatchConfig(Brief):
     Attributes
     ----------
     method : str
-        "elastic": an elastic fit that starts from the landmarks; they are met exactly.
+        "elastic": ZoomOut from landmark coordinates, finished by an elastic fit; landmarks are met exactly.
         "hfm": the paper's method with named improvements, see `cagemap.paper.hfm`.
         "paper": the paper's hierarchical functional map; starts at level 0 and needs a fixed schedule.
     hfm : HfmConfig

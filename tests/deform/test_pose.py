@@ -13,7 +13,7 @@ from cagemap.deform.config import RefitConfig, SearchConfig, StartConfig
 from cagemap.deform.energy import ElasticEnergy
 from cagemap.deform.fit import coarse_fit, fine_fit
 from cagemap.deform.graph import mesh_graph
-from cagemap.deform.multi_start import fit_from_constraints
+from cagemap.deform.multi_start import fit_from_two_starts
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
 from cagemap.deform.refit import (
@@ -103,8 +103,9 @@ def test_placements_that_agree_are_doubted_where_a_limb_is_posed(
     at_rest = Placement(problem.coarse_shape.energy.graph.positions, 1.0)
     monkeypatch.setattr(multi_start, "coarse_fit", lambda *given: at_rest)
     monkeypatch.setattr(multi_start, "refine_placements", lambda problem, coarse: list(coarse))
+    monkeypatch.setattr(multi_start, "start_map", lambda *given: bent.source.finest_triangles.positions)
     monkeypatch.setattr(multi_start, "largest_limb_rotation", lambda *given: angle)
-    assert (not fit_from_constraints(problem, problem.coarse_shape)[1]) == (angle < LIMB_POSED)
+    assert (not fit_from_two_starts(problem, problem.coarse_shape)[1]) == (angle < LIMB_POSED)
 
 
 def test_edges_are_loose_where_a_body_turns_and_stiff_where_it_does_not(energy: ElasticEnergy) -> None:

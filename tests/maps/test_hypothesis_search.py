@@ -38,7 +38,7 @@ def found(
         asked.append(with_rotations)
         return [], []
 
-    monkeypatch.setattr(search, "fit_from_constraints", lambda *given: ([beside], [] if agree else [beside]))
+    monkeypatch.setattr(search, "fit_from_two_starts", lambda *given: ([beside], [] if agree else [beside]))
     monkeypatch.setattr(search, "fit_from_spectral_starts", lambda problem, shape, fine, soft: fine)
     monkeypatch.setattr(search, "fit_small_graph", fit_small_graph)
     monkeypatch.setattr(search, "fit_without_tips", lambda problem, small_fits: [evaluate_placement(prepared, places)])

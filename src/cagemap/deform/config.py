@@ -56,12 +56,13 @@ class StartConfig(Brief):
     search_vertices: int = 3000
     source_search_vertices: int = 0  #: the same number for the source, where it differs; 0: as for the target
     zoomout: ZoomOutSchedule = ZoomOutSchedule()
-    samples: int = 3000  #: most source vertices that ZoomOut, or the search for a fit's closest points, is given
+    samples: int = 3000  #: most source vertices that ZoomOut searches; it takes twice the number of coarse vertices
     curve_points: int = 40  #: points of a curve at which its landmark coordinate is 1
     #: numbers of basis functions that a fit determines; each gives one start
     trusted_functions: tuple[int, ...] = (8, 20)
     growth: float = 1.5  #: factor by which ZoomOut from a fit raises the number of functions
     last_functions: int = 100  #: number of functions at which it ends
+    places: int = 3000  #: source points among which it finds closest points
     normal_length: float = 0.1  #: length of a unit normal in that search, of sqrt(area)
 
     def __post_init__(self) -> None:
@@ -116,8 +117,9 @@ class SearchConfig:
     Measured in docs/lab/elastic.md and docs/lab/poses.md.
     """
 
-    # Fits from landmarks, and from further starts if the soft and the stiff coarse stage disagree
-    max_stage_distance: float = 0.007  #: they disagree if their placements are farther apart, on average
+    # Fits from two starts that landmarks give, and from further starts if these two fits disagree
+    #: the fits disagree if their coarse placements are farther apart, on average
+    max_start_distance: float = 0.004
     max_limb_rotation: float = 0.48  #: or if a limb is rotated by more, in radians
     limb_area: float = 0.02  #: share of the area that counts as a limb; less than a forearm and its hand
     min_coarse_distance: float = 0.001  #: coarse placements at a larger mean distance are both refined
@@ -160,7 +162,6 @@ class SearchConfig:
     same_kind_cost: float = 1e-4  #: bodies whose fit costs less are of one kind; no later stage improves them
     #: without landmarks, if the best placement costs more, the reverse problem is searched too (`search_from_source`)
     max_one_way_cost: float = 2e-4
-    min_inverse_distance: float = 0.004  #: an inverse at a smaller mean distance is no other placement
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Fits from landmarks alone and, where limbs are in doubt, from spectral starts (ZoomOut); the cheapest wins.
+"""Fits from several starts: ZoomOut from landmark coordinates or from a fit, and landmarks alone; the cheapest wins.
 
 Different coarse placements are refined before they are compared: a limb rotated about its axis costs almost nothing on
 the coarse graph, but does on the mesh (docs/lab/fit_experiments.md).
@@ -20,7 +20,7 @@ from cagemap.deform.placement import Placement, distinct_placements, mean_distan
 from cagemap.deform.problem import CoarseShape, Problem
 from cagemap.deform.refit import largest_limb_rotation
 from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
-from cagemap.numerics.threads import in_threads
+from cagemap.numerics.threads import ThreadPool, in_threads
 from cagemap.spectral.landmark_coordinates import landmark_coordinates
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule, evenly_spaced_vertices, nearest_rows, zoomout
@@ -83,7 +83,7 @@ def spectral_starts(problem: Problem, shape: CoarseShape) -> Callable[[Placement
     prepared = problem.prepared
     config, surface = prepared.start, prepared.source_surface
     level = prepared.source.hierarchy.coarsest_level(prepared.elastic.source_vertices)
-    vertices = evenly_spaced_vertices(surface.n, config.samples)
+    vertices = evenly_spaced_vertices(surface.n, config.places)
     places = surface.positions[vertices]
     tree = cKDTree(np.hstack([places, config.normal_length * surface.vertex_normals[vertices]]))
     target = basis_rows(prepared.target, prepared.levels[0], shape.vertices)
@@ -106,35 +106,42 @@ def basis_rows(surface: Surface, level: int, vertices: IndexArray) -> FloatArray
     return surface.basis.rows(fine, surface.hierarchy.vertices_on(fine, level)[vertices])
 
 
-def fit_from_constraints(
+def fit_from_two_starts(
     problem: Problem, shape: CoarseShape, start: FloatArray | None = None
 ) -> tuple[list[Placement], list[Placement]]:
-    """Fine placements from constrained points alone; and soft coarse ones if the coarse stages disagree, else none.
+    """Fine placements from two starts, cheapest first; and the soft coarse ones of both, none if these agree.
 
-    The stiff coarse stage spreads strain more evenly, so its placements are refined. The soft one bends joints. They
-    disagree if their placements are far apart or a limb is in another pose; `fit_from_spectral_starts` goes on from the
-    soft ones. Positions ``start`` (k, 3) are a further start, with fewer than three constrained points the only one.
+    The starts are ZoomOut from landmark coordinates (`start_map`), or positions ``start`` (k, 3), and the constrained
+    points alone (`landmark_start`). From each, clusters are fitted by the soft and by the stiff coarse stage. The stiff
+    one spreads strain more evenly, so its placements are refined. The soft ones disagree if they are far apart or a
+    limb is in another pose; `fit_from_spectral_starts` goes on from them. With a start and fewer than three constrained
+    points, the start is the only one.
     """
     prepared, elastic = problem.prepared, problem.prepared.elastic
-    starts: list[FloatArray | None] = [None] if start is None else [start, None]
+    shapes = shape, shape.with_stage(elastic.stiff_coarse)
+
+    def both_stages(positions: FloatArray | None) -> list[Placement]:
+        """Placements of the soft and of the stiff coarse stage."""
+        return in_threads(lambda clusters: coarse_fit(problem, positions, clusters), shapes)
+
     if start is not None and len(shape.constrained_vertices[0]) < FEWEST_LANDMARKS:
-        starts = [start]
-    soft, stiff = in_threads(
-        lambda clusters: [coarse_fit(problem, positions, clusters) for positions in starts],
-        (shape, shape.with_stage(elastic.stiff_coarse)),
-    )
+        return refine_placements(problem, both_stages(start)), []
+    with ThreadPool(1) as pool:  # at the same time as ZoomOut
+        from_points = pool.submit(both_stages, None)
+        first = both_stages(start_map(problem, shape) if start is None else start)
+        soft, stiff = zip(first, from_points.result(), strict=True)
     # Costs of coarse placements differ too little to choose by: a rotated elbow costs only on the mesh.
     fine = refine_placements(problem, stiff)
     rotation = largest_limb_rotation(prepared.energy, prepared.level_masks, fine[0].positions, elastic.search.limb_area)
-    distance = mean_distance(soft[0].positions, stiff[0].positions, shape.energy.graph.areas)
-    agree = distance <= elastic.search.max_stage_distance and rotation <= elastic.search.max_limb_rotation
-    return fine, [] if agree else soft
+    distance = mean_distance(soft[0].positions, soft[1].positions, shape.energy.graph.areas)
+    agree = distance <= elastic.search.max_start_distance and rotation <= elastic.search.max_limb_rotation
+    return fine, [] if agree else list(soft)
 
 
 def fit_from_spectral_starts(
     problem: Problem, shape: CoarseShape, fine: Sequence[Placement], soft: Sequence[Placement]
 ) -> list[Placement]:
-    """Fine placements, those of `fit_from_constraints` and others from spectral starts of its first soft one."""
+    """Fine placements, those of `fit_from_two_starts` and others from spectral starts of its first soft one."""
     starts = spectral_starts(problem, shape)(soft[0])
     more = in_threads(lambda start: coarse_fit(problem, start, shape), starts)
     return [placed.with_start_of(fine[0]) for placed in refine_cheapest(problem, [*soft, *more], fine=fine)]

@@ -13,8 +13,8 @@ from dataclasses import replace
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.multi_start import (
     FEWEST_LANDMARKS,
-    fit_from_constraints,
     fit_from_spectral_starts,
+    fit_from_two_starts,
     refine_cheapest,
     spectral_starts,
     start_map,
@@ -151,22 +151,22 @@ def search(
 ) -> list[Placement]:
     """Placements of the target's mesh, best first (`rank_placements`); landmarks are constraints in all of them.
 
-    1. With three landmarks or more, fit from these by both coarse stages. If the stages agree, return the fit.
+    1. With three landmarks or more, fit from the two starts that they give. If the fits agree, return them.
     2. Else fit a small graph from many starts: assigned limbs, the files' positions and, without landmarks, rotations.
     3. Fit the mesh from the best of these, with the tips of assigned limbs as constraints and without tips.
-    4. For the best fit with constraints whose coarse stages disagree, add spectral starts.
+    4. For the best fit with constraints whose two starts disagree, add spectral starts.
     5. Refit with tips near each other as constraints. Not for bodies of one kind in one pose.
     6. Finish the best placement (`deform.refit`). Not for such bodies without landmarks.
 
-    Positions ``start`` (k, 3) of the coarse shape's vertices are a start of step 1; steps 2 and 3 are left out then.
-    ``show`` is called with placements of the small graph.
+    Positions ``start`` (k, 3) of the coarse shape's vertices replace the start by ZoomOut; steps 2 and 3 are left out
+    then. ``show`` is called with placements of the small graph.
     """
     has_start = start is not None or len(problem.landmarks) >= FEWEST_LANDMARKS
-    # Fits with point constraints: the coarse shape, fine placements, and soft coarse ones if stages disagree
+    # Fits with point constraints: the coarse shape, fine placements, and soft coarse ones if its two starts disagree
     constrained, placements = list[tuple[CoarseShape, list[Placement], list[Placement]]](), list[Placement]()
     if has_start:
         progress("first alignment")
-        fine, soft = fit_from_constraints(problem, problem.coarse_shape, start)
+        fine, soft = fit_from_two_starts(problem, problem.coarse_shape, start)
         if not soft:
             return fine
         constrained.append((problem.coarse_shape, fine, soft))
@@ -176,7 +176,7 @@ def search(
         progress("rough alignment")
         for tips, small_fit in limb_fits:
             shape = problem.coarse_shape_with(tips)
-            fine, soft = fit_from_constraints(problem, shape)
+            fine, soft = fit_from_two_starts(problem, shape)
             constrained.append((shape, [placed.with_start_of(small_fit) for placed in fine], soft))
         placements = fit_without_tips(problem, small_fits)
     progress("elastic alignment")
@@ -201,7 +201,7 @@ def search_from_source(
     If one surface is open and the other closed (a part and a whole, docs/lab/parts.md), the inverses of all reverse
     placements are ranked with the others. Otherwise the reverse problem is searched only if the best placement costs
     more than ``max_one_way_cost`` (docs/lab/search.md); the inverse of the best reverse placement then comes first if
-    it costs less and is farther than ``min_inverse_distance`` from the best placement, on average.
+    it costs less and is farther than ``max_start_distance`` from the best placement, on average.
     """
     prepared, best = problem.prepared, placements[0]
     config, areas = prepared.elastic.search, prepared.energy.graph.areas
@@ -213,7 +213,7 @@ def search_from_source(
         return rank_placements([*placements, *(inverse_placement(problem, placed) for placed in reverse)])
     inverse = inverse_placement(problem, reverse[0])
     distance = mean_distance(inverse.positions, best.map_positions, areas)
-    if inverse.penalised_cost >= best.penalised_cost or distance <= config.min_inverse_distance:
+    if inverse.penalised_cost >= best.penalised_cost or distance <= config.max_start_distance:
         return placements
     return [finish_placement(problem, inverse), *placements]
 
