@@ -20,9 +20,12 @@ from cagemap.files.atomic import write_whole
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import code_version
-from cagemap.jobs import Consistency, Task, plan_job, read_job, spanning_tree
+from cagemap.jobs.consistency import Consistency
 from cagemap.jobs.farm import farm_steps
+from cagemap.jobs.job import read_job
 from cagemap.jobs.page import PairRow
+from cagemap.jobs.plan import Task, plan_job
+from cagemap.jobs.tree import spanning_tree
 from cagemap.subdivision import refine
 from cagemap.tasks import dry_run
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN

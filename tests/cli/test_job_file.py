@@ -16,7 +16,9 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import read_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result, write_result
-from cagemap.jobs import Task, plan_job, read_job, spanning_tree
+from cagemap.jobs.job import read_job
+from cagemap.jobs.plan import Task, plan_job
+from cagemap.jobs.tree import spanning_tree
 from cagemap.tasks.import_map import run_map
 from cagemap.tasks.job_file import JOB, note_match, note_output
 from cagemap.tasks.match import MatchRequest

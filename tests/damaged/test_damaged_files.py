@@ -35,8 +35,9 @@ from cagemap.files.result.maps import read_images, write_map
 from cagemap.files.result.surface_store import load_surface, prepared, save_surface
 from cagemap.files.values.attributes import read_attributes, write_attributes
 from cagemap.files.values.rigs import read_shapes, read_skeleton, write_shapes, write_skeleton
-from cagemap.jobs import Task, read_job
 from cagemap.jobs.consistency import Consistency, read_consistency, write_consistency
+from cagemap.jobs.job import read_job
+from cagemap.jobs.plan import Task
 from cagemap.jobs.run import kept_outcome
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap, MatchResult

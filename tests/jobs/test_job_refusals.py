@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from cagemap.jobs import read_job
+from cagemap.jobs.job import read_job
 from cagemap.jobs.job_schema import Asset
 from cagemap.jobs.run import _remote
 from cagemap.jobs.tree import spanning_tree

@@ -19,9 +19,11 @@ from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.files.result.manifest import read_manifest
-from cagemap.jobs import Plan, plan_job, read_job, spanning_tree
 from cagemap.jobs.carry import add_carry_tasks, carry_landmarks, carry_notes
 from cagemap.jobs.detours import add_detours
+from cagemap.jobs.job import read_job
+from cagemap.jobs.plan import Plan, plan_job
+from cagemap.jobs.tree import spanning_tree
 from cagemap.maps.places import cage_points_of, locate
 from cagemap.mesh.landmarks import NamedPoints
 from cagemap.mesh.parts import extract_faces, join_meshes

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from examples.shapes import torus
 
-from cagemap.jobs import Plan, Task
 from cagemap.jobs.consistency import (
     Consistency,
     _detours,
@@ -19,6 +18,7 @@ from cagemap.jobs.consistency import (
     write_consistency,
 )
 from cagemap.jobs.detours import add_detours, compose_maps, has_detours
+from cagemap.jobs.plan import Plan, Task
 from cagemap.maps.point_map import PointMap
 from cagemap.subdivision import refine
 from cagemap.surface.triangle_surface import TriangleSurface

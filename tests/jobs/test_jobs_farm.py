@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from cagemap.errors import ParameterError
-from cagemap.jobs import Plan, Task
 from cagemap.jobs.farm import farm_steps, openjd_template, parse_task_range, slurm_script
+from cagemap.jobs.plan import Plan, Task
 
 
 def plan(root: Path, pairs: int = 2) -> Plan:

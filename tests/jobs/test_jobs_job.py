@@ -13,11 +13,11 @@ from examples.shapes import cube, icosahedron, torus
 from cagemap.errors import FormatError, InvalidMeshError
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.manifest import file_hash
-from cagemap.jobs import Job, Plan, Task, plan_job, read_job, spanning_tree
+from cagemap.jobs.job import Job, read_job
 from cagemap.jobs.job_checks import find_line
 from cagemap.jobs.job_schema import Scheme
-from cagemap.jobs.plan import content_hash
-from cagemap.jobs.tree import shape_distribution
+from cagemap.jobs.plan import Plan, Task, content_hash, plan_job
+from cagemap.jobs.tree import shape_distribution, spanning_tree
 from cagemap.mesh.schemes import SCHEMES
 from cagemap.tasks.requests.catalogue import COMMANDS as REAL
 from cagemap.tasks.requests.catalogue import WRITTEN

@@ -15,8 +15,9 @@ import pytest
 
 from cagemap.errors import FormatError
 from cagemap.files import atomic
-from cagemap.jobs import Plan, Task, TaskOutcome, pair_rows, write_library
-from cagemap.jobs.page import PairRow, build_library_page, build_table
+from cagemap.jobs.page import PairRow, build_library_page, build_table, pair_rows, write_library
+from cagemap.jobs.plan import Plan, Task
+from cagemap.jobs.run import TaskOutcome
 
 QUALITY = {
     "landmark_error_mean": 0.001,

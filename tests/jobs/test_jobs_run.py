@@ -20,9 +20,8 @@ from cagemap.errors import ParameterError
 from cagemap.files.atomic import write_whole
 from cagemap.files.meshes.formats import referred_files
 from cagemap.files.result.manifest import stated_inputs
-from cagemap.jobs import Plan, Task, TaskOutcome, missing_tasks, open_client, run_plan
-from cagemap.jobs.plan import content_hash
-from cagemap.jobs.run import execute, kept_outcome
+from cagemap.jobs.plan import Plan, Task, content_hash
+from cagemap.jobs.run import TaskOutcome, execute, kept_outcome, missing_tasks, open_client, run_plan
 
 from library_runner import write_name
 

@@ -41,14 +41,7 @@ def write_status(text: str) -> None:
 
 
 def set_verbosity(verbose: int, quiet: bool) -> None:
-    """Set the log level: errors, warnings (default), steps and fallbacks, or everything.
-
-    Parameters
-    ----------
-    verbose : int
-        Number of ``-v``.
-    quiet : bool
-    """
+    """Set the log level: errors, warnings (default), steps and fallbacks, or everything."""
     logger = logging.getLogger("cagemap")
     for handler in [handler for handler in logger.handlers if isinstance(handler, _StatusHandler)]:
         logger.removeHandler(handler)

@@ -21,16 +21,10 @@ EXIT_WRONG_INPUT, EXIT_INTERNAL_ERROR, EXIT_SIGNAL = 2, 70, 128
 
 
 class Interruption:
-    """Turns the first SIGINT or SIGTERM into a KeyboardInterrupt; the next one ends the process.
-
-    Attributes
-    ----------
-    signal : int or None
-        The received signal.
-    """
+    """Turns the first SIGINT or SIGTERM into a KeyboardInterrupt; the next one ends the process."""
 
     def __init__(self) -> None:
-        self.signal: int | None = None
+        self.signal: int | None = None  # received
         self._handlers: dict[int, Any] = {}
 
     def __enter__(self) -> Interruption:

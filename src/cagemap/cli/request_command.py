@@ -65,18 +65,8 @@ def command_of(
     """A function for typer, with a request's fields as parameters, that runs the request.
 
     Its help is the docstring of the request. Fields without an option are not on the command line. Fields that may be
-    None are optional; tuples of any length may be repeated.
-
-    Parameters
-    ----------
-    kind : type
-        The request's dataclass.
-    run : callable
-        Runs the request.
-    word_types : mapping of str to type
-        Types on the command line of fields that have another type there.
-    make_request : callable, optional
-        Makes the request from values by field name; default: ``kind``.
+    None are optional; tuples of any length may be repeated. ``word_types`` are the types on the command line of fields
+    that have another type there; ``make_request`` makes the request from values by field name.
     """
     hints = get_type_hints(kind, include_extras=True)
     replacements = moved_options(kind)
@@ -153,13 +143,7 @@ def typer_parameter(option: Any, default: Any, *, grouped: bool = False) -> Any:
 
 
 def command_class(replacements: Mapping[str, str]) -> type[TyperCommand]:
-    """A typer command class with grouped help that names the replacement of renamed options.
-
-    Parameters
-    ----------
-    replacements : mapping of str to str
-        What to type instead of old spellings.
-    """
+    """A typer command class with grouped help, which says what replaces renamed options."""
 
     class Command(TyperCommand):
         def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

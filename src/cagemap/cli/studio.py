@@ -13,13 +13,7 @@ from cagemap.tasks.requests.studio import StudioRequest
 
 
 def run_studio(request: StudioRequest, stages: Stages) -> Outcome:
-    """Serve the studio until interrupted.
-
-    Raises
-    ------
-    ParameterError
-        If the web server is not installed, a file is missing, or the address cannot be served.
-    """
+    """Serve the studio until interrupted."""
     try:
         from cagemap.studio.page.app import PageRequest, run_page
     except ModuleNotFoundError as error:

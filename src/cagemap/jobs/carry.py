@@ -41,17 +41,10 @@ MAX_DIRECTION_DIFFERENCE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class DirectedMap:
-    """A map with a direction.
-
-    Attributes
-    ----------
-    result : MatchResult
-    forward : bool
-        Whether points go from the map's target to its source, as the map is stored.
-    """
+    """A map with a direction."""
 
     result: MatchResult
-    forward: bool
+    forward: bool  # whether points go from the map's target to its source, as the map is stored
 
     def map_points(self, positions: FloatArray, normals: FloatArray) -> SurfacePoints:
         """Corresponding points of the next model, for positions (q, 3) at unit area and their normals."""
@@ -70,13 +63,6 @@ def add_carry_tasks(plan: Plan, job: Job, version: str) -> Plan:
     """The plan with a task, after its matches, for every model that gets landmarks.
 
     Models with landmarks of their own, or that no path of maps reaches, get no task.
-
-    Parameters
-    ----------
-    plan : Plan
-    job : Job
-    version : str
-        Of the code.
     """
     if job.carry is None:
         return plan
@@ -108,18 +94,9 @@ def add_carry_tasks(plan: Plan, job: Job, version: str) -> Plan:
 
 
 def carry_landmarks(request: Mapping[str, Any]) -> dict[str, Any]:
-    """Carry the landmarks and curves of one model to another, and write its file.
+    """Carry the landmarks and curves of one model to another, and write its file; returns figures for `carry_notes`.
 
-    Parameters
-    ----------
-    request : dict
-        Of a task of `add_carry_tasks`.
-
-    Returns
-    -------
-    dict
-        "points": number of landmarks; "curves": number of curves; "file"; "look_at": names of points where both
-        directions of a map disagree, worst first.
+    "look_at" are the points where both directions of a map disagree, worst first.
     """
     steps = [DirectedMap(read_result(folder), bool(forward)) for folder, forward in request["steps"]]
     first = steps[0].result.target if steps[0].forward else steps[0].result.source

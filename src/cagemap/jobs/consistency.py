@@ -34,23 +34,12 @@ MAX_SAMPLE_VERTICES = 1500
 
 @dataclass(frozen=True)
 class Consistency:
-    """Estimated errors of a collection's maps, and detours around doubtful maps.
+    """Estimated errors of a collection's maps, and detours around doubtful maps."""
 
-    Attributes
-    ----------
-    errors : dict of (target, source) to float
-        Estimated mean error of every map in a triple, of sqrt(area).
-    triples : int
-        Number of compared triples.
-    doubtful : tuple of (target, source)
-        Worst first.
-    detours : dict of (target, source) to tuple of str
-        For doubtful maps with a better detour: the assets along it, from target to source.
-    """
-
-    errors: dict[MapKey, float]
-    triples: int
-    doubtful: tuple[MapKey, ...]
+    errors: dict[MapKey, float]  # estimated mean error of every map in a triple, of sqrt(area)
+    triples: int  # number of compared triples
+    doubtful: tuple[MapKey, ...]  # worst first
+    # For doubtful maps with a better detour: the assets along it, from target to source
     detours: dict[MapKey, tuple[str, ...]]
 
 
@@ -58,10 +47,6 @@ def measure_consistency(maps: Mapping[MapKey, PointMap]) -> Consistency:
     """Compare every map with its detours and estimate the error of each.
 
     Maps of an asset at another level than most of its maps are left out.
-
-    Parameters
-    ----------
-    maps : mapping of (target, source) to PointMap
     """
     map_keys = _comparable(maps)
     column_of = {map_key: index for index, map_key in enumerate(map_keys)}
@@ -84,13 +69,7 @@ def measure_consistency(maps: Mapping[MapKey, PointMap]) -> Consistency:
 
 
 def disagreement(direct: PointMap, first: PointMap, second: PointMap) -> float:
-    """Mean distance of A -> C and A -> B -> C, of sqrt(area of C).
-
-    Parameters
-    ----------
-    direct, first, second : PointMap
-        Maps with target A and source C, target A and source B, target B and source C.
-    """
+    """Mean distance of the maps A -> C and A -> B -> C (target -> source), of sqrt(area of C)."""
     n = direct.target.n
     vertices = np.unique(np.linspace(0, n - 1, min(n, MAX_SAMPLE_VERTICES)).astype(np.int64))
     composed_images = first.images.at(vertices).interpolate(second.images.positions)

@@ -27,21 +27,13 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True)
 class Cost:
-    """Processor seconds of one kind of task.
-
-    Attributes
-    ----------
-    constant : float
-    control, finest : float
-        Per 1000 control and per 1000 finest vertices of all surfaces read.
-    texels : float
-        Per million texels written.
-    """
+    """Processor seconds of one kind of task."""
 
     constant: float
+    # `control`, `finest`: per 1000 control and per 1000 finest vertices of all surfaces read
     control: float = 0.0
     finest: float = 0.0
-    texels: float = 0.0
+    texels: float = 0.0  # per million texels written
 
 
 COSTS = {
@@ -57,19 +49,7 @@ COSTS = {
 
 
 def task_seconds(kind: str, sizes: Sequence[Size], *, landmarks: bool = True, texels: int = 0) -> float:
-    """Processor seconds of a task.
-
-    Parameters
-    ----------
-    kind : str
-        Of the task.
-    sizes : sequence of (int, int)
-        Control and finest vertices of the surfaces read.
-    landmarks : bool
-        Whether a match has landmarks.
-    texels : int
-        Number of texels written.
-    """
+    """Processor seconds of a task that reads surfaces of these sizes and writes so many texels."""
     cost = COSTS[kind]
     control, finest = (sum(size[i] for size in sizes) / 1000 for i in (0, 1))
     search_seconds = 0.0 if landmarks or kind != "match" else SEARCH_SECONDS[0] + SEARCH_SECONDS[1] * control

@@ -25,19 +25,9 @@ MAP_NORMAL_WEIGHT = 0.03
 
 
 def compose_maps(maps: Sequence[PointMap]) -> PointMap:
-    """Compose maps: from the first target to the last source.
+    """Compose maps, each of whose sources is the next one's target.
 
     Images between vertices are interpolated linearly and projected onto the last surface.
-
-    Parameters
-    ----------
-    maps : sequence of PointMap
-        The source of each is the target of the next.
-
-    Raises
-    ------
-    ParameterError
-        If they cannot be composed.
     """
     positions, normals = maps[-1].images.positions, maps[-1].images.normals
     for point_map in reversed(maps[:-1]):
@@ -47,15 +37,7 @@ def compose_maps(maps: Sequence[PointMap]) -> PointMap:
 
 
 def compose_results(results: Sequence[MatchResult], names: Sequence[str]) -> MatchResult:
-    """Compose results: point maps and functional maps; quality is measured without landmarks.
-
-    Parameters
-    ----------
-    results : sequence of MatchResult
-        The source of each is the target of the next.
-    names : sequence of str
-        Assets from target to source, for the manifest's note.
-    """
+    """Compose results from target to source, which ``names`` names; quality is measured without landmarks."""
     first, last = results[0], results[-1]
     point_map = compose_maps([result.point_map for result in results])
     quality = measure_quality(point_map)
@@ -71,16 +53,7 @@ def compose_results(results: Sequence[MatchResult], names: Sequence[str]) -> Mat
 
 
 def add_detours(plan: Plan, detours: Mapping[MapKey, Sequence[str]], version: str) -> Plan:
-    """The plan with a task for every detour; outputs of those pairs use the detour.
-
-    Parameters
-    ----------
-    plan : Plan
-    detours : mapping of (target, source) to names
-        Assets from target to source.
-    version : str
-        Of the code.
-    """
+    """The plan with a task for every detour; outputs of those pairs use the detour."""
     matches = {task.pair: task for task in plan.tasks if task.kind == "match"}
     tasks: list[Task] = []
     composed: dict[PairNames, Task] = {}

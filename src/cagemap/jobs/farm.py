@@ -25,21 +25,11 @@ MAX_NAME_LENGTH = 64
 
 @dataclass(frozen=True)
 class Step:
-    """Numbered tasks that may run in parallel, after all earlier steps.
+    """Numbered tasks that may run in parallel, after all earlier steps."""
 
-    Attributes
-    ----------
-    name : str
-        "prepare", "match", "outputs" (of one pair each), "carry" or "page".
-    first : int
-        Number of its first task; tasks of all steps are numbered from 1.
-    tasks : tuple of tuple of Task
-        Tasks of each number, in this order; none for the page.
-    """
-
-    name: str
-    first: int
-    tasks: tuple[tuple[Task, ...], ...]
+    name: str  # "prepare", "match", "outputs" (of one pair each), "carry" or "page"
+    first: int  # number of its first task; tasks of all steps are numbered from 1
+    tasks: tuple[tuple[Task, ...], ...]  # tasks of each number, in this order; none for the page
 
     @property
     def last(self) -> int:
@@ -48,13 +38,7 @@ class Step:
 
 
 def farm_steps(plan: Plan) -> tuple[Step, ...]:
-    """Group the tasks of a plan in steps, numbered by the job file alone.
-
-    Parameters
-    ----------
-    plan : Plan
-        Without detours: these are known only when all maps are computed.
-    """
+    """Tasks of a plan without detours in steps, numbered by the job file alone."""
     steps: list[Step] = []
     first = 1
     for name in STEP_NAMES:
@@ -75,13 +59,7 @@ def numbered_tasks(steps: tuple[Step, ...]) -> Iterator[tuple[int, Task]]:
 
 
 def parse_task_range(words: str, last: int) -> range:
-    """Numbers of the tasks ``N`` or ``A-B``.
-
-    Raises
-    ------
-    ParameterError
-        If it is neither, or not between 1 and ``last``.
-    """
+    """Numbers of the tasks ``N`` or ``A-B``."""
     match = re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", words.strip())
     first, end = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
     if not 1 <= first <= end <= last:
@@ -95,11 +73,7 @@ def parse_task_range(words: str, last: int) -> range:
 def openjd_template(job: Path, steps: tuple[Step, ...]) -> dict[str, Any]:
     """Job template of Open Job Description 2023-09 whose tasks are ``cagemap run JOB --task N``.
 
-    Parameters
-    ----------
-    job : Path
-        Job file; the template's default is this name beside the template, since defaults are never absolute.
-    steps : tuple of Step
+    Its job file is the one of this name beside the template, since defaults are never absolute.
     """
     name = re.sub(r"[^A-Za-z0-9 ._-]", "-", job.stem)[:MAX_NAME_LENGTH]
     return {
@@ -139,14 +113,7 @@ def openjd_template(job: Path, steps: tuple[Step, ...]) -> dict[str, Any]:
 
 
 def slurm_script(job: Path, steps: tuple[Step, ...]) -> str:
-    """Bash script that submits one Slurm array a step, which starts after the step before.
-
-    Parameters
-    ----------
-    job : Path
-        Absolute path of the job file.
-    steps : tuple of Step
-    """
+    """Bash script that submits one Slurm array a step, which starts after the step before."""
     lines = [
         "#!/bin/bash",
         "# Submit all tasks of a job of cagemap: bash SCRIPT [options of sbatch, such as --cpus-per-task=4 --mem=8G]",

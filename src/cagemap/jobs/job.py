@@ -68,32 +68,16 @@ EXCLUDED_FIELDS = {
 
 @dataclass(frozen=True)
 class Job:
-    """A validated job file; all paths are absolute.
+    """A validated job file; all paths are absolute."""
 
-    Attributes
-    ----------
-    path : Path
-        The job file.
-    output : Path
-        Folder of all results.
-    assets : dict of str to Asset
-    pairs : tuple of PairRule
-        Their options include those of the whole job.
-    outputs : tuple of OutputRule
-    kinds : dict of str to dict
-        Type of every option of every command, with its annotations.
-    carry : CarryRule, optional
-    output_options : mapping of str to tuple of str
-        Options of each command that name additional output files.
-    """
-
-    path: Path
-    output: Path
+    path: Path  # the job file
+    output: Path  # folder of all results
     assets: dict[str, Asset]
-    pairs: tuple[PairRule, ...]
+    pairs: tuple[PairRule, ...]  # their options include those of the whole job
     outputs: tuple[OutputRule, ...]
-    kinds: dict[str, dict[str, Any]]
+    kinds: dict[str, dict[str, Any]]  # type of every option of every command, with its annotations
     carry: CarryRule | None = None
+    # Options of each command that name additional output files
     output_options: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
@@ -102,18 +86,8 @@ def read_job(
 ) -> Job:
     """Read and validate a job file; one error lists all problems with lines and remedies.
 
-    Parameters
-    ----------
-    path : path
-    commands : mapping of str to dataclass
-        Request of each command: "match" and those that outputs name. Field names are option names.
-    output_options : mapping of str to tuple of str, optional
-        Options of each command that name additional output files; they are written to the pair's folder.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read or has problems.
+    ``commands``: request of each command; its fields are the options.
+    ``output_options``: those that name further output files, which are written to the pair's folder.
     """
     file = Path(path)
     try:
@@ -135,7 +109,10 @@ def read_job(
         schemas = {name: options_schema(request, EXCLUDED_FIELDS[name]) for name, request in commands.items()}
         problems += find_problems(parsed, file.parent, schemas, kinds, output_options or {})
     if problems or parsed is None:
-        lines = sorted((find_line(text, key_path), message) for key_path, message in problems)
+        lines = sorted(
+            (find_line(text, key_path), f"{'.'.join(map(str, key_path)) or 'the file'}: {message}")
+            for key_path, message in problems
+        )
         listing = "\n".join(f"  line {line}: {message}" for line, message in lines[:MAX_LISTED_PROBLEMS])
         more = f"\n  and {len(lines) - MAX_LISTED_PROBLEMS} more" if len(lines) > MAX_LISTED_PROBLEMS else ""
         raise FormatError(f"{file}: {count_noun(len(lines), 'problem')}; nothing was started.\n{listing}{more}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
@@ -19,7 +19,6 @@ from cagemap.jobs.job_schema import (
     MAP_OPTIONS,
     PLACEHOLDER,
     Asset,
-    CarryRule,
     JobFile,
     PairRule,
     asset_names,
@@ -52,6 +51,7 @@ def find_line(text: str, key_path: KeyPath) -> int:
     return 1
 
 
+# Entry, and what is wrong with it and what to do.
 JobProblem = tuple[KeyPath, str]
 
 
@@ -88,16 +88,14 @@ def _remove_entries(data: Any, key_paths: Iterable[KeyPath]) -> Any:
 
 def _validation_problems(error: ValidationError, key_path: KeyPath) -> Iterator[JobProblem]:
     for item in error.errors(include_url=False):
-        entry = (*key_path, *item["loc"])
-        name = ".".join(map(str, entry)) or "the file"
-        value = repr(item["input"])
-        excerpt = value if len(value) <= 60 else value[:57] + "..."
+        entry, value = (*key_path, *item["loc"]), repr(item["input"])
         if item["type"] == "extra_forbidden":
-            yield entry, f"{name}: there is no such entry. Check its spelling, or remove it."
+            yield entry, "there is no such entry. Check its spelling, or remove it."
         elif item["type"] == "missing":
-            yield entry, f"{name}: is missing. Add it."
+            yield entry, "is missing. Add it."
         else:
-            yield entry, f"{name}: expected {expected_value(item)}, got {excerpt}. Correct it."
+            excerpt = value if len(value) <= 60 else value[:57] + "..."
+            yield entry, f"expected {expected_value(item)}, got {excerpt}. Correct it."
 
 
 def find_problems(
@@ -110,60 +108,57 @@ def find_problems(
     """Problems of a file that passes the schema: names, files, options."""
     names = [asset.name for asset in job.assets]
     if (folder / job.output).is_file():
-        yield ("output",), f"output: expected a folder for all results, got the file {job.output}. Give another name."
+        yield ("output",), f"expected a folder for all results, got the file {job.output}. Give another name."
     for i, asset in enumerate(job.assets):
         if asset.name in names[:i]:
-            yield ("assets", i, "name"), f"assets.{i}.name: {asset.name!r} is taken. Give another name."
-        if not (folder / asset.file).is_file():
-            yield ("assets", i, "file"), f"assets.{i}.file: {asset.file} does not exist. Check the path."
-        if asset.landmarks is not None and not (folder / asset.landmarks).is_file():
-            yield ("assets", i, "landmarks"), f"assets.{i}.landmarks: {asset.landmarks} does not exist. Check the path."
+            yield ("assets", i, "name"), f"{asset.name!r} is taken. Give another name."
+        yield from _missing(("assets", i, "file"), folder, asset.file)
+        yield from _missing(("assets", i, "landmarks"), folder, asset.landmarks)
         for key, path in asset.files.items():
             if not _exists(folder / path):
-                yield ("assets", i, "files"), f"assets.{i}.files.{key}: {path} does not exist. Check the path."
-    yield from _option_problems(job.options, schemas["match"], ("options",))
-    yield from _file_problems(job.options, kinds["match"], folder, ("options",))
+                yield ("assets", i, "files", key), _MISSING.format(path)
+    yield from _option_problems(job.options, "match", ("options",), folder, schemas, kinds)
     for i, pair in enumerate(job.pairs):
         yield from _pair_problems(pair, i, names, folder)
         yield from _map_problems(pair, i, job.assets, folder)
-        yield from _option_problems(pair.options, schemas["match"], ("pairs", i, "options"))
-        yield from _file_problems(pair.options, kinds["match"], folder, ("pairs", i, "options"))
-    if job.carry is not None:
-        yield from _carry_problems(job.carry, job.assets)
+        yield from _option_problems(pair.options, "match", ("pairs", i, "options"), folder, schemas, kinds)
+    sources = [asset for asset in job.assets if job.carry is not None and asset.name == job.carry.source]
+    if job.carry is not None and not sources:
+        yield ("carry", "source"), f"no asset is called {job.carry.source!r}. Check the name, or add it."
+    elif sources and sources[0].landmarks is None:
+        yield ("carry", "source"), f"{sources[0].name!r} has no landmarks. Give it a file: landmarks = ..."
+    file_names = {key for asset in job.assets for key in asset.files}
     for i, output in enumerate(job.outputs):
         options = {"output": output.output or "", **(output.model_extra or {})}
-        file_names = {key for asset in job.assets for key in asset.files}
         for key, value in options.items():
             for side, name in (match for text in _texts(value) for match in PLACEHOLDER.findall(text)):
                 if name and name not in file_names:
-                    message = f"outputs.{i}.{key}: no asset has a file {name!r} for {{{side}.{name}}}. "
-                    yield ("outputs", i, key), message + "Add it to the files of an asset."
-        yield from _option_problems(output.model_extra or {}, schemas[output.command], ("outputs", i))
+                    message = f"no asset has a file {name!r} for {{{side}.{name}}}. Add it to the files of an asset."
+                    yield ("outputs", i, key), message
         file_options = output_options.get(output.command, ())
+        yield from _option_problems(
+            output.model_extra or {}, output.command, ("outputs", i), folder, schemas, kinds, written=file_options
+        )
         for name in ("output", *file_options):
             value = options.get(name)
             if isinstance(value, str) and (Path(value).is_absolute() or ".." in Path(value).parts):
-                message = f"outputs.{i}.{name}: expected a name inside the pair's folder, got {value!r}."
-                yield ("outputs", i, name), f"{message} Give a name without '..'."
-        input_options = {name: value for name, value in (output.model_extra or {}).items() if name not in file_options}
-        yield from _file_problems(input_options, kinds[output.command], folder, ("outputs", i))
+                message = f"expected a name inside the pair's folder, got {value!r}. Give a name without '..'."
+                yield ("outputs", i, name), message
 
 
 def _pair_problems(pair: PairRule, i: int, names: list[str], folder: Path) -> Iterator[JobProblem]:
     if (pair.tree is None) == (pair.source is None and pair.target is None):
-        yield ("pairs", i), f"pairs.{i}: expected source and target, or tree. Give one of them."
+        yield ("pairs", i), "expected source and target, or tree. Give one of them."
     elif pair.tree is None and (pair.source is None or pair.target is None):
-        yield ("pairs", i), f"pairs.{i}: expected both source and target. Add the other one, or 'all'."
+        yield ("pairs", i), "expected both source and target. Add the other one, or 'all'."
     for side in ("source", "target", "tree"):
         for name in asset_names(getattr(pair, side), names):
             if name not in names:
-                yield ("pairs", i, side), f"pairs.{i}.{side}: no asset is called {name!r}. Check the name, or add it."
+                yield ("pairs", i, side), f"no asset is called {name!r}. Check the name, or add it."
     named = {name for side in (pair.source, pair.target, pair.tree) for name in asset_names(side, names)}
     if len(named) == 1:
-        message = f"pairs.{i}: expected two different assets, got {named.pop()!r} alone. Name another one."
-        yield ("pairs", i), message
-    if pair.landmarks is not None and not (folder / pair.landmarks).is_file():
-        yield ("pairs", i, "landmarks"), f"pairs.{i}.landmarks: {pair.landmarks} does not exist. Check the path."
+        yield ("pairs", i), f"expected two different assets, got {named.pop()!r} alone. Name another one."
+    yield from _missing(("pairs", i, "landmarks"), folder, pair.landmarks)
 
 
 def _map_problems(pair: PairRule, i: int, assets: list[Asset], folder: Path) -> Iterator[JobProblem]:
@@ -171,40 +166,48 @@ def _map_problems(pair: PairRule, i: int, assets: list[Asset], folder: Path) -> 
     if pair.map is None:
         return
     entry = ("pairs", i, "map")
-    if not (folder / pair.map).is_file():
-        yield entry, f"pairs.{i}.map: {pair.map} does not exist. Check the path."
+    yield from _missing(entry, folder, pair.map)
     if any(not isinstance(side, str) or side == ALL_ASSETS for side in (pair.source, pair.target)):
-        yield entry, f"pairs.{i}.map: expected one source and one target. Name them, one map for each pair."
+        yield entry, "expected one source and one target. Name them, one map for each pair."
     if pair.landmarks is not None or set(pair.options) - set(MAP_OPTIONS):
-        message = f"pairs.{i}.map: a map that is given takes {', '.join(MAP_OPTIONS)} only. "
-        yield entry, message + "Remove the landmarks and other options."
+        listed = ", ".join(MAP_OPTIONS)
+        yield entry, f"a map that is given takes {listed} only. Remove the landmarks and other options."
     for asset in assets:
         if asset.name in (pair.source, pair.target) and (asset.part or asset.scheme or asset.weld):
-            yield (
-                entry,
-                f"pairs.{i}.map: {asset.name!r} has a part, a scheme or a weld. Name a file that is the whole mesh.",
-            )
+            yield entry, f"{asset.name!r} has a part, a scheme or a weld. Name a file that is the whole mesh."
 
 
-def _carry_problems(carry: CarryRule, assets: list[Asset]) -> Iterator[JobProblem]:
-    sources = [asset for asset in assets if asset.name == carry.source]
-    if not sources:
-        yield ("carry", "source"), f"carry.source: no asset is called {carry.source!r}. Check the name, or add it."
-    elif sources[0].landmarks is None:
-        message = f"carry.source: {carry.source!r} has no landmarks. Give it a file: landmarks = ..."
-        yield ("carry", "source"), message
+_MISSING = "{} does not exist. Check the path."
 
 
-def _file_problems(
-    options: dict[str, Any], kinds: dict[str, Any], folder: Path, key_path: KeyPath
+def _missing(entry: KeyPath, folder: Path, file: Path | None) -> Iterator[JobProblem]:
+    if file is not None and not (folder / file).is_file():
+        yield entry, _MISSING.format(file)
+
+
+def _option_problems(
+    options: dict[str, Any],
+    command: str,
+    key_path: KeyPath,
+    folder: Path,
+    schemas: Mapping[str, type[BaseModel]],
+    kinds: Mapping[str, dict[str, Any]],
+    written: Sequence[str] = (),
 ) -> Iterator[JobProblem]:
-    """Missing files that options name; names with placeholders are not checked."""
+    """Problems of a command's options, and missing files that they name, but for those that are ``written``.
+
+    Names with placeholders are not checked.
+    """
+    try:
+        schemas[command].model_validate(options)
+    except ValidationError as error:
+        yield from _validation_problems(error, key_path)
     for name, value in options.items():
-        for text, resolved in zip(_texts(value), _texts(resolve_files(value, kinds.get(name), folder)), strict=True):
-            is_file = resolved != text or (kinds.get(name) is Path and Path(text).is_absolute())
+        kind = kinds[command].get(name)
+        for text, resolved in zip(_texts(value), _texts(resolve_files(value, kind, folder)), strict=True):
+            is_file = name not in written and (resolved != text or (kind is Path and Path(text).is_absolute()))
             if is_file and "{" not in text and not _exists(Path(resolved.removeprefix(INVERT_PREFIX))):
-                entry = (*key_path, name)
-                yield entry, f"{'.'.join(map(str, entry))}: {text} does not exist. Check the path."
+                yield (*key_path, name), _MISSING.format(text)
 
 
 def _exists(path: Path) -> bool:
@@ -217,13 +220,6 @@ def _texts(value: Any) -> list[str]:
     if isinstance(value, list):
         return [text for item in value for text in _texts(item)]
     return [value] if isinstance(value, str) else []
-
-
-def _option_problems(options: dict[str, Any], schema: type[BaseModel], key_path: KeyPath) -> Iterator[JobProblem]:
-    try:
-        schema.model_validate(options)
-    except ValidationError as error:
-        yield from _validation_problems(error, key_path)
 
 
 def resolve_files(value: Any, kind: Any, folder: Path) -> Any:

@@ -22,33 +22,18 @@ class _StrictModel(BaseModel):
 
 
 class Asset(_StrictModel):
-    """One model of the library.
+    """One model of the library."""
 
-    Attributes
-    ----------
-    name : str
-        Letters, digits, ``.``, ``_`` and ``-``: it names folders and files.
-    file : Path
-        Control mesh.
-    landmarks : Path, optional
-        Landmarks of this mesh by name, for pairs that have no file of their own.
-    part : str, optional
-        Name of the part to match (`--part` of `cagemap match`), unless the pair has `target_part` or `source_part`.
-    scheme : str, optional
-        As `--scheme`, for this side; a pair's options `target_scheme` and `source_scheme` take precedence.
-    weld : str, optional
-        As `--weld`, for this side; a pair's options `target_weld` and `source_weld` take precedence.
-    files : dict of str to Path
-        Textures, weights and other files of the model, by the names that outputs use.
-    """
-
-    name: Name
-    file: Path
-    landmarks: Path | None = None
+    name: Name  # letters, digits, ``.``, ``_`` and ``-``: it names folders and files
+    file: Path  # control mesh
+    landmarks: Path | None = None  # landmarks of this mesh by name, for pairs that have no file of their own
+    # Name of the part to match (`--part` of `cagemap match`), unless the pair has `target_part` or `source_part`
     part: str | None = None
+    # As `--scheme`, for this side; a pair's options `target_scheme` and `source_scheme` take precedence
     scheme: Scheme | None = None
+    # As `--weld`, for this side; a pair's options `target_weld` and `source_weld` take precedence
     weld: str | None = None
-    files: dict[Name, Path] = {}
+    files: dict[Name, Path] = {}  # textures, weights and other files of the model, by the names that outputs use
 
 
 class PairRule(_StrictModel):
@@ -92,15 +77,7 @@ class JobFile(_StrictModel):
 
 
 def options_schema(request: type, excluded: Iterable[str] = ()) -> type[BaseModel]:
-    """Schema of a command's options from its request dataclass: all optional, no others allowed.
-
-    Parameters
-    ----------
-    request : dataclass
-        Bounds and ``choices`` in its annotations apply.
-    excluded : iterable of str
-        Fields that are not options.
-    """
+    """Schema of a command's options from its request, without ``excluded``: all optional, no others allowed."""
     fields: dict[str, Any] = {}
     for name, kind in get_type_hints(request, include_extras=True).items():
         if name in excluded:

@@ -38,36 +38,17 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class PairRow:
-    """One pair on the page.
-
-    Attributes
-    ----------
-    source, target : str
-    verdict : str
-        "good", "fair", "poor" or "failed".
-    messages : tuple of str
-        Failures and warnings.
-    seconds : float
-        Of the pair's own tasks.
-    quality : dict
-        Figures of the manifest.
-    cycle_error : float or None
-        Error of the map by cycle consistency, of sqrt(area).
-    files : tuple of str
-        Written files, relative to the page.
-    picture : bytes
-        JPEG, empty if there is none.
-    """
+    """One pair on the page."""
 
     source: str
     target: str
-    verdict: str
-    messages: tuple[str, ...]
-    seconds: float
-    quality: dict[str, Any] = field(default_factory=dict, repr=False)
-    cycle_error: float | None = None
-    files: tuple[str, ...] = ()
-    picture: bytes = field(default=b"", repr=False)
+    verdict: str  # "good", "fair", "poor" or "failed"
+    messages: tuple[str, ...]  # failures and warnings
+    seconds: float  # of the pair's own tasks
+    quality: dict[str, Any] = field(default_factory=dict, repr=False)  # figures of the manifest
+    cycle_error: float | None = None  # error of the map by cycle consistency, of sqrt(area)
+    files: tuple[str, ...] = ()  # written files, relative to the page
+    picture: bytes = field(default=b"", repr=False)  # JPEG, empty if there is none
 
 
 def pair_rows(
@@ -152,13 +133,7 @@ def build_table(rows: Sequence[PairRow]) -> list[dict[str, Any]]:
 
 
 def write_library(folder: Path, title: str, rows: Sequence[PairRow], notes: Sequence[str] = ()) -> tuple[Path, ...]:
-    """Write index.html and figures.csv, and figures.parquet where pyarrow is installed.
-
-    Raises
-    ------
-    FormatError
-        If a file cannot be written.
-    """
+    """Write index.html and figures.csv, and figures.parquet where pyarrow is installed."""
     page, table, data = folder / "index.html", folder / "figures.csv", folder / "figures.parquet"
     flat = build_table(rows)
     columns = list(dict.fromkeys(name for row in flat for name in row))

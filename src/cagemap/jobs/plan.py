@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -52,38 +53,17 @@ Tree = Callable[[list[Asset]], list[PairNames]]
 
 @dataclass(frozen=True)
 class Task:
-    """One task: it succeeds as a whole or counts as not done.
+    """One task: it succeeds as a whole or counts as not done."""
 
-    Attributes
-    ----------
-    kind : str
-        "prepare", "match", or the command of an output.
-    name : str
-        Unique in its plan, and stable from run to run.
-    key : str
-        Hash of the content of all inputs, the options and the version of the code.
-    needs : tuple of str
-        Names of tasks that must have succeeded before.
-    request : dict
-        Arguments of the command, paths as text.
-    outputs : tuple of str
-        Files, patterns or folders that it writes, relative to the job's output folder.
-    pair : (str, str) or None
-        Source and target.
-    predecessors : tuple of str
-        Names of tasks that must have ended before, in success or failure.
-    input_hashes : dict of str to str
-        `content_hash` of the input files at planning.
-    """
-
-    kind: str
-    name: str
-    key: str
-    needs: tuple[str, ...]
-    request: dict[str, Any] = field(repr=False)
-    outputs: tuple[str, ...] = ()
-    pair: PairNames | None = None
-    predecessors: tuple[str, ...] = ()
+    kind: str  # "prepare", "match", or the command of an output
+    name: str  # unique in its plan, and stable from run to run
+    key: str  # hash of the content of all inputs, the options and the version of the code
+    needs: tuple[str, ...]  # names of tasks that must have succeeded before
+    request: dict[str, Any] = field(repr=False)  # arguments of the command, paths as text
+    outputs: tuple[str, ...] = ()  # files, patterns or folders that it writes, relative to the job's output folder
+    pair: PairNames | None = None  # source and target
+    predecessors: tuple[str, ...] = ()  # names of tasks that must have ended before, in success or failure
+    # `content_hash` of the input files at planning
     input_hashes: dict[str, str] = field(default_factory=dict, repr=False)
 
     @property
@@ -95,41 +75,16 @@ class Task:
 
 @dataclass(frozen=True)
 class Plan:
-    """All tasks of a job in an order that respects their needs.
+    """All tasks of a job in an order that respects their needs."""
 
-    Attributes
-    ----------
-    root : Path
-        The job's output folder.
-    tasks : tuple of Task
-    pairs : tuple of (str, str)
-        Source and target of every pair.
-    omitted_outputs : tuple of str
-        Outputs that some pairs do not get, and why.
-    """
-
-    root: Path
+    root: Path  # the job's output folder
     tasks: tuple[Task, ...]
-    pairs: tuple[PairNames, ...]
-    omitted_outputs: tuple[str, ...] = ()
+    pairs: tuple[PairNames, ...]  # source and target of every pair
+    omitted_outputs: tuple[str, ...] = ()  # outputs that some pairs do not get, and why
 
 
 def plan_job(job: Job, version: str, tree: Tree) -> Plan:
-    """Plan the tasks of a job.
-
-    Parameters
-    ----------
-    job : Job
-    version : str
-        Of the code: results of another version are not reused.
-    tree : callable
-        Source and target of the pairs along the spanning tree of some assets.
-
-    Raises
-    ------
-    FormatError
-        If two rules ask for the same pair with other options, or two outputs of a pair for the same file.
-    """
+    """Plan the tasks of a job; results of another ``version`` of the code are not reused."""
     planner = _Planner(job, version)
     tasks: dict[str, Task] = {}
     omitted_outputs: list[str] = []
@@ -200,17 +155,11 @@ def content_hash(path: str) -> str:
     return " ".join(f"{file.name} {file_hash(file)}" for file in [*files, *referred]) or path
 
 
+@dataclass(frozen=True)
 class _FileHashes:
     """Hashes of files; each file is read once."""
 
-    def __init__(self) -> None:
-        self._hashes: dict[str, str] = {}
-
-    def of(self, path: str | Path) -> str:
-        text = str(path)
-        if text not in self._hashes:
-            self._hashes[text] = content_hash(text)
-        return self._hashes[text]
+    of: Callable[[str], str] = field(default_factory=lambda: cache(content_hash))
 
     def of_value(self, value: Any) -> Any:
         """A value, such as a request, with files replaced by their hashes; ``not:`` before a mask stays."""
@@ -261,7 +210,7 @@ class _Planner:
                 choices[name] = value
         side = side if any(name.startswith(f"{side}_") for name in choices) else "target"
         request = {"asset": asset.name, "file": str(asset.file), "side": side, "options": choices}
-        key = task_key(self.version, "prepare", self.hashes.of(asset.file), side, choices)
+        key = task_key(self.version, "prepare", self.hashes.of(str(asset.file)), side, choices)
         input_hashes, request = self.hashes.files_in(request), {**request, "cache": self.cache}
         return Task("prepare", f"prepare {asset.name} {key[:8]}", key, (), request, input_hashes=input_hashes)
 

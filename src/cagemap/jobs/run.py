@@ -38,28 +38,14 @@ OpenClient = Callable[[], "Client"]
 
 @dataclass(frozen=True)
 class TaskOutcome:
-    """The end of a task.
-
-    Attributes
-    ----------
-    name : str
-    state : str
-        "done" now, "kept" from an earlier run, "failed", or "skipped" since a task that it needs failed.
-    message : str
-        Why it failed or was skipped.
-    seconds : float
-    figures : dict
-        Figures of the result.
-    files : tuple of str
-        Written files, relative to the job's output folder.
-    """
+    """The end of a task."""
 
     name: str
-    state: str
-    message: str = ""
+    state: str  # "done" now, "kept" from an earlier run, "failed", or "skipped" since a task that it needs failed
+    message: str = ""  # why it failed or was skipped
     seconds: float = 0.0
-    figures: dict[str, Any] = field(default_factory=dict)
-    files: tuple[str, ...] = ()
+    figures: dict[str, Any] = field(default_factory=dict)  # figures of the result
+    files: tuple[str, ...] = ()  # written files, relative to the job's output folder
 
     @property
     def usable(self) -> bool:
@@ -70,22 +56,11 @@ class TaskOutcome:
 def run_plan(
     plan: Plan, runner: Runner, connect: OpenClient, report: Report = lambda outcome, finished, total: None
 ) -> dict[str, TaskOutcome]:
-    """Run the missing tasks of a plan.
+    """Run the missing tasks of a plan; outcomes by name, without preparations that no missing task needs.
 
-    Parameters
-    ----------
-    plan : Plan
-    runner : callable
-        Does one task and returns its figures; importable by name, since workers import it.
-    connect : callable
-        Returns the Dask client, see `open_client`; called only if tasks are missing.
-    report : callable
-        Called with every outcome, the number of finished tasks and the number of tasks.
-
-    Returns
-    -------
-    dict of str to TaskOutcome
-        By name, of all tasks of the plan except preparations that no missing task needs.
+    ``runner``: does a task and returns its figures; importable by name, since workers import it.
+    ``connect``: as `open_client` gives it; called only if tasks are missing.
+    ``report``: called with each outcome, the number of finished tasks and the number of all.
     """
     outcomes = {task.name: kept for task in plan.tasks if (kept := kept_outcome(plan.root, task)) is not None}
     missing = _select_missing(plan, set(outcomes))
@@ -249,20 +224,8 @@ def open_client(
 ) -> Iterator[OpenClient]:
     """Connect to Dask for the first task; disconnect at the end of the block.
 
-    Parameters
-    ----------
-    scheduler : str, optional
-        Address of a running Dask scheduler whose workers reach the same files; default: local worker processes.
-    workers : int, optional
-        Number of local processes, of one thread each; default: one for each core. They share the machine's memory
-        equally.
-    tell : callable
-        Called with the address of Dask's dashboard, where bokeh is installed.
-
-    Raises
-    ------
-    ParameterError
-        On connecting: if Dask is not installed or the scheduler cannot be reached.
+    ``scheduler``: of workers that reach the same files; default: ``workers`` processes of one thread each, one a core.
+    ``tell``: called with the address of Dask's dashboard, where bokeh is installed.
     """
     with ExitStack() as stack:
         clients: list[Client] = []

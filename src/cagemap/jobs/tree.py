@@ -20,13 +20,7 @@ QUANTILE_COUNT = 200
 
 
 def spanning_tree(assets: Sequence[Asset]) -> list[tuple[str, str]]:
-    """Source and target of every match along the spanning tree, both directions of every edge.
-
-    Raises
-    ------
-    FormatError
-        If a mesh cannot be read.
-    """
+    """Source and target of every match along the spanning tree, both directions of every edge."""
     signatures = []
     for asset in assets:
         try:
@@ -47,11 +41,6 @@ def shape_distribution(mesh: ControlMesh) -> FloatArray:
     """(q,) quantiles of distances of random surface points over sqrt(area): D2 of Osada et al. 2002.
 
     Invariant to position, rotation and scale, and nearly to connectivity.
-
-    Raises
-    ------
-    InvalidMeshError
-        If the mesh has no area.
     """
     triangles, faces = cage_triangles(mesh)
     areas = face_areas(mesh)

@@ -8,8 +8,6 @@ from cagemap.pictures.colors import (
     distinct_colors,
     position_colors,
     scalar_colors,
-    to_display,
-    to_linear,
 )
 from cagemap.pictures.orientation import UP_AXES, Y_UP, Z_UP, Orientation, find_orientation, matching_turn
 from cagemap.pictures.overlay import draw_dots, draw_line, draw_segments
@@ -44,8 +42,6 @@ __all__ = [
     "render_skins",
     "sample_texture",
     "scalar_colors",
-    "to_display",
-    "to_linear",
     "turn_angle",
     "visible_points",
 ]

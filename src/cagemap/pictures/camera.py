@@ -15,21 +15,11 @@ OPENING_DEGREES, MARGIN = 28.0, 0.06
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera.
+    """A pinhole camera."""
 
-    Attributes
-    ----------
-    eye : (3,) float64
-        Its position, in the mesh's unit.
-    axes : (3, 3) float64
-        Rows: right, up, and backward (towards the eye). Orthonormal.
-    half_height : float
-        Tangent of half the vertical opening angle.
-    """
-
-    eye: FloatArray
-    axes: FloatArray
-    half_height: float
+    eye: FloatArray  # its position, in the mesh's unit
+    axes: FloatArray  # rows: right, up, and backward (towards the eye). Orthonormal.
+    half_height: float  # tangent of half the vertical opening angle
 
     def rays(self, width: int, height: int, offset: tuple[float, float] = (0.5, 0.5)) -> FloatArray:
         """(height * width, 3) directions, not of unit length, through one point of every pixel.
@@ -56,16 +46,10 @@ class Camera:
 
 @dataclass(frozen=True)
 class View:
-    """A named viewing direction.
-
-    Attributes
-    ----------
-    name : str
-    azimuth, elevation : float
-        Degrees; azimuth 0 looks at the front (+Z), 90 at the figure's own left (+X).
-    """
+    """A named viewing direction."""
 
     name: str
+    # `azimuth`, `elevation`: degrees; azimuth 0 looks at the front (+Z), 90 at the figure's own left (+X)
     azimuth: float
     elevation: float
 

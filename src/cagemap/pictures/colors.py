@@ -1,23 +1,10 @@
-"""Colour encodings, colour scales, colours that show a map; sRGB in [0, 1]."""
+"""Colour scales, colours that show a map; sRGB in [0, 1]."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.srgb import decode_srgb as to_linear
-from cagemap.numerics.srgb import encode_srgb as to_display
-
-__all__ = [
-    "AMOUNT_SCALE",
-    "BALANCE_SCALE",
-    "TRUST_SCALE",
-    "distinct_colors",
-    "position_colors",
-    "scalar_colors",
-    "to_display",
-    "to_linear",
-]
 
 # Evenly spaced anchors of colour scales: like viridis for amounts, blue-white-red for signed values.
 AMOUNT_SCALE = np.array(
@@ -49,19 +36,7 @@ def position_colors(points: FloatArray, reference: FloatArray, cells: int = 24) 
     """Colours of positions: x, y, z as red, green, blue, with a faint checker.
 
     They show a map when the source gets its own positions and the target the positions its vertices map to.
-
-    Parameters
-    ----------
-    points : (n, 3) float64
-        Positions on the source surface.
-    reference : (m, 3) float64
-        All positions of the source; they define the range.
-    cells : int
-        Checker cells along the longest side of the bounding box; 0 for none.
-
-    Returns
-    -------
-    (n, 3) float64
+    ``reference``: (m, 3) all positions of the source, which define the range; ``cells``: along its longest side, or 0.
     """
     low, high = reference.min(0), reference.max(0)
     span = np.maximum(high - low, 1e-9 * max(float((high - low).max()), np.finfo(np.float64).tiny))

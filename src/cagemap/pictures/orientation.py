@@ -42,18 +42,10 @@ MIN_FIT_GAIN = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Orientation:
-    """Rotation of a model for pictures.
+    """Rotation of a model for pictures."""
 
-    Attributes
-    ----------
-    turn : (3, 3) float64
-        Rotation for rows: ``positions @ turn`` has +Y up and faces +Z.
-    reason : str
-        How it was found, for users.
-    """
-
-    turn: FloatArray
-    reason: str
+    turn: FloatArray  # rotation for rows: ``positions @ turn`` has +Y up and faces +Z
+    reason: str  # how it was found, for users
 
     def __str__(self) -> str:
         """Up axis and front in the file's axes, and the reason."""
@@ -66,14 +58,7 @@ def find_orientation(
 ) -> Orientation:
     """Find the up axis and the front of a model.
 
-    Parameters
-    ----------
-    positions : (n, 3) float64
-    triangles : (t, 3) int64
-    upright : (3, 3) float64, optional
-        Rotation for rows after which +Y is up, if known.
-    reason : str
-        Where ``upright`` comes from.
+    ``upright``: (3, 3) rotation for rows after which +Y is up, if known; ``reason`` says where it comes from.
     """
     points = _sample_points(positions, triangles)
     points = (points - points.mean(0)) / (float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0)
@@ -92,17 +77,10 @@ def find_orientation(
 
 
 def matching_turn(images: FloatArray, positions: FloatArray, turn: FloatArray) -> FloatArray:
-    """(3, 3) rotation for rows that aligns the source with the turned target, from mapped points.
+    """(3, 3) rotation for rows that aligns the source with the target turned by ``turn``, from mapped points.
 
     The best of the 24 rotations between axes, then the best rotation about the vertical. Without a clear gain both
     models have the same axes.
-
-    Parameters
-    ----------
-    images, positions : (p, 3) float64
-        Corresponding points on the source and on the target.
-    turn : (3, 3) float64
-        Of the target.
     """
     a, b = images - images.mean(0), (positions - positions.mean(0)) @ turn
     covariance = a.T @ b

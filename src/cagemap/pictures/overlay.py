@@ -17,16 +17,7 @@ POINTS_PER_SEGMENT = 12
 def draw_dots(
     image: Image, model: Model, camera: Camera, points: FloatArray, colors: FloatArray, *, radius: float = 6.0
 ) -> Image:
-    """Draw a dot at every visible point of the surface.
-
-    Parameters
-    ----------
-    points : (p, 3) float64
-        On the surface, in its unit.
-    colors : (p, 3) sRGB in [0, 1]
-    radius : float
-        Pixels.
-    """
+    """Draw a dot of ``radius`` pixels at every visible point (p, 3) of the surface, in its unit; colours are sRGB."""
     height, width = image.shape[:2]
     pixels = image.astype(np.float64)
     positions = camera.project(points, width, height)
@@ -48,26 +39,12 @@ def draw_dots(
 
 
 def draw_line(image: Image, model: Model, camera: Camera, line: Polyline, color: FloatArray) -> Image:
-    """Draw the visible parts of a polyline on the surface.
-
-    Parameters
-    ----------
-    line : Polyline
-        In the surface's unit.
-    color : (3,) sRGB in [0, 1]
-    """
+    """Draw the visible parts of a polyline on the surface, in its unit."""
     return _draw_stroke(image, model, camera, line.finer(POINTS_PER_SEGMENT), color, width=3.0, rim=1.0)
 
 
 def draw_segments(image: Image, model: Model, camera: Camera, segments: FloatArray, color: FloatArray) -> Image:
-    """Draw the visible parts of segments on the surface as thin lines.
-
-    Parameters
-    ----------
-    segments : (s, 2, 3) float64
-        In the surface's unit.
-    color : (3,) sRGB in [0, 1]
-    """
+    """Draw the visible parts of segments (s, 2, 3) on the surface, in its unit, as thin lines."""
     height, columns = image.shape[:2]
     ends = camera.project(segments.reshape(-1, 3), columns, height).reshape(-1, 2, 2)
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)

@@ -17,9 +17,9 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.process import import_library
+from cagemap.numerics.srgb import decode_srgb, encode_srgb
 from cagemap.numerics.threads import kept
 from cagemap.pictures.camera import Camera
-from cagemap.pictures.colors import to_display, to_linear
 from cagemap.surface.triangles import vertex_normals
 
 Image = NDArray[np.uint8]
@@ -163,13 +163,13 @@ def render_skins(
     for skin in skins:
         _check_skin(model, skin)
     width, height = size
-    scene = _Scene(model, camera, to_linear(background), floor)
+    scene = _Scene(model, camera, decode_srgb(background), floor)
     seen = _cast_eye_rays(scene, camera.rays(width, height), size=(height, width))
     # Sky light varies slowly: additional rays reuse that of the pixel or of a neighbour.
     neighbor_openness = maximum_filter(seen.openness.reshape(height, width), 3).ravel()
     openness = np.where(seen.openness < 0, neighbor_openness, seen.openness)
     for skin in skins:
-        colors = to_display(seen.radiance(scene, skin))
+        colors = encode_srgb(seen.radiance(scene, skin))
         refined = np.flatnonzero(_contrast(colors.reshape(height, width, 3)) > MIN_REFINED_CONTRAST)
         if samples > 1 and len(refined):
             light = np.zeros((len(refined), 3))
@@ -177,7 +177,7 @@ def render_skins(
                 offset = ((column + 0.5) / samples, (row + 0.5) / samples)
                 rays = camera.rays(width, height, offset)[refined]
                 light += _cast_eye_rays(scene, rays, openness=openness[refined]).radiance(scene, skin)
-            colors[refined] = to_display(light / samples**2)
+            colors[refined] = encode_srgb(light / samples**2)
         yield np.round(colors * 255).astype(np.uint8).reshape(height, width, 3)
 
 
@@ -287,12 +287,12 @@ def _colors(skin: Skin, model: Model, triangle: IndexArray, corner: FloatArray) 
     """(r, 3) linear surface colour at hits."""
     if skin.texture is not None and skin.corner_uvs is not None:
         uv = np.einsum("rc,rcd->rd", corner, skin.corner_uvs[triangle])
-        return to_linear(sample_texture(skin.texture, uv)[:, :3])
+        return decode_srgb(sample_texture(skin.texture, uv)[:, :3])
     if skin.vertex_colors is not None:
-        return np.einsum("rc,rcd->rd", corner, to_linear(skin.vertex_colors[model.triangles[triangle]]))
+        return np.einsum("rc,rcd->rd", corner, decode_srgb(skin.vertex_colors[model.triangles[triangle]]))
     if skin.face_colors is not None:
-        return to_linear(skin.face_colors[triangle])
-    return np.tile(to_linear(DEFAULT_COLOR), (len(triangle), 1))
+        return decode_srgb(skin.face_colors[triangle])
+    return np.tile(decode_srgb(DEFAULT_COLOR), (len(triangle), 1))
 
 
 def sample_texture(texture: FloatArray, uv: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.places import surface_curves
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.srgb import encode_srgb
 from cagemap.numerics.threads import ThreadPool
 from cagemap.pictures import (
     BACK,
@@ -32,7 +33,6 @@ from cagemap.pictures import (
     render_skins,
     sample_texture,
     scalar_colors,
-    to_display,
 )
 from cagemap.report.viewpoints import Viewpoints, choose_viewpoints
 from cagemap.surface.polylines import Polyline
@@ -222,7 +222,7 @@ def _skins(models: _ModelPair, texture: Pixels | None, baked: Pixels | None) -> 
         colors_of_faces = face_colors(control)
     if np.ptp(colors_of_faces, axis=0).any():  # a single colour shows nothing
         parents = models.source.face_parents[models.source.triangle_faces]
-        colors = to_display(colors_of_faces[parents])
+        colors = encode_srgb(colors_of_faces[parents])
         return "material colours", Skin(face_colors=colors), Skin(vertex_colors=colors[models.result.triangle])
     source_checker = _checker(models.result.source.vertices, models.result.source.vertices)
     target_checker = _checker(models.result.image(), models.result.source.vertices)
@@ -260,7 +260,7 @@ def display_image(image: Pixels, *, is_data: bool = False) -> FloatArray:
     blocks = pixels[:height, :width].reshape(height // step, step, width // step, step, 3)
     shown = blocks.mean(axis=(1, 3), dtype=np.float32) * np.float32(scale)
     is_linear = pixels.dtype.kind == "f" and not is_data
-    return to_display(shown).astype(np.float32) if is_linear else np.clip(shown, 0.0, 1.0)
+    return encode_srgb(shown).astype(np.float32) if is_linear else np.clip(shown, 0.0, 1.0)
 
 
 # View, skin of the source, skin of the target, whether landmarks and curves are drawn.

@@ -9,7 +9,8 @@ import numpy as np
 from cagemap.maps.regions import local_size
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.pictures import BALANCE_SCALE, position_colors, sample_texture, scalar_colors, to_display
+from cagemap.numerics.srgb import encode_srgb
+from cagemap.pictures import BALANCE_SCALE, position_colors, sample_texture, scalar_colors
 from cagemap.report.figures import Pixels, display_image, runner_up_image
 from cagemap.report.marks import SOURCE, TARGET, find_marks
 from cagemap.report.models import Look, Models, Shape
@@ -143,7 +144,7 @@ def _source_look(
     control = result.source.control
     if control.face_materials is None or control.material_colors is None or source.control_faces is None:
         return None
-    source_colors = to_display(face_colors(control))
+    source_colors = encode_srgb(face_colors(control))
     if not np.ptp(source_colors, axis=0).any():  # a single colour shows nothing
         return None
     palette, index = np.unique(source_colors, axis=0, return_inverse=True)

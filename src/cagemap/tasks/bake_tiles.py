@@ -37,6 +37,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.threads import ThreadPool
 from cagemap.tasks.masks import mask_inputs
 from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.requests.options import given_files
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, transfer_of, unwrap
 from cagemap.transfer.baking import to_dtype, unit
@@ -76,22 +77,10 @@ class SourceImage:
 
 def inputs_of(request: TransferRequest) -> list[Path]:
     """Input files that the command line names."""
-    single = (request.texture, request.displacement, request.normal_map, request.vector_displacement)
-    others = (
-        request.attribute,
-        request.weights,
-        request.joints,
-        request.passenger,
-        request.detail,
-        request.detail_texture,
-        *request.blend_shapes,
-        *(path for _, path in (*request.maps, *request.bases)),
-    )
-    given = [path for path in (*single, *others) if path is not None]
     return [
         request.result / MANIFEST,
         request.result / ARRAYS,
-        *(file for path in given for file in texture_files(path)),
+        *(file for path in given_files(request, "usd") for file in texture_files(path)),
         *mask_inputs(request).values(),
     ]
 

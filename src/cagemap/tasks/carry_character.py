@@ -59,31 +59,13 @@ def carry_character(
 ) -> CarriedCharacter:
     """Rig and dress a body like a character.
 
-    Parameters
-    ----------
-    target : Character
-        With a body among its parts; the other parts stay, and get the weights of the body's nearest vertices. Its rig
-        and animations are replaced. Its own shapes are kept, also against shapes of the same name.
-    source : Character
-        With a body among its parts; all other parts are passengers.
-    landmarks : Landmarks, optional
-        Between the two bodies.
-    bodies : (str or None, str or None)
-        Names of the target's and of the source's body; by default `find_body` finds them.
-    passengers : sequence of str, optional
-        Names of passengers to carry. Default: all whose `passenger_word` no other part of the target has.
-    kinds : mapping of str to kind, optional
-        See `carry_passengers`.
-    influences : int, optional
-        Most joints per vertex of the body; None for all.
-    stages : Stages, optional
-
-    Raises
-    ------
-    InvalidMeshError
-        If a body cannot be matched.
-    ParameterError
-        If no part has a given name.
+    ``target``: its body gets the source's rig and animations, and keeps its own shapes, also against shapes of the same
+        name; its other parts stay, and get the weights of the body's nearest vertices.
+    ``bodies``: names of the target's and of the source's body; by default `find_body` finds them.
+    ``passengers``: names of the source's other parts to carry; by default all whose `passenger_word` no other part of
+        the target has.
+    ``kinds``: see `carry_passengers`.
+    ``influences``: most joints per vertex of the body; None for all.
     """
     stages = Stages() if stages is None else stages
     target_body, source_body = find_body(target.parts, bodies[0]), find_body(source.parts, bodies[1])

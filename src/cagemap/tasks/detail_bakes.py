@@ -33,6 +33,7 @@ from cagemap.numerics.srgb import decode_srgb
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.bake_tiles import DEFAULT_SIZE, doubled_target, layout_tiles, write_tiles
 from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.catalogue import WRITTEN
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.transfer import BakeOptions, Transfer
@@ -164,16 +165,38 @@ def bake_detail(
     ``units``: owner of the units of lengths, for the lines.
     ``finished``: kind -> function from a baked image to the image to write.
     """
-    lines, request = [], bakes.request
+    lines, request, image = [], bakes.request, bakes.texture
+    space, green = cast(Space, request.space), cast(Green, request.green)
+
+    def bake(
+        kind: Kind, values: FloatArray | None, dtype: np.dtype[Any], scale: float, *, options: BakeOptions
+    ) -> Pixels | Image | Displacement:
+        given: dict[str, Any] = {"size": bakes.size, "dtype": dtype, "options": options}
+        if kind == "texture" and image is not None:
+            given["options"] = replace(options, filter=image.filter)
+            pixels = bake_detail_texture(transfer, detail, image.texture, image.uvs, image.uv_triangles, **given)
+            return replace(image.first, pixels=pixels)
+        if kind == "normal":
+            return bake_detail_normals(transfer, detail, space=space, green=green, **given)
+        if kind == "displacement":
+            return bake_detail_heights(transfer, detail, scale=scale, **given)
+        if kind == "vector-displacement":
+            return bake_detail_vectors(transfer, detail, space=space, scale=scale, **given)
+        assert values is not None
+        return bake_detail_values(transfer, detail, values, **given)
+
     for kind, path in bakes.images.items():
-        dtype, scale = bakes.dtype(kind), 1.0
+        dtype, scale, values = bakes.dtype(kind), 1.0, colors
         if kind == "ao":
             stages("ambient occlusion")
+            values = ambient_occlusion(detail.surface, request.rays)
+        elif kind == "colors" and colors is not None and dtype.kind == "f":  # images of floats are linear
+            values = decode_srgb(colors)
         elif kind in ("displacement", "vector-displacement") and dtype.kind == "u":
             stages(f"range of {kind}")
-            scale = _range(_baker(bakes, kind, transfer, detail, colors, np.dtype(np.float32), 1.0), tiles)
-        bake = _baker(bakes, kind, transfer, detail, colors, dtype, scale)
-        write_tiles(path, tiles, bake, stages, finished(kind), force=request.force, name=kind)
+            scale = _range(partial(bake, kind, None, np.dtype(np.float32), 1.0), tiles)
+        bake_kind = partial(bake, kind, values, dtype, scale)
+        write_tiles(path, tiles, bake_kind, stages, finished(kind), force=request.force, name=kind)
         meaning = f"(value - {0.5 if dtype.kind == 'u' else 0.0:g}) * {scale:.6g} in {units} units"
         descriptions: dict[Kind, str] = {
             "normal": f"normals in {request.space} space, green {request.green}",
@@ -185,48 +208,6 @@ def bake_detail(
         }
         lines.append(f"wrote {path}: {descriptions[kind]}")
     return lines
-
-
-def _baker(
-    bakes: DetailBakes,
-    kind: Kind,
-    transfer: Transfer,
-    detail: Detail,
-    colors: FloatArray | None,
-    dtype: np.dtype[Any],
-    scale: float,
-) -> Callable[..., Pixels | Image | Displacement]:
-    """Function that bakes one kind of image, with ``options`` of a tile."""
-    size, image = bakes.size, bakes.texture
-    space, green = cast(Space, bakes.request.space), cast(Green, bakes.request.green)
-    if kind == "texture" and image is not None:
-
-        def bake(*, options: BakeOptions) -> Image:
-            image_options = replace(options, filter=image.filter)
-            pixels = bake_detail_texture(
-                transfer,
-                detail,
-                image.texture,
-                image.uvs,
-                image.uv_triangles,
-                size=size,
-                dtype=dtype,
-                options=image_options,
-            )
-            return replace(image.first, pixels=pixels)
-
-        return bake
-    if kind in ("ao", "colors"):
-        values = ambient_occlusion(detail.surface, bakes.request.rays) if kind == "ao" else colors
-        assert values is not None
-        if kind == "colors" and dtype.kind == "f":  # images of floats are linear
-            values = decode_srgb(values)
-        return partial(bake_detail_values, transfer, detail, values, size=size, dtype=dtype)
-    if kind == "normal":
-        return partial(bake_detail_normals, transfer, detail, size=size, space=space, green=green, dtype=dtype)
-    if kind == "displacement":
-        return partial(bake_detail_heights, transfer, detail, size=size, scale=scale, dtype=dtype)
-    return partial(bake_detail_vectors, transfer, detail, size=size, space=space, scale=scale, dtype=dtype)
 
 
 def _range(bake: Callable[..., Pixels | Image | Displacement], tiles: list[int]) -> float:
@@ -256,9 +237,7 @@ def wrap_bakes(request: WrapRequest) -> DetailBakes:
 
 def outputs_beside(request: WrapRequest) -> list[Path]:
     """Further output files: images, or patterns of their tiles, and a file for MakeHuman."""
-    carried = None if request.detail_texture is not None else request.baked
-    others = (path for path in (carried, request.mhclo) if path is not None)
-    return [*wrap_bakes(request).images.values(), *others]
+    return [path for name in WRITTEN["wrap"] if (path := getattr(request, name)) is not None]
 
 
 def textures_read(request: WrapRequest) -> list[Path]:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import islice
+from pathlib import Path
+from typing import Any
 
 from cagemap.errors import CagemapError
 from cagemap.files.meshes.formats import read_whole
-from cagemap.jobs import Job, Plan, Task, missing_tasks
 from cagemap.jobs.costs import (
     ERROR_FACTOR,
     PREPARED_VERTICES,
@@ -21,12 +22,14 @@ from cagemap.jobs.costs import (
     worker_memory,
 )
 from cagemap.jobs.farm import farm_steps, numbered_tasks
+from cagemap.jobs.job import Job
+from cagemap.jobs.plan import Plan, Task
+from cagemap.jobs.run import missing_tasks
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import count_noun
-from cagemap.mesh.schemes import Plain
-from cagemap.pipeline import choose_level
-from cagemap.spectral.surface import DEFAULT_VERTICES
 from cagemap.subdivision.refinement import default_scheme, vertex_counts
+from cagemap.tasks.method import SIDES, side_levels
+from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.subdivision import SubdivisionRequest
 
 # Default side of a baked image.
@@ -35,6 +38,8 @@ IMAGE = 2048
 # Options of `transfer` that bake: from images over the source's UVs, and those that need only the target's UVs.
 _OVER_SOURCE = ("texture", "maps", "displacement", "normal_map", "vector_displacement")
 _BAKED = ("material_colors", "bake")
+# Options of `match` that decide the size of a surface.
+_SIZE_OPTIONS = [f"{side}{name}" for side in ("", "target_", "source_") for name in ("vertices", "level", "scheme")]
 
 
 @dataclass(frozen=True)
@@ -129,15 +134,13 @@ def _bytes(task: Task, sizes: list[AssetSize]) -> float:
 def _size(job: Job, name: str, side: str, plan: Plan, read: Callable[[str], ControlMesh]) -> AssetSize:
     """Size of an asset as target or source, with the options of its first task."""
     tasks = (task for task in plan.tasks if task.kind in ("prepare", "match") and (name, side) in _models(task))
-    options = next((_options(task.request) for task in tasks), {})
+    options: dict[str, Any] = next((task.request.get("options", task.request) for task in tasks), {})
+    request = MatchRequest(Path(), Path(), None, Path())
+    request = replace(request, **{key: value for key, value in options.items() if key in _SIZE_OPTIONS})
     try:
-        scheme = options.get(f"{side}_scheme") or job.assets[name].scheme or options.get("scheme")
+        scheme = getattr(request, f"{side}_scheme") or job.assets[name].scheme or request.scheme
         control = SubdivisionRequest(scheme).applied(read(name))
-        stated, vertices = options.get(f"{side}_level"), options.get(f"{side}_vertices")
-        if stated is None and vertices is None and not isinstance(control.scheme, Plain):
-            stated = options.get("level")
-        wanted = int(vertices or options.get("vertices") or DEFAULT_VERTICES)
-        level = choose_level(control, wanted) if stated is None else int(stated)
+        level = side_levels(request, (control, control))[SIDES.index(side)]
         counts = list(islice(vertex_counts(control, default_scheme(control)), level + 1))
     except CagemapError as error:
         return AssetSize(problem=str(error))
@@ -150,11 +153,3 @@ def _models(task: Task) -> list[tuple[str, str]]:
     if task.pair is None:
         return [(task.request["asset"], task.request.get("side", "target"))]
     return list(zip(task.pair, ("source", "target"), strict=True))
-
-
-def _options(request: Mapping[str, object]) -> dict[str, str]:
-    """Size options of a task's request, from its ``options`` or the request itself, also with a side before them."""
-    nested = request.get("options")
-    options = nested if isinstance(nested, dict) else request
-    names = {f"{side}{name}" for side in ("", "target_", "source_") for name in ("vertices", "level", "scheme")}
-    return {key: str(value) for key, value in options.items() if key in names and value is not None}

@@ -26,7 +26,7 @@ from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import body_shapes, match_bodies, with_part
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.face import FaceRequest
-from cagemap.tasks.requests.options import comma_words
+from cagemap.tasks.requests.options import comma_words, given_files
 from cagemap.tasks.rig_character import (
     body_in,
     character_positions,
@@ -81,8 +81,7 @@ def _require_paths(request: FaceRequest) -> None:
     if request.sheet is not None:
         check_writable(request.sheet, np.dtype(np.uint8), 3)
     outputs = [request.output, *([] if request.sheet is None else [request.sheet])]
-    inputs = [request.head, *([] if request.landmarks is None else [request.landmarks])]
-    check_outputs(outputs, inputs, force=request.force)
+    check_outputs(outputs, given_files(request, "sheet"), force=request.force)
 
 
 def _names(words: str) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -218,11 +219,11 @@ def keep_base(
         return carried, [
             "outside the masks values are carried as well; --base with the target's own values keeps those"
         ]
-    own_values = _own_values(base, result.target.control, rows, carried)
+    own = own_values(base, result.target.control, rows, carried)
     weight = result.masks.joint(result.point_map)
     kept: Attributes = {}
     for name, values in carried.items():
-        below = own_values[name]
+        below = own[name]
         if below.shape != values.shape:
             raise ParameterError(
                 f"--base {base}: expected {name} of shape {values.shape}, as what is carried, got shape {below.shape}. "
@@ -239,21 +240,21 @@ def keep_base(
 def in_file(request: TransferRequest, carried: Attributes, rows: FileRows | None) -> Attributes:
     """Values of a part in the file's numbering, with ``--base``'s values or 0 elsewhere."""
     base = None if rows is None else base_of(request)
-    below = {} if base is None or rows is None else _own_values(base, rows.whole, None, carried)
+    below = {} if base is None or rows is None else own_values(base, rows.whole, None, carried)
     return to_file(carried, rows, below)
 
 
-def _own_values(base: Path, control: ControlMesh, rows: FileRows | None, carried: Attributes) -> Attributes:
-    """The target's own values by carried name; a file's only table has the names' order."""
+def own_values(base: Path, control: ControlMesh, rows: FileRows | None, names: Collection[str]) -> Attributes:
+    """The target's own values by the names of what is carried; a file's only table has the names' order."""
     given = read_attributes(base, control, rows)
-    if all(name in given for name in carried):
+    if all(name in given for name in names):
         return given
-    if len(given) == len(carried) == 1:
-        return dict(zip(carried, given.values(), strict=True))
+    if len(given) == len(names) == 1:
+        return dict(zip(names, given.values(), strict=True))
     table = given.get(JOINT_WEIGHTS) if len(given) > 1 else next(iter(given.values()), None)
-    if table is not None and table.ndim == 2 and table.shape[1] == len(carried):
-        return dict(zip(carried, table.T, strict=True))
-    missing = [name for name in carried if name not in given]
+    if table is not None and table.ndim == 2 and table.shape[1] == len(names):
+        return dict(zip(names, table.T, strict=True))
+    missing = [name for name in names if name not in given]
     raise ParameterError(
         f"--base {base}: expected values of {', '.join(missing)}, as what is carried, got {', '.join(given)}. Give the "
         "target's own values."

@@ -17,15 +17,10 @@ class Stages:
     """Times the stages of a task: call it with the name of each stage that begins.
 
     As a context manager it also ends the last stage. It shows nothing.
-
-    Attributes
-    ----------
-    timings : dict of str to float
-        Seconds of every finished stage, in order; a repeated stage adds to its time.
     """
 
     def __init__(self) -> None:
-        self.timings: dict[str, float] = {}
+        self.timings: dict[str, float] = {}  # seconds of every finished stage; a repeated one adds to its time
         self._name: str | None = None
         self._start = 0.0
 

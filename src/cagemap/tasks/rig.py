@@ -30,7 +30,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights, trusted_vertices
-from cagemap.tasks.masks import in_file, keep_base
+from cagemap.tasks.masks import in_file, keep_base, own_values
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.options import comma_words
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
@@ -50,9 +50,8 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     if JOINT_WEIGHTS in arrays:  # a USD or glTF file: other primvars are no weights
         arrays = {JOINT_WEIGHTS: arrays[JOINT_WEIGHTS]}
     _require_rows(arrays, result.source.control, rows, request)
-    table = np.column_stack([np.asarray(array, dtype=np.float64).reshape(len(array), -1) for array in arrays.values()])
     try:
-        skin, scaled = normalised_skin(table)
+        skin, scaled = normalised_skin(_table(arrays))
     except ParameterError as error:
         raise ParameterError(f"{request.weights}: {error}") from None
     skeleton = None
@@ -72,25 +71,18 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     named = all(array.ndim == 1 for array in arrays.values())
     names = tuple(arrays) if named else () if skeleton is None else skeleton.names
     carried = with_choice(request, result.target.control, carried, names, target_rows)
-    ends = np.cumsum([1 if array.ndim == 1 else array.shape[1] for array in arrays.values()])[:-1]
-    parts = np.split(carried, ends, axis=1)
-    columns = {
-        name: part[:, 0] if array.ndim == 1 else part for (name, array), part in zip(arrays.items(), parts, strict=True)
-    }
-    columns, notes = keep_base(request, result, columns, target_rows)
+    columns, notes = keep_base(request, result, _columns(carried, arrays), target_rows)
     columns = _limited(request, result, columns)
     if skeleton is not None and request.output.suffix.lower() != ".npy":
         columns = _by_joint(columns, skeleton)
-    most = int(sum((array.reshape(len(array), -1) > 0).sum(axis=1) for array in columns.values()).max())
+    most = int((_table(columns) > 0).sum(axis=1).max())
     filled = int(np.count_nonzero(~trusted_vertices(result)))
     text = f"wrote {request.output}: {len(carried)} vertices, {carried.shape[1]} joints, at most {most} a vertex"
     with all_or_nothing():
         write_attributes(request.output, in_file(request, columns, target_rows), force=request.force)
         if request.usd is not None:
-            kept = np.column_stack(list(columns.values()))
-            skinning = UsdResults(
-                attributes={JOINT_WEIGHTS: kept}, skeleton=_carried(skeleton, columns, result.point_map)
-            )
+            moved = _carried(skeleton, columns, result.point_map)
+            skinning = UsdResults(attributes={JOINT_WEIGHTS: _table(columns)}, skeleton=moved)
             text += "\n" + write_usd_results(request.usd, request.result, result, skinning, force=request.force)
     note_transfer(request.result, {"kind": "weights", "file": request.weights, "output": request.output})
     if filled:
@@ -101,11 +93,25 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
 def _limited(request: TransferRequest, result: MatchResult, columns: Attributes) -> Attributes:
     """Weights with at most ``--influences`` joints at vertices where masks blended them with those of ``--base``."""
     blended = result.masks.joint(result.point_map)[: result.target.control.n_vertices, None] > 0.0
-    ends = np.cumsum([array.size // len(array) for array in columns.values()])
-    table = np.column_stack(list(columns.values()))
-    limited = np.where(blended, normalised(pruned(table, request.influences or None), table.sum(axis=1)), table)
-    parts = np.split(limited, ends[:-1], axis=1)
-    return {name: part.reshape(array.shape) for (name, array), part in zip(columns.items(), parts, strict=True)}
+    table = _table(columns)
+    return _columns(np.where(blended, _pruned(request, table), table), columns)
+
+
+def _pruned(request: TransferRequest, table: FloatArray) -> FloatArray:
+    """Weights with at most ``--influences`` joints at every vertex, of the same sums."""
+    return normalised(pruned(table, request.influences or None), table.sum(axis=1))
+
+
+def _table(arrays: Attributes) -> FloatArray:
+    """(n, j) weights of all joints from columns or tables."""
+    return np.column_stack([np.asarray(array, dtype=np.float64).reshape(len(array), -1) for array in arrays.values()])
+
+
+def _columns(table: FloatArray, like: Attributes) -> Attributes:
+    """The weights of a table as arrays with the names and widths of others."""
+    parts = np.split(table, np.cumsum([array.size // len(array) for array in like.values()])[:-1], axis=1)
+    shapes = [(name, array.shape[1:]) for name, array in like.items()]
+    return {name: part.reshape(-1, *shape) for (name, shape), part in zip(shapes, parts, strict=True)}
 
 
 def _require_rows(given: Attributes, control: ControlMesh, rows: FileRows | None, request: TransferRequest) -> None:
@@ -118,15 +124,14 @@ def _require_rows(given: Attributes, control: ControlMesh, rows: FileRows | None
 
 
 def _require_joints(given: Attributes, skeleton: Skeleton, request: TransferRequest) -> None:
-    if all(array.ndim == 1 for array in given.values()):
-        missing = [name for name in given if name not in skeleton.names]
-        if missing:
-            raise ParameterError(
-                f"{request.weights}: weights of {', '.join(missing)}, which {request.joints} has no joint for"
-            )
-        return
-    count = sum(1 if array.ndim == 1 else array.shape[1] for array in given.values())
-    if count != len(skeleton.names):
+    named = all(array.ndim == 1 for array in given.values())
+    missing = [name for name in given if named and name not in skeleton.names]
+    if missing:
+        raise ParameterError(
+            f"{request.weights}: weights of {', '.join(missing)}, which {request.joints} has no joint for"
+        )
+    count = sum(array.size // len(array) for array in given.values())
+    if not named and count != len(skeleton.names):
         raise ParameterError(
             f"{request.weights}: expected weights of {len(skeleton.names)} joints, as {request.joints} has, got {count}"
         )
@@ -135,8 +140,7 @@ def _require_joints(given: Attributes, skeleton: Skeleton, request: TransferRequ
 def _by_joint(columns: Attributes, skeleton: Skeleton) -> Attributes:
     """A table of all joints as one named column per joint; columns with names keep them."""
     named = all(array.ndim == 1 for array in columns.values()) or len(set(skeleton.names)) < len(skeleton.names)
-    table = np.column_stack(list(columns.values()))
-    return columns if named else dict(zip(skeleton.names, table.T, strict=True))
+    return columns if named else dict(zip(skeleton.names, _table(columns).T, strict=True))
 
 
 def _carried(skeleton: Skeleton | None, columns: Attributes, point_map: PointMap) -> Skeleton | None:
@@ -227,8 +231,7 @@ def with_choice(
         if requested and not names:
             raise ParameterError(f"{option}: expected weights of named joints. Give a column for each, or --joints.")
     if request.mirror:
-        carried = _alike(control, carried, names)
-        carried = normalised(pruned(carried, request.influences or None), carried.sum(axis=1))
+        carried = _pruned(request, _alike(control, carried, names))
     return carried if request.only is None else _chosen(request, control, carried, names, rows)
 
 
@@ -259,18 +262,9 @@ def _chosen(
     if base is None:
         raise ParameterError("--only: expected the target's own weights of the other joints. Give them as --base.")
     columns = np.array([names.index(word) for word in words])
-    chosen = chosen_joints(carried, _own(base, control, names, rows), columns)
-    limited = normalised(pruned(chosen, request.influences or None), chosen.sum(axis=1))
-    mixed = np.any(carried[:, columns], axis=1, keepdims=True)
-    return np.where(mixed, limited, chosen)
-
-
-def _own(base: Path, control: ControlMesh, names: Sequence[str], rows: FileRows | None) -> FloatArray:
-    """(n, j) weights of a file, by the joints' names; a single table has their order."""
-    arrays = read_attributes(base, control, rows)
-    if all(name in arrays for name in names):
-        return np.column_stack([arrays[name] for name in names]).astype(np.float64)
-    (table,) = arrays.values() if len(arrays) == 1 else (None,)
-    if table is None or table.shape != (control.n_vertices, len(names)):
+    own = own_values(base, control, rows, names)
+    if any(own[name].shape != (control.n_vertices,) for name in names):
         raise ParameterError(f"--base {base}: expected weights of {', '.join(names)} for each vertex of {control.name}")
-    return np.asarray(table, dtype=np.float64)
+    kept = np.column_stack([own[name] for name in names]).astype(np.float64)
+    chosen = chosen_joints(carried, kept, columns)
+    return np.where(np.any(carried[:, columns], axis=1, keepdims=True), _pruned(request, chosen), chosen)

@@ -36,7 +36,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.report import CarriedData, CarriedShape, Passenger, Pose, Weights, check_page_path, write_report
 from cagemap.tasks.carry_character import CarriedCharacter, carry_character, with_part
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.options import comma_words
+from cagemap.tasks.requests.options import comma_words, given_files
 from cagemap.tasks.requests.rig import RigRequest
 from cagemap.tasks.rig_materials import BakedImages, colored, in_one_square, textured, with_own_materials
 
@@ -100,11 +100,10 @@ def _require_paths(request: RigRequest) -> None:
         )
     _require_suffix(request.like, "the character", (*SCENE_SUFFIXES, *USD_SUFFIXES), "Export it as GLB")
     require_output(request.output)
-    inputs = [request.body, request.like, *([] if request.landmarks is None else [request.landmarks])]
     outputs = [request.output, *([] if request.report is None else [request.report])]
     if request.report is not None:
         check_page_path(request.report)
-    check_outputs(outputs, inputs, force=request.force)
+    check_outputs(outputs, given_files(request, "report"), force=request.force)
 
 
 def require_output(path: Path) -> None:

@@ -16,29 +16,15 @@ from cagemap.files.images.image import write_image
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.files.result.manifest import code_version, landmark_messages, read_manifest
 from cagemap.files.result.surface_store import prepared
-from cagemap.jobs import (
-    Consistency,
-    Job,
-    Plan,
-    Task,
-    TaskOutcome,
-    measure_consistency,
-    missing_tasks,
-    open_client,
-    pair_rows,
-    plan_job,
-    read_job,
-    run_plan,
-    spanning_tree,
-    write_library,
-)
 from cagemap.jobs.carry import add_carry_tasks, carry_landmarks, carry_notes
-from cagemap.jobs.consistency import read_consistency, write_consistency
+from cagemap.jobs.consistency import Consistency, measure_consistency, read_consistency, write_consistency
 from cagemap.jobs.detours import add_detours, compose_results, has_detours, keep_matches
-from cagemap.jobs.farm import PAGE_STEP, Step, farm_steps, openjd_template, parse_task_range, slurm_script
-from cagemap.jobs.page import PairRow
-from cagemap.jobs.plan import STATE_FOLDER
-from cagemap.jobs.run import execute, kept_outcome
+from cagemap.jobs.farm import PAGE_STEP, farm_steps, openjd_template, parse_task_range, slurm_script
+from cagemap.jobs.job import Job, read_job
+from cagemap.jobs.page import PairRow, pair_rows, write_library
+from cagemap.jobs.plan import STATE_FOLDER, Plan, Task, plan_job
+from cagemap.jobs.run import TaskOutcome, execute, kept_outcome, missing_tasks, open_client, run_plan
+from cagemap.jobs.tree import spanning_tree
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.mesh_report import count_noun
 from cagemap.mesh.plain import plain_mesh
@@ -58,21 +44,6 @@ from cagemap.tasks.transfer import check_transfer
 from cagemap.tasks.wrap import check_wrap
 
 
-class Ticker:
-    """Shows the progress of a job and its slowest task so far."""
-
-    def __init__(self, stages: Stages) -> None:
-        self._stages = stages
-        self._slowest: TaskOutcome | None = None
-
-    def __call__(self, outcome: TaskOutcome, finished: int, total: int) -> None:
-        """Record an outcome and show the progress."""
-        if outcome.state == "done" and (self._slowest is None or outcome.seconds > self._slowest.seconds):
-            self._slowest = outcome
-        slowest = "" if self._slowest is None else f"; slowest: {self._slowest.name}, {self._slowest.seconds:.1f} s"
-        self._stages.show(f"{finished} of {total} tasks{slowest}")
-
-
 def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     """Run a job file; returns a summary, and whether all results exist."""
     stages("read job")
@@ -87,17 +58,23 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
         return exported(request.export, job.path, plan), True
     if request.task is not None:
         return run_numbered(request.task, job.path.stem, plan, version, stages)
-    started = time.perf_counter()
+    started, slowest = time.perf_counter(), TaskOutcome("", "done")
+
+    def show(outcome: TaskOutcome, finished: int, total: int) -> None:
+        nonlocal slowest
+        slowest = max(outcome, slowest, key=lambda one: one.seconds)
+        stages.show(f"{finished} of {total} tasks; slowest: {slowest.name}, {slowest.seconds:.1f} s")
+
     stages("run tasks")
     with open_client(request.scheduler, request.workers, stages.note) as connect:
         verdict, matched = Consistency({}, 0, (), {}), dict[str, TaskOutcome]()
         if has_detours(plan):
-            matched = run_plan(keep_matches(plan), run_task, connect, Ticker(stages))
+            matched = run_plan(keep_matches(plan), run_task, connect, show)
             stages("compare maps with each other")
             verdict = collection_verdict(plan, matched)
             plan = add_detours(plan, verdict.detours, version)
             stages("run tasks")
-        outcomes = run_plan(plan, run_task, connect, Ticker(stages))
+        outcomes = run_plan(plan, run_task, connect, show)
     # Matches of the first pass were done in this run: they are not "kept".
     outcomes |= {name: matched[name] for name, now in outcomes.items() if now.state == "kept" and name in matched}
     stages("page")
@@ -106,9 +83,11 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
 
 def exported(kind: str, job: Path, plan: Plan) -> str:
     """A template or script for a render farm or cluster: "openjd" or "slurm"."""
-    if kind not in _EXPORTS:
-        raise ParameterError(f"--export: expected {' or '.join(_EXPORTS)}, got '{kind}'.")
-    return _EXPORTS[kind](job, farm_steps(plan))
+    if kind == "slurm":
+        return slurm_script(job, farm_steps(plan))
+    if kind == "openjd":
+        return json.dumps(openjd_template(job, farm_steps(plan)), indent=2)
+    raise ParameterError(f"--export: expected openjd or slurm, got '{kind}'.")
 
 
 def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stages) -> tuple[str, bool]:
@@ -226,12 +205,6 @@ def _concluded(
         notes.append(f"the page could not be written: {error}")
     whole = page is not None and all(outcome.usable for outcome in outcomes.values())
     return summary(plan, outcomes, notes, page, time.perf_counter() - started), whole
-
-
-_EXPORTS: dict[str, Callable[[Path, tuple[Step, ...]], str]] = {
-    "openjd": lambda job, steps: json.dumps(openjd_template(job, steps), indent=2),
-    "slurm": slurm_script,
-}
 
 
 def in_words(rows: Iterable[PairRow]) -> list[PairRow]:

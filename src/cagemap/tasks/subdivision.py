@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:  # the command line starts without the numerics
-    from cagemap.mesh import ControlMesh
-import math
 from typing import TYPE_CHECKING
 
 from cagemap.errors import ParameterError

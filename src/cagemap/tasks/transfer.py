@@ -130,25 +130,29 @@ def check_transfer(request: TransferRequest) -> Carrier:
 
 def _carrier(request: TransferRequest) -> Carrier:
     """Function that carries the requested kind of data; refuses none or several kinds."""
-    options = {
-        "--texture": (request.texture is not None or bool(request.maps), carry_texture),
-        "--displacement": (request.displacement is not None, carry_displacement),
-        "--normal-map": (request.normal_map is not None, carry_normal_map),
-        "--vector-displacement": (request.vector_displacement is not None, carry_vector_displacement),
-        "--attribute": (request.attribute is not None, _carry_attribute),
-        "--material-colors": (request.material_colors, carry_material_colors),
-        "--bake": (bool(request.bake), carry_detail),
-        "--source-uvs": (request.source_uvs, _carry_uvs),
-        "--weights": (request.weights is not None, transfer_weights),
-        "--joints": (request.joints is not None and request.weights is None, transfer_skeleton),
-        "--blend-shapes": (bool(request.blend_shapes), transfer_shapes),
-        "--passenger": (request.passenger is not None, transfer_passenger),
-        "--write-map": (request.write_map, write_point_map),
+    carriers: dict[str, Carrier] = {
+        "--texture": carry_texture,
+        "--displacement": carry_displacement,
+        "--normal-map": carry_normal_map,
+        "--vector-displacement": carry_vector_displacement,
+        "--attribute": _carry_attribute,
+        "--material-colors": carry_material_colors,
+        "--bake": carry_detail,
+        "--source-uvs": _carry_uvs,
+        "--weights": transfer_weights,
+        "--joints": transfer_skeleton,
+        "--blend-shapes": transfer_shapes,
+        "--passenger": transfer_passenger,
+        "--write-map": write_point_map,
     }
-    chosen = [option for option, (requested, _) in options.items() if requested]
+    chosen = [option for option in carriers if getattr(request, option[2:].replace("-", "_"))]
+    if request.maps:
+        chosen.insert(0, "--texture")
+    if "--weights" in chosen and "--joints" in chosen:  # the joints name the weights' columns
+        chosen.remove("--joints")
     if len(chosen) != 1:
         raise ParameterError(
-            f"expected one of {', '.join(options)}, got {' and '.join(chosen) or 'none'}. Run the command once for "
+            f"expected one of {', '.join(carriers)}, got {' and '.join(chosen) or 'none'}. Run the command once for "
             "each kind of data."
         )
     masks = {"--target-mask": request.target_mask, "--source-mask": request.source_mask}
@@ -159,7 +163,7 @@ def _carrier(request: TransferRequest) -> Carrier:
             f"{chosen[0]} is carried whole. Leave the mask out."
         )
     _require_read(request, chosen[0])
-    return options[chosen[0]][1]
+    return carriers[chosen[0]]
 
 
 def _require_read(request: TransferRequest, carried: str) -> None:

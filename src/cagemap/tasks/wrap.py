@@ -12,6 +12,7 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs, require_no_input
+from cagemap.files.images.image import texture_files
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, write_mesh
 from cagemap.files.meshes.mhclo import bind_on, write_mhclo
 from cagemap.files.meshes.obj_write import write_obj_positions
@@ -33,7 +34,6 @@ from cagemap.tasks.detail_bakes import (
     outputs_beside,
     require_bakeable,
     require_green,
-    textures_read,
     wrap_bakes,
 )
 from cagemap.tasks.import_map import run_map
@@ -42,9 +42,10 @@ from cagemap.tasks.masks import mask_inputs, with_masks
 from cagemap.tasks.match import match_files
 from cagemap.tasks.match import warnings as result_warnings
 from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.requests.catalogue import WRITTEN
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
-from cagemap.tasks.requests.options import said
+from cagemap.tasks.requests.options import given_files, said
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.transfer import carry_one
@@ -185,9 +186,8 @@ def check_wrap(request: WrapRequest) -> None:
 
 def _check_files(request: WrapRequest) -> None:
     inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]
-    named = (request.target, request.source, request.landmarks, request.map, request.weights, request.detail)
-    inputs += [path for path in named if path is not None]
-    inputs += [*textures_read(request), *mask_inputs(request).values()]
+    given = given_files(request, *WRITTEN["wrap"])
+    inputs += [*(file for path in given for file in texture_files(path)), *mask_inputs(request).values()]
     if request.blend_shapes:
         if request.output.exists() and not request.output.is_dir():
             raise ParameterError(f"{request.output}: --blend-shapes writes a folder of OBJ files, got a file")

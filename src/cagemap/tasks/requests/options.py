@@ -34,6 +34,20 @@ def said(request: Any, *names: str) -> dict[str, Any]:
     return {name: getattr(request, name) for name in names}
 
 
+def given_files(request: Any, *outputs: str) -> list[Path]:
+    """Files that a request reads: all that it names but its results and outputs."""
+
+    def paths(value: Any) -> Iterator[Path]:
+        if isinstance(value, Path):
+            yield value
+        elif isinstance(value, tuple):
+            for item in value:
+                yield from paths(item)
+
+    names = [field.name for field in fields(request) if field.name not in ("result", "results", "output", *outputs)]
+    return [path for name in names for path in paths(getattr(request, name))]
+
+
 def comma_words(text: str) -> list[str]:
     """Words of a comma-separated option."""
     return [word.strip() for word in text.split(",") if word.strip()]
