@@ -16,27 +16,44 @@ from cagemap.spectral.surface import METHODS
 
 @dataclass(frozen=True, repr=False)
 class MatchConfig(Brief):
-    """Parameters of a match of two prepared surfaces; the defaults are the measured ones."""
+    """Parameters of a match of two prepared surfaces; the defaults are the measured ones.
 
-    #: "elastic": ZoomOut from landmark coordinates, finished by an elastic fit; landmarks are met exactly. "hfm": the
-    #: paper's method with named improvements, see `cagemap.paper.hfm`. "paper": the paper's hierarchical functional
-    #: map; starts at level 0 and needs a fixed schedule.
+    Attributes
+    ----------
+    method : str
+        "elastic": ZoomOut from landmark coordinates, finished by an elastic fit; landmarks are met exactly.
+        "hfm": the paper's method with named improvements, see `cagemap.paper.hfm`.
+        "paper": the paper's hierarchical functional map; starts at level 0 and needs a fixed schedule.
+    hfm : HfmConfig
+        Parameters of "hfm".
+    paper : PaperConfig
+        Parameters of "paper".
+    start : StartConfig
+        Starts of "elastic".
+    elastic : ElasticConfig
+        Parameters of the elastic fit.
+    use_symmetry : bool
+        "paper" only: find mirror planes that both control meshes have and let the map commute with them (5.2), unless
+        symmetries are given.
+    symmetries : tuple of ((n_0 target,), (n_0 source,)) arrays
+        "hfm" and "paper" only: self-maps of the control meshes that correspond, see `cagemap.maps.pair.Pair`.
+    answer : int
+        Index of the answer to return if there are several (few or mirrored landmarks); 0 is the best.
+    check_landmarks : bool
+        Leave out landmark outliers ("elastic" only); otherwise all landmarks are met exactly.
+    masks : Masks
+        Weights of the finest vertices of both surfaces ("elastic" only); landmarks are met in masked area too.
+    """
+
     method: str = "elastic"
-    hfm: HfmConfig = HfmConfig()  #: parameters of "hfm"
-    paper: PaperConfig = PaperConfig()  #: parameters of "paper"
-    start: StartConfig = StartConfig()  #: starts of "elastic"
-    elastic: ElasticConfig = ElasticConfig()  #: parameters of the elastic fit
-    #: "paper" only: find mirror planes that both control meshes have and let the map commute with them (5.2), unless
-    #: symmetries are given
+    hfm: HfmConfig = HfmConfig()
+    paper: PaperConfig = PaperConfig()
+    start: StartConfig = StartConfig()
+    elastic: ElasticConfig = ElasticConfig()
     use_symmetry: bool = True
-    #: "hfm" and "paper" only: pairs of self-maps (n_0 target,), (n_0 source,) of the control meshes that correspond,
-    #: see `cagemap.maps.pair.Pair`
     symmetries: tuple[SymmetryPair, ...] = ()
-    #: index of the answer to return if there are several (few or mirrored landmarks); 0 is the best
     answer: int = 0
-    #: leave out landmark outliers ("elastic" only); otherwise all landmarks are met exactly
     check_landmarks: bool = True
-    #: weights of the finest vertices of both surfaces ("elastic" only); landmarks are met in masked area too
     masks: Masks = WHOLE
 
     def __post_init__(self) -> None:

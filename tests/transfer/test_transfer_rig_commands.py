@@ -81,7 +81,7 @@ def test_weights_of_some_joints_and_of_both_sides_alike(run: Run, result_folder:
     for words, message in (
         (("--only", "leg"), "names of joints (spine, arm.L, arm.R), got leg"),
         (("--only", "spine"), "Give them as --base"),
-        (("--only", "spine", "--base", "short.csv"), "weights of spine, arm.L, arm.R"),
+        (("--only", "spine", "--base", "short.csv"), "expected values of arm.L, arm.R, as what is carried, got spine"),
     ):
         (place / "short.csv").write_text("spine\n" + "\n".join(["1"] * 8))
         run.refused("transfer R --weights w.csv", *words, "-o", "never.npz", says=message)

@@ -101,12 +101,19 @@ class Repairs(Brief):
 
 @dataclass(frozen=True, eq=False)
 class PlainMesh:
-    """A connected manifold mesh that is matched without subdivision."""
+    """A connected manifold mesh that is matched without subdivision.
 
-    #: with the scheme `Plain`. Vertices and faces keep their order; if some were removed, ``file_vertices`` and
-    #: ``file_faces`` are the numbers of the remaining ones.
+    Attributes
+    ----------
+    mesh : ControlMesh
+        With the scheme `Plain`. Vertices and faces keep their order; if some were removed, ``file_vertices`` and
+        ``file_faces`` are the numbers of the remaining ones.
+    vertex_of : (n_given,) int64
+        Vertex of ``mesh`` for every vertex of the mesh given, -1 for removed ones.
+    repairs : Repairs
+    """
+
     mesh: ControlMesh
-    #: (n_given,) vertex of ``mesh`` for every vertex of the mesh given, -1 for removed ones
     vertex_of: IndexArray = field(repr=False)
     repairs: Repairs
 

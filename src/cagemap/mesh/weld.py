@@ -34,15 +34,25 @@ COLOR_STEP = 0.5 / 255
 
 @dataclass(frozen=True, eq=False)
 class Welded:
-    """A mesh with coincident border vertices joined."""
+    """A mesh with coincident border vertices joined.
 
-    #: its ``file_vertices`` and ``file_copies`` are the vertices of the file that became each of its vertices; corners
-    #: keep their UVs
+    Attributes
+    ----------
+    mesh : ControlMesh
+        ``file_vertices`` and ``file_copies`` are the vertices of the file that became each of its vertices. Corners
+        keep their UVs.
+    vertex_of : (n_given,) int64
+        Vertex of ``mesh`` for every vertex of the mesh given, -1 for one without a face.
+    tolerance : float
+        In units of the bounding-box diagonal.
+    notes : tuple of str
+        Sentences about the joined vertices and dropped faces.
+    """
+
     mesh: ControlMesh
-    #: (n_given,) vertex of ``mesh`` for every vertex of the mesh given, -1 for one without a face
     vertex_of: IndexArray = field(repr=False)
-    tolerance: float  #: in units of the bounding-box diagonal
-    notes: tuple[str, ...]  #: sentences about the joined vertices and dropped faces
+    tolerance: float
+    notes: tuple[str, ...]
 
 
 def keep_unwelded(mesh: ControlMesh) -> Welded:

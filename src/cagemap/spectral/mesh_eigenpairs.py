@@ -75,9 +75,7 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
     parts = row_slices(k, COLUMN_BLOCK)
     for iteration in range(MAX_INVERSE_ITERATIONS + 1):
         if shifted is not None or initial.vectors.dtype == np.float64:
-            blocks = [(values[part], vectors[:, part]) for part in parts]
-            products = [(lowest, multiply(weights, block), areas[:, None] * block) for lowest, block in blocks]
-            worst = max(float(residual_norms(*product, areas).max()) for product in products)
+            worst = max(_worst_residual(weights, areas, values[part], vectors[:, part]) for part in parts)
         if worst <= accuracy:
             return EigenPairs(values, vectors, 0)
         if iteration == MAX_INVERSE_ITERATIONS:
@@ -103,6 +101,11 @@ def _orthonormalise(vectors: FloatArray, areas: FloatArray) -> None:
         vectors[part] = vectors[part] @ turn
 
     in_threads(orthonormalise, rows)
+
+
+def _worst_residual(weights: sparse.csr_array, areas: FloatArray, values: FloatArray, vectors: FloatArray) -> float:
+    """The largest of `residual_norms`."""
+    return float(residual_norms(values, multiply(weights, vectors), areas[:, None] * vectors, areas).max())
 
 
 @kinds_checked

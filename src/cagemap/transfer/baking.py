@@ -64,17 +64,30 @@ class Transfer:
 
 @dataclass(frozen=True)
 class BakeOptions:
-    """Options of every bake of an image."""
+    """Options of every bake of an image.
 
-    tile: int = 0  #: UDIM number of the tile to bake, or 0 for the unit square of a plain layout
-    #: raster samples along a texel's side; by default 1, or 3 or 5 if triangles are smaller than texels. With odd
-    #: numbers, texels that span at most one texel of the source use their centre alone. With filter "nearest": 1.
+    Attributes
+    ----------
+    tile : int
+        UDIM number of the tile to bake, or 0 for the unit square of a plain layout.
+    supersample : int, optional
+        Raster samples along a texel's side. Default: 1, or 3 or 5 if triangles are smaller than texels. With odd
+        numbers, texels that span at most one texel of the source use their centre alone. With filter "nearest": 1.
+    dilation : int, optional
+        Width in texels of the filled border around islands; the whole background by default.
+    wrap : "repeat" or "clamp"
+        How a plain source texture continues outside the unit square.
+    threads : int, optional
+        By default as many as `cagemap.thread_limit` allows.
+    filter : "smooth", "linear" or "nearest"
+        Interpolation of textures that are not minified. Nearest is for labels: colours are never mixed.
+    """
+
+    tile: int = 0
     supersample: int | None = None
-    dilation: int | None = None  #: width in texels of the filled border around islands; None: the whole background
-    wrap: Wrap = "repeat"  #: how a plain source texture continues outside the unit square: "repeat" or "clamp"
-    threads: int | None = None  #: by default as many as `cagemap.thread_limit` allows
-    #: "smooth", "linear" or "nearest": interpolation of textures that are not minified. Nearest is for labels:
-    #: colours are never mixed.
+    dilation: int | None = None
+    wrap: Wrap = "repeat"
+    threads: int | None = None
     filter: Filter = "smooth"
 
     def __post_init__(self) -> None:
