@@ -15,6 +15,7 @@ from cagemap.studio.opening import part_slug
 from cagemap.studio.state import Files
 from cagemap.studio.workspace import Workspace
 from cagemap.tasks.requests.catalogue import (
+    WRAP_IMAGES_OF,
     WRITTEN,
     CommandOption,
     Key,
@@ -332,8 +333,7 @@ class _CommandBuilder:
                 image = f"{stem}_{name}{self.finish_options.image_form or default_form}"
                 values[name] = folder / (f"{stem}.mhclo" if name == "mhclo" else image)
         images = [name for name in written if name != "mhclo" and name in values]
-        if images:
-            values |= self.values("wrap", ("size", "space", "green", "rays"))
+        values |= self.values("wrap", [name for name, of in WRAP_IMAGES_OF.items() if set(of) & set(images)])
         if "baked" in values:
             values["detail_texture"] = self.value("wrap", "detail_texture")
             values["texture"] = files.texture if values["detail_texture"] is None else None

@@ -42,7 +42,7 @@ from cagemap.tasks.masks import mask_inputs, with_masks
 from cagemap.tasks.match import match_files
 from cagemap.tasks.match import warnings as result_warnings
 from cagemap.tasks.progress import Outcome, Stages
-from cagemap.tasks.requests.catalogue import WRITTEN
+from cagemap.tasks.requests.catalogue import WRAP_IMAGES_OF, WRITTEN
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.options import given_files, said
@@ -55,13 +55,6 @@ from cagemap.wrap.wrapping import NO_CAGE
 
 # Least share of the target's area without a counterpart that is reported; less is single triangles.
 _TOLD = 5e-4
-# Options of images, and the images whose bake reads them.
-_READ_BY = {
-    "space": ("normal_map", "vector_displacement"),
-    "green": ("normal_map",),
-    "rays": ("occlusion",),
-    "size": ("normal_map", "displacement", "vector_displacement", "occlusion", "colors", "baked"),
-}
 
 
 def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
@@ -176,7 +169,7 @@ def check_wrap(request: WrapRequest) -> None:
         )
     if request.detail is not None and not bakes.images:
         raise ParameterError("--detail: expected an image to bake from it, such as --normal-map")
-    for option, readers in _READ_BY.items():
+    for option, readers in WRAP_IMAGES_OF.items():
         if getattr(request, option) != getattr(WrapRequest, option) and not any(map(request.__getattribute__, readers)):
             words = " or ".join(f"--{reader.replace('_', '-')}" for reader in readers)
             raise ParameterError(f"--{option}: expected with {words} only, which bake an image. Leave it out.")

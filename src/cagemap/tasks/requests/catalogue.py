@@ -33,6 +33,13 @@ WRITTEN = {
     "transfer": ("usd",),
     "wrap": ("displacement", "vector_displacement", "normal_map", "occlusion", "colors", "baked", "mhclo"),
 }
+# Options of `wrap` for images, and the images whose bake reads each.
+WRAP_IMAGES_OF = {
+    "space": ("normal_map", "vector_displacement"),
+    "green": ("normal_map",),
+    "rays": ("occlusion",),
+    "size": ("normal_map", "displacement", "vector_displacement", "occlusion", "colors", "baked"),
+}
 Kind = Literal[
     "flag", "choice", "several", "whole", "number", "text", "name or file", "file", "files", "named files", "output"
 ]
