@@ -1,4 +1,4 @@
-"""The typer application with all commands; tasks are imported when a command runs."""
+"""The typer application with all commands. It imports their requests; a task is imported when its command runs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from cagemap.tasks.requests.wrap import WrapRequest
 def _read_transfer(
     texture: tuple[str, ...], bases: tuple[str, ...], bake: str | None, **others: Any
 ) -> TransferRequest:
-    """The transfer request of option words: named images and comma-separated kinds of bakes."""
+    """The transfer request from values as typed: named images and comma-separated kinds of bakes."""
     image, maps = texture_and_maps(texture)
     base, named_bases = texture_and_maps(bases, "--base")
     bakes = tuple(name.strip() for name in bake.split(",")) if bake else ()
@@ -40,7 +40,8 @@ def _read_transfer(
     return TransferRequest(texture=image, maps=maps, bases=all_bases, bake=bakes, **others)
 
 
-# Commands in the order of `--help`: request, the function that runs it, and how its words are read.
+# Commands in the order of `--help`: request, the function of `cagemap` that runs it, and arguments of `command_of`
+# where fields are typed in another form.
 _COMMANDS: dict[str, tuple[type, str, dict[str, Any]]] = {
     "demo": (DemoRequest, "tasks.demo.run_demo", {}),
     "check": (CheckRequest, "tasks.mesh_commands.run_check", {}),
@@ -64,7 +65,7 @@ _COMMANDS: dict[str, tuple[type, str, dict[str, Any]]] = {
     "wrap": (WrapRequest, "tasks.wrap.run_wrap", {}),
     "map": (MapRequest, "tasks.import_map.run_map", {}),
 }
-# Commands whose exit code is 1 where not all is well: their functions return this instead of warnings.
+# Their functions return a text and whether all is well, which decides the exit code; others a text and warnings.
 _JUDGING = (CheckRequest, RunRequest)
 
 app = typer.Typer(
@@ -117,20 +118,22 @@ def _root(
 
 
 def _run(name: str, request: Any) -> None:
-    """Run a request with its progress on standard error, and write its outcome."""
+    """Run a request with its progress on standard error, and write its outcome; exit code 1 where not all is well."""
     load_lazily(LAZY_MODULES)
     module, _, function = _COMMANDS[name][1].rpartition(".")
     run = getattr(import_module(f"cagemap.{module}"), function)
     with ConsoleStages() as stages:
-        summary, rest = run(request, stages)
-    if not isinstance(request, _JUDGING):
-        warn(rest)
-        if summary:
-            say(summary)
+        outcome = run(request, stages)
+    if isinstance(request, _JUDGING):
+        summary, is_sound = outcome
+        say(summary, always=request.for_scripts or not is_sound)  # also with --quiet
+        if not is_sound:
+            raise typer.Exit(1)
         return
-    say(summary, always=request.for_scripts or not rest)
-    if not rest:
-        raise typer.Exit(1)
+    summary, warnings = outcome
+    warn(warnings)
+    if summary:
+        say(summary)
 
 
 for _name, (_kind, _, _how) in _COMMANDS.items():
