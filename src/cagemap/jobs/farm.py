@@ -73,7 +73,7 @@ def parse_task_range(words: str, last: int) -> range:
 def openjd_template(job: Path, steps: tuple[Step, ...]) -> dict[str, Any]:
     """Job template of Open Job Description 2023-09 whose tasks are ``cagemap run JOB --task N``.
 
-    Its job file is the one of this name beside the template, since defaults are never absolute.
+    The template's default for JOB is the file's name without its folder: such defaults may not be absolute paths.
     """
     name = re.sub(r"[^A-Za-z0-9 ._-]", "-", job.stem)[:MAX_NAME_LENGTH]
     return {

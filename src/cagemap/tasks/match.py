@@ -174,26 +174,15 @@ def read_inputs(request: MatchRequest) -> Inputs:
 def _unused_notes(request: MatchRequest) -> list[str]:
     """A note for each option that the match does not read."""
     pairs = request.landmarks is not None or request.curves is not None
-    unused = {
-        "--exchange-landmarks": request.exchange_landmarks and not pairs,
-        "--trust-landmarks": request.trust_landmarks and not pairs and request.target_points is None,
-    }
-    of_method = {
-        "--no-symmetry": not request.symmetry and request.method != "paper",
-        "--set target.symmetry": bool(request.target_symmetry) and request.method == "elastic",
-    }
-    return [
-        *(
-            f"{option} is not used: no file of landmarks that it applies to is given"
-            for option in unused
-            if unused[option]
-        ),
-        *(
-            f"{option} is not used: it is of other methods than {request.method}"
-            for option in of_method
-            if of_method[option]
-        ),
-    ]
+    no_file = "no file of landmarks that it applies to is given"
+    other_method = f"it is of other methods than {request.method}"
+    unused = (
+        ("--exchange-landmarks", request.exchange_landmarks and not pairs, no_file),
+        ("--trust-landmarks", request.trust_landmarks and not pairs and request.target_points is None, no_file),
+        ("--no-symmetry", not request.symmetry and request.method != "paper", other_method),
+        ("--set target.symmetry", bool(request.target_symmetry) and request.method == "elastic", other_method),
+    )
+    return [f"{option} is not used: {why}" for option, is_unused, why in unused if is_unused]
 
 
 def matched_levels(request: MatchRequest, inputs: Inputs) -> tuple[int, int]:

@@ -39,25 +39,29 @@ MOST_PARTS = 40
 
 
 def run_check(request: CheckRequest, stages: Stages) -> tuple[str, bool]:
-    """Text with a report per file, or all as JSON; and whether all are sound: unreadable files are not.
+    """A text with a report of each file, or JSON; and whether all files are usable, which unreadable ones are not.
 
     The JSON list has the fields of a `MeshReport` and the parts of each file, or the error of reading it.
     """
-    texts, values = list[str](), list[dict[str, Any]]()
+    texts, values, sound = list[str](), list[dict[str, Any]](), True
     for path in request.meshes:
         try:
             mesh, report, holds = _checked(path, SubdivisionRequest(request.scheme), request.weld)
         except CagemapError as error:
             values.append({"file": str(path), "usable": False, "error": str(error)})
             texts.append(f"{path}\n  cannot be read: {error}")
+            sound = False
+            continue
+        sound &= report.is_valid
+        if not request.for_scripts:
+            listed = _part_lines(mesh, pieces=holds is None and not _of_one_piece(mesh))
+            texts.append("\n".join(filter(None, [str(report), "" if holds is None else str(holds)])) + listed)
             continue
         parts = [{"name": part.title, "faces": len(part.faces)} for part in _parts(mesh)]
         held = {} if holds is None else {"contents": asdict(holds)}
         values.append({"file": str(path), "usable": report.is_valid, **asdict(report), "parts": parts, **held})
-        listed = _part_lines(mesh, pieces=holds is None and not _of_one_piece(mesh))
-        texts.append("\n".join(filter(None, [str(report), "" if holds is None else str(holds)])) + listed)
     text = json.dumps(values, indent=1, default=int) if request.for_scripts else "\n\n".join(texts)
-    return text, all(entry["usable"] for entry in values)
+    return text, sound
 
 
 def _checked(

@@ -113,7 +113,7 @@ def _length_ratio(areas: FloatArray, image_areas: FloatArray) -> float:
 
 
 def _deforming(point_map: PointMap, triangles: IndexArray, images: FloatArray) -> IndexArray:
-    """(t, 3) source triangle whose deformation every target triangle takes.
+    """(t, 3) vertices of the source triangle whose deformation is given to each target triangle.
 
     A target triangle takes the source triangle at the image of its centre. Under the identity map it takes its own
     three vertices: on a coarse level they deform differently from the small triangle at the centre.

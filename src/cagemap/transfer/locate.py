@@ -116,7 +116,7 @@ class TexelSamples:
 
     @classmethod
     def of_points(cls, target_triangle: IndexArray, triangle: IndexArray, barycentric: FloatArray) -> TexelSamples:
-        """One sample each at source points (k,), for texels (k,) of a row."""
+        """Samples at given source points (k,), one for each of k texels in a single row of an image."""
         texels = np.arange(len(triangle))
         return cls(
             target_triangle.astype(np.int32), texels, len(texels), 0, np.arange(len(texels) + 1), triangle, barycentric
