@@ -161,8 +161,10 @@ def bounded_maps(
 
 def transformed_normals(maps: FloatArray, normals: FloatArray) -> FloatArray:
     """(n, 3) cofactor matrices of maps (n, 3, 3) times normals: deformed normals, scaled by area stretch."""
-    # Rows of the cofactor matrix are cross products of the map's rows.
-    cofactors = np.stack([np.cross(maps[:, (k + 1) % 3], maps[:, (k + 2) % 3]) for k in range(3)], axis=1)
+    # Rows of the cofactor matrix are cross products of the map's next two rows; `np.cross` takes three times as long.
+    after, before = [1, 2, 0], [2, 0, 1]
+    first, second = maps[:, after], maps[:, before]
+    cofactors = first[:, :, after] * second[:, :, before] - first[:, :, before] * second[:, :, after]
     return np.asarray(np.einsum("nab,nb->na", cofactors, normals))
 
 

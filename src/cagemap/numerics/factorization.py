@@ -48,7 +48,8 @@ class Factorization:
     #: with pivots off the diagonal, lost digits or single precision
     negative_eigenvalues: int | None
     _solve: Callable[[NDArray[Any]], NDArray[Any]] = field(repr=False)
-    _symbolic: Any = field(default=None, repr=False)
+    _symbolic: Any = field(default=None, repr=False)  # of rslab
+    _lower: NDArray[np.bool_] | None = field(default=None, repr=False)  # entries of A in the lower triangle
     dtype: Precision = np.float64  #: precision of the factors, float64 or float32
 
     def solve(self, right_sides: NDArray[Any]) -> NDArray[Any]:
@@ -72,12 +73,12 @@ def factor(matrix: SparseMatrix, *, like: Factorization | None = None, dtype: Pr
     """
     if not _rslab_factors(matrix):
         return _factor_superlu(matrix, dtype)
-    lower = sparse.csc_array(sparse.tril(matrix, format="csc"))
-    lower.sort_indices()
+    entries = sparse.csc_array(matrix)
+    entries = entries if entries.has_sorted_indices else entries.sorted_indices()
     with _singular_refused(matrix):
-        symbolic = _analyzed(lower, "ldlt") if like is None else like._symbolic
-        factors = symbolic.factor(lower.data.astype(dtype, copy=False))
-    return Factorization(matrix.shape, int(factors.inertia[1]), factors.solve_many, symbolic, dtype)
+        symbolic, lower = _analyzed_lower(entries) if like is None else (like._symbolic, like._lower)
+        factors = symbolic.factor(entries.data[lower].astype(dtype, copy=False))
+    return Factorization(matrix.shape, int(factors.inertia[1]), factors.solve_many, symbolic, lower, dtype)
 
 
 def factor_general(matrix: SparseMatrix) -> Factorization:
@@ -110,6 +111,15 @@ def _warn_without_rslab() -> None:
         "rslab is not installed: SciPy's SuperLU factors matrices instead, more slowly the larger the surface; "
         "`pip install rslab` where it has a wheel for this platform"
     )
+
+
+def _analyzed_lower(entries: sparse.csc_array) -> tuple[Any, NDArray[np.bool_]]:
+    """Symbolic LDL^T factorisation of sorted entries, and which of these are in the lower triangle."""
+    columns = np.repeat(np.arange(entries.shape[1]), np.diff(entries.indptr))
+    lower = entries.indices >= columns
+    starts = np.append(0, np.cumsum(np.bincount(columns[lower], minlength=entries.shape[1])))
+    matrix = sparse.csc_array((entries.data[lower], entries.indices[lower], starts), shape=entries.shape)
+    return _analyzed(matrix, "ldlt"), lower
 
 
 def _analyzed(entries: sparse.csc_array, kind: str) -> Any:
