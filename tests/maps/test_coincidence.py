@@ -15,7 +15,7 @@ from cagemap import ControlMesh, Landmarks, Surface, match, prepare_surface, rea
 from cagemap.deform.problem import Problem
 from cagemap.example import example_pair
 from cagemap.files.result.folder import read_result, write_result
-from cagemap.maps.coincidence import Coincidence
+from cagemap.maps.coincidence import SAME, Coincidence, unit_ratio
 from cagemap.maps.coincident_map import coincident_map, same_surface
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.masks import Masks
@@ -132,6 +132,24 @@ def test_values_between_cages_that_lie_on_each_other_are_those_of_the_same_place
         weights = control_weights(prepare_transfer(sides[0].finest, sides[1].finest, found.point_map), *sides)
         carried = combine(weights, source.control.positions)
         np.testing.assert_allclose(carried, target.control.positions, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("factor", [100.0, 1 / 25.4])
+def test_a_retopology_in_other_units_lies_on_the_same_places(
+    surface: Surface, retopology: Surface, factor: float
+) -> None:
+    control = retopology.control
+    found = match(prepare_surface(control.with_positions(control.positions / factor), 1), surface)
+    assert found.confidence.verdict == SURE
+    assert f"as it stands, at {factor:.6g} times its size, 0.0" in found.confidence.message
+    expected = match(retopology, surface).point_map.images.positions
+    # Points on the mirror plane are snapped to one side of it or the other.
+    np.testing.assert_allclose(found.point_map.images.positions, expected, rtol=0, atol=2 * SAME)
+
+
+@pytest.mark.parametrize(("ratio", "expected"), [(1.3, 1.0), (0.0102, 0.01), (38.0, 1 / 0.0254), (0.3, 0.3048)])
+def test_units_are_guessed_from_sizes(ratio: float, expected: float) -> None:
+    assert unit_ratio(ratio) == pytest.approx(expected)
 
 
 def test_landmarks_move_closest_points_or_contradict_them(surface: Surface, retopology: Surface) -> None:

@@ -7,7 +7,7 @@ with the same position on its face.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,18 +27,21 @@ from cagemap.surface.triangles import row_lengths, triangle_areas, triangle_cent
 
 # Points closer than this, of sqrt(source area), are equal: the rounding error of six digits in a file.
 SAME = 1e-5
+# Units of length in metres: millimetre, centimetre, inch, foot, metre.
+_UNITS = np.array([1e-3, 1e-2, 0.0254, 0.3048, 1.0])
 # Largest number of vertices, and of faces, of either surface whose distances are measured.
 _MOST_SAMPLES = 10_000
 
 
 @dataclass(frozen=True, eq=False)
 class Coincidence:
-    """A target that coincides with its source in the coordinates of their files."""
+    """A target that coincides with its source in the coordinates of their files, after a change of units."""
 
-    target: TriangleSurface  # the finest level, or its vertices on the faces of the control mesh
+    target: TriangleSurface  # the finest level, or its vertices on the faces of the control mesh; in the source's units
     source: TriangleSurface
     gap: float  # mean distance of the target's area from the source, in units of sqrt(source area)
     reach: float  # search radius of `images`, in the same unit
+    factor: float  # source units in a unit of the target's file, such as 100 for metres and centimetres
 
     @classmethod
     def find(
@@ -49,21 +52,34 @@ class Coincidence:
         config: CoincidenceConfig = CoincidenceConfig(),
     ) -> Coincidence | None:
         """Coincidence of two surfaces, None if they do not coincide; the target's mask weights its area."""
-        gaps = []
-        for measured, mapped in ((_cage, _unsmoothed), (_finest, _finest)):
-            gap = _gap(measured(target), measured(source), masks.target, config)
-            if gap is not None:
-                gaps.append((gap, mapped))
-        if not gaps:
-            return None
-        gap, mapped = min(gaps, key=lambda one: one[0])
-        return cls(mapped(target), mapped(source), gap, config.reach)
+        factor = unit_ratio(target.scale / source.scale)
+        for tried in (1.0,) if factor == 1.0 else (1.0, factor):
+            gaps = []
+            for measured, mapped in ((_cage, _unsmoothed), (_finest, _finest)):
+                gap = _gap(_in_units(measured(target), tried), measured(source), masks.target, config)
+                if gap is not None:
+                    gaps.append((gap, mapped))
+            if gaps:
+                gap, mapped = min(gaps, key=lambda one: one[0])
+                return cls(_in_units(mapped(target), tried), mapped(source), gap, config.reach, tried)
+        return None
 
     def images(self, source: TriangleSurface, shifts: FloatArray | float = 0.0) -> SurfacePoints:
         """Closest source points that face the same way as the target's vertices, moved by shifts (n1, 3)."""
         places = self.source.scale / self.target.scale * self.target.positions + shifts
         near, _ = nearest_facing(self.source, places, self.target.vertex_normals, self.reach)
         return SurfacePoints(source, near.triangle, _snapped(near))
+
+
+def unit_ratio(ratio: float) -> float:
+    """The ratio of two usual units of length that is nearest to a ratio of sizes."""
+    ratios = np.divide.outer(_UNITS, _UNITS).ravel()
+    return float(ratios[np.argmin(np.abs(np.log(ratios / ratio)))])
+
+
+def _in_units(surface: TriangleSurface, factor: float) -> TriangleSurface:
+    """A surface whose file has other units, ``factor`` of which are one of its own."""
+    return surface if factor == 1.0 else replace(surface, scale=surface.scale / factor)
 
 
 def _snapped(points: SurfacePoints) -> FloatArray:
