@@ -53,7 +53,7 @@ class Coincidence:
     ) -> Coincidence | None:
         """Coincidence of two surfaces, None if they do not coincide; the target's mask weights its area."""
         factor = unit_ratio(target.scale / source.scale)
-        for tried in (1.0,) if factor == 1.0 else (1.0, factor):
+        for tried in dict.fromkeys((1.0, factor)):
             gaps = []
             for measured, mapped in ((_cage, _unsmoothed), (_finest, _finest)):
                 gap = _gap(_in_units(measured(target), tried), measured(source), masks.target, config)
