@@ -56,7 +56,7 @@ from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.run_job import cycle_notes
 from cagemap.tasks.transfer import run_transfer
 
-from damage import mutated_arrays, mutated_bytes, mutated_entries, outcome
+from damage import cases, mutated_arrays, mutated_bytes, mutated_entries, outcome
 from example_result import identity_result, textured_cube
 from ply_text import write_text_ply
 
@@ -264,13 +264,12 @@ def use_result(folder: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", READERS)
 def test_changed_bytes(scene: Path, tmp_path: Path, name: str) -> None:
-    """60 cases of every kind of file."""
     rng = np.random.default_rng([SEED, *name.encode()])
     place = shutil.copytree(scene, tmp_path / "work")
     content = (scene / name).read_bytes()
     assert outcome(lambda: READERS[name](place / name))
     refused = 0
-    for _ in range(60):
+    for _ in cases(40):
         (place / name).write_bytes(mutated_bytes(content, rng))
         refused += not outcome(lambda: READERS[name](place / name))
     assert refused > 3
@@ -284,7 +283,7 @@ def test_changed_entries(scene: Path, tmp_path: Path, name: str) -> None:
     rng = np.random.default_rng([SEED, 11])
     place = shutil.copytree(scene, tmp_path / "work")
     entries = json.loads((scene / name).read_text())
-    for _ in range(200):
+    for _ in cases(80):
         (place / name).write_text(json.dumps(mutated_entries(entries, rng)))
         outcome(lambda: READERS[name](place / name))
 
@@ -333,14 +332,14 @@ def test_changed_arrays(scene: Path, tmp_path: Path, name: str) -> None:
     place = shutil.copytree(scene, tmp_path / "work")
     with np.load(scene / name) as stored:
         arrays = dict(stored)
-    refused = 0
-    for _ in range(250):
+    numbers, refused = cases(80), 0
+    for _ in numbers:
         np.savez(place / name, **mutated_arrays(arrays, rng))
         if name == "s.npz" and rng.random() < 0.3:
             header = mutated_entries(json.loads(arrays["header"].tobytes()), rng)
             np.savez(place / name, **arrays | {"header": np.frombuffer(json.dumps(header).encode(), np.uint8)})
         refused += not outcome(lambda: READERS[name](place / name))
-    assert refused > 100
+    assert refused > len(numbers) // 3
 
 
 def test_a_damaged_prepared_surface_is_made_again_with_a_word(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

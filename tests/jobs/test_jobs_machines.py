@@ -26,7 +26,7 @@ from locations import FIXTURES
 HERE = FIXTURES
 JOB = """output = "{output}"
 [options]
-vertices = 1500
+vertices = 300
 [[assets]]
 name = "pony"
 file = "pony.obj"
@@ -60,7 +60,7 @@ def single(folder: Path, target: str, source: str, landmarks: str) -> np.ndarray
     if target in ALONE:
         return ALONE[target]
     result = folder / f"alone-{target}"
-    given = ["match", "--vertices", "1500", "-o", str(result)]
+    given = ["match", "--vertices", "300", "-o", str(result)]
     files = {"-t": f"{target}.obj", "-s": f"{source}.obj", "--landmarks": landmarks}
     given += [word for option, name in files.items() for word in (option, str(folder / name))]
     said = CliRunner().invoke(app, given)
