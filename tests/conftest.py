@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,12 +70,14 @@ def one_start() -> Iterator[None]:
 
 @pytest.fixture
 def quick_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`cagemap.match` fits quickly, where a test asks for something else than accuracy: a third of the time."""
+    """`match` and commands fit quickly, where a test asks for something else than accuracy: a third of the time."""
     from cagemap.pipeline import match
 
     from quick_match import QUICK
 
     monkeypatch.setattr(inspect.unwrap(match), "__defaults__", (None, QUICK))
+    quick = partial(type(QUICK), start=QUICK.start, elastic=QUICK.elastic)
+    monkeypatch.setattr("cagemap.tasks.match.MatchConfig", quick)
 
 
 @pytest.fixture

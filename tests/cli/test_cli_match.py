@@ -28,8 +28,8 @@ COARSE = ["--level", 1, "-k", 20, "--set", "method.search_vertices=300"]
 
 
 @pytest.mark.slow
-def test_a_match_without_landmarks_says_how_sure_it_is(run: Run, pair_files: Path) -> None:
-    outcome = run.done("match", *MATCH[:4], "--level", 1, "-k", 20, "-o", "R")
+def test_a_match_without_landmarks_says_how_sure_it_is(run: Run, pair_files: Path, quick_fit: None) -> None:
+    outcome = run.done("match", *MATCH[:4], *COARSE, "-o", "R")
     assert "no landmarks" in outcome.out
     result = read_result(pair_files / "R")
     said = result.manifest["confidence"]
@@ -74,7 +74,7 @@ def test_match_from_files_to_a_result(run: Run, pair_files: Path, one_start: Non
 
 @pytest.mark.slow
 def test_a_wrong_landmark_is_left_out_with_a_warning_unless_trusted(
-    run: Run, pair_files: Path, built_in_pair: ExamplePair, one_start: None
+    run: Run, pair_files: Path, built_in_pair: ExamplePair, quick_fit: None
 ) -> None:
     pair = built_in_pair
     names = pair.landmarks.names
