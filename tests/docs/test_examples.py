@@ -29,7 +29,7 @@ WRITES = {
 def test_a_script_of_the_gallery_runs_and_writes_what_it_says(
     script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_fit: None, small_pages: None
 ) -> None:
-    """At level 1, with fewer functions and by a quick fit; `make demo` matches as many vertices as the scripts do, with the usual one."""
+    """At level 1 and by quick fits; `make demo` matches as many vertices as the scripts do, with the usual one."""
     text = script.read_text(encoding="utf-8")
     if "from pyFM" in text:
         pytest.importorskip("pyFM")
