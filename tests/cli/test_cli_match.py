@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube
 
+from cagemap.errors import use_option_names
 from cagemap.example import ExamplePair
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
 from cagemap.files.landmarks.point_formats import write_points
-from cagemap.files.meshes.formats import read_mesh
+from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import file_hash
 from cagemap.files.result.surface_store import prepared
@@ -28,15 +30,18 @@ COARSE = ["--level", 1, "-k", 20, "--set", "method.search_vertices=300"]
 
 
 @pytest.mark.slow
-def test_a_match_without_landmarks_says_how_sure_it_is(run: Run, pair_files: Path) -> None:
-    outcome = run.done("match", *MATCH[:4], "--level", 1, "-k", 20, "-o", "R")
+def test_a_match_without_landmarks_says_how_sure_it_is(run: Run, tmp_path: Path, quick_fit: None) -> None:
+    """Two boxes, of which every half turn is an answer."""
+    for name, depth in (("deer.obj", 1.4), ("pony.obj", 1.9)):
+        write_mesh(tmp_path / name, cube().with_positions(cube().positions * [1.0, 1.2, depth]))
+    outcome = run.done("match", *MATCH[:4], "--vertices", 300, "-k", 20, "-o", "R")
     assert "no landmarks" in outcome.out
-    result = read_result(pair_files / "R")
+    result = read_result(tmp_path / "R")
     said = result.manifest["confidence"]
     assert said["verdict"] in ("sure", "look at it", "two answers")
-    told = said["message"]
+    told = use_option_names(said["message"])
     assert told in (outcome.out if said["verdict"] == "sure" else outcome.err)
-    assert len(result.runner_up_images) == len(said["readings"]) - 1
+    assert len(result.runner_up_images) == len(said["readings"]) - 1 > 0
     assert run("report R").code == 0
 
 
@@ -74,7 +79,7 @@ def test_match_from_files_to_a_result(run: Run, pair_files: Path, one_start: Non
 
 @pytest.mark.slow
 def test_a_wrong_landmark_is_left_out_with_a_warning_unless_trusted(
-    run: Run, pair_files: Path, built_in_pair: ExamplePair, one_start: None
+    run: Run, pair_files: Path, built_in_pair: ExamplePair, quick_fit: None
 ) -> None:
     pair = built_in_pair
     names = pair.landmarks.names

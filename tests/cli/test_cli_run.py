@@ -34,7 +34,7 @@ from cagemap.tasks.run_job import in_words
 JOB = """output = "night"
 
 [options]
-vertices = 1500
+vertices = 500
 
 [[assets]]
 name = "pony"
@@ -105,7 +105,7 @@ def test_options_that_contradict_each_other_are_refused_before_any_task(folder: 
     outputs = 'command = "transfer"\ntexture = "{source.color}"\nrays = 3\noutput = "other.png"\n'
     outputs += '[[outputs]]\ncommand = "wrap"\nfit_level = 1\nsize = 8\n'
     job = folder / "job.toml"
-    job.write_text(JOB.replace("vertices = 1500", "vertices = 1500\nlevel = 1") + f"[[outputs]]\n{outputs}")
+    job.write_text(JOB.replace("vertices = 500", "vertices = 1500\nlevel = 1") + f"[[outputs]]\n{outputs}")
     done = CliRunner().invoke(app, ["run", str(job)])
     assert isinstance(done.exception, FormatError)
     message = str(done.exception)
@@ -117,7 +117,7 @@ def test_options_that_contradict_each_other_are_refused_before_any_task(folder: 
 
 def test_a_dry_run_counts_plain_meshes_without_subdivision(folder: Path) -> None:
     job = folder / "job.toml"
-    job.write_text(JOB.replace("vertices = 1500", 'scheme = "none"\nlevel = 3'))
+    job.write_text(JOB.replace("vertices = 500", 'scheme = "none"\nlevel = 3'))
     said = run_job(folder, "--dry-run")
     shown = {int(count) for count in re.findall(r"prepare \w+ \w+: ([0-9,]+) vertices", said)}
     assert shown == {0, *(read_mesh(folder / f"{name}.obj").n_vertices for name in ("pony", "deer"))}
@@ -128,7 +128,7 @@ def test_a_dry_run_counts_each_side_by_its_own_options(
     folder: Path, option: str, levels: tuple[int | None, int | None]
 ) -> None:
     job = folder / "job.toml"
-    job.write_text(JOB.replace("vertices = 1500", f"level = 2\n{option}"))
+    job.write_text(JOB.replace("vertices = 500", f"level = 2\n{option}"))
     said = CliRunner().invoke(app, ["run", str(job), "--dry-run"])
     assert said.exit_code == 0, said.output
     (found,) = re.findall(r"match pony -> deer: ([0-9,]+) \+ ([0-9,]+) vertices", said.output)
@@ -262,7 +262,7 @@ def test_a_job_is_exported_for_farms_and_runs_nothing(folder: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("jobs_in_threads")
+@pytest.mark.usefixtures("jobs_in_threads", "quick_fit")
 def test_a_job_gives_what_single_commands_give_and_names_what_failed(folder: Path) -> None:
     first = run_job(folder, "--workers", "2", code=1)
     assert "broken" in first
@@ -272,7 +272,7 @@ def test_a_job_gives_what_single_commands_give_and_names_what_failed(folder: Pat
     assert not (night / "broken__deer" / "RESULT").exists()
     assert "skipped" in (night / "index.html").read_text()
 
-    single = ["match", "-t", str(folder / "deer.obj"), "-s", str(folder / "pony.obj"), "--vertices", "1500"]
+    single = ["match", "-t", str(folder / "deer.obj"), "-s", str(folder / "pony.obj"), "--vertices", "500"]
     single += ["--landmarks", str(folder / "landmarks.json"), "-o", str(folder / "RESULT")]
     done = CliRunner().invoke(app, single)
     assert done.exit_code == 0, done.output

@@ -166,14 +166,14 @@ def test_welds_and_masks_of_a_given_map_are_repeated(folder: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("jobs_in_threads")
+@pytest.mark.usefixtures("jobs_in_threads", "quick_fit")
 def test_running_it_gives_the_same_map_and_image(folder: Path) -> None:
     runner = CliRunner()
     (folder / "RESULT").rmdir()
     match = ["match", "-t", f"{folder}/deer.obj", "-s", f"{folder}/pony.obj", "--landmarks", f"{folder}/landmarks.json"]
     transfer = ["transfer", f"{folder}/RESULT", "--texture", f"{folder}/pony.png", "-o", f"{folder}/deer.png"]
     transfer += ["--size", "64"]
-    for command in ([*match, "--vertices", "1500", "-o", f"{folder}/RESULT"], transfer):
+    for command in ([*match, "--vertices", "500", "-o", f"{folder}/RESULT"], transfer):
         done = runner.invoke(app, command)
         assert done.exit_code == 0, done.output
     done = runner.invoke(app, ["run", f"{folder}/RESULT/{JOB}", "--workers", "1"])

@@ -29,7 +29,7 @@ from locations import ROOT
 
 def matched() -> MatchResult:
     example = example_pair()
-    levels = choose_level(example.target, 1500), choose_level(example.source, 1500)
+    levels = choose_level(example.target, 500), choose_level(example.source, 500)
     return match(*prepare_surfaces(example.target, example.source, levels), example.landmarks)
 
 
@@ -42,7 +42,7 @@ def images(result: MatchResult) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_a_whole_match_without_rslab_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_whole_match_without_rslab_is_the_same(monkeypatch: pytest.MonkeyPatch, one_start: None) -> None:
     with_rslab = matched()
     monkeypatch.setattr(factorization, "rslab", None)
     without = matched()

@@ -56,7 +56,7 @@ def test_changed_values_are_a_named_error_or_a_character(tmp_path: Path, suffix:
         write_usd_character(given, character, read_scene(document))
         assert outcome(lambda given=given: use(given))
         content = given.read_bytes()
-        for number in range(25):
+        for number in range(10):
             path = tmp_path / f"{name}{number}{suffix}"
             path.write_bytes(change(content, rng))
             read.append(outcome(lambda path=path: use(path)))

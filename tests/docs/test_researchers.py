@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -14,15 +12,18 @@ from tensor import Tensor
 
 from cagemap import research
 from cagemap.errors import ParameterError
+from cagemap.example import ExamplePair
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps.pair import Pair, PointPairs
 from cagemap.maps.places import locate
 from cagemap.maps.point_map import PointMap
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.spectral import BasisConfig
 from cagemap.surface.surface_points import SurfacePoints
 
 from locations import ROOT
+from plain_meshes import far_apart
 
 PAGE = ROOT / "docs" / "researchers.md"
 BASIS = BasisConfig(schedule=(20, 10))
@@ -30,8 +31,13 @@ BASIS = BasisConfig(schedule=(20, 10))
 
 @pytest.mark.slow
 def test_every_block_of_the_page_runs(tmp_path, monkeypatch):
-    """In order, in one namespace, as a reader would paste them."""
+    """In order, in one namespace, as a reader would paste them; on a smaller pair."""
     monkeypatch.chdir(tmp_path)
+    mesh = shapes.creature()
+    marks = far_apart(mesh.positions, 8)
+    landmarks = Landmarks(tuple(map(str, marks)), marks, marks)
+    pair = ExamplePair(mesh, mesh.with_positions(mesh.positions * (1.0, 1.2, 1.0)), landmarks, np.zeros((8, 8, 3)))
+    monkeypatch.setattr("cagemap.example.example_pair", lambda size: pair)
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     names: dict[str, object] = {}
     for number, block in enumerate(blocks):
@@ -41,7 +47,7 @@ def test_every_block_of_the_page_runs(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_commands_of_table_1_run(shared_data, tmp_path):
+def test_the_commands_of_table_1_run(shared_data, tmp_path, run):
     """As the page has them, with fewer levels: one had its landmarks the wrong way round."""
     block = re.search(r"```text\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL).group(1)
     commands = re.findall(r"^cagemap (.*)$", block.replace("\\\n", ""), re.MULTILINE)
@@ -51,7 +57,7 @@ def test_the_commands_of_table_1_run(shared_data, tmp_path):
         words = [places.get(word, word) for word in shlex.split(re.sub(r"level([ =])[34]", r"level\g<1>1", command))]
         words = [re.sub(r"(schedule=\d+,\d+),.*", r"\1", word) for word in words]
         words[words.index("--output") + 1] = str(tmp_path / str(number))
-        subprocess.run([sys.executable, "-m", "cagemap", *words], check=True)
+        run.done(*words)
         assert [one.levels for one in read_result(tmp_path / str(number)).level_maps] == [(0, 0), (1, 1)]
 
 

@@ -62,7 +62,7 @@ def test_every_method_matches_plain_files(options: tuple[str, ...], worst: float
 
 @pytest.mark.slow
 def test_the_studio_maps_plain_files_and_goes_on_from_another_answer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_fit: None
 ) -> None:
     asked = []
     monkeypatch.setattr(
@@ -118,7 +118,7 @@ def test_files_to_result_and_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_cage_is_wrapped_onto_a_scan_with_its_colours_and_texture(tmp_path: Path) -> None:
+def test_a_cage_is_wrapped_onto_a_scan_with_its_colours_and_texture(tmp_path: Path, quick_fit: None) -> None:
     """Colours and texture of the scan are its places, which the wrapped cage's own places must repeat."""
     scan = animal(2)
     low, size = scan.positions.min(axis=0), np.ptp(scan.positions, axis=0)

@@ -89,7 +89,7 @@ def _part(path: Path) -> ControlMesh:
     return extract_faces(whole, find_part(whole, "mesh").faces)
 
 
-def test_every_command_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_command_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_fit: None) -> None:
     monkeypatch.chdir(tmp_path)
     _write_asset(tmp_path / "source.usda", 1.0)
     _write_asset(tmp_path / "target.usda", 1.05, "Z", 0.01)

@@ -95,7 +95,9 @@ def test_fbx_models_are_converted_once_to_files_of_their_own(tmp_path: Path, mon
 
 
 @pytest.mark.slow
-def test_without_landmarks_the_preview_has_answers_to_choose_from(opened: tuple[PreviewCache, OpenModels]) -> None:
+def test_without_landmarks_the_preview_has_answers_to_choose_from(
+    opened: tuple[PreviewCache, OpenModels], quick_fit: None
+) -> None:
     cache, task = opened
     with pytest.raises(ParameterError, match="answer 99"):
         run_task(cache, FindMap(task.pair_files, LandmarkList(), answer=99), lambda _: None)
@@ -118,7 +120,9 @@ def test_without_landmarks_the_preview_has_answers_to_choose_from(opened: tuple[
     np.testing.assert_array_equal(fourth.preview_map.triangle, second.preview_map.triangle)
 
 
-def test_every_map_suggests_a_free_vertex_until_all_are_taken(opened: tuple[PreviewCache, OpenModels]) -> None:
+def test_every_map_suggests_a_free_vertex_until_all_are_taken(
+    opened: tuple[PreviewCache, OpenModels], quick_fit: None
+) -> None:
     cache, task = opened
     for taken in ((), range(7), range(8)):
         cache, found = run_task(cache, FindMap(task.pair_files, landmarks(cache, *taken)), lambda _: None)

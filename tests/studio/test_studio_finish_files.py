@@ -76,14 +76,12 @@ def same(one: Path, other: Path) -> bool:
     return one.read_bytes() == other.read_bytes()
 
 
-@pytest.mark.usefixtures("jobs_in_threads", "small_pages")
+@pytest.mark.usefixtures("jobs_in_threads", "small_pages", "quick_fit")
 def test_the_job_file_of_a_finish_makes_the_same_files_again(tmp_path: Path) -> None:
     files = built_in_files(tmp_path)
     write_inputs(files)
     before = compared(tmp_path)
-    for command in finish_commands(
-        all_options(), files, rich_finish(files, size=32, vertices=1000), use_landmarks=True
-    ):
+    for command in finish_commands(all_options(), files, rich_finish(files, size=32, vertices=300), use_landmarks=True):
         run_typed(command.request)
     made = [path for path in compared(tmp_path) if path not in before]
     text, whole = run_job(RunRequest(files.result / "job.toml", workers=1), Stages())

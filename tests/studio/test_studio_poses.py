@@ -53,7 +53,9 @@ def test_the_target_moves_as_the_source_does(tmp_path: Path, body: ControlMesh) 
         run_task(None, ShowPosed(pair_files, "nod, 0.5 s", None), lambda _: None)
 
 
-def test_poses_after_a_cancelled_match_are_those_of_the_map_on_the_page(tmp_path: Path, body: ControlMesh) -> None:
+def test_poses_after_a_cancelled_match_are_those_of_the_map_on_the_page(
+    tmp_path: Path, body: ControlMesh, quick_fit: None
+) -> None:
     """Cancel kills the process, so that the next one has neither the map nor the rotation of the source."""
     turned = body.with_positions(body.positions @ np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]))
     write_character(tmp_path / "C.glb", character(body))
