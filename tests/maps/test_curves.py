@@ -29,6 +29,7 @@ from cagemap.subdivision import refine
 from cagemap.surface.polylines import Polyline
 
 from curved_bar import RINGS, bar, ends_of, ring, rings_of, slid
+from quick_match import SEARCHED
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +134,7 @@ def test_a_report_shows_curves(with_curves: MatchResult) -> None:
 
 @pytest.mark.slow
 def test_without_landmarks_a_curve_is_followed_too(surfaces: tuple) -> None:
-    found = match(*surfaces, replace(Landmarks.none(), curves=rings_of(surfaces[0].control)))
+    found = match(*surfaces, replace(Landmarks.none(), curves=rings_of(surfaces[0].control)), SEARCHED)
     assert max(miss.mean for miss in found.curve_misses) < 0.02
 
 
