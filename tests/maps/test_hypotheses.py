@@ -17,6 +17,7 @@ from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
 from cagemap.maps.hypotheses.rigid_starts import AS_FILED, axis_rotations, rigid_starts, rotation_name
 from cagemap.maps.hypotheses.search import cost_floor
 from cagemap.maps.masks import Masks
+from cagemap.mesh import Bilinear
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.pipeline import MatchConfig, match, prepare_pair, prepare_surface
@@ -86,7 +87,7 @@ def test_a_shape_that_is_its_own_double_has_two_answers_and_landmarks_choose() -
 
 def test_a_box_lies_on_itself_as_the_files_stand_although_its_sides_are_all_alike() -> None:
     """Turned upon itself it stretches affinely, which is free."""
-    control = voxels(list(product(range(2), repeat=3)))
+    control = replace(voxels(list(product(range(2), repeat=3))), scheme=Bilinear())
     centred = control.positions - control.positions.mean(axis=0)
     box = prepare_surface(control.with_positions(centred * (1.4, 0.8, 1.0)), 1)
     # Elsewhere: surfaces that lie on each other are known at once.
