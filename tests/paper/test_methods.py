@@ -41,13 +41,10 @@ def test_the_paper_method_gets_better_from_level_to_level_and_by_decay_and_alter
 @pytest.mark.slow
 def test_the_equations_of_the_blocks_carry_the_paper_method(shared_data):
     """Eqs. 14-16 after 40 functions on level 0: noise of the same norm in their place costs a fifth and more."""
-    errors = {"solved": [], "noise": []}
-    for back in (False, True):
-        judged = Judged(HUMANS["anny10pc__anny5pc"], BasisConfig(schedule=(40, 110)), 30, back=back)
-        errors["solved"].append(judged.errors(*paper_map(judged.pair))[-1])
-        with patch.object(method, "extend_functional_map", extended(noise)):
-            errors["noise"].append(judged.errors(*paper_map(judged.pair))[-1])
-    assert all(np.array(errors["noise"]) > 1.2 * np.array(errors["solved"])), errors
+    judged = Judged(HUMANS["anny10pc__anny5pc"], BasisConfig(schedule=(40, 110)), 30)
+    solved = judged.errors(*paper_map(judged.pair))[-1]
+    with patch.object(method, "extend_functional_map", extended(noise)):
+        assert judged.errors(*paper_map(judged.pair))[-1] > 1.2 * solved
 
 
 @pytest.mark.slow

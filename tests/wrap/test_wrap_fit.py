@@ -143,15 +143,13 @@ def test_what_still_folds_in_the_end_is_laid_flat() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("names", [("base", "female1605"), ("proxy741", "base")], ids="<-".join)
-def test_faces_of_a_body_neither_fold_nor_grow_thin(shared_data: Path, names: tuple[str, str]) -> None:
-    """Along true maps between bodies whose fingers, toes and mouths differ."""
-    levels = {"base": 1, "female1605": 2, "proxy741": 3}
+def test_faces_of_a_body_neither_fold_nor_grow_thin(shared_data: Path) -> None:
+    """Along the true map between bodies whose fingers, toes and mouths differ; unmended, 25 faces fold."""
 
     def surfaces(*identities: str) -> list[tuple[Refinement, TriangleSurface]]:
         found = []
-        for name, identity in zip(names, identities, strict=True):
-            body = refine(read_obj(shared_data / "humans" / f"{name}_{identity}.obj"), levels[name])
+        for name, level, identity in zip(("proxy741", "base"), (3, 1), identities, strict=True):
+            body = refine(read_obj(shared_data / "humans" / f"{name}_{identity}.obj"), level)
             found.append((body, surface_of(body)))
         return found
 
@@ -160,7 +158,7 @@ def test_faces_of_a_body_neither_fold_nor_grow_thin(shared_data: Path, names: tu
     (target, surface), (_, source) = surfaces("female_old_heavy", "male_young")
     wrapped = wrap(target, PointMap.from_arrays(surface, source, images.triangle, images.barycentric))
     assert not len(wrapped.folded)
-    assert wrapped.aspect <= 1.7  # 1.4 along matched maps; this one squeezes lips and toes more, and was at 1.9
+    assert wrapped.aspect <= 1.4
     assert wrapped.followed.mean <= 1.2e-3
 
 
