@@ -24,7 +24,7 @@ from cagemap.tasks.wrap import run_wrap
 
 from quick_match import QUICK
 
-LEVEL = 2
+LEVEL = 1
 ANGLES = (0.0, 0.1, 0.2)
 
 
@@ -78,7 +78,7 @@ def test_landmarks_of_a_frame_are_held() -> None:
 
 def test_a_map_that_folds_is_matched_afresh(monkeypatch: pytest.MonkeyPatch) -> None:
     config = replace(QUICK, elastic=replace(QUICK.elastic, refit=RefitConfig(max_folded_frame=-1.0)))
-    still, moving = (prepare_surface(frame(angle, seed)[0], 1) for seed, angle in enumerate(ANGLES[:2]))
+    still, moving = (prepare_surface(frame(angle, seed)[0], LEVEL) for seed, angle in enumerate(ANGLES[:2]))
     before, asked = match_pair(prepare_pair(still, still)), list[object]()
 
     def matched(prepared: PreparedPair, landmarks: Landmarks, config: MatchConfig, **progress: object) -> MatchResult:
