@@ -11,8 +11,9 @@ from examples.shapes import cube, icosahedron
 
 from cagemap.deform.config import StartConfig
 from cagemap.deform.constraints import CurveConstraint
+from cagemap.deform.fit import coarse_fit
 from cagemap.deform.multi_start import curve_vertices
-from cagemap.deform.problem import PreparedPair, Problem
+from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
 from cagemap.errors import FormatError
 from cagemap.files.result.folder import ARRAYS, read_result, write_result
 from cagemap.maps.pair import Pair, point_pairs
@@ -131,10 +132,19 @@ def test_a_report_shows_curves(with_curves: MatchResult) -> None:
     assert np.any(plain.maps[0].target != drawn.maps[0].target)
 
 
-@pytest.mark.slow
-def test_without_landmarks_a_curve_is_followed_too(surfaces: tuple) -> None:
-    found = match(*surfaces, replace(Landmarks.none(), curves=rings_of(surfaces[0].control)))
-    assert max(miss.mean for miss in found.curve_misses) < 0.02
+def test_without_landmarks_curves_are_followed_by_every_coarse_fit(surfaces: tuple) -> None:
+    rings = replace(Landmarks.none(), curves=rings_of(surfaces[0].control))
+    problem = Problem.of_landmarks(PreparedPair.build(*surfaces), rings)
+    for shape in (problem.small_shape, problem.coarse_shape):
+        start = shape.energy.graph.positions
+        assert len(shape.constraints.curves) == len(RINGS)
+
+        def miss(positions: np.ndarray, shape: CoarseShape) -> float:
+            """Largest mean distance of a ring's points from the other ring."""
+            at = [(curve.anchors.of(positions), curve.source) for curve in shape.constraints.curves]
+            return max(np.linalg.norm(line.nearest(points)[0] - points, axis=1).mean() for points, line in at)
+
+        assert miss(coarse_fit(problem, start, shape).positions, shape) < 0.15 * miss(start, shape)
 
 
 # ---- the term of the fit

@@ -198,6 +198,15 @@ def test_pieces_close_to_each_other_are_one_part() -> None:
         assert len(folded_parts(surface, flipped)) == count
 
 
+def test_a_part_that_would_stay_folded_is_left_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    images, surface = collapsed((0.5, 0.5), 0.14)
+    flipped = flipped_triangles(images, surface.triangles)
+    beside = SurfacePoints.nearest(surface, images.positions + np.array([1e-3, 0.0, 0.0]))
+    still = np.arange(len(surface.triangles)), beside
+    monkeypatch.setattr("cagemap.maps.projection.flatten._flatten_part", lambda *given: still)
+    assert flatten_folded_parts(images, flipped, surface, np.zeros(0, dtype=np.int64)) is images
+
+
 def test_the_border_of_a_surface_stays_where_it_is() -> None:
     images, surface = collapsed((0.0, 0.5), 0.14)
     flipped = flipped_triangles(images, surface.triangles)

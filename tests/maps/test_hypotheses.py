@@ -17,25 +17,14 @@ from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
 from cagemap.maps.hypotheses.rigid_starts import AS_FILED, axis_rotations, rigid_starts, rotation_name
 from cagemap.maps.hypotheses.search import cost_floor
 from cagemap.maps.masks import Masks
-from cagemap.mesh import Bilinear, ControlMesh
+from cagemap.mesh import Bilinear
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, join_meshes
-from cagemap.mesh.schemes import Scheme
-from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_pair, prepare_surface
+from cagemap.pipeline import MatchConfig, match, prepare_pair, prepare_surface
 from cagemap.surface.triangle_surface import TriangleSurface
 
-from plain_meshes import ball, bent
+from plain_meshes import ball
 from quick_match import SEARCHED
-
-
-def matched(source: ControlMesh, landmarks: Landmarks | None = None) -> MatchResult:
-    target = prepare_surface(creature(), 1)
-    return match(target, prepare_surface(source, 1), landmarks, SEARCHED)
-
-
-def errors(result: MatchResult) -> np.ndarray:
-    """How far from its own vertex every finest vertex maps, of sqrt(area); the cages are numbered alike."""
-    return np.linalg.norm(result.point_map.images.positions - result.point_map.source.positions, axis=1)
 
 
 def test_there_are_24_rotations_and_none_mirrors() -> None:
@@ -74,23 +63,13 @@ def test_principal_frames_do_not_depend_on_where_vertices_are_dense() -> None:
 
 
 @pytest.mark.slow
-def test_a_bent_twin_is_found_without_landmarks_however_its_axes_lie() -> None:
-    turn = axis_rotations()[-1]
-    twin = bent(creature())
-    result = matched(twin.with_positions(twin.positions @ turn.T))
-    assert result.confidence.verdict == SURE, result.confidence.summary()
-    assert errors(result).mean() < 0.02
-    assert result.confidence.answers[0].name == rotation_name(turn)
-
-
-@pytest.mark.slow
 def test_a_shape_that_is_its_own_double_has_two_answers_and_landmarks_choose() -> None:
     scene = join_meshes([creature(), cube()])
     cage = extract_faces(scene, np.arange(creature().n_faces, scene.n_faces))
     # Elsewhere: surfaces that lie on each other are known at once.
     longer = cage.with_positions(cage.positions * (1.0, 1.0, 1.0003) + 5.0)
-    target, source = prepare_surface(cage, 3), prepare_surface(longer, 3)
-    undecided = match(target, source)
+    target, source = prepare_surface(cage, 2), prepare_surface(longer, 2)
+    undecided = match(target, source, None, SEARCHED)
     assert undecided.confidence.verdict == TWO
     # The message counts as the file does, also in a result of several parts, which stand one after another.
     assert f"vertex {int(undecided.confidence.deciding or 0) + creature().n_vertices} " in undecided.confidence.message
@@ -100,24 +79,23 @@ def test_a_shape_that_is_its_own_double_has_two_answers_and_landmarks_choose() -
     other = cage.positions[0] * (-1, 1, 1)
     places = [int(np.argmin(np.linalg.norm(cage.positions - at, axis=1))) for at in (cage.positions[0], other)]
     pairs = Landmarks(("corner", "edge"), np.array(places), np.array(places[::-1]))
-    result = match(target, source, pairs)
+    result = match(target, source, pairs, SEARCHED)
     assert result.quality.landmark_errors.max() < 1e-9
     assert result.quality.flipped_area < 1e-3
     assert result.quality.dirichlet < 1.05
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("scheme", [Bilinear(), None], ids=["sharp", "round"])
-def test_a_box_lies_on_itself_as_the_files_stand_although_its_sides_are_all_alike(scheme: Scheme | None) -> None:
-    """Turned upon itself it stretches affinely, which is free; the round one's samples even fall better."""
-    control = replace(voxels(list(product(range(4), repeat=3))), scheme=scheme)
+def test_a_box_lies_on_itself_as_the_files_stand_although_its_sides_are_all_alike() -> None:
+    """Turned upon itself it stretches affinely, which is free."""
+    control = replace(voxels(list(product(range(2), repeat=3))), scheme=Bilinear())
     centred = control.positions - control.positions.mean(axis=0)
-    box = prepare_surface(control.with_positions(centred * (1.4, 0.8, 1.0)), 2)
+    box = prepare_surface(control.with_positions(centred * (1.4, 0.8, 1.0)), 1)
     # Elsewhere: surfaces that lie on each other are known at once.
-    longer = prepare_surface(control.with_positions(centred * (1.4003, 0.8, 1.0) + 5.0), 2)
+    longer = prepare_surface(control.with_positions(centred * (1.4003, 0.8, 1.0) + 5.0), 1)
     result = match(box, longer)
     assert result.confidence.answers[0].name == AS_FILED
-    assert errors(result).max() < 1e-3
+    away = result.point_map.images.positions - result.point_map.source.positions
+    assert np.linalg.norm(away, axis=1).max() < 1e-3
 
 
 def test_what_a_target_costs_on_itself_shrinks_with_what_masks_leave_of_either_side() -> None:
@@ -129,12 +107,6 @@ def test_what_a_target_costs_on_itself_shrinks_with_what_masks_leave_of_either_s
     assert cost_floor(prepared) == pytest.approx(whole * areas[part[: len(areas)] > 0].sum())
     back = prepare_pair(surface, surface, MatchConfig(masks=Masks(None, part)))
     assert 0.1 * whole < cost_floor(back) < 0.5 * whole
-
-
-@pytest.mark.slow
-def test_what_looks_different_is_not_sure() -> None:
-    result = match(prepare_surface(cube(), 3), prepare_surface(creature(), 2))
-    assert result.confidence.verdict != SURE
 
 
 def test_the_paper_s_method_asks_for_landmarks() -> None:

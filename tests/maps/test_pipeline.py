@@ -191,8 +191,8 @@ def test_wrong_input_is_refused_before_anything_expensive(pony):
         match(surface, surface, outside)
 
 
-@pytest.fixture(scope="module", params=["forward", "backward"])
-def humans_with_truth(request, shared_data):
+@pytest.fixture(scope="module")
+def humans_with_truth(shared_data):
     """Target, source, 14 landmarks and the true map, 25k vertices.
 
     female1605 and male1591 in other identities than the ones whose surfaces coincide.
@@ -203,7 +203,7 @@ def humans_with_truth(request, shared_data):
         "female1605": np.array([pair["source"] for pair in pairs]),
         "male1591": np.array([pair["target"] for pair in pairs]),
     }
-    source_name, target_name = sides if request.param == "forward" else reversed(sides)
+    source_name, target_name = sides
     target = prepare_surface(read_mesh(humans / f"{target_name}_female_old_heavy.obj"), 2)
     source = prepare_surface(read_mesh(humans / f"{source_name}_male_young.obj"), 2)
     names = tuple(pair["name"] for pair in pairs)
@@ -239,7 +239,7 @@ def test_a_result_can_be_pickled_and_copied():
     mesh = shapes.creature()
     marks = landmarks_of(mesh, np.arange(mesh.n_vertices))
     taller = mesh.with_positions(mesh.positions * [1.0, 1.2, 1.0])
-    found = match(prepare_surface(mesh, 2), prepare_surface(taller, 2), marks, QUICK)
+    found = match(prepare_surface(mesh, 1), prepare_surface(taller, 1), marks, QUICK)
     for other in (pickle.loads(pickle.dumps(found)), copy.deepcopy(found)):
         assert np.array_equal(other.point_map.triangle, found.point_map.triangle)
         assert np.array_equal(other.spectral.functional_map, found.spectral.functional_map)

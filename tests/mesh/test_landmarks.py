@@ -184,10 +184,6 @@ def test_pairs_without_names_are_numbered(tmp_path: Path) -> None:
     assert read_landmarks(file, "horse", "zebra")[0].names == ("pair 0",)
 
 
-def test_landmarks_that_fit_pass() -> None:
-    check_landmarks(landmarks(), cube(), torus())
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -212,7 +208,7 @@ def test_landmarks_that_do_not_fit_are_named(change: dict[str, object], message:
 
 
 def test_several_faults_at_once_and_no_number_of_pairs_is_one() -> None:
-    for count in (0, 1, 2):
+    for count in (0, 1, 2, 4):
         check_landmarks(landmarks(count), cube(), torus())
     both = replace(landmarks(), target=np.array([0, 0, 99, 3]), source=np.array([1, 1, 2, 3]))
     with pytest.raises(

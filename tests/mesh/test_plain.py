@@ -17,52 +17,10 @@ from cagemap.mesh.faces import signed_volume
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh, turn_faces
 from cagemap.mesh.topology import mesh_topology
-from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.closest_points import closest_among
 
+from closest_reference import closest_points_slowly
 from plain_meshes import ball, soup
-
-
-def _closest_barycentric(corners: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Closest point of one triangle for every point.
-
-    Parameters
-    ----------
-    corners : (m, 3, 3) float64
-        Positions of the triangles' corners.
-    points : (m, 3) float64
-
-    Returns
-    -------
-    barycentric : (m, 3) float64
-        Not negative, rows sum to 1.
-    squared : (m,) float64
-        Squared distances.
-    """
-    edges = corners[:, [1, 2, 0]] - corners
-    offsets = points[:, None] - corners
-    # Of each edge's line, kept within the edge: the closest point of the border.
-    lengths = np.einsum("mkd,mkd->mk", edges, edges)
-    along = np.einsum("mkd,mkd->mk", edges, offsets) / np.where(lengths > 0, lengths, 1.0)
-    along = np.clip(along, 0.0, 1.0)
-    misses = offsets - along[:, :, None] * edges
-    squares = np.einsum("mkd,mkd->mk", misses, misses)
-    rows, edge = np.arange(len(points)), squares.argmin(axis=1)
-    barycentric = np.zeros((len(points), 3))
-    barycentric[rows, edge] = 1.0 - along[rows, edge]
-    barycentric[rows, (edge + 1) % 3] = along[rows, edge]
-    squared = squares[rows, edge]
-    # Where the foot on the plane lies inside the triangle, it is closer.
-    normals = np.cross(edges[:, 0], edges[:, 1])
-    doubled = np.einsum("md,md->m", normals, normals)
-    flat = doubled <= 1e-24 * lengths.max(axis=1) ** 2
-    opposite = np.cross(edges, offsets)  # column k: twice the area beside edge k, which corner k + 2 weighs
-    shares = np.einsum("md,mkd->mk", normals, opposite)[:, [1, 2, 0]] / np.where(flat, 1.0, doubled)[:, None]
-    inside = (shares.min(axis=1) >= 0.0) & ~flat
-    barycentric[inside] = shares[inside] / shares[inside].sum(axis=1, keepdims=True)
-    heights = np.einsum("md,md->m", normals[inside], offsets[inside, 0])
-    squared[inside] = heights**2 / doubled[inside]
-    return barycentric, squared
 
 
 def test_a_sound_mesh_keeps_its_numbers() -> None:
@@ -223,16 +181,17 @@ def test_closest_points_among_few_triangles_are_those_of_plain_numpy() -> None:
     triangle, barycentric = closest_among(corners, ranges, candidates, points)
     assert barycentric.min() >= 0
     assert np.allclose(barycentric.sum(axis=1), 1)
+    places, up = corners.reshape(-1, 3), np.zeros((1, 3))
     for i, (first, last) in enumerate(ranges):
         mine = candidates[first:last]
-        weights, squared = _closest_barycentric(corners[mine], np.repeat(points[i : i + 1], len(mine), axis=0))
         assert triangle[i] in mine
         if mine.min() < 4:
             continue
-        found = np.linalg.norm(barycentric[i] @ corners[triangle[i]] - points[i])
-        assert np.isclose(found, np.sqrt(squared.min()), atol=1e-9)
-        nearest = weights[squared.argmin()] @ corners[mine[squared.argmin()]]
-        assert np.allclose(nearest, barycentric[i] @ corners[triangle[i]], atol=1e-6)
+        of_mine = np.unique(mine)[:, None] * 3 + np.arange(3)
+        nearest, weights, distance = closest_points_slowly(places, of_mine, points[i : i + 1], up)
+        foot = barycentric[i] @ corners[triangle[i]]
+        assert np.isclose(np.linalg.norm(foot - points[i]), distance[0], atol=1e-9)
+        assert np.allclose(weights[0] @ places[of_mine[nearest[0]]], foot, atol=1e-6)
 
 
 def test_with_a_vertex_for_each_fan_no_edge_has_three_faces() -> None:

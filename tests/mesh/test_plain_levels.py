@@ -244,8 +244,6 @@ def test_flips_make_better_triangles_between_the_same_vertices() -> None:
     sheared = Delaunay(points[:, :2] @ [[1.0, 0.0], [0.9, 0.4]]).simplices.astype(np.int64)
     hull = {tuple(sorted(edge)) for edge in Delaunay(points[:, :2]).convex_hull.tolist()}
     assert {tuple(sorted(edge)) for edge in Delaunay(points[:, :2] @ [[1, 0], [0.9, 0.4]]).convex_hull.tolist()} == hull
-    # Other heights shear the triangulation: that of the sheared points is not Delaunay's of the points.
-    sheared = Delaunay(points[:, :2] @ [[1.0, 0.0], [0.9, 0.4]]).simplices.astype(np.int64)
     for faces in (wanted, sheared):
         inwards = triangle_normals(points, faces)[:, 2] < 0
         faces[inwards] = faces[inwards, ::-1]

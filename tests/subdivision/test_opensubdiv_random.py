@@ -297,7 +297,7 @@ def test_random_creased_cages(data: st.DataObject, opensubdiv: Oracle) -> None:
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=60)
 @given(data=st.data())
 def test_many_random_creased_cages(data: st.DataObject, opensubdiv: Oracle) -> None:
     _compare(data, opensubdiv)

@@ -10,23 +10,6 @@ from hypothesis import strategies as st
 from cagemap.surface.polylines import Polyline
 
 
-@settings(max_examples=40, deadline=None)
-@given(st.integers(4, 30), st.booleans(), st.integers(0, 2**32 - 1))
-def test_nearest_points_of_a_polyline_are_nearest(count: int, closed: bool, seed: int) -> None:
-    """Against dense points of it."""
-    random = np.random.default_rng(seed)
-    angles = np.linspace(0, 2 * np.pi if closed else 4.0, count, endpoint=not closed)
-    line = Polyline(np.column_stack([np.cos(angles), np.sin(angles), 0.2 * np.sin(2 * angles)]), closed)
-    points = line.positions[random.integers(count, size=20)] + 0.05 * random.normal(size=(20, 3))
-    places, ends, share, _ = line.nearest(points)
-    dense = np.vstack([line.finer(500), line.positions[-1:]])
-    expected = np.linalg.norm(points[:, None] - dense[None], axis=2).min(axis=1)
-    np.testing.assert_allclose(np.linalg.norm(places - points, axis=1), expected, atol=4e-3)
-    first, second = (line.positions[ends[:, side]] for side in (0, 1))
-    mixed = first + share[:, None] * (second - first)
-    np.testing.assert_allclose(mixed, places, atol=1e-12)
-
-
 def test_the_nearest_point_may_lie_on_a_piece_away_from_the_nearest_vertex() -> None:
     """Thin closed curves, such as eyelids: the nearest vertex is the other lid's."""
     lid = np.array([[0.0, 0, 0], [10, 0, 0], [10, 1, 0], [5, 1, 0]])
@@ -45,7 +28,9 @@ def test_nearest_points_are_the_best_of_all_pieces(count: int, closed: bool, see
     positions = random.normal(size=(count, 3))
     positions[1:][random.random(count - 1) < 0.2] = positions[0]
     points = random.normal(size=(20, 3))
-    found = Polyline(positions, closed).nearest(points)[0]
+    found, ends, share, _ = Polyline(positions, closed).nearest(points)
+    first, second = (positions[ends[:, side]] for side in (0, 1))
+    np.testing.assert_allclose(first + share[:, None] * (second - first), found, atol=1e-12)
     starts, stops = positions if closed else positions[:-1], np.roll(positions, -1, axis=0)[: count - (not closed)]
     along = stops - starts
     share = ((points[:, None] - starts) * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), 1e-300)

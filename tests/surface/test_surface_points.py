@@ -36,6 +36,7 @@ def test_a_surface_has_unit_area_whatever_the_unit_of_its_file(surface: Triangle
     assert surface_area(same.positions, level.faces) == pytest.approx(1.0, abs=1e-12)
     # Quads that are not flat: their one split has a slightly other area than the mean of both.
     assert surface.areas.sum() == pytest.approx(1.0, abs=0.01)
+    assert surface.vertex_areas.sum() == pytest.approx(1.0, abs=1e-12)
     assert surface.n == level.n_vertices
 
 

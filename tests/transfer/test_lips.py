@@ -14,6 +14,8 @@ from cagemap.pipeline import match, prepare_surfaces
 from cagemap.subdivision import Refinement
 from cagemap.transfer.blend_shapes import ShapeCarrier, carry_shape, prepare_shapes
 
+from quick_match import QUICK
+
 MOUTH = (0.30, 0.11)
 
 
@@ -85,7 +87,7 @@ def heads() -> tuple[Refinement, Refinement, PointMap, np.ndarray, np.ndarray]:
         source=vertices(source, source_rings, (0.66, 0.4, 0.84, 0.0)),
     )
     sides = prepare_surfaces(replace(target, name="target"), replace(source, name="source"), (2, 2))
-    found = match(*sides, landmarks)
+    found = match(*sides, landmarks, QUICK)
     return sides[0].refinement, sides[1].refinement, found.point_map, target_rings, source_rings
 
 

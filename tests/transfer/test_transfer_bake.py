@@ -212,15 +212,6 @@ def test_linear_colours_follow_a_smooth_map_to_second_order() -> None:
     assert errors[2] < 0.3 * errors[1]
 
 
-def test_fine_stripes_become_grey_instead_of_moire() -> None:
-    level = plane(6, 6)
-    stripes = np.zeros((16, 500, 1), dtype=np.float32)
-    stripes[:, ::2] = 1
-    baked = bake_texture(prepare_transfer(level, level, identity_map(level)), stripes, size=(16, 61))
-    # A texel spans 8.2 stripes: a box over it sees between 4 and 4.2 white ones.
-    np.testing.assert_allclose(baked, 0.5, rtol=0, atol=0.03)
-
-
 def test_triangles_smaller_than_texels_are_averaged() -> None:
     level = plane(64, 64)
     texture = np.zeros((64, 64, 1), dtype=np.float32)

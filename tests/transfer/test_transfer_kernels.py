@@ -111,20 +111,6 @@ def test_walk_comes_to_the_closest_point(ring: TexturedSurface) -> None:
     np.testing.assert_allclose(samples.barycentric.sum(axis=1), 1, rtol=0, atol=1e-12)
 
 
-def test_identity_map_is_found_exactly_inside_the_islands(ring: TexturedSurface) -> None:
-    size = 96
-    neighbors = triangle_neighbors(ring.uv_triangles)
-    layout = lay_out(ring.corner_uvs(), neighbors, size, size, band_rows=size, gutter=0)
-    cells = rasterize_band(layout, 0)
-    texels = np.flatnonzero(cells.ravel() >= 0)
-    surface = map_surface(ring, ring, identity(ring))
-    own = cells.ravel()[texels]
-    samples = locate_samples(surface, layout.corners, texels, size, 0, own, np.ones((len(own), 2), dtype=np.int32))
-    found = np.einsum("kc,kcd->kd", samples.barycentric, ring.positions[ring.triangles[samples.triangle]])
-    inside = target_barycentric(layout.corners, samples)
-    np.testing.assert_allclose(found, np.einsum("kc,kcd->kd", inside, ring.positions[ring.triangles[own]]), atol=1e-9)
-
-
 def test_sample_counts_follow_the_ratio_of_texels(ring: TexturedSurface) -> None:
     surface = map_surface(ring, ring, identity(ring))
     corners = ring.corner_uvs() * (50, 100)

@@ -23,6 +23,8 @@ from cagemap.wrap.config import MendConfig, WrapConfig
 from cagemap.wrap.fit import fit_net, mend
 from cagemap.wrap.net import ControlNet, NetTerms, Samples, control_net, face_aspects, folded_faces
 
+from quick_match import QUICK
+
 
 def samples_of(net: ControlNet, images: SurfacePoints) -> Samples:
     """All of the net's surface follows the map."""
@@ -141,15 +143,13 @@ def test_what_still_folds_in_the_end_is_laid_flat() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("names", [("base", "female1605"), ("proxy741", "base")], ids="<-".join)
-def test_faces_of_a_body_neither_fold_nor_grow_thin(shared_data: Path, names: tuple[str, str]) -> None:
-    """Along true maps between bodies whose fingers, toes and mouths differ."""
-    levels = {"base": 1, "female1605": 2, "proxy741": 3}
+def test_faces_of_a_body_neither_fold_nor_grow_thin(shared_data: Path) -> None:
+    """Along the true map between bodies whose fingers, toes and mouths differ; unmended, 25 faces fold."""
 
     def surfaces(*identities: str) -> list[tuple[Refinement, TriangleSurface]]:
         found = []
-        for name, identity in zip(names, identities, strict=True):
-            body = refine(read_obj(shared_data / "humans" / f"{name}_{identity}.obj"), levels[name])
+        for name, level, identity in zip(("proxy741", "base"), (3, 1), identities, strict=True):
+            body = refine(read_obj(shared_data / "humans" / f"{name}_{identity}.obj"), level)
             found.append((body, surface_of(body)))
         return found
 
@@ -158,7 +158,7 @@ def test_faces_of_a_body_neither_fold_nor_grow_thin(shared_data: Path, names: tu
     (target, surface), (_, source) = surfaces("female_old_heavy", "male_young")
     wrapped = wrap(target, PointMap.from_arrays(surface, source, images.triangle, images.barycentric))
     assert not len(wrapped.folded)
-    assert wrapped.aspect <= 1.7  # 1.4 along matched maps; this one squeezes lips and toes more, and was at 1.9
+    assert wrapped.aspect <= 1.4
     assert wrapped.followed.mean <= 1.2e-3
 
 
@@ -168,15 +168,15 @@ def test_a_mouth_bag_stays_in_the_head(shared_data: Path) -> None:
     humans = shared_data / "humans"
     names = ("base_male_young.obj", "female1605_female_old_heavy.obj")
     bodies = [read_obj(humans / name) for name in names]
-    target, source = prepare_surfaces(bodies[0], bodies[1], (2, 3))
+    target, source = prepare_surfaces(bodies[0], bodies[1], (1, 1))
     path = humans / "landmarks" / "base__female1605_fps14.json"
     pairs = read_landmarks(path, "female1605_neutral.obj", "base_neutral.obj")[0].reversed()
-    point_map = match(target, source, pairs).point_map
+    point_map = match(target, source, pairs, QUICK).point_map
     wrapped = wrap(target.refinement, point_map)
     assert wrapped.followed.largest <= 0.01  # parts of sqrt(area); it was at 0.023
     # The face looks along z: what is in front of the closest point of the source is outside.
     in_front = wrapped.surface[:, 2] > wrapped.closest.images.positions[:, 2] / point_map.source.scale
-    assert np.count_nonzero(in_front & (wrapped.distance > 0.01)) == 0  # of 214 050 vertices; it was 793
+    assert np.count_nonzero(in_front & (wrapped.distance > 0.01)) == 0  # of 53 514 vertices
     assert wrapped.distance.max() > 0.03  # it was squashed to 0.006
 
 
