@@ -369,8 +369,8 @@ def test_the_khronos_validator_finds_no_errors(tmp_path: Path, shared_data: Path
     pytest.importorskip("DracoPy")
     pytest.importorskip("ufbx")
     place = shared_data / "characters"
-    foreign = (*READ, "mh_male_young.vrm", "quaternius_Female_Dress.fbx")
-    files = [*(place / "foreign" / name for name in foreign), place / "rigs" / "target_B_body.glb"]
+    files = [*(place / "foreign" / name for name in (*READ, "mh_male_young.vrm")), place / "rigs" / "character_A.glb"]
+    files += [place / "rigs" / "target_B_body.glb", *sorted((place / "foreign").glob("*.fbx"))]
     written = []
     for file in files:
         document = read_document(file)
