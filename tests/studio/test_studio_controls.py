@@ -90,8 +90,8 @@ def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, b
         assert page.landmarks() == 0
         before = page.state("said")
         # The second choice ends the match of the first: a box on a body takes long.
-        for side in ("target", "source"):
-            page.set(f"part-{side}", "object:eye")
+        for side, part in (("target", "part-target"), ("source", "part-source")):
+            page.set(part, "object:eye")
             page.until(lambda side=side: page.opened(side) == "object:eye", f"the eye of the {side}")
         page.until(lambda: page.revision() == 1 and page.state("said") != before, "the map of it")
         assert page.text("verdict").startswith("Two ways fit")
