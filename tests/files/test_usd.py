@@ -30,7 +30,7 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
 from cagemap.files.usd.read import in_world, read_usd, read_usd_meshes
-from cagemap.files.usd.results import MATERIAL
+from cagemap.files.usd.results import MATERIAL, connect_texture, define_material, uv_reader
 from cagemap.files.usd.stages import named_damage, open_stage
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
@@ -208,6 +208,39 @@ def test_uv_sets_of_any_name_are_written(tmp_path: Path) -> None:
         found = {one.name: one.uvs[one.uv_indices] for one in read_usd(tmp_path / "cube.usda").all_uv_sets}
         np.testing.assert_allclose(found.pop(used), uvs[0])
         np.testing.assert_allclose(*found.values(), uvs[1])
+
+
+@pytest.mark.parametrize("kind", ["TexCoord2fArray", "Float2Array"])
+@pytest.mark.parametrize("on_faces", [False, True])
+def test_the_first_uv_set_is_that_of_the_material_s_colour(kind: str, on_faces: bool, tmp_path: Path) -> None:
+    """`lightmap` comes before `map1` by name; pairs of floats without a role count where the material reads them."""
+    corners = np.random.default_rng(0).random((2, 24, 2)).astype(np.float32)
+    with stage_at(tmp_path / "cube.usda") as stage:
+        mesh = usd_mesh(stage, "/cube", cube())
+        for name, uvs in zip(("lightmap", "map1"), corners, strict=True):
+            primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(name, getattr(Sdf.ValueTypeNames, kind), "faceVarying")
+            primvar.Set(Vt.Vec2fArray.FromNumpy(uvs))
+        material, surface = define_material(stage, "/skin")
+        connect_texture(stage, surface, "diffuseColor", "./skin.png", uv_reader(stage, "/skin/uvs", "map1"))
+        bound = mesh.GetPrim()
+        if on_faces:
+            bound = UsdGeom.Subset.CreateGeomSubset(mesh, "half", "face", [0, 1, 2], "materialBind").GetPrim()
+        UsdShade.MaterialBindingAPI.Apply(bound).Bind(material)
+    found = read_usd(tmp_path / "cube.usda")
+    assert found.uv_name == "map1"
+    np.testing.assert_allclose(found.uvs[found.uv_indices], corners[1])
+    further = [one.name for one in found.uv_sets]
+    assert further == (["lightmap"] if kind == "TexCoord2fArray" else [])
+
+
+def test_texture_coordinates_of_three_components_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with stage_at(tmp_path / "cube.usda") as stage:
+        uvw = UsdGeom.PrimvarsAPI(usd_mesh(stage, "/cube", cube())).CreatePrimvar(
+            "uvw", Sdf.ValueTypeNames.TexCoord3fArray, "vertex"
+        )
+        uvw.Set([(0.0, 0.0, 0.0)] * 8)
+    assert read_usd(tmp_path / "cube.usda").uvs is None
+    assert "texture coordinates uvw have three components" in caplog.text
 
 
 def test_a_blend_shape_does_not_take_the_place_of_a_subset(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
+from cagemap.files.usd.shader_inputs import color_uv_name
 from cagemap.files.usd.stages import usd_modules
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import merged_corners
@@ -51,14 +52,20 @@ def integers(values: Any) -> IndexArray:
 
 
 def uv_primvars(prim: Any) -> list[Any]:
-    """Primvars with texture coordinates: pairs of floats by role, or by the usual names of a first set."""
-    primvars = []
+    """Primvars with texture coordinates: by role, or pairs of floats that the material lays its colour by or ``st``.
+
+    The first is ``st``, else that of the material's colour, else the first as listed.
+    """
+    color, primvars = color_uv_name(prim), []
     for primvar in usd_modules().UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
-        kind = str(primvar.GetTypeName()).removesuffix("[]")
-        plain = kind in ("float2", "double2", "half2") and primvar.GetPrimvarName() in ("st", "uv", "UVMap")
+        kind, name = str(primvar.GetTypeName()).removesuffix("[]"), primvar.GetPrimvarName()
+        plain = kind in ("float2", "double2", "half2") and name in ("st", "uv", "UVMap", color)
         if (kind.startswith("texCoord2") or plain) and primvar.HasValue():
             primvars.append(primvar)
-    return primvars
+        elif kind.startswith("texCoord3"):
+            logger.warning("%s: texture coordinates %s have three components and are left out", prim.GetPath(), name)
+    ranks = {color: 1, "st": 0}
+    return sorted(primvars, key=lambda primvar: ranks.get(primvar.GetPrimvarName(), 2))
 
 
 def corner_values(where: str, control: ControlMesh, primvar: Any) -> tuple[FloatArray, IndexArray]:

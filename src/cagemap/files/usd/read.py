@@ -227,9 +227,8 @@ def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
     control = replace(control, **_sharpness(where, mesh))
     sets = [UvSet(primvar.GetPrimvarName(), *corner_values(where, control, primvar)) for primvar in uv_primvars(prim)]
     if sets:
-        first = next((uv_set for uv_set in sets if uv_set.name == "st"), sets[0])
-        further_sets = tuple(uv_set for uv_set in sets if uv_set is not first)
-        control = replace(control.with_uvs(first.uvs, first.uv_indices), uv_name=first.name, uv_sets=further_sets)
+        first, *further = sets
+        control = replace(control.with_uvs(first.uvs, first.uv_indices), uv_name=first.name, uv_sets=tuple(further))
     control = replace(control, **face_sets(prim, control.n_faces, labels))
     shapes, shape_normals = blend_shapes(where, control, prim)
     attributes = primvar_arrays(where, control, prim)

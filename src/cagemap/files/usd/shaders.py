@@ -19,6 +19,7 @@ from cagemap.files.gltf.textures import REPEAT
 from cagemap.files.images.image import image_of_bytes
 from cagemap.files.usd.materials import STRENGTH, WRAP_WORDS
 from cagemap.files.usd.read import material_labels
+from cagemap.files.usd.shader_inputs import setting_of, shader_of, source_of, uv_name, uv_transform
 from cagemap.files.usd.stages import usd_modules
 
 _log = logging.getLogger(__name__)
@@ -52,31 +53,11 @@ def with_materials(document: Document, stage: Any, users: Mapping[str, tuple[tup
     return made.binary.document(made.top)
 
 
-def _source(shader: Any, name: str) -> Any:
-    """The attribute with the value of an input: its own, or the output of a shader; None without one."""
-    given = shader.GetInput(name)
-    sources = given.GetValueProducingAttributes() if given else ()
-    return sources[0] if sources else None
-
-
-def _setting(shader: Any, name: str, default: Any) -> Any:
-    source = _source(shader, name)
-    value = source.Get() if source else None
-    return default if value is None else value
-
-
-def _shader(shader: Any, name: str, kind: str) -> Any:
-    """The shader of a kind whose output an input takes; None if it takes another or none."""
-    source = _source(shader, name)
-    found = usd_modules().UsdShade.Shader(source.GetPrim()) if source else None
-    return found if found and found.GetIdAttr().Get() == kind else None
-
-
 def _is_plain(texture: Any, slot: str) -> bool:
     """Whether glTF reads an image as a texture shader does: its colour space, scale and bias."""
-    scale, bias = (np.array(_setting(texture, name, (1.0 - k,) * 4))[:3] for k, name in enumerate(("scale", "bias")))
+    scale, bias = (np.array(setting_of(texture, name, (1.0 - k,) * 4))[:3] for k, name in enumerate(("scale", "bias")))
     is_color = slot in ("baseColorTexture", "emissiveTexture")
-    if str(_setting(texture, "sourceColorSpace", "auto")) == ("raw" if is_color else "sRGB"):
+    if str(setting_of(texture, "sourceColorSpace", "auto")) == ("raw" if is_color else "sRGB"):
         return False
     if slot == "normalTexture":  # without scale and bias, programs take an image as a normal map all the same
         return any(np.allclose([scale, bias], [[k], [1.0 - k]]) for k in (1.0, 2.0))
@@ -107,10 +88,10 @@ class _Materials:
 
         def factor(name: str, default: float | tuple[float, ...]) -> Any:
             """Value of an input; with an image, its scale."""
-            texture = _shader(surface, name, "UsdUVTexture")
-            value = _setting(surface, name, default) if texture is None else _setting(texture, "scale", (1.0,) * 4)
+            texture = shader_of(surface, name, "UsdUVTexture")
+            value = setting_of(surface, name, default) if texture is None else setting_of(texture, "scale", (1.0,) * 4)
             if texture is not None:
-                output = _source(surface, name).GetBaseName()
+                output = source_of(surface, name).GetBaseName()
                 value = value["rgba".index(output)] if len(output) == 1 else value[:3]
             if not np.isfinite(value).all():
                 raise ValueError(f"{name} is not finite")
@@ -126,17 +107,17 @@ class _Materials:
         if strength > 1.0:
             entry["extensions"] = {STRENGTH: {"emissiveStrength": strength}}
             self.binary.extensions.add(STRENGTH)
-        opacity = _shader(surface, "opacity", "UsdUVTexture")
+        opacity = shader_of(surface, "opacity", "UsdUVTexture")
         if opacity or alpha < 1.0:
             entry |= {"alphaMode": "MASK", "alphaCutoff": threshold} if threshold > 0.0 else {"alphaMode": "BLEND"}
         for slot, outputs in {**_SLOTS, "": {"opacity": "a"}}.items():
-            pairs = {name: _shader(surface, name, "UsdUVTexture") for name in outputs}
+            pairs = {name: shader_of(surface, name, "UsdUVTexture") for name in outputs}
             if not any(pairs.values()):
                 continue
             images = {self._image(texture) for texture in pairs.values()}
-            fits = [_source(surface, name).GetBaseName() for name in outputs if pairs[name]] == list(outputs.values())
+            fits = [source_of(surface, name).GetBaseName() for name in outputs if pairs[name]] == list(outputs.values())
             if not slot:  # the opacity of glTF is in the image of the colour
-                fits &= images == {self._image(_shader(surface, "diffuseColor", "UsdUVTexture"))}
+                fits &= images == {self._image(shader_of(surface, "diffuseColor", "UsdUVTexture"))}
             if len(images) > 1 or None in images or not fits:
                 text = "%s: %s: the image of its %s is left out; give one PNG or JPEG with the channels of glTF"
                 _log.warning(text, self._file, entry["name"], "/".join(outputs))
@@ -155,9 +136,9 @@ class _Materials:
         """Number of the glTF texture for a texture shader, added once; None if its image cannot be read."""
         if texture is None:
             return None
-        file = _setting(texture, "file", None)
+        file = setting_of(texture, "file", None)
         path = "" if file is None else str(file.resolvedPath)
-        wrap = {name: _WRAP_MODES.get(str(_setting(texture, name, "repeat")), REPEAT) for name in ("wrapS", "wrapT")}
+        wrap = {name: _WRAP_MODES.get(str(setting_of(texture, name, "repeat")), REPEAT) for name in ("wrapS", "wrapT")}
         key = f"{path} {wrap}"
         if key not in self._known:
             data = _content(path)
@@ -179,15 +160,14 @@ class _Materials:
     def _coordinates(self, texture: Any, sets: tuple[str, ...]) -> dict[str, Any]:
         """UV set and transform of a texture in glTF; the inverse of `cagemap.files.usd.materials`."""
         holder: dict[str, Any] = {}
-        transform = _shader(texture, "st", "UsdTransform2d")
+        transform = uv_transform(texture)
         if transform:
-            width, height = map(float, _setting(transform, "scale", (1.0, 1.0)))
-            right, up = map(float, _setting(transform, "translation", (0.0, 0.0)))
-            angle = float(np.radians(_setting(transform, "rotation", 0.0)))
+            width, height = map(float, setting_of(transform, "scale", (1.0, 1.0)))
+            right, up = map(float, setting_of(transform, "translation", (0.0, 0.0)))
+            angle = float(np.radians(setting_of(transform, "rotation", 0.0)))
             offset = [right - height * np.sin(angle), 1.0 - up - height * np.cos(angle)]
             stated = {"offset": offset, "rotation": angle, "scale": [width, height]}
             holder["extensions"] = {"KHR_texture_transform": stated}
             self.binary.extensions.add("KHR_texture_transform")
-        reader = _shader(transform or texture, "in" if transform else "st", "UsdPrimvarReader_float2")
-        name = str(_setting(reader, "varname", "")) if reader else ""
+        name = uv_name(texture)
         return holder | ({"texCoord": sets.index(name)} if name in sets[1:] else {})

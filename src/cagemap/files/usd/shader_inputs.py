@@ -1,0 +1,52 @@
+"""Inputs of UsdPreviewSurface shaders: values, shaders behind them, and the UV sets that images are laid by."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from cagemap.files.usd.stages import usd_modules
+
+
+def source_of(shader: Any, name: str) -> Any:
+    """The attribute with the value of an input: its own, or the output of a shader; None without one."""
+    given = shader.GetInput(name)
+    sources = given.GetValueProducingAttributes() if given else ()
+    return sources[0] if sources else None
+
+
+def setting_of(shader: Any, name: str, default: Any) -> Any:
+    """The value of an input; the default without one."""
+    source = source_of(shader, name)
+    value = source.Get() if source else None
+    return default if value is None else value
+
+
+def shader_of(shader: Any, name: str, kind: str) -> Any:
+    """The shader of a kind whose output an input takes; None if it takes another or none."""
+    source = source_of(shader, name)
+    found = usd_modules().UsdShade.Shader(source.GetPrim()) if source else None
+    return found if found and found.GetIdAttr().Get() == kind else None
+
+
+def uv_transform(texture: Any) -> Any:
+    """The shader that transforms the texture coordinates of an image; None without one."""
+    return shader_of(texture, "st", "UsdTransform2d")
+
+
+def uv_name(texture: Any) -> str:
+    """Name of the UV set that a texture shader lays its image by; '' if it states none."""
+    transform = uv_transform(texture)
+    reader = shader_of(transform or texture, "in" if transform else "st", "UsdPrimvarReader_float2")
+    return str(setting_of(reader, "varname", "")) if reader else ""
+
+
+def color_uv_name(prim: Any) -> str:
+    """Name of the UV set by which a mesh's material, or that of its first faces, lays its colour; '' without one."""
+    shade = usd_modules().UsdShade
+    for bound in (prim, *prim.GetChildren()):
+        material = shade.MaterialBindingAPI(bound).ComputeBoundMaterial()[0]
+        surface = material.ComputeSurfaceSource()[0] if material else None
+        texture = shader_of(surface, "diffuseColor", "UsdUVTexture") if surface else None
+        if texture and (name := uv_name(texture)):
+            return name
+    return ""
