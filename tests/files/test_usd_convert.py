@@ -27,6 +27,7 @@ from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import read_usd_character, usd_document
 from cagemap.files.usd.materials import STRENGTH
 from cagemap.files.usd.read import in_world, read_usd_meshes
+from cagemap.files.usd.results import connect_texture, define_material, uv_reader
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.mesh.faces import reversed_corners
 from cagemap.numerics.srgb import encode_srgb
@@ -406,3 +407,19 @@ def test_faces_of_two_corners_are_refused_by_name(tmp_path: Path) -> None:
     ):
         usd_document(tmp_path / "cube.usda")
     assert "degenerate faces" in run_check(CheckRequest((tmp_path / "cube.usda",)), Stages())[0]
+
+
+@pytest.mark.parametrize("with_image", [False, True])
+def test_display_colors_beside_an_image_are_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, with_image: bool
+) -> None:
+    with stage_at(tmp_path / "cube.usda", ("Y", 1.0)) as stage:
+        prim = usd_mesh(stage, "/cube", cube())
+        prim.CreateDisplayColorPrimvar("vertex").Set([(0.5, 0.2, 0.1)] * 8)
+        material, surface = define_material(stage, "/skin")
+        if with_image:
+            connect_texture(stage, surface, "diffuseColor", "./skin.png", uv_reader(stage, "/skin/uvs", "st"))
+        UsdShade.MaterialBindingAPI.Apply(prim.GetPrim()).Bind(material)
+    (part,) = read_usd_character(tmp_path / "cube.usda").parts
+    assert part.mesh.vertex_colors is not None
+    assert ("glTF multiplies both" in caplog.text) == with_image

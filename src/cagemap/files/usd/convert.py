@@ -36,6 +36,7 @@ from cagemap.files.usd.prims import (
     stated,
 )
 from cagemap.files.usd.read import UsdMesh, in_world, prims_of, read_usd_meshes
+from cagemap.files.usd.shader_inputs import color_uv_name
 from cagemap.files.usd.shaders import with_materials
 from cagemap.files.usd.skeleton import joint_names, joint_parents, joints_of
 from cagemap.files.usd.space import stage_units, to_metres
@@ -143,6 +144,9 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
                 for label, offsets in mesh.shape_normals.items()
             }
             normals = turned_normals(normals, turn)
+        if control.vertex_colors is not None and color_uv_name(prim):
+            text = "%s: %s: USD shows the image of its material without the display colours, glTF multiplies both"
+            _log.warning(text, file, mesh.path)
         parts.append(Part(name, control, table, shapes, normals, shape_normals, placed.colors))
     if rig is not None:
         rig, animations = without_scale(rig, animations)
