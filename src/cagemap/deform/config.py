@@ -56,14 +56,14 @@ class StartConfig(Brief):
     search_vertices: int = 3000
     source_search_vertices: int = 0  #: the same number for the source, where it differs; 0: as for the target
     zoomout: ZoomOutSchedule = ZoomOutSchedule()
-    samples: int = 3000  #: most source vertices that ZoomOut searches; it takes twice the number of coarse vertices
+    samples: int = 3000  #: source vertices that ZoomOut searches; it takes twice the number of coarse vertices
     curve_points: int = 40  #: points of a curve at which its landmark coordinate is 1
     #: numbers of basis functions that a fit determines; each gives one start
     trusted_functions: tuple[int, ...] = (8, 20)
     growth: float = 1.5  #: factor by which ZoomOut from a fit raises the number of functions
     last_functions: int = 100  #: number of functions at which it ends
-    places: int = 3000  #: source points among which it finds closest points
-    normal_length: float = 0.1  #: length of a unit normal in that search, of sqrt(area)
+    #: length of a unit normal in the search of a fit's closest points among as many samples, of sqrt(area)
+    normal_length: float = 0.1
 
     def __post_init__(self) -> None:
         """Check the ranges."""

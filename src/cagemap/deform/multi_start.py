@@ -83,7 +83,7 @@ def spectral_starts(problem: Problem, shape: CoarseShape) -> Callable[[Placement
     prepared = problem.prepared
     config, surface = prepared.start, prepared.source_surface
     level = prepared.source.hierarchy.coarsest_level(prepared.elastic.source_vertices)
-    vertices = evenly_spaced_vertices(surface.n, config.places)
+    vertices = evenly_spaced_vertices(surface.n, config.samples)
     places = surface.positions[vertices]
     tree = cKDTree(np.hstack([places, config.normal_length * surface.vertex_normals[vertices]]))
     target = basis_rows(prepared.target, prepared.levels[0], shape.vertices)
