@@ -95,6 +95,18 @@ def test_operators_are_symmetric_and_definite(refined):
         assert np.sum(values < 1e-9 * values.max()) == 1 + vanishing
 
 
+def test_lemma_5_inner_products_do_not_depend_on_the_level(refined):
+    """<S g, S h>_{M^{l+1}} = <g, h>_{M^l}, and the same for the Dirichlet form."""
+    refinement, operators = refined
+    rng = np.random.default_rng(505)
+    for level, subdivision in enumerate(refinement.matrices):
+        g, h = rng.standard_normal((2, subdivision.shape[1]))
+        for family in (operators.mass, operators.stiffness):
+            coarse, fine = g @ (family[level] @ h), (subdivision @ g) @ (family[level + 1] @ (subdivision @ h))
+            bound = np.sqrt((g @ (family[level] @ g)) * (h @ (family[level] @ h)))
+            assert abs(coarse - fine) < EXACT * max(bound, 1e-30)
+
+
 def test_finest_mass_is_diagonal_and_coarser_ones_are_not(refined):
     _, operators = refined
     assert abs(operators.mass[-1] - sparse.diags_array(operators.mass[-1].diagonal())).max() == 0.0
@@ -127,6 +139,15 @@ def test_relabelled_vertices_give_permuted_matrices():
     before, after = build_operators(refine(mesh, 2)), build_operators(refine(relabelled, 2))
     for old, new in zip((before.mass[0], before.stiffness[0]), (after.mass[0], after.stiffness[0]), strict=True):
         assert abs(new[new_number][:, new_number] - old).max() < EXACT * abs(old).max()
+
+
+def test_cotangents_of_known_triangles():
+    """An equilateral triangle: 1/sqrt 3 everywhere; a right isosceles one: 0, 1, 1."""
+    equilateral = np.array([[0, 0, 0], [1, 0, 0], [0.5, np.sqrt(3) / 2, 0]])
+    right = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=float)
+    face = np.array([[0, 1, 2]])
+    np.testing.assert_allclose(triangle_cotangents(equilateral, face), 1 / np.sqrt(3), rtol=1e-14)
+    np.testing.assert_allclose(triangle_cotangents(right, face), [[0, 1, 1]], atol=1e-15)
 
 
 def test_unit_square_quad():

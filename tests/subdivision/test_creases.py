@@ -15,7 +15,7 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.pipeline import match, prepare_surface
 from cagemap.spectral import BasisConfig
-from cagemap.subdivision import Bilinear, CatmullClark, limit_normals, limit_positions, refine
+from cagemap.subdivision import Bilinear, CatmullClark, Loop, limit_normals, limit_positions, refine
 
 
 def _edges_of_face(mesh: ControlMesh, face: int) -> np.ndarray:
@@ -54,6 +54,41 @@ def test_rows_sum_to_one_with_creases() -> None:
             np.testing.assert_allclose(matrix.sum(axis=1), 1, atol=4e-15)
             assert matrix.data.min() > 0
             assert matrix.indices.dtype == np.int32
+
+
+def test_numbering_does_not_matter_with_creases() -> None:
+    rng = np.random.default_rng(4711)
+    mesh = icosahedron().with_positions(icosahedron().positions + 0.1 * rng.standard_normal((12, 3)))
+    creases, sharpness = _edges_of_face(mesh, 4)[:2], np.array([0.6, 2.2])
+    mesh = mesh.with_creases(creases, sharpness).with_corners([7, 2], [1.2, 10])
+    new = rng.permutation(12)
+    positions = np.empty_like(mesh.positions)
+    positions[new] = mesh.positions
+    faces = [np.roll(new[mesh.face(f)], rng.integers(9)) for f in rng.permutation(mesh.n_faces)]
+    other = ControlMesh.from_faces(positions, faces).with_creases(new[creases][::-1, ::-1], sharpness[::-1])
+    other = other.with_corners(new[[2, 7]], [10, 1.2])
+    for scheme in (Loop(), CatmullClark(creasing="chaikin")):
+        mine, theirs = refine(mesh, 3, scheme), refine(other, 3, scheme)
+        np.testing.assert_allclose(theirs.finest.positions[new], mine.finest.positions[:12], atol=1e-13)
+        ours, others = limit_positions(mine, 1), limit_positions(theirs, 1)
+        np.testing.assert_allclose(others[new], ours[:12], atol=1e-13)
+
+
+@pytest.mark.parametrize("scheme", [CatmullClark(), CatmullClark(creasing="chaikin"), Loop()], ids=str)
+def test_limits_with_creases_do_not_depend_on_the_level(scheme: CatmullClark | Loop) -> None:
+    mesh = icosahedron()
+    rng = np.random.default_rng(31)
+    mesh = mesh.with_positions(mesh.positions + 0.2 * rng.standard_normal((12, 3)))
+    mesh = mesh.with_creases(
+        np.concatenate([_edges_of_face(mesh, f)[:2] for f in (0, 3, 9)]), [0.5, 1.3, 2.6, 10, 3, 1]
+    )
+    refinement = refine(mesh.with_corners([11], 1.7), 3, scheme)
+    for level in (1, 2):
+        kept = refinement.levels[level].n_vertices
+        for limit in (limit_positions, limit_normals):
+            coarse, fine = limit(refinement, level), limit(refinement, level + 1)[:kept]
+            # A corner's normal is the mean of its sides', and they stay the same ones.
+            np.testing.assert_allclose(coarse, fine, atol=1e-10)
 
 
 def test_creases_beside_the_mesh_are_refused() -> None:

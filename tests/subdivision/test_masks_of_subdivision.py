@@ -18,6 +18,7 @@ from examples.shapes import (
 from cagemap.mesh import ControlMesh
 from cagemap.subdivision import (
     CatmullClark,
+    Refinement,
     refine,
 )
 from cagemap.subdivision.matrices import polygon_matrix, regular_matrix
@@ -74,6 +75,14 @@ def test_one_step_of_the_cube() -> None:
     np.testing.assert_allclose(np.sort(np.abs(positions[20:]), axis=1), [[0, 0, 1]] * 6, atol=1e-15)
 
 
+def test_one_step_of_the_tetrahedron() -> None:
+    # Loop at valence 3: 7/16 v + 3/16 (sum of the others = -v) = v/4; edge points 3/8 + 3/8 + 1/8 + 1/8.
+    mesh = tetrahedron()
+    positions = refine(mesh, 1).finest.positions
+    np.testing.assert_allclose(positions[:4], mesh.positions / 4, atol=1e-15)
+    np.testing.assert_allclose(np.sort(np.abs(positions[4:]), axis=1), [[0, 0, 1 / 2]] * 6, atol=1e-15)
+
+
 def test_boundary_and_corner_masks() -> None:
     sharp, round_ = (refine(grid(2, 1), 1, CatmullClark(rule)).finest for rule in ("edge_and_corner", "edge_only"))
     np.testing.assert_array_equal(sharp.positions[0], [0, 0, 0])
@@ -88,3 +97,8 @@ def test_a_triangle_under_catmull_clark_has_no_special_weights() -> None:
     # Edge point (v + w + two face points)/4 with face points a third of each corner; vertex: 1/3 + 3 (1/9)(1/3).
     np.testing.assert_allclose(np.sort(weights[4]), [1 / 12, 1 / 12, 5 / 12, 5 / 12])
     np.testing.assert_allclose(np.sort(weights[0]), [5 / 27] * 3 + [4 / 9])
+
+
+@pytest.fixture(scope="module")
+def refinement() -> Refinement:
+    return refine(poles(5), 3)

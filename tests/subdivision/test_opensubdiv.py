@@ -27,14 +27,6 @@ FILE_TOLERANCE = 1e-6
 
 
 NAMES = [path.stem for path in sorted(CASES.glob("*.npz"))]
-# Both schemes, every boundary rule and creasing, through files.
-THROUGH_FILES = (
-    "cc_crease_varying_chaikin",
-    "cc_grid_corner",
-    "cc_strip_edge",
-    "loop_crease_mixed_chaikin",
-    "loop_fan_edge",
-)
 UV_MODES = ("none", "corners_only", "corners_plus1", "corners_plus2", "boundaries", "all")
 
 
@@ -157,10 +149,9 @@ def test_uvs(case: Case, mode: str) -> None:
         np.testing.assert_allclose(ours.uvs[ours.uv_indices], reference, rtol=0, atol=case.tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".obj", ".usda"])
-@pytest.mark.parametrize("name", [name for name in NAMES if name in THROUGH_FILES])
-def test_through_the_command_line(name: str, run: Run, tmp_path: Path, suffix: str) -> None:
-    case = Case(name)
+def test_through_the_command_line(case: Case, run: Run, tmp_path: Path, suffix: str) -> None:
     write_mesh(tmp_path / f"cage{suffix}", case.control)
     options = {
         "scheme": {"catmark": "catmull-clark", "loop": "loop"}[str(case.arrays["scheme"])],

@@ -180,6 +180,21 @@ def _sorted(points: np.ndarray) -> np.ndarray:
     return points[np.lexsort(np.round(points, 9).T)]
 
 
+@settings(deadline=None, max_examples=15, derandomize=True)
+@given(st.sampled_from(SHAPES), st.sampled_from([1e-8, 1.0, 1e8]), st.integers(2, 10**6))
+def test_rigid_motion_and_scale_commute_with_refinement(mesh: ControlMesh, scale: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    turn, shift = np.linalg.qr(rng.standard_normal((3, 3)))[0], rng.standard_normal(3)
+    moved = refine(mesh.with_positions(scale * (mesh.positions @ turn + shift)), 2).finest.positions
+    np.testing.assert_allclose(moved / scale, refine(mesh, 2).finest.positions @ turn + shift, rtol=0, atol=1e-13)
+
+
+def test_a_mirror_symmetric_shape_stays_mirror_symmetric() -> None:
+    for mesh in (creature(), pyramid()):
+        points = refine(mesh, 2).finest.positions
+        np.testing.assert_allclose(_sorted(points * [-1, 1, 1]), _sorted(points), rtol=0, atol=1e-13)
+
+
 # Products between levels
 
 
