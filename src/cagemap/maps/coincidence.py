@@ -1,4 +1,4 @@
-"""Coincident surfaces: retopology, levels of detail, clothes.
+"""Find whether a target lies on its source, as in retopology, levels of detail and clothes.
 
 Subdivision shrinks a coarse cage more than a fine one. So either the refined surfaces coincide or the control meshes
 do, and the pair with the smaller gap is used. A point of a control mesh corresponds to the point of the refined surface
@@ -25,11 +25,11 @@ from cagemap.surface.surface_points import SurfacePoints, nearest_facing
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import row_lengths, triangle_areas, triangle_centres
 
-# Points closer than this, of sqrt(source area), are equal: the rounding error of six digits in a file.
+# Points closer than this times sqrt(source area) are equal: the rounding error of six digits in a file.
 SAME = 1e-5
 # Units of length in metres: millimetre, centimetre, inch, foot, metre.
 _UNITS = np.array([1e-3, 1e-2, 0.0254, 0.3048, 1.0])
-# Largest number of vertices, and of faces, of either surface whose distances are measured.
+# At most this many vertices, and faces, of either surface are sampled.
 _MOST_SAMPLES = 10_000
 
 
@@ -41,7 +41,9 @@ class Coincidence:
     source: TriangleSurface
     gap: float  # mean distance of the target's area from the source, in units of sqrt(source area)
     reach: float  # search radius of `images`, in the same unit
-    factor: float  # source units in a unit of the target's file, such as 100 for metres and centimetres
+    factor: (
+        float  # by which the target's coordinates are multiplied: 100 for a target in metres, a source in centimetres
+    )
 
     @classmethod
     def find(
@@ -54,7 +56,7 @@ class Coincidence:
         """Coincidence of two surfaces, None if they do not coincide; the target's mask weights its area."""
         factor = unit_ratio(target.scale / source.scale)
         for tried in dict.fromkeys((1.0, factor)):
-            gaps = []
+            gaps = []  # measured on the first of two shapes, mapped on the second
             for measured, mapped in ((_cage, _unsmoothed), (_finest, _finest)):
                 gap = _gap(_in_units(measured(target), tried), measured(source), masks.target, config)
                 if gap is not None:
@@ -78,7 +80,7 @@ def unit_ratio(ratio: float) -> float:
 
 
 def _in_units(surface: TriangleSurface, factor: float) -> TriangleSurface:
-    """A surface whose file has other units, ``factor`` of which are one of its own."""
+    """The surface as if the coordinates of its file were multiplied by ``factor``."""
     return surface if factor == 1.0 else replace(surface, scale=surface.scale / factor)
 
 

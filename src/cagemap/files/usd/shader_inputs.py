@@ -1,4 +1,4 @@
-"""Inputs of UsdPreviewSurface shaders: values, shaders behind them, and the UV sets that images are laid by."""
+"""Inputs of UsdPreviewSurface shaders: values, shaders behind them, and the UV sets that images are mapped with."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def setting_of(shader: Any, name: str, default: Any) -> Any:
 
 
 def shader_of(shader: Any, name: str, kind: str) -> Any:
-    """The shader of a kind whose output an input takes; None if it takes another or none."""
+    """The shader connected to an input if its id is ``kind``, else None."""
     source = source_of(shader, name)
     found = usd_modules().UsdShade.Shader(source.GetPrim()) if source else None
     return found if found and found.GetIdAttr().Get() == kind else None
@@ -34,14 +34,14 @@ def uv_transform(texture: Any) -> Any:
 
 
 def uv_name(texture: Any) -> str:
-    """Name of the UV set that a texture shader lays its image by; '' if it states none."""
+    """Name of the UV set that the image of a texture shader is mapped with; '' if it states none."""
     transform = uv_transform(texture)
     reader = shader_of(transform or texture, "in" if transform else "st", "UsdPrimvarReader_float2")
     return str(setting_of(reader, "varname", "")) if reader else ""
 
 
 def color_uv_name(prim: Any) -> str:
-    """Name of the UV set by which a mesh's material, or that of its first faces, lays its colour; '' without one."""
+    """Name of the UV set of the colour image of a mesh's material, or of a child's; '' without an image or a name."""
     shade = usd_modules().UsdShade
     for bound in (prim, *prim.GetChildren()):
         material = shade.MaterialBindingAPI(bound).ComputeBoundMaterial()[0]
