@@ -41,9 +41,8 @@ class Coincidence:
     source: TriangleSurface
     gap: float  # mean distance of the target's area from the source, in units of sqrt(source area)
     reach: float  # search radius of `images`, in the same unit
-    factor: (
-        float  # by which the target's coordinates are multiplied: 100 for a target in metres, a source in centimetres
-    )
+    # The target's coordinates are multiplied by it: 100 for a target in metres and a source in centimetres
+    factor: float
 
     @classmethod
     def find(
