@@ -69,6 +69,18 @@ def test_ordering_is_used_again(matrices, monkeypatch):
 
 
 @pytest.mark.usefixtures("_either_library")
+def test_entries_that_are_stored_twice_are_summed(matrices):
+    matrix = sparse.csr_array(matrices[0] + matrices[1])
+    half = sparse.coo_array(0.5 * matrix)
+    rows = np.argsort(np.tile(half.row, 2), kind="stable")
+    columns, values = np.tile(half.col, 2)[rows], np.tile(half.data, 2)[rows]
+    twice = sparse.csr_array((values, columns, 2 * matrix.indptr), shape=matrix.shape)
+    ones = np.ones(matrix.shape[0])
+    for factored in (factor(twice), factor_general(twice)):
+        assert abs(matrix @ factored.solve(ones) - ones).max() < SOLVED
+
+
+@pytest.mark.usefixtures("_either_library")
 def test_general_matrix(matrices):
     stiffness, _ = matrices
     rng = np.random.default_rng(12)

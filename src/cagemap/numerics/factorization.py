@@ -49,7 +49,7 @@ class Factorization:
     negative_eigenvalues: int | None
     _solve: Callable[[NDArray[Any]], NDArray[Any]] = field(repr=False)
     _symbolic: Any = field(default=None, repr=False)  # of rslab
-    _lower: NDArray[np.bool_] | None = field(default=None, repr=False)  # entries of A in the lower triangle
+    _lower: NDArray[np.bool_] | None = field(default=None, repr=False)  # mask of A's entries on or below the diagonal
     dtype: Precision = np.float64  #: precision of the factors, float64 or float32
 
     def solve(self, right_sides: NDArray[Any]) -> NDArray[Any]:
@@ -73,8 +73,7 @@ def factor(matrix: SparseMatrix, *, like: Factorization | None = None, dtype: Pr
     """
     if not _rslab_factors(matrix):
         return _factor_superlu(matrix, dtype)
-    entries = sparse.csc_array(matrix)
-    entries = entries if entries.has_sorted_indices else entries.sorted_indices()
+    entries = _canonical(matrix)
     with _singular_refused(matrix):
         symbolic, lower = _analyzed_lower(entries) if like is None else (like._symbolic, like._lower)
         factors = symbolic.factor(entries.data[lower].astype(dtype, copy=False))
@@ -85,8 +84,7 @@ def factor_general(matrix: SparseMatrix) -> Factorization:
     """Factor a diagonally dominant matrix (n, n) of symmetric pattern, without inertia; errors as of `factor`."""
     if not _rslab_factors(matrix):
         return replace(_factor_superlu(matrix, np.float64), negative_eigenvalues=None)
-    entries = sparse.csc_array(matrix, dtype=np.float64)
-    entries.sort_indices()
+    entries = _canonical(matrix)
     with _singular_refused(matrix):
         factors = _analyzed(entries, "lu").factor(entries.data)
     return Factorization(matrix.shape, None, factors.solve_many)
@@ -113,13 +111,20 @@ def _warn_without_rslab() -> None:
     )
 
 
+def _canonical(matrix: SparseMatrix) -> sparse.csc_array:
+    """The matrix by columns, with sorted indices, and entries that are stored twice added."""
+    entries = sparse.csc_array(matrix, dtype=np.float64)
+    if not entries.has_canonical_format:
+        entries = entries.copy()  # it may share the given arrays
+        entries.sum_duplicates()
+    return entries
+
+
 def _analyzed_lower(entries: sparse.csc_array) -> tuple[Any, NDArray[np.bool_]]:
-    """Symbolic LDL^T factorisation of sorted entries, and which of these are in the lower triangle."""
+    """Symbolic LDL^T factorisation of a matrix, and the mask of its stored entries on or below the diagonal."""
     columns = np.repeat(np.arange(entries.shape[1]), np.diff(entries.indptr))
-    lower = entries.indices >= columns
-    starts = np.append(0, np.cumsum(np.bincount(columns[lower], minlength=entries.shape[1])))
-    matrix = sparse.csc_array((entries.data[lower], entries.indices[lower], starts), shape=entries.shape)
-    return _analyzed(matrix, "ldlt"), lower
+    matrix = sparse.csc_array(sparse.tril(entries, format="csc"))
+    return _analyzed(matrix, "ldlt"), entries.indices >= columns
 
 
 def _analyzed(entries: sparse.csc_array, kind: str) -> Any:
