@@ -233,14 +233,18 @@ def test_the_first_uv_set_is_that_of_the_material_s_colour(kind: str, on_faces: 
     assert further == (["lightmap"] if kind == "TexCoord2fArray" else [])
 
 
-def test_texture_coordinates_of_three_components_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_texture_coordinates_of_three_components_are_named_once_and_kept_as_values(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     with stage_at(tmp_path / "cube.usda") as stage:
         uvw = UsdGeom.PrimvarsAPI(usd_mesh(stage, "/cube", cube())).CreatePrimvar(
             "uvw", Sdf.ValueTypeNames.TexCoord3fArray, "vertex"
         )
         uvw.Set([(0.0, 0.0, 0.0)] * 8)
-    assert read_usd(tmp_path / "cube.usda").uvs is None
-    assert "texture coordinates uvw have three components" in caplog.text
+    (found,) = read_usd_meshes(tmp_path / "cube.usda")
+    assert found.control.uvs is None
+    assert found.attributes["uvw"].shape == (8, 3)  # values like any others
+    assert caplog.text.count("cube.usda: /cube: texture coordinates uvw have three components") == 1
 
 
 def test_a_blend_shape_does_not_take_the_place_of_a_subset(tmp_path: Path) -> None:

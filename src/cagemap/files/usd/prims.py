@@ -51,10 +51,11 @@ def integers(values: Any) -> IndexArray:
     return np.array([] if values is None else values, dtype=np.int64)
 
 
-def uv_primvars(prim: Any) -> list[Any]:
-    """Primvars with texture coordinates: by role, or pairs of floats that the material lays its colour by or ``st``.
+def uv_primvars(where: str, prim: Any) -> list[Any]:
+    """Primvars with texture coordinates: those whose type says so, and pairs of floats that are named like a UV set.
 
-    The first is ``st``, else that of the material's colour, else the first as listed.
+    Such names are the usual ones and `color_uv_name`. The first one is ``st``, else the UV set of the material's colour
+    image, else the first as listed.
     """
     color, primvars = color_uv_name(prim), []
     for primvar in usd_modules().UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
@@ -63,7 +64,7 @@ def uv_primvars(prim: Any) -> list[Any]:
         if (kind.startswith("texCoord2") or plain) and primvar.HasValue():
             primvars.append(primvar)
         elif kind.startswith("texCoord3"):
-            logger.warning("%s: texture coordinates %s have three components and are left out", prim.GetPath(), name)
+            logger.warning("%s: texture coordinates %s have three components and are no UV set", where, name)
     ranks = {color: 1, "st": 0}
     return sorted(primvars, key=lambda primvar: ranks.get(primvar.GetPrimvarName(), 2))
 
@@ -120,12 +121,12 @@ def corner_rows(control: ControlMesh, interpolation: str) -> IndexArray | None:
 
 
 def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:
-    """All other numeric primvars by name: a row for each control vertex, face or face corner.
+    """All numeric primvars but the mesh's UV sets, by name: a row for each control vertex, face or face corner.
 
     Constant primvars are left out, since they are no function on the mesh. Skinning weights have a column for each
     joint.
     """
-    taken = {primvar.GetPrimvarName() for primvar in uv_primvars(prim)}
+    taken = {uv_set.name for uv_set in control.all_uv_sets}
     rows = {
         "uniform": control.n_faces,
         "varying": control.n_vertices,

@@ -225,7 +225,8 @@ def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
     offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     control = ControlMesh(positions, offsets, indices, name=str(prim.GetPath()), scheme=_scheme(where, mesh))
     control = replace(control, **_sharpness(where, mesh))
-    sets = [UvSet(primvar.GetPrimvarName(), *corner_values(where, control, primvar)) for primvar in uv_primvars(prim)]
+    primvars = uv_primvars(where, prim)
+    sets = [UvSet(primvar.GetPrimvarName(), *corner_values(where, control, primvar)) for primvar in primvars]
     if sets:
         first, *further = sets
         control = replace(control.with_uvs(first.uvs, first.uv_indices), uv_name=first.name, uv_sets=tuple(further))

@@ -1,4 +1,4 @@
-"""Inputs of UsdPreviewSurface shaders: values, shaders behind them, and the UV sets that images are mapped with."""
+"""Inputs of UsdPreviewSurface shaders: their values, the shaders connected to them, and the UV sets of images."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from cagemap.files.usd.stages import usd_modules
 
 
 def source_of(shader: Any, name: str) -> Any:
-    """The attribute with the value of an input: its own, or the output of a shader; None without one."""
-    given = shader.GetInput(name)
-    sources = given.GetValueProducingAttributes() if given else ()
+    """The attribute that holds the value of an input: its own, or the output of a connected shader; else None."""
+    shader_input = shader.GetInput(name)
+    sources = shader_input.GetValueProducingAttributes() if shader_input else ()
     return sources[0] if sources else None
 
 
 def setting_of(shader: Any, name: str, default: Any) -> Any:
-    """The value of an input; the default without one."""
+    """The value of an input; the default if it has none."""
     source = source_of(shader, name)
     value = source.Get() if source else None
     return default if value is None else value
@@ -41,7 +41,10 @@ def uv_name(texture: Any) -> str:
 
 
 def color_uv_name(prim: Any) -> str:
-    """Name of the UV set of the colour image of a mesh's material, or of a child's; '' without an image or a name."""
+    """Name of the UV set of the colour image of a mesh's material, else of that of a child prim (a subset of faces).
+
+    '' if no material has such an image, or if none states its UV set.
+    """
     shade = usd_modules().UsdShade
     for bound in (prim, *prim.GetChildren()):
         material = shade.MaterialBindingAPI(bound).ComputeBoundMaterial()[0]
