@@ -12,7 +12,7 @@ from cagemap.files.gltf.character import animation_names, character_of, read_sha
 from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
 
-from damage import mutated_bytes, outcome
+from damage import cases, mutated_bytes, outcome
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
@@ -56,7 +56,7 @@ def test_changed_values_are_a_named_error_or_a_character(tmp_path: Path, suffix:
         write_usd_character(given, character, read_scene(document))
         assert outcome(lambda given=given: use(given))
         content = given.read_bytes()
-        for number in range(10):
+        for number in cases(10):
             path = tmp_path / f"{name}{number}{suffix}"
             path.write_bytes(change(content, rng))
             read.append(outcome(lambda path=path: use(path)))
