@@ -27,7 +27,7 @@ from cagemap.surface.triangles import row_lengths, triangle_areas, triangle_cent
 
 # Points closer than this times sqrt(source area) are equal: the rounding error of six digits in a file.
 SAME = 1e-5
-# Units of length in metres: millimetre, centimetre, inch, foot, metre.
+# Usual units of length, in metres: millimetre, centimetre, inch, foot, metre.
 _UNITS = np.array([1e-3, 1e-2, 0.0254, 0.3048, 1.0])
 # At most this many vertices, and faces, of either surface are sampled.
 _MOST_SAMPLES = 10_000

@@ -49,10 +49,8 @@ def coincident_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
             target, snap_landmarks(coincidence.images(source, shifts), landmarks, prepared.elastic.projection)
         )
     gap = f"{100 * coincidence.gap:.2f} % of the model's size apart"
-    stands = (
-        "as it stands" if coincidence.factor == 1.0 else f"as it stands, at {coincidence.factor:.6g} times its size"
-    )
-    name = f"{stands}, {gap}: vertices go to the closest points of the same side"
+    size = "" if coincidence.factor == 1.0 else f", at {coincidence.factor:.6g} times its size"
+    name = f"as it stands{size}, {gap}: vertices go to the closest points of the same side"
     answer = Placement(point_map.images.at(prepared.vertices).positions, coincidence.gap**2, name=name)
     return point_map, Confidence.of((answer,), count)
 

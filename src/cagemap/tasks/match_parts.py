@@ -152,7 +152,7 @@ def pair_parts(
 
 
 def _owners(mesh: ControlMesh, parts: list[Part]) -> IndexArray:
-    """(n,) number of the part that has each vertex, the highest if several have it; -1 if none has."""
+    """(n,) number of the part that contains each vertex; the highest if several do, -1 if none does."""
     owners = np.full(mesh.n_vertices, -1, dtype=np.int64)
     np.maximum.at(owners, mesh.face_indices, part_of_corners(mesh, parts))
     return owners

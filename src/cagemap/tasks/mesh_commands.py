@@ -39,7 +39,7 @@ MOST_PARTS = 40
 
 
 def run_check(request: CheckRequest, stages: Stages) -> tuple[str, bool]:
-    """A text with a report of each file, or JSON; and whether all files are usable, which unreadable ones are not.
+    """Report on all files, as text or JSON; and whether all of them are usable. An unreadable file is not usable.
 
     The JSON list has the fields of a `MeshReport` and the parts of each file, or the error of reading it.
     """
