@@ -65,7 +65,7 @@ def _use(path: Path) -> None:
 @pytest.mark.parametrize("name", ["mesh.obj", "mesh.usda", "mesh.usdc", "mesh.usdz"])
 def test_changed_bytes(name: str, tmp_path: Path) -> None:
     """A package holds the crate, and fewer cases change the package itself."""
-    rng = np.random.default_rng([10, *name.encode()])  # with 7 USD itself takes 7 s for each of some crates
+    rng = np.random.default_rng([10, *name.encode()])  # seed 7 has crates that USD itself takes 7 s to refuse
     path = tmp_path / name
     _write(path)
     content, beside = path.read_bytes(), set(tmp_path.iterdir())

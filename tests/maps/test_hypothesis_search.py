@@ -66,7 +66,7 @@ def test_landmarks_whose_fits_agree_and_starts_that_are_given_decide_alone(
 
 
 def test_costs_below_the_floor_are_ties(prepared: PreparedPair, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Samples may fall better on a turned box: the files' own alignment is kept."""
+    """A box fits itself turned as well, up to how samples fall: the alignment as the files stand is kept."""
     places, floor = prepared.energy.graph.positions, search.cost_floor(prepared)
     as_filed, turned = Placement(places, 0.9 * floor), Placement(places, 0.1 * floor, penalty=1.1)
     monkeypatch.setattr(search, "fit_small_graph", lambda *given: ([], []))

@@ -75,7 +75,7 @@ def test_a_chair_is_surely_a_chair_however_it_is_turned() -> None:
 
 
 def gains(control: ControlMesh, level: int, landmarks: Landmarks) -> tuple[float, float]:
-    """`mirrored_gain` of a map to the mirror image, vertex to vertex, and of the identity."""
+    """`mirrored_gain` of the map of each vertex to its own in the mirror image, and of the identity."""
     found = []
     for source in (mirrored(control), control):
         prepared = prepare_pair(prepare_surface(control, level), prepare_surface(source, level), SEARCHED)
@@ -85,7 +85,7 @@ def gains(control: ControlMesh, level: int, landmarks: Landmarks) -> tuple[float
 
 
 def test_a_corner_of_three_arms_with_a_curve_fits_its_mirror_image_better() -> None:
-    """Of a curve the mirror image has the mirror image: left where it was, it spoilt the fit that is to tell."""
+    """The curve is mirrored with the source; a curve left in place would spoil the fit to the mirror image."""
     corner = solid(lambda x, y, z: (x < 2) + (y < 2) + (z < 2) > 1, 7, 5, 3)
     along_an_arm = (corner.positions[:, 1:] == corner.positions[:, 1:].min(axis=0)).all(axis=1)
     chain = np.flatnonzero(along_an_arm)[np.argsort(corner.positions[along_an_arm, 0])]
@@ -97,7 +97,7 @@ def test_a_corner_of_three_arms_with_a_curve_fits_its_mirror_image_better() -> N
 
 @pytest.mark.slow
 def test_a_stride_with_the_other_foot_fits_its_mirror_image_better(shared_data: Path) -> None:
-    """Hips are twisted by half a turn and legs change places, head and arms are right: the mirror image tells."""
+    """In the wrong map the hips are twisted by half a turn and the legs exchanged; head and arms are right."""
     walker = read_obj(shared_data / "humans/posed/proxy741_male_young_stride.obj")
     wrong, right = gains(walker, 1, Landmarks.none())
     assert wrong > 3 * SIGNS["mirrored"].bound

@@ -89,7 +89,7 @@ def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, b
         assert all(page.run("return Object.values(window.studio.views.sides).map(side => side.marks.length)"))
         assert page.landmarks() == 0
         before = page.state("said")
-        # The second choice ends the match of the first: a box on a body takes long.
+        # Choosing the second part cancels the match of a box with a body, which would take 25 s.
         for side, part in (("target", "part-target"), ("source", "part-source")):
             page.set(part, "object:eye")
             page.until(lambda side=side: page.opened(side) == "object:eye", f"the eye of the {side}")
