@@ -186,6 +186,7 @@ def test_a_crash_is_an_error_message(worker: Any) -> None:
     assert answer(worker, "wrap")[1] == "The two objects are not matched yet. Press Match."  # by another process
 
 
+@pytest.mark.slow
 def test_the_computing_process_imports_only_what_is_packed() -> None:
     build = {}
     exec(BUILD.read_text(encoding="utf-8").partition("def requirements")[0], build | {"__file__": str(BUILD)}, build)

@@ -45,6 +45,7 @@ def test_a_match_without_landmarks_says_how_sure_it_is(run: Run, tmp_path: Path,
     assert run("report R").code == 0
 
 
+@pytest.mark.slow
 def test_landmarks_come_from_one_file_for_each_mesh(run: Run, pair_files: Path, one_start: None) -> None:
     landmarks = read_landmarks(pair_files / "landmarks.json", "deer.obj", "pony.obj")[0]
     for side, vertices in (("deer", landmarks.target), ("pony", landmarks.source)):

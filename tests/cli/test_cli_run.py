@@ -151,6 +151,7 @@ def test_a_dry_run_shares_the_work_between_workers_but_no_task(folder: Path, mon
     assert minutes[500] == pytest.approx(10.0, abs=0.1)  # a task takes what it takes
 
 
+@pytest.mark.slow
 def test_a_dry_run_foresees_what_will_be_refused(folder: Path, built_in_pair: ExamplePair) -> None:
     def said(command: str) -> str:
         (folder / "job.toml").write_text(JOB.replace('texture = "{source.color}"\nsize = 64', command))
@@ -198,6 +199,7 @@ def numbered(folder: Path, words: str) -> tuple[int, str]:
     return said.exit_code, said.output
 
 
+@pytest.mark.slow
 def test_each_task_by_its_number_is_done_once_and_has_an_exit_code(folder: Path, quick: list[str]) -> None:
     """Surfaces 1 to 3 (two of them deer's, which are one), maps 4 and 5, their outputs 6 and 7, the page 8."""
     listed = run_job(folder, "--dry-run")

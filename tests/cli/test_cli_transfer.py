@@ -40,6 +40,7 @@ def test_transfer_bakes_and_report_shows_it(run: Run, result_folder: Path, monke
     assert shown["texture"] is None
 
 
+@pytest.mark.slow
 def test_the_report_shows_every_baked_image(run: Run, result_folder: Path) -> None:
     place = result_folder.parent
     result = read_result(result_folder)
@@ -79,6 +80,7 @@ def test_the_report_shows_every_baked_image(run: Run, result_folder: Path) -> No
     ]
 
 
+@pytest.mark.slow
 def test_the_report_shows_all_tiles_of_an_image(run: Run, result_folder: Path) -> None:
     result = read_result(result_folder)
     control = result.target.control
@@ -131,6 +133,7 @@ def test_a_target_without_uvs_needs_unwrap(run: Run, result_folder: Path, monkey
     assert shown["r"].target.control.uvs is not None  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_a_normal_map_is_not_taken_for_colours_without_a_word(run: Run, result_folder: Path) -> None:
     place = result_folder.parent
     slopes = np.random.default_rng(5).normal(0.0, 0.3, (32, 48, 2))

@@ -30,6 +30,7 @@ def run(*given, **options):
     return run_functions(FunctionsRequest(*given, **options), Stages())[0]
 
 
+@pytest.mark.slow
 def test_what_is_written_is_what_the_basis_has(mesh, tmp_path):
     """Eigenfunctions orthonormal at unit area; signatures the diagonals, kernels the columns of Phi rho Phi^T."""
     kinds = "eigenfunctions,heat-signatures,wave-signatures,heat-kernels,wave-kernels"
@@ -57,6 +58,7 @@ def test_what_is_written_is_what_the_basis_has(mesh, tmp_path):
     np.testing.assert_array_equal(found["points"], [0, 7])
 
 
+@pytest.mark.slow
 def test_tables_and_colours(mesh, tmp_path):
     """A column for each function; colours of the level's own vertices, blue where the function is below 0."""
     said = run(mesh, tmp_path / "f.csv", level=1, k=12)

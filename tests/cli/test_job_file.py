@@ -127,6 +127,7 @@ def test_masks_are_found_however_their_paths_are_typed(
     assert Path(mask.removeprefix("not:")).resolve() == (folder / "mask.npy").resolve()
 
 
+@pytest.mark.slow
 def test_a_map_that_is_given_is_taken_again(folder: Path) -> None:
     np.save(folder / "own.npy", np.random.default_rng(1).integers(0, 98, 98))
     request = MapRequest(folder / "own.npy", folder / "large.obj", folder / "small.obj", folder / "RESULT", level=2)

@@ -52,6 +52,7 @@ def test_other_search_levels_and_exact_bases_get_the_operators_of_the_finest_lev
         assert [basis.vertices for basis in side_bases(MatchRequest(**words, **more))] == [None, None]
 
 
+@pytest.mark.slow
 def test_each_side_has_its_own_level_and_schedule(tmp_path):
     """The paper's Table 1, and the manifest says what was used."""
     paths, _ = files_of(tmp_path)
@@ -97,6 +98,7 @@ def test_each_side_has_its_own_number_of_vertices(tmp_path):
             require_level_or_vertices(MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, **words))
 
 
+@pytest.mark.slow
 def test_each_side_has_its_own_laplacian_accuracy_and_definition(tmp_path):
     """What is computed follows, and the manifest says it: eigenvalues differ from those of the usual Laplacian."""
     paths, _ = files_of(tmp_path)

@@ -98,6 +98,7 @@ def test_a_library_that_is_there_is_given() -> None:
     assert import_library("math", "sums").pi > 3
 
 
+@pytest.mark.slow
 def test_a_job_without_dask_can_be_looked_at_and_says_what_to_install(tmp_path: Path) -> None:
     for name in ("a", "b"):
         write_mesh(tmp_path / f"{name}.obj", cube())

@@ -145,6 +145,7 @@ def test_a_target_that_is_no_usd_is_written_with_its_textures(folder: Path) -> N
     assert complaints(folder / "asset.usda") == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "target"),
     [("look.usda", "there"), ("look.usdc", "there"), ("look.usd", "there"), ("look.usda", "gone")],

@@ -369,6 +369,7 @@ def with_one(array: Any, value: float) -> Any:
     return changed
 
 
+@pytest.mark.slow
 def test_arrays_that_do_not_fit_are_refused_by_name_before_native_code_reads_them(tmp_path: Path) -> None:
     result = identity_result()
     positions = result.source.control.positions

@@ -21,6 +21,8 @@ from cagemap.files.usd.convert import usd_document
 
 from usd_characters import lively, painted, with_shape_weights
 
+pytestmark = pytest.mark.slow
+
 
 def use(path: Path) -> None:
     """All that `rig` reads of a character."""

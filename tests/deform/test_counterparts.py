@@ -53,6 +53,7 @@ def test_round_trips_count_more_inside_than_outside() -> None:
     assert (round_trip_weights(trips, np.ones(11), 1e-5)[1:] < outside[1:]).all()
 
 
+@pytest.mark.slow
 def test_a_pocket_that_the_source_lacks_drags_nothing_along(
     graph: tuple[ElasticGraph, np.ndarray, TriangleSurface],
 ) -> None:

@@ -48,6 +48,7 @@ def test_a_surface_fits_itself_from_a_shaken_start(creature_at_3: tuple[Refineme
     assert error[landmarks].max() < 1e-4
 
 
+@pytest.mark.slow
 def test_same_shape_other_cage_gives_the_identity(creature_at_3: tuple[Refinement, float]) -> None:
     refinement, scale = creature_at_3
     # The same surface from its own first level as a cage: other connectivity level by level, same refined vertices.
@@ -131,6 +132,7 @@ def fitted_from(
     return minimised(graph, sheet, sheet, start(graph), held, stage)
 
 
+@pytest.mark.slow
 def test_momentum_gets_as_far_in_half_the_iterations(creature_at_3: tuple[Refinement, float]) -> None:
     graph, _ = graph_of(*creature_at_3, 2)
     # Slide the surface along itself, smoothly: only the energy and the landmarks can bring it back.
@@ -146,6 +148,7 @@ def test_momentum_gets_as_far_in_half_the_iterations(creature_at_3: tuple[Refine
     assert error(8, 0.8) < error(16, 0.0) < np.linalg.norm(slide, axis=1).mean()
 
 
+@pytest.mark.slow
 def test_steps_with_the_factors_of_an_earlier_iteration_end_at_the_same_place(
     creature_at_3: tuple[Refinement, float],
 ) -> None:
@@ -186,6 +189,7 @@ def test_counts_of_a_stage_are_checked() -> None:
             Stage(**{"stiffness": (1e-3, 1e-4), "smoothing": 1e-3} | wrong)
 
 
+@pytest.mark.slow
 def test_patience_ends_as_soon_as_nothing_folds(creature_at_3: tuple[Refinement, float]) -> None:
     def found(patience: int) -> np.ndarray:
         stage = Stage(3, (1e-3, 1e-4), 3e-4, patience=patience)
@@ -195,6 +199,7 @@ def test_patience_ends_as_soon_as_nothing_folds(creature_at_3: tuple[Refinement,
     np.testing.assert_array_equal(Stage(3, (1e-3, 1e-4), 3e-4, patience=2).ramped()[3:], 1e-4)
 
 
+@pytest.mark.slow
 def test_long_thin_legs_do_not_fold_on_short_thick_ones() -> None:
     # A landmark at each hoof's front lies higher on the source, as an artist would not notice: the shanks then have to
     # shrink to a third, and without bounded maps 2 % of the surface folded.

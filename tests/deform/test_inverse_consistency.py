@@ -53,6 +53,7 @@ def test_the_inverse_of_a_motion_is_the_motion_back(prepared: PreparedPair) -> N
     assert 1e-4 < np.linalg.norm(far - mesh.positions, axis=1).mean() < 2e-3
 
 
+@pytest.mark.slow
 def test_half_of_a_slide_is_taken_back(prepared: PreparedPair) -> None:
     """The way back from a slid fit of a shape onto itself ends where it should: half of the slide is left."""
     landmarks = np.arange(0, prepared.target.refinement.levels[0].n_vertices, 4)
@@ -128,6 +129,7 @@ def at_home(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     return places, closest_points(source.tree, places)[2]
 
 
+@pytest.mark.slow
 def test_a_whole_body_is_averaged_where_a_part_of_it_is(on_part: Problem) -> None:
     """Area that the part lacks has no inverse; it moves little, and the rest comes nearer to the truth."""
     home, gaps = at_home(on_part)

@@ -48,6 +48,7 @@ class Anew:
         return VertexTerms(self.energy, self.terms.blocks, self.terms.right)
 
 
+@pytest.mark.slow
 def test_a_minimum_is_stationary(energy: ElasticEnergy, pulled: VertexTerms) -> None:
     """The positions solve their equations with their own differentials, which the start does not."""
     graph, alpha = energy.graph, 1e-3

@@ -156,6 +156,7 @@ def problem_of(prepared: PreparedPair) -> Problem:
     return Problem(prepared, Pair.of_vertices(prepared.target, prepared.source, vertices, vertices).landmarks)
 
 
+@pytest.mark.slow
 def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypatch: pytest.MonkeyPatch) -> None:
     truth, problem = bent.source.finest_triangles.positions, problem_of(bent)
     stages = []

@@ -127,6 +127,7 @@ def uv_islands(mesh: ControlMesh) -> np.ndarray:
     return connected_components(graph, directed=False)[1]
 
 
+@pytest.mark.slow
 def test_islands_do_not_overlap_nor_turn_over(creature: Creature) -> None:
     corners, _ = uv_corners(creature, 1)
     assert corners.min() >= 0
@@ -138,6 +139,7 @@ def test_islands_do_not_overlap_nor_turn_over(creature: Creature) -> None:
     assert (count > 0).mean() > 0.45  # of the square is used
 
 
+@pytest.mark.slow
 def test_islands_keep_their_distance(creature: Creature) -> None:
     mesh = creature.mesh
     island = uv_islands(mesh)[mesh.uv_indices[mesh.face_offsets[:-1]]]
@@ -246,6 +248,7 @@ def test_paint_runs_on_across_seams(painted: tuple[Creature, np.ndarray, np.ndar
     assert np.mean(np.abs(relief[0] - relief[1])) < 4e-4
 
 
+@pytest.mark.slow
 def test_paint_is_repeatable_and_full() -> None:
     texture = paint_texture(model("pony"), 128)
     assert texture.shape == (128, 128, 3)

@@ -55,11 +55,13 @@ def test_recipes_are_ten_and_more_of_at_most_fifteen_lines():
     assert [int(n) for n in re.findall(r"^## (\d+)\. ", TEXT, re.MULTILINE)] == list(range(1, len(BLOCKS) + 1))
 
 
+@pytest.mark.slow
 def test_trimesh():
     names = run(1)
     assert names["bodies"][0].visual.vertex_colors.shape == (642, 4)
 
 
+@pytest.mark.slow
 def test_eigenpairs():
     names = run(2)
     np.testing.assert_allclose(names["pairs"].values[1:4], 2.0, rtol=1e-2)  # of the unit sphere
@@ -149,6 +151,7 @@ def test_potpourri3d():
     assert np.abs(theirs - mine).mean() < 0.02 * mine.mean()
 
 
+@pytest.mark.slow
 def test_files():
     names = run(12)
     np.testing.assert_array_equal(names["again"].triangle, names["T"].triangle)

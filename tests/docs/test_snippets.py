@@ -47,6 +47,7 @@ def test_arrays_in_and_map_out() -> None:
     assert names["P"].shape == (len(names["target"].vertices), len(names["source"].vertices))
 
 
+@pytest.mark.slow
 def test_functional_map() -> None:
     names = run(1)
     assert names["C"].shape == (60, 60)
@@ -72,6 +73,7 @@ def test_basis_at_a_level() -> None:
     np.testing.assert_allclose(names["coefficients"], np.eye(60)[5], atol=1e-8)
 
 
+@pytest.mark.slow
 def test_error_against_truth(capsys: pytest.CaptureFixture[str]) -> None:
     names = run(4)
     assert len(names["errors"]) == len(names["V1"])

@@ -82,6 +82,7 @@ FORMATS = [
 ]
 
 
+@pytest.mark.slow
 def test_a_disk_that_fills_leaves_the_earlier_file_whatever_its_format(tmp_path: Path) -> None:
     """Some libraries report nothing: an image was cut, or empty, in place of the earlier one."""
     unshare = shutil.which("unshare")

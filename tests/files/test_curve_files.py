@@ -153,6 +153,7 @@ def test_curves_of_3d_slicer_are_read(tmp_path: Path) -> None:
     assert len(read.names) == 1
 
 
+@pytest.mark.slow
 def test_the_command_takes_curves_and_says_how_they_are_met(run: Run, tmp_path: Path, one_start: None) -> None:
     mesh = bar()
     write_mesh(tmp_path / "bar.obj", mesh)

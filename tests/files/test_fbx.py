@@ -307,6 +307,7 @@ def test_without_its_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         read_mesh(_file(tmp_path, fbx_arm()))
 
 
+@pytest.mark.slow
 def test_a_new_process_answers_as_the_server_and_runs_no_modules_of_the_working_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -348,6 +349,7 @@ def test_files_as_they_come(name: str, shared_data: Path) -> None:
         assert {name: len(part.shapes) for name, part in parts.items()} == stated["shapes"]
 
 
+@pytest.mark.slow
 def test_the_same_character_as_glb_and_as_fbx(shared_data: Path) -> None:
     place = shared_data / "characters"
     fbx = read_character(place / "foreign" / "mh_male_young_blender.fbx")

@@ -366,6 +366,7 @@ def test_humanoid_bones_of_both_vrms() -> None:
     assert humanoid_bones(arm()) == {}
 
 
+@pytest.mark.slow
 def test_files_as_they_come(shared_data: Path) -> None:
     """Counts of `inside.json`: welded vertices, joints, morphs; hair touches itself at one vertex and keeps both."""
     place = shared_data / "characters" / "foreign"
@@ -385,6 +386,7 @@ def test_files_as_they_come(shared_data: Path) -> None:
     assert bones["head"] == "head"
 
 
+@pytest.mark.slow
 def test_draco(shared_data: Path) -> None:
     pytest.importorskip("DracoPy")
     place = shared_data / "characters"

@@ -320,6 +320,7 @@ def _box(found: dict[str, Any]) -> tuple[list[Any], list[Any]]:
     return found.pop("low"), found.pop("high")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", READ)
 def test_round_trips_by_an_independent_reader(name: str, tmp_path: Path, shared_data: Path) -> None:
     """`refine --level 0` and a plain copy: bounding boxes, skins, morphs, lengths of animations."""

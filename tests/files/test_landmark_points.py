@@ -250,6 +250,7 @@ def some_corners() -> np.ndarray:
     return triangles[np.linspace(0, len(triangles) - 1, 10).astype(int)]
 
 
+@pytest.mark.slow
 def test_the_map_meets_landmarks_between_vertices(twins: tuple[Surface, Surface]) -> None:
     chosen = some_corners()
     weights = np.random.default_rng(8).dirichlet([2, 2, 2], len(chosen))
@@ -269,6 +270,7 @@ def test_the_map_meets_landmarks_between_vertices(twins: tuple[Surface, Surface]
     assert updated.quality.landmark_errors.max() < 1e-10
 
 
+@pytest.mark.slow
 def test_coarse_search_levels_have_landmarks_between_vertices(twins: tuple[Surface, Surface]) -> None:
     """Landmarks between vertices are vertices of the level that is searched, however coarse: it was an IndexError."""
     chosen = some_corners()
@@ -283,6 +285,7 @@ def test_coarse_search_levels_have_landmarks_between_vertices(twins: tuple[Surfa
     assert updated.quality.landmark_errors.max() < 1e-3
 
 
+@pytest.mark.slow
 def test_vertices_given_as_points_are_vertices() -> None:
     cage = creature()
     target, source = prepare_surface(cage, 1), prepare_surface(bent(cage), 1)

@@ -100,6 +100,7 @@ def slow_read(path: Path) -> tuple[list[list[float]], list[list[int]], list[list
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 
 
+@pytest.mark.slow
 @QUICK
 @given(mesh=polygon_meshes())
 def test_what_is_written_reads_back_bit_for_bit(tmp_path: Path, mesh: ControlMesh) -> None:
@@ -300,6 +301,7 @@ def test_missing_file_folder_and_unknown_extension(tmp_path: Path) -> None:
         read_obj("nul\0byte.obj")
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=150)
 @given(data=st.data())
 def test_damaged_files_never_end_in_another_error(tmp_path: Path, data: st.DataObject) -> None:

@@ -105,6 +105,7 @@ def tagged_meshes(draw: st.DrawFn) -> ControlMesh:
     return mesh
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=60, derandomize=True)
 @given(mesh=tagged_meshes())
 def test_what_is_written_is_read_again(mesh: ControlMesh, tmp_path_factory: pytest.TempPathFactory) -> None:

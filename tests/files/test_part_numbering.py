@@ -190,6 +190,7 @@ def test_a_wrapped_part_stays_in_its_file(folder: Path) -> None:
     assert f"wrapped.obj: {scene.n_vertices} vertices, {creature().n_vertices} of them wrapped (level 0)" in summary
 
 
+@pytest.mark.slow
 def test_suggested_landmarks_can_be_matched_again(folder: Path) -> None:
     scene = _scene()
     first = scene.n_vertices - creature().n_vertices
@@ -203,6 +204,7 @@ def test_suggested_landmarks_can_be_matched_again(folder: Path) -> None:
     assert not any("left out" in text for text in warnings)
 
 
+@pytest.mark.slow
 def test_parts_matched_one_by_one_keep_the_order_of_the_file(folder: Path) -> None:
     scene = _scene()
     first = scene.n_vertices - creature().n_vertices

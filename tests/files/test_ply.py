@@ -196,6 +196,7 @@ def test_bad_files_are_refused_with_the_place(tmp_path: Path, case: str) -> None
         read_bytes(tmp_path, content)
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=150)
 @given(data=st.data())
 def test_damaged_files_never_end_in_another_error(tmp_path: Path, data: st.DataObject) -> None:

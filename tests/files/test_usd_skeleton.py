@@ -168,6 +168,7 @@ def test_a_mesh_without_a_skeleton_and_a_damaged_one(tmp_path: Path) -> None:
         read_usd_meshes(path)
 
 
+@pytest.mark.slow
 def test_mutated_rigs_are_refused_by_name(tmp_path: Path) -> None:
     """Numbers and words replaced, pieces cut out: read as something else, or refused, and nothing foreign raised."""
     path, rng = tmp_path / "rig.usda", np.random.default_rng(0)

@@ -67,6 +67,7 @@ def test_moved_in_its_file_and_rounded_it_is_the_same_surface(pony: ControlMesh,
     assert is_identity(found)
 
 
+@pytest.mark.slow
 def test_a_plain_mesh_on_itself_is_the_identity(tmp_path: Path) -> None:
     """Its answer was given for all vertices, where those of the fitted level were expected: an error."""
     scan = prepare_surface(animal(3), 0)
@@ -121,6 +122,7 @@ def retopology(pony: ControlMesh) -> Surface:
     return prepare_surface(finer, 1)
 
 
+@pytest.mark.slow
 def test_values_between_cages_that_lie_on_each_other_are_those_of_the_same_places(
     pony: ControlMesh, surface: Surface, retopology: Surface
 ) -> None:
@@ -134,6 +136,7 @@ def test_values_between_cages_that_lie_on_each_other_are_those_of_the_same_place
         np.testing.assert_allclose(carried, target.control.positions, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [100.0, 1 / 25.4])
 def test_a_retopology_in_other_units_lies_on_the_same_places(
     surface: Surface, retopology: Surface, factor: float
@@ -152,6 +155,7 @@ def test_units_are_guessed_from_sizes(ratio: float, expected: float) -> None:
     assert unit_ratio(ratio) == pytest.approx(expected)
 
 
+@pytest.mark.slow
 def test_landmarks_move_closest_points_or_contradict_them(surface: Surface, retopology: Surface) -> None:
     """One is half an edge off, and met exactly; others are on other limbs, and a map is fitted."""
     prepared = prepare_pair(retopology, surface)
@@ -171,6 +175,7 @@ def test_landmarks_move_closest_points_or_contradict_them(surface: Surface, reto
     assert known(MARKS, np.roll(MARKS, 1)) is None
 
 
+@pytest.mark.slow
 def test_masks_that_keep_different_parts_contradict_closest_points(surface: Surface, retopology: Surface) -> None:
     left, right = (
         side * side_of.refinement.finest.positions[:, 0] > 0 for side, side_of in ((1.0, retopology), (-1.0, surface))
@@ -207,6 +212,7 @@ def body(file: Path) -> Surface:
 HUMANS = "female1605 male1591", "anny10pc anny5pc", "proxy741 base"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", HUMANS)
 def test_bodies_lie_on_their_own_other_meshes_and_not_on_other_bodies(shared_data: Path, pair: str) -> None:
     mine, theirs = pair.split()
@@ -232,6 +238,7 @@ def test_clothes_lie_on_the_body_that_wears_them(shared_data: Path) -> None:
         assert (Coincidence.find(shirt, wearer) is not None) == lies
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("posed", ["female1605_male_young_crouch", "proxy741_female_old_heavy_sit"])
 def test_weights_of_a_posed_body_under_another_mesh_are_as_good_as_of_its_nearest_faces(
     shared_data: Path, posed: str

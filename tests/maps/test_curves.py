@@ -76,6 +76,7 @@ def test_the_distance_between_curves_is_stated(without: MatchResult, with_curves
     assert max(miss.worst for miss in with_curves.curve_misses) < 0.01
 
 
+@pytest.mark.slow
 def test_where_a_loop_begins_and_which_way_it_runs_is_free(surfaces: tuple, with_curves: MatchResult) -> None:
     """The same points in another order ask for the same: only sums are taken in another order."""
     mesh, curves = surfaces[0].control, with_curves.landmarks.curves
@@ -119,6 +120,7 @@ def test_a_damaged_curve_in_a_result_is_refused(with_curves: MatchResult, tmp_pa
         read_result(tmp_path / "RESULT")
 
 
+@pytest.mark.slow
 def test_a_report_shows_curves(with_curves: MatchResult) -> None:
     pytest.importorskip("embreex")
     from cagemap.report import build_page, draw_gallery

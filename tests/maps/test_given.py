@@ -79,6 +79,7 @@ def test_bases_of_others_may_be_flipped_and_mixed(pair):
         research.from_bases(pair, theirs, psi1, psi2[:, :39])
 
 
+@pytest.mark.slow
 def test_the_steps_follow_each_other_from_any_form(pair):
     true, vertices, coarse, matrix = forms(pair)
     prepared = prepare_pair(pair.target, pair.source, QUICK)

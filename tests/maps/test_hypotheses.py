@@ -85,6 +85,7 @@ def test_a_shape_that_is_its_own_double_has_two_answers_and_landmarks_choose() -
     assert result.quality.dirichlet < 1.05
 
 
+@pytest.mark.slow
 def test_a_box_lies_on_itself_as_the_files_stand_although_its_sides_are_all_alike() -> None:
     """Turned upon itself it stretches affinely, which is free."""
     control = replace(voxels(list(product(range(2), repeat=3))), scheme=Bilinear())

@@ -143,6 +143,7 @@ def outliers(target: Surface, source: Surface, landmarks: Landmarks) -> tuple[di
     return {landmarks.names[i]: evidence for i, evidence in found.items()}, notes
 
 
+@pytest.mark.slow
 def test_exchanged_feet_are_left_out_and_named(pair):
     """Once the whole map was met with crossed legs, and nothing said so."""
     _, exchanged = among_few(pair[2], "hoof_front_L", "hoof_front_R")
@@ -188,6 +189,7 @@ def test_where_parts_have_grown_together_no_landmark_is_left_out(pair, bridged):
     assert "one surface has handles that the other lacks" in notes[0]
 
 
+@pytest.mark.slow
 def test_an_update_leaves_none_out_where_parts_have_grown_together(pair, bridged):
     right, exchanged = among_few(pair[2], "hoof_front_L", "hoof_front_R")
     found = update_match(match(bridged, pair[1], right, QUICK), exchanged, QUICK)
@@ -195,6 +197,7 @@ def test_an_update_leaves_none_out_where_parts_have_grown_together(pair, bridged
     assert any("one surface has handles that the other lacks" in note for note in found.landmark_check.notes)
 
 
+@pytest.mark.slow
 def test_a_small_handle_is_none_that_parts_have_grown_together_by() -> None:
     """A scan has handles of noise: with them slips were followed that are left out without them."""
 
@@ -271,6 +274,7 @@ def test_landmarks_that_seem_mirrored_have_two_answers_unless_they_cost_nothing(
     assert kept is known
 
 
+@pytest.mark.slow
 def test_a_pair_that_strains_is_kept_and_named(pair):
     """A landmark slid along a limb says what shape alone cannot: it is met, and the strain is told."""
     target, source, landmarks = pair
@@ -354,6 +358,7 @@ def test_the_result_tells_of_it(misled):
     assert "`check_landmarks=False`" in message
 
 
+@pytest.mark.slow
 def test_trusted_landmarks_are_met_even_if_wrong(pair, misled):
     _, wrong, _ = misled
     found = match(pair[0], pair[1], wrong, replace(QUICK, check_landmarks=False))
@@ -374,6 +379,7 @@ def test_shuffled_pairs_are_kept_and_noted(pair):
     assert "contradict" in notes[0]
 
 
+@pytest.mark.slow
 def test_landmarks_of_another_mesh_are_asked_about(pair):
     target, source, landmarks = pair
     # The same numbers on a mesh whose vertices are numbered otherwise, as the landmarks of another cage are.

@@ -52,6 +52,7 @@ def test_released_is_the_minimum_with_the_others_held():
     assert not moved[[1, 4]].any()
 
 
+@pytest.mark.slow
 def test_the_strain_of_many_landmarks_needs_little_memory(graph):
     """H of 600 landmarks by the columns of an inverse takes more than those columns; blocks of it take little."""
     landmarks = np.linspace(0, graph.n - 1, 600).astype(np.int64)

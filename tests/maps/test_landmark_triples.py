@@ -5,6 +5,7 @@ from __future__ import annotations
 import tracemalloc
 
 import numpy as np
+import pytest
 
 from cagemap.deform.config import LandmarkConfig
 from cagemap.maps.landmarks import outliers
@@ -215,6 +216,7 @@ def test_a_short_tail_is_no_slip_on_a_long_one_but_a_wrong_limb_is() -> None:
     assert misplaced_pairs(elbow, animal(0.3, {})).tolist() == [1]  # farther out, but no tip
 
 
+@pytest.mark.slow
 def test_slips_among_hundreds_are_found_several_at_a_time(monkeypatch) -> None:
     points = np.random.default_rng(6).random((300, 3))
     moved = points + 0.01 * np.random.default_rng(7).standard_normal(points.shape)
@@ -232,6 +234,7 @@ def test_slips_among_hundreds_are_found_several_at_a_time(monkeypatch) -> None:
     assert len(passes) <= 3
 
 
+@pytest.mark.slow
 def test_hundreds_of_landmarks_need_little_memory() -> None:
     points = np.random.default_rng(5).random((400, 3))
     distances = distances_of(points, points[:100])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from examples.shapes import creature, cube
 from scipy.spatial.transform import Rotation
 
@@ -68,6 +69,7 @@ def test_the_surface_with_more_limbs_keeps_some_for_itself() -> None:
         assert len(set(own)) == len(set(to)) == 5
 
 
+@pytest.mark.slow
 def test_a_landmark_holds_its_limb_and_shapes_without_limbs_have_no_assignments() -> None:
     surface = prepare_surface(creature(), 2)
     prepared = prepare_pair(surface, surface)
@@ -88,6 +90,7 @@ def posed(control: ControlMesh) -> ControlMesh:
     return control.with_positions(Rotation.from_euler("yx", [50, 20], degrees=True).apply(moved))
 
 
+@pytest.mark.slow
 def test_a_posed_creature_is_found_however_it_is_turned() -> None:
     """Limbs assigned to limbs are fitted at once: no turned start is tried."""
     prepared = prepare_pair(prepare_surface(creature(), 1), prepare_surface(posed(creature()), 1), SEARCHED)

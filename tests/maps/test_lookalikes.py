@@ -56,6 +56,7 @@ def test_a_longer_bone_carries_the_next_one(weights: np.ndarray) -> None:
     np.testing.assert_allclose(moved - MESH.positions, np.tile(0.5 * (HIGH - LOW), (MESH.n_vertices, 1)), atol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_written_shape_knows_its_points(tmp_path: Path) -> None:
     """Another connectivity at unit area; each point at its nearest vertex, no more than the vertices' spacing away."""
     fine = refine(MESH, 4)
@@ -80,6 +81,7 @@ def test_detail_is_as_large_and_as_smooth_as_asked(tmp_path: Path) -> None:
         assert along / edges < 1.5 * 0.01 / length  # of a wave of that length and size
 
 
+@pytest.mark.slow
 def test_shuffled_shapes_have_their_points_where_they_were(tmp_path: Path) -> None:
     fine = refine(MESH, 4)
     triangles, positions, known = (

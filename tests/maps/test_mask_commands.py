@@ -85,6 +85,7 @@ def _run_transfer(folder: Path, output: str, **options: object) -> tuple[str, li
     return run_transfer(request, Stages())
 
 
+@pytest.mark.slow
 def test_a_masked_match_keeps_its_masks_and_pulls_only_there(scene: Path) -> None:
     result = read_result(scene / "RESULT")
     assert result.manifest["parameters"]["target_mask"] == "front"
@@ -128,6 +129,7 @@ def whole(scene: Path) -> Path:
     return scene / "WHOLE"
 
 
+@pytest.mark.slow
 def test_masks_of_a_transfer_are_beside_those_of_the_match(scene: Path, whole: Path) -> None:
     alphas = []
     for result, masks in (
@@ -156,6 +158,7 @@ def test_masks_of_a_transfer_are_beside_those_of_the_match(scene: Path, whole: P
         _run_transfer(scene, "painted.png", texture=scene / "texture.png", target_mask=str(scene / "painted.png"))
 
 
+@pytest.mark.slow
 def test_masks_of_a_wrap_and_of_a_map_leave_parts_out(scene: Path, whole: Path) -> None:
     with Stages() as stages:
         part, _ = run_wrap(WrapRequest((whole,), scene / "part.obj", target_mask="front"), stages)
@@ -196,6 +199,7 @@ def test_a_mask_fades_colours_that_are_multiplied_by_alpha_once(scene: Path) -> 
     assert over.pixels[..., :3].min() == 100
 
 
+@pytest.mark.slow
 def test_outside_the_mask_values_shapes_and_cages_stay(scene: Path) -> None:
     result = read_result(scene / "RESULT")
     control = result.target.control

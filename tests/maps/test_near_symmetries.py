@@ -84,6 +84,7 @@ def gains(control: ControlMesh, level: int, landmarks: Landmarks) -> tuple[float
     return found[0], found[1]
 
 
+@pytest.mark.slow
 def test_a_corner_of_three_arms_with_a_curve_fits_its_mirror_image_better() -> None:
     """The curve is mirrored with the source; a curve left in place would spoil the fit to the mirror image."""
     corner = solid(lambda x, y, z: (x < 2) + (y < 2) + (z < 2) > 1, 7, 5, 3)

@@ -75,6 +75,7 @@ def test_chosen_level_depends_on_the_scheme():
     assert choose_level(replace(mesh, scheme=CatmullClark()), 60) < choose_level(mesh, 60)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["hfm", "elastic"])
 def test_a_relabelled_copy_is_found_again(pony, method):
     """The same surface with its vertices in another order: the map is the relabelling.
@@ -101,6 +102,7 @@ def test_a_relabelled_copy_is_found_again(pony, method):
     np.testing.assert_allclose(found.functional_map[:8, :8].T @ found.functional_map[:8, :8], np.eye(8), atol=0.05)
 
 
+@pytest.mark.slow
 def test_added_landmarks_move_the_map_to_them_at_once():
     """A shape against a bent one: the true map is known, and landmarks where it was missed bring the map there."""
     cage = shapes.creature()
@@ -157,6 +159,7 @@ def test_a_prepared_pair_is_matched_as_it_was_prepared_or_not_at_all():
         np.testing.assert_array_equal(match_pair(masked, marks, config).image(), found.image())
 
 
+@pytest.mark.slow
 def test_levels_are_walked_down_together(pony):
     """Each step moves each side by at most one level, ends at both finest levels, and never backwards."""
     source, target = prepare_surface(pony, 3, BASIS), prepare_surface(shapes.creature(), 2, BasisConfig(count=20))
@@ -234,6 +237,7 @@ def test_ground_truth_on_humans(humans_with_truth, method, bound):
         assert figures.flipped_area < 0.0025
 
 
+@pytest.mark.slow
 def test_a_result_can_be_pickled_and_copied():
     """Worker processes return results by pickle: factorisations stay behind, and are made again where needed."""
     mesh = shapes.creature()

@@ -82,6 +82,7 @@ def test_unfolding_knows_what_still_folds_however_far_folds_spread(
     np.testing.assert_array_equal(still, flipped_triangles(again, faces))
 
 
+@pytest.mark.slow
 def test_projection_meets_landmarks_wherever_the_fit_left_them(creature_at_3: tuple[Refinement, float]) -> None:
     surface = surface_of(creature_at_3[0])
     prepared = prepared_at(surface, surface, surface.finest, ElasticConfig())

@@ -213,6 +213,7 @@ def test_coverage_is_the_share_of_area_reached_in_any_order_of_the_vertices(n: i
         assert covered == pytest.approx(5 / 6, abs=0.002)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radii", [(1.0, 1.0, 1.0), (1.0, 0.25, 0.25)])
 def test_triangles_of_a_coarse_target_cover_the_curved_surface_under_them(radii: tuple[float, float, float]) -> None:
     source, target = surface_from(sphere(40_000, radii)), surface_from(sphere(200, radii))

@@ -53,6 +53,7 @@ def error(result: MatchResult, number: np.ndarray) -> float:
     return float(np.linalg.norm(images, axis=1).mean()) * source.scale
 
 
+@pytest.mark.slow
 def test_the_map_follows_a_motion_and_returns() -> None:
     frames = [frame(angle, seed) for seed, angle in enumerate(ANGLES)]
     surfaces = [prepare_surface(mesh, LEVEL) for mesh, _ in frames]
@@ -68,6 +69,7 @@ def test_the_map_follows_a_motion_and_returns() -> None:
     assert error(result, frames[0][1]) < 0.02
 
 
+@pytest.mark.slow
 def test_landmarks_of_a_frame_are_held() -> None:
     (still, _), (mesh, number) = frame(0.0, 0), frame(0.1, 1)
     target = prepare_surface(torus(12, 8).with_positions(moved(torus(12, 8).positions, 0.0)), LEVEL)
@@ -90,6 +92,7 @@ def test_a_map_that_folds_is_matched_afresh(monkeypatch: pytest.MonkeyPatch) -> 
     assert asked == [still, moving, 0, config]
 
 
+@pytest.mark.slow
 def test_wrap_writes_the_cage_in_the_shape_of_every_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cagemap.tasks.method.DEFAULT_VERTICES", 1000)
     cage, output = tmp_path / "cage.obj", tmp_path / "shapes"

@@ -101,6 +101,7 @@ def test_what_is_masked_or_has_a_landmark_is_no_tip(surface: Surface) -> None:
     assert set(range(8)) - set(ends_of(surface, positions[found[1]])) == {NOSE, TAIL}
 
 
+@pytest.mark.slow
 def test_a_fit_is_led_to_tips_that_it_missed(
     surface: Surface, prepared: PreparedPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -141,6 +142,7 @@ def test_the_mean_with_the_inverse_is_left_where_it_costs_more(surface: Surface,
     assert finish_placement(Problem(masked, pair.landmarks), Placement(bent, 1.0)).map_positions is bent
 
 
+@pytest.mark.slow
 def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
     """Without it a short leg lies within a long one, and nothing that its own points ask for tells."""
     cage = creature()

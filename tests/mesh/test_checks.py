@@ -314,6 +314,7 @@ def test_arrays_that_do_not_fit_are_refused(change: dict[str, object], message: 
     assert str(check_mesh(mesh))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 @settings(deadline=None, max_examples=60)
 @given(mesh=polygon_meshes())

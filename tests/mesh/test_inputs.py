@@ -70,6 +70,7 @@ def test_trimesh_is_taken() -> None:
     same(found.control, cagemap.ControlMesh.from_faces(box.vertices, box.faces))
 
 
+@pytest.mark.slow
 def test_every_public_function_that_takes_a_mesh_takes_arrays(tmp_path: Path) -> None:
     assert cagemap.check_mesh(ARRAYS).n_vertices == MESH.n_vertices
     assert cagemap.choose_level(ARRAYS, 5000) == cagemap.choose_level(MESH, 5000)
@@ -90,6 +91,7 @@ def target_and_source() -> tuple[Any, Any]:
     return ARRAYS, (2.0 * vertices[:, [2, 1, 0]] * [1, 1, -1], faces)
 
 
+@pytest.mark.slow
 def test_meshes_are_matched_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     """A turned and scaled copy: every vertex goes to its own number."""
     monkeypatch.setattr("cagemap.pipeline.DEFAULT_VERTICES", 500)

@@ -118,6 +118,7 @@ def test_whole_mesh_passes_with_the_counts_of_its_readme(named: tuple[str, Contr
     assert report.component_sizes == (mesh.n_faces,)
 
 
+@pytest.mark.slow
 def test_smallest_faces_and_coincident_vertices_pass_at_any_scale(shared_data: Path) -> None:
     for name in ("soma18056_male_young", "base_female_old_heavy"):
         mesh = read_mesh(shared_data / "humans" / f"{name}.obj")

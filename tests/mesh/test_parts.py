@@ -283,6 +283,7 @@ def test_a_file_of_several_pieces_says_how_to_go_on(folder: Path) -> None:
         _match(folder, "REFUSED")
 
 
+@pytest.mark.slow
 def test_each_part_is_matched_and_one_texture_baked(folder: Path) -> None:
     _match(folder, "EACH", part="each")
     result = read_result(folder / "EACH")

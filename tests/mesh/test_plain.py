@@ -146,6 +146,7 @@ def test_a_mesh_of_skew_quads_looks_outwards_once_it_is_turned_round() -> None:
     assert not check_mesh(ready).problems
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_whatever_comes_out_can_be_matched_or_is_refused(data: st.DataObject) -> None:

@@ -94,6 +94,7 @@ def test_vertices_of_levels_are_found_among_the_finest(levels: Refinement) -> No
         np.testing.assert_array_equal(below.on_finest(0), np.arange(refinement.levels[0].n_vertices))
 
 
+@pytest.mark.slow
 def test_two_meshes_are_simplified_in_threads_as_alone() -> None:
     finest = [finest_mesh(refine(mesh, 3)) for mesh in (creature(), torus())]
     meshes = [refine(replace(mesh, scheme=Plain()), 0) for mesh in finest]
@@ -148,6 +149,7 @@ def test_only_level_0_of_a_plain_mesh_exists() -> None:
         build_coarse_levels(refine(replace(mixed, scheme=Plain()), 0))
 
 
+@pytest.mark.slow
 def test_a_plain_mesh_lies_on_itself() -> None:
     """Shuffled numbers change nothing: rows of the result are those of the meshes given."""
     mesh = animal(2)
@@ -170,6 +172,7 @@ def test_a_plain_mesh_lies_on_itself() -> None:
     assert np.linalg.norm(fewer.image() - mesh.positions, axis=1).mean() < 0.005 * size
 
 
+@pytest.mark.slow
 def test_a_plain_result_that_is_read_has_no_coarse_levels_until_a_match_asks(tmp_path: Path) -> None:
     surface = prepare_surface(animal(2), 0)
     marks = far_apart(creature().positions, 6)
@@ -187,6 +190,7 @@ def test_a_plain_result_that_is_read_has_no_coarse_levels_until_a_match_asks(tmp
     assert vars(again.target)["hierarchy"].n_levels == 1
 
 
+@pytest.mark.slow
 def test_a_prepared_plain_pair_has_masks_of_its_levels(scan: Surface) -> None:
     surface, mesh, cage = scan, scan.control, prepare_surface(creature(), 2)
     masks = Masks(np.linspace(0, 1, mesh.n_vertices), np.linspace(1, 0, len(cage.vertices)))

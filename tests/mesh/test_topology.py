@@ -89,6 +89,7 @@ def soups(draw: st.DrawFn) -> ControlMesh:
     return ControlMesh.from_faces(positions, faces)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=60)
 @given(mesh=soups())
 def test_connectivity_agrees_with_the_slow_twin(mesh: ControlMesh) -> None:

@@ -66,6 +66,7 @@ def test_check_names_the_tolerance_and_takes_it(run: Run, folder: Path, monkeypa
     assert "expected auto or a distance" in wrong.out + wrong.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("build", "usable", "said"),
     [
@@ -87,6 +88,7 @@ def test_check_takes_the_plain_meshes_that_match_takes(
     assert (run("match", *words).code == 0) is usable
 
 
+@pytest.mark.slow
 def test_a_welded_match_carries_values_in_the_numbering_of_the_file(
     run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -111,6 +113,7 @@ def test_a_welded_match_carries_values_in_the_numbering_of_the_file(
     assert run("report R -o r.html").code == 0
 
 
+@pytest.mark.slow
 def test_a_welded_source_gives_values_numbered_as_its_file(
     run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -210,6 +213,7 @@ def test_the_finish_of_the_studio_welds_as_it_opened(folder: Path, boxes: Path, 
     assert (request.target_weld, request.source_weld) == ("0", None)
 
 
+@pytest.mark.slow
 def test_studio_landmarks_on_a_welded_mesh_have_the_numbers_of_the_file(folder: Path, tmp_path: Path) -> None:
     opening = PairFiles(folder / "split.obj", folder / "whole.obj", None, 300, tmp_path)
     _, opened = run_task(None, OpenModels(opening), lambda _: None)

@@ -260,6 +260,7 @@ def spectrum(laplacian, level):
     return exact_basis(build_operators(refine(shapes.creature(), level), laplacian), level, 20).values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("laplacian", LAPLACIANS[1:], ids=str)
 def test_laplacians_agree_ever_more_the_finer_the_surface(laplacian):
     differences = []

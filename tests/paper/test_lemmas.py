@@ -172,6 +172,7 @@ def test_lemma_4_descriptors_of_a_level_are_subdivided_and_added_to(surface):
             )
 
 
+@pytest.mark.slow
 def test_definition_2_literally():
     """The band is the k_l pairs that follow the largest eigenvalue so far; ours goes on by index and loses none."""
     refinement = refine(pebble(), 2)

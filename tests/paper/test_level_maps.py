@@ -47,6 +47,7 @@ def matched(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_maps_of_all_levels_are_stored(matched):
     """C12, vertices and points of each, as the surfaces that are prepared anew give them."""
     result = read_result(matched / "R")
@@ -80,6 +81,7 @@ def test_a_level_is_a_result_of_its_own(matched):
         identity_result().at_level(1)
 
 
+@pytest.mark.slow
 def test_a_level_is_baked_written_and_drawn(matched, small_pages):
     """Another picture than that of the finest level, a map of as many vertices, and a page."""
     images = []
@@ -101,6 +103,7 @@ def test_a_level_is_baked_written_and_drawn(matched, small_pages):
         run_map(MapRequest(matched / "m.npz", matched / "deer.obj", matched / "pony.obj", matched / "M"), stages)
 
 
+@pytest.mark.slow
 def test_a_report_shows_what_its_level_baked(matched, monkeypatch):
     """The image of the level that is shown, not the last one; and no wrapped net that this level has not."""
     shown = {}

@@ -87,6 +87,7 @@ def test_a_displacement_is_a_rotation_and_smooth_functions():
     np.testing.assert_allclose(coefficients, np.eye(5)[:, :1] * [1.0, 2.0, 3.0], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_hfm_does_not_see_how_the_source_is_turned():
     """The displacement starts with a rotation: a turned source has the same map."""
     pair = creature_pair(2, (40, 15, 5))
@@ -120,6 +121,7 @@ def test_landmarks_between_vertices_have_vertices_of_the_searched_level():
     assert np.median(np.linalg.norm(found.images.positions - mesh.positions, axis=1)) < 0.01
 
 
+@pytest.mark.slow
 def test_finer_levels_start_from_the_same_map():
     """Operators end at the searched level: its matches are the same whichever level is the finest."""
     found, config = [], HfmConfig(search_vertices=300)
@@ -149,6 +151,7 @@ def test_maps_of_all_levels_are_returned_and_are_the_identity():
     assert away.max() < 1e-3
 
 
+@pytest.mark.slow
 def test_sides_may_have_their_own_levels_and_schedules():
     """Table 1: the finer side waits, and C has as many rows and columns as the sides have functions."""
     one = prepare_surface(shapes.creature(), 2, BasisConfig(schedule=(12, 6, 4)))

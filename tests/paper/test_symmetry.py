@@ -149,6 +149,7 @@ def test_unknown_images_stay_unknown():
     np.testing.assert_array_equal(image[~depends], symmetry_at(refinement, whole, 1)[~depends])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["zebra", "spot", "cow", "fish1"])
 def test_exact_symmetry_is_plus_or_minus_one_on_every_level(shared_data, name):
     """It commutes with the Laplacian: +-1 on the diagonal, nothing beside it, on the basis of each level."""

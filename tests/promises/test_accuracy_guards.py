@@ -33,6 +33,7 @@ from cagemap import (
 from locations import ROOT
 
 
+@pytest.mark.slow
 def test_a_real_pair_is_as_accurate_as_it_was(shared_data: Path) -> None:
     """6k vertices; at 25k the same pair has 0.53 (docs/accuracy.md)."""
     humans = shared_data / "humans"

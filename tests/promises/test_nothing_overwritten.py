@@ -192,6 +192,7 @@ def test_an_unwrapped_mesh_keeps_everything_its_file_had(place: Path, folder: st
     assert laid_out.uvs is not None
 
 
+@pytest.mark.slow
 def test_an_unwrapped_mesh_shows_each_baked_image_on_every_face(place: Path) -> None:
     result = read_result(place / "R")
     bare = replace(result.target.control, face_materials=None, material_names=(), material_colors=None)
@@ -260,6 +261,7 @@ def test_outputs_are_no_inputs(place: Path, force: bool) -> None:
     assert contents(place) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force", [False, True])
 def test_what_a_match_read_is_no_output_of_what_follows(place: Path, force: bool) -> None:
     models, result = place / "models", identity_result()

@@ -34,6 +34,7 @@ COMMAND = [sys.executable, "-c", "from cagemap.cli import main; main()"]
 MATCH = ["match", "--target", "deer.obj", "--source", "pony.obj", "--landmarks", "landmarks.json", "-o", "R"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_ends_cleanly(pair_files: Path, number: signal.Signals, code: int) -> None:
     before = sorted(path.name for path in pair_files.iterdir())
@@ -86,6 +87,7 @@ def test_blas_starts_no_threads_in_a_command_unless_told(given: dict[str, str], 
     assert said.stdout.split()[-1] == expected
 
 
+@pytest.mark.slow
 def test_a_reader_that_has_gone_is_no_error(tmp_path: Path) -> None:
     write_mesh(tmp_path / "box.obj", cube())
     with subprocess.Popen(
@@ -151,6 +153,7 @@ def test_a_warning_is_said_once_a_command(capsys: pytest.CaptureFixture[str]) ->
         assert capsys.readouterr().err.splitlines() == ["cagemap: warning: one", "cagemap: warning: two"]
 
 
+@pytest.mark.slow
 def test_names_that_are_no_text_are_written_as_escapes(tmp_path: Path) -> None:
     name = os.fsdecode(b"b\xffx.obj")
     write_mesh(tmp_path / name, cube())
@@ -182,6 +185,7 @@ def test_a_match_of_a_name_that_is_no_text_has_no_job_file(tmp_path: Path, caplo
     assert list((tmp_path / "R").iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
 def test_outputs_on_a_full_disk_are_named_and_exit_with_2(tmp_path: Path) -> None:
     write_mesh(tmp_path / "b.obj", cube())

@@ -52,6 +52,7 @@ def test_bakes_are_those_of_the_match(matched: MatchResult, read: MatchResult) -
     np.testing.assert_array_equal(cagemap.bake(read, texture, size=48), cagemap.bake(matched, texture, size=48))
 
 
+@pytest.mark.slow
 def test_both_are_reported(matched: MatchResult, read: MatchResult, tmp_path: Path, small_pages: None) -> None:
     cagemap.write_report(tmp_path / "read.html", read)
     cagemap.write_report(tmp_path / "fresh.html", matched)
@@ -76,6 +77,7 @@ def test_a_functional_map_that_is_not_stored_is_made(matched: MatchResult, read:
     np.testing.assert_allclose(bare.functional_map, matched.functional_map, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_an_update_of_what_was_read_is_that_of_the_match(
     matched: MatchResult, read: MatchResult, landmarks: Landmarks
 ) -> None:

@@ -76,6 +76,7 @@ def usual_gallery() -> Gallery:
     return draw_gallery(identity_result(1, (deer(), deer())), size=SIZE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("turned", "said"), FILES[1::2])
 def test_reports_show_a_model_alike_whatever_axes_its_file_has(turned: FloatArray, said: str) -> None:
     usual, other = deer(), deer().with_positions(deer().positions @ turned)
@@ -88,6 +89,7 @@ def test_reports_show_a_model_alike_whatever_axes_its_file_has(turned: FloatArra
         assert np.mean(np.abs(one.source.astype(int) - two.source)) < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("axis", "words", "said"),
     [

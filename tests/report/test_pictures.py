@@ -148,6 +148,7 @@ def test_skins_of_one_view_are_drawn_with_few_more_rays_than_one(monkeypatch: py
     np.testing.assert_array_equal(together, alone)
 
 
+@pytest.mark.slow
 def test_light_of_the_sky_is_interpolated_on_smooth_surfaces_only(monkeypatch: pytest.MonkeyPatch) -> None:
     model, camera = cube(), frame(cube().positions)
     quick = render(model, Skin(), camera, width=600, height=460).astype(int)

@@ -122,6 +122,7 @@ def test_texture_is_shown_where_it_is_given(result: MatchResult, gallery: Galler
     assert tint(pulled.looks[0].target)[1] < -60
 
 
+@pytest.mark.slow
 def test_without_a_texture_material_colours_are_shown_and_without_those_a_checker(result: MatchResult) -> None:
     assert draw_gallery(result, size=SIZE).appearance == "material colours"
     bare = replace(result.source.control, face_materials=None, material_colors=None)
@@ -185,6 +186,7 @@ def test_pairs_that_were_left_out_are_named(result: MatchResult, gallery: Galler
     assert "left out</td>" not in build_page(result, gallery)
 
 
+@pytest.mark.slow
 def test_two_answers_stand_side_by_side(result: MatchResult) -> None:
     count = result.target.control.n_vertices
     places = result.point_map.images.positions[:count]
@@ -236,6 +238,7 @@ def test_the_page_begins_with_how_sure_a_map_without_landmarks_is(result: MatchR
     assert f"<li>{result.target.control.name}: --part each matches every piece</li>" in two
 
 
+@pytest.mark.slow
 def test_what_was_wrapped_and_what_rides_on_the_map_is_shown(result: MatchResult, gallery: Gallery) -> None:
     control, source = result.target.control, result.source.control
     rng = np.random.default_rng(1)
@@ -267,6 +270,7 @@ def test_a_net_is_the_edges_between_control_faces() -> None:
     assert draw_carried(result, CarriedData(), SIZE) == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [0, 1])
 def test_the_first_of_many_poses_are_shown_and_counted(more: int) -> None:
     result = identity_result(1)

@@ -224,6 +224,7 @@ def test_models_with_z_up_stand_upright(result: MatchResult) -> None:
     assert extent[1] > 2 * max(extent[0], extent[2])
 
 
+@pytest.mark.slow
 def test_textures_become_small_enough_for_a_page() -> None:
     noise = np.random.default_rng(0).random((2048, 2048, 3))
     texture = encode_texture("t", "noise", noise)
@@ -231,6 +232,7 @@ def test_textures_become_small_enough_for_a_page() -> None:
     assert texture.size[0] < 2048
 
 
+@pytest.mark.slow
 def test_passengers_and_poses_are_sections_of_the_page(result: MatchResult) -> None:
     control, source = result.target.control, result.source.control
     hats = [mesh.with_positions(mesh.positions * 0.3 + [0, 1.0, 0]) for mesh in (source, control)]

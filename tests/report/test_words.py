@@ -7,7 +7,11 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 import cagemap
+
+pytestmark = pytest.mark.slow
 
 SOURCE = Path(cagemap.__file__).parent
 SHOWN = ("cli", "report", "studio")

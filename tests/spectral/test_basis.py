@@ -68,6 +68,7 @@ def test_a_basis_of_one_level_is_that_level_s_spectrum(surface):
     assert cosines(refinement, operators, basis, fine).min() > 1.0 - 1e-3
 
 
+@pytest.mark.slow
 def test_a_basis_of_one_level_is_on_the_coarsest_that_has_enough_vertices():
     """Levels of the creature have 154, 610, 2434 and 9730 vertices."""
     refinement = refine(shapes.creature(), 3)
@@ -251,6 +252,7 @@ def test_a_basis_belongs_to_its_levels(creature):
         replace(basis, operators=build_operators(other))
 
 
+@pytest.mark.slow
 def test_functions_that_nearly_repeat_each_other_are_warned_of(caplog):
     """A coarse level asked for nearly all that it has gives functions that finer ones repeat."""
     refinement = refine(shapes.creature(), 2)

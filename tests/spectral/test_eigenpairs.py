@@ -114,6 +114,7 @@ def test_a_wider_block_follows_where_a_pair_was_missed(creature, reference, monk
     assert relative(pairs.values, reference[0][:40]).max() < EXACT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inertia", [True, False])
 def test_without_rslab(creature, reference, monkeypatch, caplog, inertia):
     """SuperLU serves too, with inertia read off its diagonal, or without any."""
@@ -153,6 +154,7 @@ def test_repeated_eigenvalues_are_complete(control, level, multiplicities):
     assert gaps.min() > 1e-4 * pairs.values[-1]
 
 
+@pytest.mark.slow
 def test_a_lost_pair_is_noticed(creature, monkeypatch):
     """If Lanczos skipped an eigenvalue the inertia would tell."""
     forget_a_pair(monkeypatch)
@@ -160,6 +162,7 @@ def test_a_lost_pair_is_noticed(creature, monkeypatch):
         band_pairs(creature.stiffness[2], creature.mass[2], 0, 40)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("control", "count"), [(shapes.creature, 20), (shapes.icosahedron, 9), (shapes.cube, 7)])
 def test_eigenvalues_never_increase_with_level(control, count):
     """The spaces are nested, and Rayleigh quotients do not depend on the level (min-max principle)."""

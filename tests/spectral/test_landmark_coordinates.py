@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.spatial import cKDTree
 
 from cagemap.operators import build_operators
@@ -12,6 +13,7 @@ from cagemap.subdivision import Refinement
 from elastic_shapes import fitted_map, unit_refinement
 
 
+@pytest.mark.slow
 def test_landmark_coordinates_alone_lead_to_the_map_of_a_bent_twin(creature_at_3: tuple[Refinement, float]) -> None:
     target, _ = creature_at_3
     cage = target.control

@@ -105,6 +105,7 @@ def reference(positions, triangles, count):
     return areas, weights, values[order], vectors[:, order], *gradient
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [1, 2])
 def test_operators_are_those_of_diffusion_net(surface, level):
     triangles = surface.triangles(level)

@@ -26,6 +26,7 @@ def test_a_view_computes_nothing(opened: Session, monkeypatch: pytest.MonkeyPatc
     assert not wanted
 
 
+@pytest.mark.slow
 def test_a_baked_image_is_shown_and_the_map_after_it(opened: Session, boxes: Path) -> None:
     write_image(boxes / "b.png", np.full((8, 8, 3), 90, dtype=np.uint8))
     before = opened.scene.skins
@@ -103,6 +104,7 @@ def test_what_was_baked_is_shown_where_there_is_any(opened: Session, boxes: Path
     assert opened.state.view == replace(before, mode="baked", cages=True, baked=image)
 
 
+@pytest.mark.slow
 def test_what_a_bake_of_other_models_wrote_is_no_output_of_the_open_ones(opened: Session, boxes: Path) -> None:
     """Other models are opened while it runs: an image of theirs would be shown on these."""
     image = Output(boxes / "else_from_b.png", "texture")

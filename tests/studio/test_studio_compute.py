@@ -120,6 +120,7 @@ def test_without_landmarks_the_preview_has_answers_to_choose_from(
     np.testing.assert_array_equal(fourth.preview_map.triangle, second.preview_map.triangle)
 
 
+@pytest.mark.slow
 def test_every_map_suggests_a_free_vertex_until_all_are_taken(
     opened: tuple[PreviewCache, OpenModels], quick_fit: None
 ) -> None:
@@ -142,6 +143,7 @@ def test_mirror_images_lie_across_the_plane(opened: tuple[PreviewCache, OpenMode
     assert mirror_place(Scene(shape, shape, (None, None), (b"", b"")), "target", corner) is None
 
 
+@pytest.mark.slow
 def test_a_failing_task_is_a_named_failure_and_the_worker_lives_on(opened: tuple[PreviewCache, OpenModels]) -> None:
     _, task = opened
     stages: list[str] = []

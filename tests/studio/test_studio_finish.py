@@ -129,6 +129,7 @@ ASKED = st.builds(
 )
 
 
+@pytest.mark.slow
 @QUICK
 @given(asked=ASKED)
 def test_the_command_line_understands_every_finish(asked: FinishOptions) -> None:
@@ -290,6 +291,7 @@ def test_a_mesh_in_the_zip_names_material_files_of_the_zip_only(tmp_path: Path, 
         assert found[name] == (studio / name).read_text()
 
 
+@pytest.mark.slow
 def test_a_failing_command_gives_its_own_words_and_the_others_go_on(tmp_path: Path) -> None:
     files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", None)
     told: list[Message] = []
@@ -312,6 +314,7 @@ def runs(tmp_path: Path) -> tuple[Command, ...]:
     return tuple(Command(title, ReportRequest(tmp_path, tmp_path / title)) for title in ("normals", "heights"))
 
 
+@pytest.mark.slow
 def test_a_command_that_takes_its_process_along_leaves_the_others_theirs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -325,6 +328,7 @@ def test_a_command_that_takes_its_process_along_leaves_the_others_theirs(
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("serve", [leave, hang_up])
 def test_a_process_that_ends_after_its_command_leaves_the_next_one_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, serve: Callable[[Connection], None]

@@ -35,6 +35,7 @@ def two_creatures(folder: Path) -> tuple[Path, Path]:
     return folder / "a.obj", folder / "b.obj"
 
 
+@pytest.mark.slow
 def test_every_request_says_how_it_ended_and_what_it_wrote(tmp_path: Path) -> None:
     target, _ = two_creatures(tmp_path)
     result = tmp_path / "ä R"
@@ -73,6 +74,7 @@ def test_warnings_are_said_once_and_what_was_written_before_an_error_is_told(
     assert not any(type(one).__name__ == "_Warnings" for one in logging.getLogger("cagemap").handlers)
 
 
+@pytest.mark.slow
 def test_a_request_that_is_stopped_leaves_nothing_half_written(tmp_path: Path) -> None:
     target, source = two_creatures(tmp_path)
     before = sorted(os.listdir(tmp_path))
@@ -124,6 +126,7 @@ def wait_for_threads(connection: Connection) -> None:
     serve(connection)
 
 
+@pytest.mark.slow
 def test_a_request_that_waits_for_its_threads_ends_too(tmp_path: Path) -> None:
     worker = Worker(lambda _: worker.end(), wait_for_threads)
     stopped = worker.run(TransferRequest(tmp_path, tmp_path / "a.png"))
@@ -131,6 +134,7 @@ def test_a_request_that_waits_for_its_threads_ends_too(tmp_path: Path) -> None:
     assert "exit code 0" in stopped.message
 
 
+@pytest.mark.slow
 def test_a_second_signal_does_not_interrupt_what_the_first_one_removes(tmp_path: Path) -> None:
     worker = Worker(lambda _: None, remove_slowly)
     worker.start()

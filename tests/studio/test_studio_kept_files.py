@@ -173,6 +173,7 @@ def test_curves_of_a_file_are_used_and_saved_again(opened: Session, boxes: Path)
     np.testing.assert_array_equal(opened.state.history.present.curves.source.points.vertices, corners)
 
 
+@pytest.mark.slow
 def test_a_kill_of_the_session_loses_nothing(opened: Session, boxes: Path) -> None:
     click(opened, "target", 4)
     opened.rename(1, "corner")
@@ -283,6 +284,7 @@ def test_an_added_usd_file_names_no_file_outside_the_folders(session: Session, b
     assert sorted(boxes.iterdir()) == before
 
 
+@pytest.mark.slow
 def test_an_added_usd_file_may_name_files_beside_it_and_a_package_its_own(session: Session, tmp_path: Path) -> None:
     pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
     text = b'#usda 1.0\ndef "a" {\nasset f = @./textures/a.png@\n}\n'

@@ -216,6 +216,7 @@ def test_a_click_at_a_control_vertex_means_it() -> None:
     np.testing.assert_allclose(np.array(place.weights) @ np.eye(8)[list(place.corners)], np.eye(8)[3], atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", [cube(), creature()], ids=["cube", "creature"])
 def test_a_place_lies_where_it_was_wanted(mesh: ControlMesh) -> None:
     shape = refined_shape(refine(mesh, 4))

@@ -41,6 +41,7 @@ def sent(session: Any, **message: Any) -> None:
     Actions(session).handle(json.dumps(message))
 
 
+@pytest.mark.slow
 def test_every_stage_of_a_match_is_said_in_words_of_the_page(opened: Session) -> None:
     stages: list[str] = []
     opening = opened._preview.pair_files
@@ -295,6 +296,7 @@ def test_the_target_with_its_baked_image_is_one_file(opened: Session, boxes: Pat
     assert document.materials[0].pbrMetallicRoughness.baseColorTexture.index == 0
 
 
+@pytest.mark.slow
 def test_a_studio_is_served_and_ends(boxes: Path) -> None:
     app = StudioApp(PageRequest(None, all_options(), (boxes,), port=0, open_browser=False))
     try:

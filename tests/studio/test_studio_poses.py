@@ -19,6 +19,8 @@ from cagemap.studio.landmarks import LandmarkList
 
 from example_character import bare_body, character, write_character
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def body() -> ControlMesh:

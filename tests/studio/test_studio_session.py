@@ -111,6 +111,7 @@ def test_the_next_landmark_is_proposed_on_both_models(opened: Session) -> None:
     assert opened.state.proposal != before
 
 
+@pytest.mark.slow
 def test_a_killed_computation_keeps_the_map_and_the_next_click_works(opened: Session) -> None:
     revision = opened.state.map.revision
     opened._preview.kill()  # as the system does where memory runs out
@@ -192,6 +193,7 @@ def test_a_map_of_models_that_are_open_no_more_is_dropped(monkeypatch: pytest.Mo
     goes_on.set()
 
 
+@pytest.mark.slow
 def test_cancelling_ends_what_runs(opened: Session) -> None:
     def cancel(state: StudioState, _: object) -> None:
         if state.preview_job is not None and state.preview_job.stage:
@@ -228,6 +230,7 @@ def test_without_an_image_colours_are_baked_or_the_wrap_made(opened: Session, mo
     assert not opened.state.messages
 
 
+@pytest.mark.slow
 def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session, boxes: Path) -> None:
     def files() -> set[Path]:
         return {path for path in boxes.rglob("*") if path.is_file()}
@@ -333,6 +336,7 @@ def test_changes_of_two_pages_at_once_are_both_kept(opened: Session) -> None:
     assert [item.name for item in opened.state.history.present.items] == ["nose", "landmark 3"]
 
 
+@pytest.mark.slow
 def test_a_probe_points_at_both_models(opened: Session) -> None:
     scene = opened.scene
     point = scene.target.to_view(scene.target.positions[1])

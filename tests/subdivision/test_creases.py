@@ -157,6 +157,7 @@ def test_the_file_says_how_to_subdivide() -> None:
     assert refine(replace(icosahedron(), scheme=Bilinear()), 1).finest.faces.shape[1] == 4
 
 
+@pytest.mark.slow
 def test_a_creased_surface_goes_through_the_whole_method() -> None:
     mesh = creature()
     edges = np.column_stack([mesh.face_indices, mesh.face_indices[mesh.next_corners]])

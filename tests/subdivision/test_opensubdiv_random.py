@@ -290,6 +290,7 @@ def _compare(data: st.DataObject, opensubdiv: Oracle) -> None:
     _limits_agree(ours, order, theirs)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=20, derandomize=True)
 @given(data=st.data())
 def test_random_creased_cages(data: st.DataObject, opensubdiv: Oracle) -> None:

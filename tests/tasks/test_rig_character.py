@@ -160,6 +160,7 @@ def test_a_texture_continues_outside_the_unit_square_by_its_sampler(
     assert np.abs(read_material_image(read_document("OUT.glb"), after).pixels - expected).mean() < 1.0
 
 
+@pytest.mark.slow
 def test_a_body_moved_and_scaled_moves_like_the_character(run: Run, files: Character, body: ControlMesh) -> None:
     """Every vertex of every part, posed: the character's, scaled by 2, turned and shifted."""
     turn = Rotation.from_rotvec([0.0, 0.4, 0.0]).as_matrix()
@@ -176,6 +177,7 @@ def test_a_body_moved_and_scaled_moves_like_the_character(run: Run, files: Chara
         np.testing.assert_allclose(skinned_positions(found, made.rig, poses[1])[rows], expected, atol=2e-3 * size)
 
 
+@pytest.mark.slow
 def test_textures_of_the_body_and_of_its_own_parts_stay(run: Run, files: Character, body: ControlMesh) -> None:
     """Those of its own eye always, those of the body if asked for; names that both files have are told apart."""
     own = ball("my_eye", body.positions[np.argmax(body.positions[:, 1])] - [0, 0.3, 0], 0.1)
@@ -199,6 +201,7 @@ def test_textures_of_the_body_and_of_its_own_parts_stay(run: Run, files: Charact
         assert greys["hat"] == []
 
 
+@pytest.mark.slow
 def test_a_kept_texture_keeps_its_layout(run: Run, files: Character, body: ControlMesh) -> None:
     """A character without materials: the body keeps its own, its UVs in several unit squares, and gets no tint."""
     spread = replace(body, uvs=3 * body.uvs)
@@ -238,6 +241,7 @@ def test_animated_shapes_need_no_skeleton(run: Run, files: Character) -> None:
     np.testing.assert_allclose(values.ravel(), [0.25, 0.75])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_colors", [True, False])
 def test_vertex_colors_come_with_the_texture_they_tint(
     run: Run, files: Character, body: ControlMesh, *, has_colors: bool
@@ -305,6 +309,7 @@ def test_refusals_name_what_is_wrong(run: Run, files: Character, words: list[str
     assert Path("C.glb").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_the_report_shows_what_the_body_wears_and_how_it_moves(run: Run, files: Character) -> None:
     outcome = run("rig", *"B.glb --like C.glb -o OUT.glb --passengers hat --report R.html".split())
     assert outcome.out.endswith("Open R.html in a browser.\n")
@@ -319,6 +324,7 @@ def test_the_report_shows_what_the_body_wears_and_how_it_moves(run: Run, files: 
     assert Path("NEW.glb").read_bytes() == b"mine"
 
 
+@pytest.mark.slow
 def test_gltf_and_vrm_have_the_same_character(run: Run, files: Character) -> None:
     """A `.vrm` without VRM data is said; with the character's it is not."""
     made = _rig(run)
@@ -334,6 +340,7 @@ def test_gltf_and_vrm_have_the_same_character(run: Run, files: Character) -> Non
     assert said not in run.done("rig B.glb --like C.glb -o OUT.vrm --force").err
 
 
+@pytest.mark.slow
 def test_usd_has_the_same_character(run: Run, files: Character) -> None:
     """Points, weights, shapes, joints and the image, as in the `.glb`; its own files are replaced without force."""
     usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
@@ -357,6 +364,7 @@ def test_usd_has_the_same_character(run: Run, files: Character) -> None:
     assert usd.Stage.Open("OUT.usdz").GetDefaultPrim().GetTypeName() == "SkelRoot"
 
 
+@pytest.mark.slow
 def test_a_usd_character_gives_the_same_as_its_glb(run: Run, files: Character) -> None:
     """In centimetres; also with landmarks, which name vertices of the USD file."""
     pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
@@ -411,6 +419,7 @@ def test_landmarks_between_vertices_and_curves_are_used(files: Character) -> Non
         np.testing.assert_allclose(curves.points.of(part.mesh.positions), places[:2], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_images_of_the_character_are_not_replaced(run: Run, files: Character) -> None:
     """They are cagemap's own, named like those of the output."""
     pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
@@ -424,6 +433,7 @@ def test_images_of_the_character_are_not_replaced(run: Run, files: Character) ->
         assert {name: Path(name).read_bytes() for name in before} == before
 
 
+@pytest.mark.slow
 def test_a_usd_body_keeps_its_units_and_axes(run: Run, files: Character, body: ControlMesh) -> None:
     usd_geom = pytest.importorskip("pxr.UsdGeom", reason="usd-core is not installed")
     to_world = np.eye(4)
@@ -438,6 +448,7 @@ def test_a_usd_body_keeps_its_units_and_axes(run: Run, files: Character, body: C
     assert [of(opened) for of in stage] == [0.01, "Z"]
 
 
+@pytest.mark.slow
 def test_a_usd_body_gives_the_same_glb_as_its_glb(run: Run, files: Character, body: ControlMesh) -> None:
     """In centimetres with Z up, moved by its prim: glTF is in metres with Y up. Landmarks name vertices of the file."""
     pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
@@ -469,6 +480,7 @@ def test_usd_and_its_images_are_written_together(run: Run, files: Character, mon
     assert sorted(path.name for path in Path().iterdir()) == ["B.glb", "C.glb", "OUT.usdc"]
 
 
+@pytest.mark.slow
 def test_a_loose_piece_of_the_body_is_said_to_be_carried_along(run: Run, files: Character, body: ControlMesh) -> None:
     """`rig` has no --part, and leaves nothing out."""
     button = ball("button", body.positions[np.argmax(body.positions[:, 2])] + [0, 0, 0.3], 0.1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from cagemap.character.values import Part
 from cagemap.example import example_pair
@@ -13,6 +14,8 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.tasks.carry_character import Bodies, match_bodies
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.set_aside import lay_set_aside
+
+pytestmark = pytest.mark.slow
 
 SCALE, SHIFT = 2.5, np.array([3.0, -1.0, 2.0])
 

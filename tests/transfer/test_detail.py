@@ -290,6 +290,7 @@ def test_detail_elsewhere_is_refused(flat: Level) -> None:
             detail_over(surface, places, triangles(np.asarray(fine.faces)))
 
 
+@pytest.mark.slow
 def test_through_the_command_line(run: Run, result_folder: Path) -> None:
     place = result_folder.parent
     refinement = refine(read_result(result_folder).source.refinement.control, 4)

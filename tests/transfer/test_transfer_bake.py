@@ -222,6 +222,7 @@ def test_triangles_smaller_than_texels_are_averaged() -> None:
     np.testing.assert_allclose(baked, 0.25, rtol=0, atol=0.03)
 
 
+@pytest.mark.slow
 def test_neither_bands_nor_threads_change_a_texel(monkeypatch: pytest.MonkeyPatch) -> None:
     level = refine(unwrap(torus()), 1).finest
     transfer = prepare_transfer(level, level, torn_map(level))  # where walks that begin elsewhere may end elsewhere

@@ -78,6 +78,7 @@ def test_gutter_is_the_nearest_border_within_its_radius(ring: TexturedSurface) -
         assert grown[row, column] in border_triangle[distance[row, column] < nearest + 1e-9]
 
 
+@pytest.mark.slow
 def test_walk_comes_to_the_closest_point(ring: TexturedSurface) -> None:
     corner_uvs = ring.corner_uvs()
     size = 64

@@ -237,6 +237,7 @@ def test_a_map_file_says_which_level_its_triangles_are_of(tmp_path: Path, ring: 
         assert source_level(file, ring) is None
 
 
+@pytest.mark.slow
 def test_dense_matrices_are_read_where_they_are_small(
     tmp_path: Path, ring: Refinement, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
@@ -100,6 +101,7 @@ def test_a_user_sees_that_weights_were_normalised(run: Run, result_folder: Path)
         np.testing.assert_allclose(carried["hip"], 0.5 / 0.999, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_maps_through_the_command_line(run: Run, result_folder: Path) -> None:
     place, result = result_folder.parent, identity_result()
     write_mesh(place / "large.obj", textured_cube("large.obj", 2.0))

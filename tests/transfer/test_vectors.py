@@ -160,6 +160,7 @@ def test_normals_have_unit_length_where_triangles_are_smaller_than_texels(supers
     np.testing.assert_allclose(np.linalg.norm(2 * baked - 1, axis=2), 1, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_checker_of_normals_shrunk_by_four_does_not_alias() -> None:
     """Squares of 8 texels become squares of 2, turned by a little; beside their own frequencies is next to nothing."""
     squares = np.arange(512) // 8

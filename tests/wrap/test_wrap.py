@@ -337,6 +337,7 @@ def test_a_fit_that_went_astray_is_tried_with_more_pull_of_the_map(
     assert twice.residual.mean <= once.residual.mean
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["npy", "npz"])  # vertices, and points of triangles
 def test_anyone_s_map_wraps_without_a_match(run: Run, result_folder: Path, suffix: str) -> None:
     """Our own map, written out and given back as a file; no level is named, and the match's is not the default one."""
@@ -353,6 +354,7 @@ def test_anyone_s_map_wraps_without_a_match(run: Run, result_folder: Path, suffi
     assert not (place / "other.obj").exists()
 
 
+@pytest.mark.slow
 def test_the_report_shows_the_wrapped_cage_while_it_is_there(
     run: Run,
     result_folder: Path,

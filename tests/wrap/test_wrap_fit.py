@@ -38,6 +38,7 @@ def net_of(target: Refinement, point_map: PointMap) -> tuple[ControlNet, Samples
     return net, samples_of(net, point_map.images)
 
 
+@pytest.mark.slow
 def test_a_round_solves_its_system() -> None:
     """Planes, images and energy, written out densely; points that do not move keep their places."""
     target = refine(torus(12, 8), 2)
@@ -102,6 +103,7 @@ def test_what_is_sound_is_left_as_it_is() -> None:
     np.testing.assert_array_equal(mend(net, data, WrapConfig(), fitted), fitted)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("small", "many"), [(0.0005, 10_000), (1.0, 10_000), (1.0, 0)])
 def test_where_the_map_folds_the_net_does_not(small: float, many: int) -> None:
     """A patch of the map is turned over: its faces become stiff, or are carried along if they count as small."""
