@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from examples.shapes import voxels
 from scipy import sparse
+from scipy.spatial.transform import Rotation
 
 from cagemap import ControlMesh, Landmarks, Surface, match, prepare_surface, read_mesh, refine, update_match
 from cagemap.deform.problem import Problem
@@ -150,6 +151,38 @@ def test_a_retopology_in_other_units_lies_on_the_same_places(
     np.testing.assert_allclose(found.point_map.images.positions, expected, rtol=0, atol=2 * SAME)
 
 
+MOVED = Rotation.from_euler("xyz", [90, 20, -50], degrees=True)
+
+
+def moved(mesh: ControlMesh) -> ControlMesh:
+    return mesh.with_positions(2.5 * MOVED.apply(np.array(mesh.positions)) + [3.0, -5.0, 1.0])
+
+
+def test_a_copy_that_was_turned_moved_and_scaled_is_the_identity(pony: ControlMesh, surface: Surface) -> None:
+    """With other numbers, so that only closest points tell which vertex is which."""
+    number = np.random.default_rng(4).permutation(pony.n_vertices)
+    places = np.empty_like(pony.positions)
+    places[number] = pony.positions
+    copy = moved(replace(pony, positions=places, face_indices=number[pony.face_indices]))
+    found = match(prepare_surface(copy, 1), surface)
+    assert found.confidence.verdict == SURE
+    assert f"turned by {np.degrees(MOVED.magnitude()):.0f} degrees and moved, at 0.4 times" in found.confidence.message
+    nearest = found.point_map.nearest_vertices()[: pony.n_vertices]
+    np.testing.assert_array_equal(nearest[number], np.arange(pony.n_vertices))
+    np.testing.assert_allclose(found.point_map.barycentric[: pony.n_vertices].max(axis=1), 1.0)
+
+
+def test_a_box_that_was_turned_lies_on_itself_in_several_ways() -> None:
+    """Its sides are all alike: which one is which is left to landmarks. One with a peg on a side has one answer."""
+    cells = [(x, y, z) for x in range(5) for y in range(3) for z in range(2)]
+    for more, lies in (([], False), ([(1, 2, 2)], True)):
+        box = voxels(cells + more)
+        found = Coincidence.find(unprepared(moved(box), 2000), unprepared(box, 2000))
+        assert (found is not None) == lies
+        if found is not None:
+            np.testing.assert_allclose(found.motion.rotation, MOVED.inv().as_matrix(), atol=1e-9)
+
+
 @pytest.mark.parametrize(("ratio", "expected"), [(1.3, 1.0), (0.0102, 0.01), (38.0, 1 / 0.0254), (0.3, 0.3048)])
 def test_units_are_guessed_from_sizes(ratio: float, expected: float) -> None:
     assert unit_ratio(ratio) == pytest.approx(expected)
@@ -224,6 +257,8 @@ def test_bodies_lie_on_their_own_other_meshes_and_not_on_other_bodies(shared_dat
         )
 
     assert lies(f"{mine}_male_young", f"{theirs}_male_young")
+    turned = moved(read_mesh(shared_data / "humans" / f"{mine}_male_young.obj"))
+    assert Coincidence.find(unprepared(turned), body(shared_data / "humans" / f"{theirs}_male_young.obj")) is not None
     assert not any(
         lies(f"{mine}_{one}", f"{theirs}_{other}") for one, other in zip(bodies, np.roll(bodies, 1), strict=True)
     )

@@ -195,6 +195,14 @@ class CoincidenceConfig:
     share: float = 0.95  #: least share of the target that is on the source
     clothed: float = 0.6  #: least share of the source that is covered; clothes cover 0.34 to 0.5, a second body 0.81
     reach: float = 0.1  #: search radius of closest points that face the same way
+    # Motions
+    #: largest relative difference of the deviations along principal axes; one body under several cages has up to 0.04
+    max_moment_change: float = 0.05
+    #: least ratio of the deviations along two principal axes; with equal ones there is no telling them apart
+    min_axis_ratio: float = 1.05
+    settling_rounds: int = 30  #: closest points and the best similarity in turn
+    settling_samples: int = 500  #: face centres of the target in it
+    min_approach: float = 0.95  #: a round that leaves more than this of the last one's mean distance is the last
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
 from cagemap.errors import ParameterError
 from cagemap.maps.masks import Masks
 from cagemap.numerics.arrays import FloatArray
+from cagemap.surface.alignment import fit_similarity
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -136,17 +137,6 @@ def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
     start = scale * graph.positions @ rotation.T + shift
     constraints.add_points(blocks, right, start, config)
     return minimise_constant(shape.energy, blocks, right, start, config.landmark_start)
-
-
-def fit_similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, float, FloatArray]:
-    """Rotation R, scale s and shift t that bring s R p + t nearest to images (Umeyama 1991); no reflection."""
-    centre, image_centre = points.mean(axis=0), images.mean(axis=0)
-    u, singular, vt = np.linalg.svd((images - image_centre).T @ (points - centre))
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0])
-    rotation = (u * signs) @ vt
-    spread = float(((points - centre) ** 2).sum())
-    scale = float((singular * signs).sum()) / spread if spread > 0 else 1.0
-    return rotation, scale, image_centre - scale * rotation @ centre
 
 
 def evaluate_placement(prepared: PreparedPair, positions: FloatArray) -> Placement:

@@ -1,4 +1,4 @@
-"""Find whether a target lies on its source, as in retopology, levels of detail and clothes.
+"""Find whether a target lies on its source, as in retopology, levels of detail and clothes, or is a moved copy of it.
 
 Subdivision shrinks a coarse cage more than a fine one. So either the refined surfaces coincide or the control meshes
 do, and the pair with the smaller gap is used. A point of a control mesh corresponds to the point of the refined surface
@@ -7,11 +7,12 @@ with the same position on its face.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from cagemap.deform.config import CoincidenceConfig
 from cagemap.maps.masks import WHOLE, Masks
@@ -20,6 +21,7 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.spectral import Surface
 from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.subdivision.face_varying import interpolate_linearly
+from cagemap.surface.alignment import PrincipalFrame, fit_similarity
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.surface_points import SurfacePoints, nearest_facing
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -34,15 +36,35 @@ _MOST_SAMPLES = 10_000
 
 
 @dataclass(frozen=True, eq=False)
-class Coincidence:
-    """A target that coincides with its source in the coordinates of their files, after a change of units."""
+class Motion:
+    """Similarity x -> scale rotation x + shift from the target's file to the source's."""
 
-    target: TriangleSurface  # the finest level, or its vertices on the faces of the control mesh; in the source's units
+    rotation: FloatArray = field(default_factory=lambda: np.eye(3))
+    scale: float = 1.0
+    shift: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+    def of(self, surface: TriangleSurface) -> TriangleSurface:
+        """The surface as if the coordinates of its file were moved; in units of sqrt(area) as before."""
+        shift = surface.scale / self.scale * self.shift
+        return TriangleSurface(
+            surface.positions @ self.rotation.T + shift, surface.triangles, surface.scale / self.scale
+        )
+
+    @property
+    def angle(self) -> float:
+        """Angle of the rotation in degrees."""
+        return float(np.degrees(Rotation.from_matrix(self.rotation).magnitude()))
+
+
+@dataclass(frozen=True, eq=False)
+class Coincidence:
+    """A target that coincides with its source, as their files stand or after a motion."""
+
+    target: TriangleSurface  # the finest level, or its vertices on the faces of the control mesh; moved
     source: TriangleSurface
     gap: float  # mean distance of the target's area from the source, in units of sqrt(source area)
     reach: float  # search radius of `images`, in the same unit
-    # The target's coordinates are multiplied by it: 100 for a target in metres and a source in centimetres
-    factor: float
+    motion: Motion
 
     @classmethod
     def find(
@@ -52,17 +74,24 @@ class Coincidence:
         masks: Masks = WHOLE,
         config: CoincidenceConfig = CoincidenceConfig(),
     ) -> Coincidence | None:
-        """Coincidence of two surfaces, None if they do not coincide; the target's mask weights its area."""
-        factor = unit_ratio(target.scale / source.scale)
-        for tried in dict.fromkeys((1.0, factor)):
-            gaps = []  # measured on the first of two shapes, mapped on the second
+        """Coincidence of two surfaces, None if they do not coincide; the target's mask weights its area.
+
+        Tried in this order: as the files stand, in other units, moved. If a moved target coincides in several
+        rotations, like a box, the answer is None too.
+        """
+        for as_filed in (Motion(), Motion(scale=unit_ratio(target.scale / source.scale)), None):
+            found: list[Coincidence] = []
             for measured, mapped in ((_cage, _unsmoothed), (_finest, _finest)):
-                gap = _gap(_in_units(measured(target), tried), measured(source), masks.target, config)
-                if gap is not None:
-                    gaps.append((gap, mapped))
-            if gaps:
-                gap, mapped = min(gaps, key=lambda one: one[0])
-                return cls(_in_units(mapped(target), tried), mapped(source), gap, config.reach, tried)
+                own, other = measured(target), measured(source)
+                motions = aligning_motions(own, other, config) if as_filed is None else [as_filed]
+                gaps = [_gap(motion.of(own), other, masks.target, config) for motion in motions]
+                close = [(gap, motion) for gap, motion in zip(gaps, motions, strict=True) if gap is not None]
+                if len(close) > 1:
+                    return None
+                for gap, motion in close:
+                    found.append(cls(motion.of(mapped(target)), mapped(source), gap, config.reach, motion))
+            if found:
+                return min(found, key=lambda one: one.gap)
         return None
 
     def images(self, source: TriangleSurface, shifts: FloatArray | float = 0.0) -> SurfacePoints:
@@ -72,15 +101,43 @@ class Coincidence:
         return SurfacePoints(source, near.triangle, _snapped(near))
 
 
+def aligning_motions(target: TriangleSurface, source: TriangleSurface, config: CoincidenceConfig) -> list[Motion]:
+    """Motions that may bring a target onto its source: of principal frames, then by closest points.
+
+    None if the moments tell the surfaces apart, or if two axes are equally long, which leaves more than four rotations.
+    """
+    own, other = (PrincipalFrame.of(side.positions / side.scale, side.vertex_areas) for side in (target, source))
+    scale = float(np.linalg.norm(other.deviations) / np.linalg.norm(own.deviations))
+    change = np.abs(scale * own.deviations / other.deviations - 1.0).max()
+    longer = min(other.deviations[:2] / other.deviations[1:])
+    if change > config.max_moment_change or longer < config.min_axis_ratio:
+        return []
+    starts = [
+        Motion(rotation, scale, other.centre - scale * rotation @ own.centre) for rotation in own.rotations_onto(other)
+    ]
+    return [_settled(start, target, source, config) for start in starts]
+
+
+def _settled(motion: Motion, target: TriangleSurface, source: TriangleSurface, config: CoincidenceConfig) -> Motion:
+    """Motion after closest points and the best similarity in turn (Besl and McKay 1992), while they come nearer."""
+    samples, last = _on_faces(target, most=config.settling_samples), np.inf
+    for _ in range(config.settling_rounds):
+        points = motion.scale * samples.points @ motion.rotation.T + motion.shift
+        triangle, barycentric, distance = closest_points(
+            source.tree, source.scale * points, samples.normals @ motion.rotation.T, minimum_cosine=0.0
+        )
+        if distance.mean() > config.min_approach * last:
+            break
+        last = distance.mean()
+        places = np.einsum("kc,kcd->kd", barycentric, source.positions[source.triangles[triangle]]) / source.scale
+        motion = Motion(*fit_similarity(samples.points, places))
+    return motion
+
+
 def unit_ratio(ratio: float) -> float:
     """The ratio of two usual units of length that is nearest to a ratio of sizes."""
     ratios = np.divide.outer(_UNITS, _UNITS).ravel()
     return float(ratios[np.argmin(np.abs(np.log(ratios / ratio)))])
-
-
-def _in_units(surface: TriangleSurface, factor: float) -> TriangleSurface:
-    """The surface as if the coordinates of its file were multiplied by ``factor``."""
-    return surface if factor == 1.0 else replace(surface, scale=surface.scale / factor)
 
 
 def _snapped(points: SurfacePoints) -> FloatArray:
@@ -127,8 +184,8 @@ def _at_vertices(surface: TriangleSurface, mask: FloatArray | None = None) -> _S
     return _Samples(surface.positions[rows] / surface.scale, surface.vertex_normals[rows], areas)
 
 
-def _on_faces(surface: TriangleSurface, mask: FloatArray | None = None) -> _Samples:
-    rows = evenly_spaced_vertices(len(surface.triangles), _MOST_SAMPLES)
+def _on_faces(surface: TriangleSurface, mask: FloatArray | None = None, most: int = _MOST_SAMPLES) -> _Samples:
+    rows = evenly_spaced_vertices(len(surface.triangles), most)
     corners = surface.triangles[rows]
     areas = (1.0 if mask is None else mask[corners].mean(axis=1)) * triangle_areas(surface.positions, corners)
     return _Samples(triangle_centres(surface.positions, corners) / surface.scale, surface.normals_of(rows), areas)

@@ -49,8 +49,10 @@ def coincident_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
             target, snap_landmarks(coincidence.images(source, shifts), landmarks, prepared.elastic.projection)
         )
     gap = f"{100 * coincidence.gap:.2f} % of the model's size apart"
-    size = "" if coincidence.factor == 1.0 else f", at {coincidence.factor:.6g} times its size"
-    name = f"as it stands{size}, {gap}: vertices go to the closest points of the same side"
+    motion = coincidence.motion
+    place = f"turned by {motion.angle:.0f} degrees and moved" if np.any(motion.shift) else "as it stands"
+    size = "" if np.isclose(motion.scale, 1.0, rtol=1e-5) else f", at {motion.scale:.6g} times its size"
+    name = f"{place}{size}, {gap}: vertices go to the closest points of the same side"
     answer = Placement(point_map.images.at(prepared.vertices).positions, coincidence.gap**2, name=name)
     return point_map, Confidence.of((answer,), count)
 

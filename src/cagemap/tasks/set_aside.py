@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cagemap.deform.fit import fit_similarity
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import face_centres, keep_faces
 from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
+from cagemap.surface.alignment import fit_similarity
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.tasks.carry_character import Bodies, nearest

@@ -19,7 +19,6 @@ from scipy.spatial import cKDTree
 
 from cagemap.deform.config import Stage
 from cagemap.deform.energy import Admissible, ElasticEnergy, bounded_maps
-from cagemap.deform.fit import fit_similarity
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.minimise import Differentials, minimise
 from cagemap.errors import ParameterError
@@ -32,6 +31,7 @@ from cagemap.numerics.arrays import (
     nearest_rotations,
 )
 from cagemap.numerics.factorization import factor
+from cagemap.surface.alignment import fit_similarity
 from cagemap.wrap.config import MendConfig, WrapConfig
 from cagemap.wrap.net import ControlNet, NetTerms, Samples, face_aspects, folded_faces
 

@@ -8,13 +8,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.deform.fit import fit_similarity
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool
 from cagemap.subdivision import Refinement, level_triangles, refine
+from cagemap.surface.alignment import fit_similarity
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.baking import Transfer

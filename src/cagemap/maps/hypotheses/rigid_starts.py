@@ -15,6 +15,7 @@ from cagemap.deform.config import SearchConfig
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair
 from cagemap.numerics.arrays import FloatArray
+from cagemap.surface.alignment import PrincipalFrame
 from cagemap.surface.triangle_surface import TriangleSurface
 
 AS_FILED = "as the files stand"
@@ -71,12 +72,8 @@ def rigid_starts(points: FloatArray, areas: FloatArray, source: TriangleSurface)
     for matrix in axis_rotations():
         turned = points @ matrix.T
         starts += [Placement(_fit_to_box(turned, source.positions, stretched)) for stretched in (False, True)]
-    centre, frame = _principal_frame(points, areas)
-    source_centre, source_frame = _principal_frame(source.positions, source.vertex_areas)
-    for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        flips = np.array([*signs, signs[0] * signs[1]], dtype=np.float64)
-        positions = (points - centre) @ (frame * flips) @ source_frame.T + source_centre
-        starts.append(Placement(positions))
+    own, other = PrincipalFrame.of(points, areas), PrincipalFrame.of(source.positions, source.vertex_areas)
+    starts += [Placement((points - own.centre) @ rotation.T + other.centre) for rotation in own.rotations_onto(other)]
     return starts
 
 
@@ -87,14 +84,6 @@ def _fit_to_box(points: FloatArray, source_points: FloatArray, stretched: bool) 
     extent, wanted = np.maximum(high - low, LEAST_EXTENT), np.maximum(source_high - source_low, LEAST_EXTENT)
     scale = wanted / extent if stretched else np.linalg.norm(wanted) / np.linalg.norm(extent)
     return np.asarray((points - (low + high) / 2) * scale + (source_low + source_high) / 2)
-
-
-def _principal_frame(points: FloatArray, areas: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Centre and a right-handed frame of columns along the principal axes of a surface, longest first."""
-    centre = areas @ points / areas.sum()
-    frame = np.linalg.svd(np.sqrt(areas)[:, None] * (points - centre), full_matrices=False)[2].T
-    frame[:, 2] *= np.sign(np.linalg.det(frame)) or 1.0
-    return centre, frame
 
 
 def file_ratio(prepared: PreparedPair) -> float:
