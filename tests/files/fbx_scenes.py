@@ -129,6 +129,15 @@ def geometry(points: np.ndarray, faces: Sequence[Sequence[int]], *elements: Node
     ]
 
 
+def add_layer(made: Fbx, element: Node) -> None:
+    """Add a layer element, in a layer of its own, to the first mesh."""
+    inside = next(one.inside for one in made.objects if (one.name, one.properties[2]) == ("Geometry", "Mesh"))
+    element.properties = (sum(one.name == element.name for one in inside),)
+    named = Node("LayerElement", (), [Node("Type", (element.name,)), Node("TypedIndex", element.properties)])
+    number = sum(one.name == "Layer" for one in inside)
+    inside += [element, Node("Layer", (number,), [Node("Version", (100,)), named])]
+
+
 def write_fbx(path: Path, mesh: ControlMesh) -> None:
     """Write a mesh in metres with Y up, with its UVs."""
     made = Fbx(UpAxis=1, FrontAxis=2, FrontAxisSign=1, UnitScaleFactor=100.0)

@@ -29,7 +29,7 @@ from cagemap.tasks.mesh_commands import run_check, run_refine
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest, RefineRequest
 
-from fbx_scenes import Fbx, Node, fbx_arm, geometry, properties
+from fbx_scenes import TO_FBX, Fbx, Node, add_layer, fbx_arm, geometry, layer, properties
 from gltf_scenes import arm
 
 pytest.importorskip("ufbx")
@@ -283,6 +283,47 @@ def test_weights_of_vertices_that_are_not_there_are_refused_by_name(tmp_path: Pa
     next(one for one in cluster.inside if one.name == "Indexes").properties[0][0] = 29445
     with pytest.raises(FormatError, match="strip: a skin or shape of 6 vertices lists 29445"):
         read_mesh(_file(tmp_path, made))
+
+
+@pytest.mark.parametrize(
+    ("kind", "entry", "said"),
+    [
+        ("Mesh", "Vertices", "mesh strip: positions"),
+        ("Mesh", "UV", "mesh strip: UVs map"),
+        ("Mesh", "Colors", "mesh strip: colors"),
+        ("Shape", "Vertices", "mesh strip: shape raise"),
+        ("Cluster", "Weights", "mesh strip: skinning weights"),
+        ("Cluster", "Transform", "mesh strip: bind pose of the skin"),
+        ("AnimationCurve", "KeyValueFloat", "animation bend: keys"),
+        ("LimbNode", "Lcl_Translation", "node lower: transform"),
+        ("Material", "EmissiveColor", "material skin"),
+    ],
+)
+def test_numbers_that_are_not_finite_are_refused_by_name(kind: str, entry: str, said: str, tmp_path: Path) -> None:
+    made = fbx_arm()
+    add_layer(made, layer("Color", "", "ByPolygonVertex", Colors=np.ones(32)))
+    changed = next(one for one in reversed(made.objects) if kind in (one.name, one.properties[2]))
+    if kind in ("LimbNode", "Material"):
+        changed.inside[0].inside += properties(**{entry: (np.nan, 0.0, 0.0)}).inside
+    else:
+        inside = [inner for one in changed.inside for inner in (one, *one.inside)]
+        next(one for one in inside if one.name == entry).properties[0][0] = np.nan
+    with pytest.raises(FormatError, match=rf"arm\.fbx: .*\({said} .* not finite\)"):
+        read_mesh(_file(tmp_path, made))
+
+
+def test_normals_that_are_not_finite_are_computed_from_the_faces(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Some exporters write such normals where a face has no area."""
+    made = fbx_arm()
+    normals = np.tile(np.array([0.6, 0.0, 0.8]) @ TO_FBX / 100.0, (8, 1))
+    normals[7] = np.nan
+    add_layer(made, layer("Normal", "", "ByPolygonVertex", Normals=normals.ravel()))
+    (part,) = read_character(_file(tmp_path, made)).parts
+    assert part.normals is not None
+    np.testing.assert_allclose(part.normals, [[0.6, 0.0, 0.8]] * 7 + [[0.0, 0.0, 1.0]], atol=1e-6)
+    assert "strip: 1 normals are not finite and are computed from the faces" in caplog.text
 
 
 @pytest.mark.parametrize("child", ["import os; os.abort()", "raise RuntimeError"])

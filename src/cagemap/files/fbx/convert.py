@@ -15,7 +15,7 @@ import ufbx
 from cagemap.errors import FormatError
 from cagemap.files.fbx.animations import animation_entry
 from cagemap.files.fbx.materials import Materials
-from cagemap.files.fbx.meshes import FbxMesh, get, held, items, read_fbx_mesh, row_matrix
+from cagemap.files.fbx.meshes import FbxMesh, finite, get, held, items, read_fbx_mesh, row_matrix
 from cagemap.files.fbx.read import REFUSED
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.document import glb_bytes
@@ -140,13 +140,10 @@ class _Scene:
         return None if parent is None else self._number.get(get(parent, "typed_id"))
 
     def _node(self, node: Any) -> dict[str, Any]:
-        rest = get(node, "local_transform")
-        entry: dict[str, Any] = {
-            "name": get(node, "name"),
-            "translation": list(rest.translation),
-            "rotation": list(rest.rotation),
-            "scale": list(rest.scale),
-        }
+        name, rest = get(node, "name"), get(node, "local_transform")
+        entry: dict[str, Any] = {"name": name}
+        for part in ("translation", "rotation", "scale"):
+            entry[part] = finite(list(getattr(rest, part)), f"node {name}: transform").tolist()
         children = [self._number[get(child, "typed_id")] for child in items(node, "children")]
         if children:
             entry["children"] = children
@@ -185,7 +182,7 @@ class _Scene:
             parent = self._parent(self._nodes[number])
             above = np.eye(4) if parent is None else world[parent]
             if number in bind and invertible(above[None]).all():
-                bound = bind[number] @ np.linalg.inv(above)
+                bound = finite(bind[number] @ np.linalg.inv(above), f"node {entry['name']}: transform")
                 pose = {"translation": [0.0] * 3, "rotation": [0.0, 0.0, 0.0, 1.0], "scale": [1.0] * 3} | decomposed(
                     bound
                 )

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import ufbx
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from cagemap.errors import FormatError
@@ -44,6 +44,14 @@ def items(value: Any, *names: str) -> list[Any]:
     return listed
 
 
+def finite(values: ArrayLike, where: str) -> FloatArray:
+    """Numbers as an array; refused if single precision cannot hold them."""
+    array = np.array(values, dtype=np.float64)
+    if not (np.abs(array) <= np.finfo(np.float32).max).all():
+        raise FormatError(f"{where} with numbers that are too large or not finite")
+    return array
+
+
 def floats(value: Any, *names: str, columns: int) -> FloatArray:
     """A nested attribute that lists vectors, as an array (n, columns)."""
     return np.array(get(value, *names), dtype=np.float64).reshape(-1, columns)
@@ -72,12 +80,13 @@ class FbxMesh:
     @property
     def amounts(self) -> list[float]:
         """Weight of each shape at rest."""
-        return [float(get(channel, "weight")) for channel in self.channels]
+        weights = [get(channel, "weight") for channel in self.channels]
+        return finite(weights, f"mesh {self.control.name}: amounts of shapes").tolist()
 
 
 def read_fbx_mesh(mesh: Any, name: str, note: Callable[[str], None]) -> FbxMesh | None:
     """A mesh of a scene; None if it has no polygons."""
-    faces = floats(mesh, "faces", columns=2).astype(np.int64)
+    faces = whole(mesh, "faces").reshape(-1, 2)
     kept = faces[:, 1] >= 3
     if not kept.any():
         return None
@@ -86,14 +95,14 @@ def read_fbx_mesh(mesh: Any, name: str, note: Callable[[str], None]) -> FbxMesh 
     corners = np.repeat(begins - offsets[:-1], sizes) + np.arange(offsets[-1])
     points = whole(mesh, "vertex_indices")
     control = ControlMesh(
-        floats(mesh, "vertices", columns=3),
+        finite(floats(mesh, "vertices", columns=3), f"mesh {name}: positions"),
         offsets,
         points[corners],
         scheme=Plain(),
         name=name,
         **_materials(mesh, kept),
     )
-    sets = [_uv_set(one, corners) for one in items(mesh, "uv_sets")]
+    sets = [_uv_set(one, corners, name) for one in items(mesh, "uv_sets")]
     if sets:
         control = replace(control, uvs=sets[0].uvs, uv_indices=sets[0].uv_indices, uv_name=sets[0].name)
         control = replace(control, uv_sets=tuple(sets[1:]))
@@ -102,12 +111,15 @@ def read_fbx_mesh(mesh: Any, name: str, note: Callable[[str], None]) -> FbxMesh 
         note(f"{name}: creases are left out; OBJ and USD files keep them")
     shapes = _shapes(mesh, control, note)
     fbx_mesh = FbxMesh(control, shapes={word: offsets for word, (offsets, _) in shapes.items()})
-    normals = get(mesh, "vertex_normal")
-    stated = (
-        floats(normals, "values", columns=3)[whole(normals, "indices")[corners]] if get(normals, "exists") else None
-    )
-    channels, colors = tuple(channel for _, channel in shapes.values()), _colors(mesh, corners)
-    fbx_mesh = replace(fbx_mesh, channels=channels, normals=stated, colors=colors)
+    channels = tuple(channel for _, channel in shapes.values())
+    normals, colors = (_of_corners(get(mesh, what), corners) for what in ("vertex_normal", "vertex_color"))
+    if normals is not None and (bad := ~np.isfinite(normals).all(axis=1)).any():
+        note(f"{name}: {bad.sum()} normals are not finite and are computed from the faces")
+        normals[bad] = 0.0
+    if colors is not None:
+        colors = finite(colors, f"mesh {name}: colors").clip(0.0, 1.0)
+        colors[:, :3] = decode_srgb(colors[:, :3])
+    fbx_mesh = replace(fbx_mesh, channels=channels, normals=normals, colors=colors)
     return _skinned(mesh, fbx_mesh, note)
 
 
@@ -122,18 +134,18 @@ def _materials(mesh: Any, kept: NDArray[np.bool_]) -> dict[str, Any]:
     }
 
 
-def _uv_set(uv_set: Any, corners: IndexArray) -> UvSet:
-    uvs = get(uv_set, "vertex_uv")
-    return UvSet(get(uv_set, "name"), floats(uvs, "values", columns=2), whole(uvs, "indices")[corners])
+def _uv_set(uv_set: Any, corners: IndexArray, mesh: str) -> UvSet:
+    uvs, name = get(uv_set, "vertex_uv"), get(uv_set, "name")
+    values = finite(floats(uvs, "values", columns=2), f"mesh {mesh}: UVs {name}")
+    return UvSet(name, values, whole(uvs, "indices")[corners])
 
 
-def _colors(mesh: Any, corners: IndexArray) -> FloatArray | None:
-    """Colours (c, 4) of the first set, linear with opacity; None without one."""
-    colors = get(mesh, "vertex_color")
-    if not get(colors, "exists"):
+def _of_corners(values: Any, corners: IndexArray) -> FloatArray | None:
+    """An attribute of the face corners as an array (c, columns); None if the mesh lacks it."""
+    if not get(values, "exists"):
         return None
-    of_corner = floats(colors, "values", columns=4)[whole(colors, "indices")[corners]].clip(0.0, 1.0)
-    return np.column_stack([decode_srgb(of_corner[:, :3]), of_corner[:, 3]])
+    table: FloatArray = np.array(get(values, "values"), dtype=np.float64)
+    return table[whole(values, "indices")[corners]]
 
 
 def _shapes(mesh: Any, control: ControlMesh, note: Callable[[str], None]) -> dict[str, tuple[FloatArray, Any]]:
@@ -147,7 +159,9 @@ def _shapes(mesh: Any, control: ControlMesh, note: Callable[[str], None]) -> dic
             note(f"{control.name}: shape {name} has {len(between)} shapes in between, which are left out")
         shape, amount = get(full, "shape"), float(get(full, "target_weight")) or 1.0
         offsets = np.zeros((control.n_vertices, 3))
-        offsets[_vertices(shape, "offset_vertices", control)] = floats(shape, "position_offsets", columns=3) / amount
+        moved = floats(shape, "position_offsets", columns=3) / amount
+        moved = finite(moved, f"mesh {control.name}: shape {name}")
+        offsets[_vertices(shape, "offset_vertices", control)] = moved
         shapes[name] = offsets, channel
     return shapes
 
@@ -171,12 +185,13 @@ def _skinned(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh:
     }
     vertices = [_vertices(cluster, "vertices", made.control) for cluster in clusters]
     columns = np.repeat([bones.index(bone) for bone in stated], [len(listed) for listed in vertices])
-    values = np.concatenate([np.array(get(cluster, "weights"), dtype=np.float64) for cluster in clusters])
+    stated_weights = [get(cluster, "weights") for cluster in clusters]
+    values = finite(np.concatenate(stated_weights), f"mesh {name}: skinning weights")
     shape = made.control.n_vertices, len(bones)
     weights = sparse.csr_array((np.maximum(values, 0.0), (np.concatenate(vertices), columns)), shape=shape)
     weights.sum_duplicates()
     weights.eliminate_zeros()
-    inverse = np.array([matrices[bone] for bone in bones])
+    inverse = finite([matrices[bone] for bone in bones], f"mesh {name}: bind pose of the skin")
     return replace(made, weights=weights, bones=bones, inverse_bind=inverse)
 
 
