@@ -206,6 +206,42 @@ def test_an_instance_has_its_own_place_and_with_y_up_nothing_turns(tmp_path: Pat
     np.testing.assert_allclose(other.mesh.positions, cube().positions + np.array([9.0, 0.0, 0.0]), atol=1e-5)
 
 
+@pytest.mark.parametrize("across", [1.0, -1.0])
+def test_a_geometric_transform_moves_positions_and_shapes_and_turns_mirrored_faces(
+    across: float, tmp_path: Path
+) -> None:
+    """It moves the mesh of a node, but not the node's children; 3ds Max writes it."""
+    made = fbx_arm()
+    model = next(one for one in made.objects if one.name == "Model")
+    model.inside.append(
+        properties(
+            GeometricScaling=(across, 2.0, 3.0),
+            GeometricRotation=(0.0, 0.0, 90.0),
+            GeometricTranslation=(50.0, 0.0, 0.0),
+        )
+    )
+    plain = read_character(_file(tmp_path, fbx_arm(), "plain.fbx")).parts[0]
+    part = read_character(_file(tmp_path, made)).parts[0]
+    linear = TO_FBX @ np.diag([across, 2.0, 3.0]) @ [[0, 1, 0], [-1, 0, 0], [0, 0, 1]] @ np.linalg.inv(TO_FBX)
+    np.testing.assert_allclose(part.mesh.positions, plain.mesh.positions @ linear + [0.5, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(part.shapes["raise"], plain.shapes["raise"] @ linear, atol=1e-6)
+    corners = part.mesh.positions[part.mesh.face(0)]
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    assert normal @ (np.array([0.0, 0.0, 1.0]) @ linear) > 0.0
+
+
+def test_instances_with_other_geometric_transforms_keep_their_names(tmp_path: Path) -> None:
+    made = Fbx(UpAxis=1, FrontAxis=2, FrontAxisSign=1, UnitScaleFactor=100.0)
+    models = [
+        made.add("Model", name, "Mesh", properties(GeometricTranslation=(x, 0.0, 0.0)))
+        for name, x in (("a", 0.0), ("b", 9.0))
+    ]
+    made.connect(made.add("Geometry", "box", "Mesh", *BOX, to=models[0]), models[1])
+    one, other = read_character(_file(tmp_path, made)).parts
+    assert (one.name, other.name) == ("a", "b")
+    np.testing.assert_allclose(other.mesh.positions - one.mesh.positions, np.tile([9.0, 0.0, 0.0], (8, 1)), atol=1e-5)
+
+
 def test_weights_shapes_and_joints_as_values(tmp_path: Path) -> None:
     """For `transfer --weights`, `--blend-shapes` and `--joints`."""
     path = _file(tmp_path, fbx_arm())

@@ -34,7 +34,7 @@ _SPACE: dict[str, Any] = {
     "target_axes": _AXES,
     "target_unit_meters": 1.0,
     "space_conversion": ufbx.SpaceConversion.MODIFY_GEOMETRY,
-    "geometry_transform_handling": ufbx.GeometryTransformHandling.MODIFY_GEOMETRY,
+    "geometry_transform_handling": ufbx.GeometryTransformHandling.PRESERVE,
     "inherit_mode_handling": ufbx.InheritModeHandling.COMPENSATE,
     "pivot_handling": ufbx.PivotHandling.ADJUST_TO_PIVOT,
     "handedness_conversion_axis": ufbx.MirrorAxis.X,
@@ -85,6 +85,14 @@ def fbx_glb(content: bytes, path: Path, note: Note) -> bytes:
     return _Scene(scene, path, note).glb()
 
 
+# ``typed_id`` of a mesh, and the matrix that places it in the space of its node.
+_Instance = tuple[int, bytes]
+
+
+def _instance(node: Any) -> _Instance:
+    return get(node, "mesh", "typed_id"), row_matrix(get(node, "geometry_to_node")).tobytes()
+
+
 class _Scene:
     """A glTF document built from an FBX scene."""
 
@@ -94,11 +102,11 @@ class _Scene:
         self._number = {get(node, "typed_id"): number for number, node in enumerate(self._nodes)}
         self._binary = Binary()
         self._materials = Materials(self._binary, path, note)
-        self._read: dict[int, FbxMesh | None] = {}
+        self._read: dict[_Instance, FbxMesh | None] = {}
         self._meshes: list[dict[str, Any]] = []
         self._skins: list[dict[str, Any]] = []
-        self._mesh_of: dict[tuple[int, tuple[int, ...]], int] = {}
-        self._skin_of: dict[int, int] = {}
+        self._mesh_of: dict[tuple[_Instance, tuple[int, ...]], int] = {}
+        self._skin_of: dict[_Instance, int] = {}
 
     def glb(self) -> bytes:
         """The document as GLB."""
@@ -153,17 +161,17 @@ class _Scene:
         if not get(node, "visible"):
             self._note(f"{get(node, 'name')} is hidden and left out")
             return entry
-        number = get(node, "mesh", "typed_id")
+        instance = _instance(node)
         materials = tuple(self._materials.number(material) for material in items(node, "materials"))
-        if (number, materials) not in self._mesh_of:
-            self._mesh_of[number, materials] = len(self._meshes)
+        if (instance, materials) not in self._mesh_of:
+            self._mesh_of[instance, materials] = len(self._meshes)
             self._meshes.append(self._mesh_entry(mesh, materials))
-        entry["mesh"] = self._mesh_of[number, materials]
+        entry["mesh"] = self._mesh_of[instance, materials]
         if mesh.bones:
-            if number not in self._skin_of:
-                self._skin_of[number] = len(self._skins)
+            if instance not in self._skin_of:
+                self._skin_of[instance] = len(self._skins)
                 self._skins.append(self._skin_entry(mesh))
-            entry["skin"] = self._skin_of[number]
+            entry["skin"] = self._skin_of[instance]
         return entry
 
     def _in_bind_pose(self, entries: list[dict[str, Any]]) -> dict[int, dict[str, Any]]:
@@ -172,7 +180,7 @@ class _Scene:
         for number, node in enumerate(self._nodes):
             if "skin" in entries[number] and (mesh := self._mesh(node)) is not None:
                 sound = invertible(mesh.inverse_bind)
-                to_world = row_matrix(get(node, "geometry_to_world"))
+                to_world = row_matrix(get(node, "node_to_world"))
                 for bone, inverse in zip(np.array(mesh.bones)[sound].tolist(), mesh.inverse_bind[sound], strict=True):
                     bind.setdefault(self._number[bone], np.linalg.inv(inverse) @ to_world)
         world: list[FloatArray] = []
@@ -198,13 +206,12 @@ class _Scene:
         return before
 
     def _mesh(self, node: Any) -> FbxMesh | None:
-        mesh = get(node, "mesh")
-        if mesh is None:
+        if get(node, "mesh") is None:
             return None
-        number = get(mesh, "typed_id")
-        if number not in self._read:
-            self._read[number] = read_fbx_mesh(mesh, get(node, "name"), self._note)
-        return self._read[number]
+        instance = _instance(node)
+        if instance not in self._read:
+            self._read[instance] = read_fbx_mesh(node, self._note)
+        return self._read[instance]
 
     def _mesh_entry(self, mesh: FbxMesh, materials: tuple[int, ...]) -> dict[str, Any]:
         numbers = [

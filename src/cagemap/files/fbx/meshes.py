@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from cagemap.errors import FormatError
+from cagemap.files.gltf.parts import turned_normals
 from cagemap.files.text import distinct
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
@@ -64,7 +65,7 @@ def whole(value: Any, *names: str) -> IndexArray:
 
 @dataclass(frozen=True, eq=False)
 class FbxMesh:
-    """A mesh in object space, with skinning weights and blend shapes."""
+    """A mesh in the space of its node, with skinning weights and blend shapes."""
 
     # vertices are the control points of the file; ``material_names`` has a name for each material slot
     control: ControlMesh
@@ -84,18 +85,23 @@ class FbxMesh:
         return finite(weights, f"mesh {self.control.name}: amounts of shapes").tolist()
 
 
-def read_fbx_mesh(mesh: Any, name: str, note: Callable[[str], None]) -> FbxMesh | None:
-    """A mesh of a scene; None if it has no polygons."""
+def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
+    """The mesh of a node, in the node's space; None if it has no polygons."""
+    mesh, name = get(node, "mesh"), get(node, "name")
+    placed = row_matrix(get(node, "geometry_to_node"))
     faces = whole(mesh, "faces").reshape(-1, 2)
     kept = faces[:, 1] >= 3
     if not kept.any():
         return None
     begins, sizes = faces[kept].T
     offsets = np.concatenate([[0], np.cumsum(sizes)])
-    corners = np.repeat(begins - offsets[:-1], sizes) + np.arange(offsets[-1])
+    place = np.arange(offsets[-1]) - np.repeat(offsets[:-1], sizes)
+    if np.linalg.det(placed[:3, :3]) < 0.0:
+        place = -place % np.repeat(sizes, sizes)
+    corners = np.repeat(begins, sizes) + place
     points = whole(mesh, "vertex_indices")
     control = ControlMesh(
-        finite(floats(mesh, "vertices", columns=3), f"mesh {name}: positions"),
+        finite(floats(mesh, "vertices", columns=3) @ placed[:3, :3] + placed[3, :3], f"mesh {name}: positions"),
         offsets,
         points[corners],
         scheme=Plain(),
@@ -109,13 +115,15 @@ def read_fbx_mesh(mesh: Any, name: str, note: Callable[[str], None]) -> FbxMesh 
     creased = [get(mesh, "edge_crease"), get(mesh, "vertex_crease", "values")]
     if any(np.any(np.array(one, dtype=np.float64) > 0.0) for one in creased if len(one)):
         note(f"{name}: creases are left out; OBJ and USD files keep them")
-    shapes = _shapes(mesh, control, note)
+    shapes = _shapes(mesh, control, placed[:3, :3], note)
     fbx_mesh = FbxMesh(control, shapes={word: offsets for word, (offsets, _) in shapes.items()})
     channels = tuple(channel for _, channel in shapes.values())
     normals, colors = (_of_corners(get(mesh, what), corners) for what in ("vertex_normal", "vertex_color"))
-    if normals is not None and (bad := ~np.isfinite(normals).all(axis=1)).any():
-        note(f"{name}: {bad.sum()} normals are not finite and are computed from the faces")
-        normals[bad] = 0.0
+    if normals is not None:
+        bad = ~np.isfinite(normals.sum(axis=1))
+        if bad.any():
+            note(f"{name}: {bad.sum()} normals are not finite and are computed from the faces")
+        normals = turned_normals(np.where(bad[:, None], 0.0, normals), placed[:3, :3])
     if colors is not None:
         colors = finite(colors, f"mesh {name}: colors").clip(0.0, 1.0)
         colors[:, :3] = decode_srgb(colors[:, :3])
@@ -148,7 +156,9 @@ def _of_corners(values: Any, corners: IndexArray) -> FloatArray | None:
     return table[whole(values, "indices")[corners]]
 
 
-def _shapes(mesh: Any, control: ControlMesh, note: Callable[[str], None]) -> dict[str, tuple[FloatArray, Any]]:
+def _shapes(
+    mesh: Any, control: ControlMesh, linear: FloatArray, note: Callable[[str], None]
+) -> dict[str, tuple[FloatArray, Any]]:
     """Offsets at full weight, and the channel, of every blend shape by name."""
     channels = [one for deformer in items(mesh, "blend_deformers") for one in items(deformer, "channels")]
     channels = [one for one in channels if items(one, "keyframes")]
@@ -159,7 +169,7 @@ def _shapes(mesh: Any, control: ControlMesh, note: Callable[[str], None]) -> dic
             note(f"{control.name}: shape {name} has {len(between)} shapes in between, which are left out")
         shape, amount = get(full, "shape"), float(get(full, "target_weight")) or 1.0
         offsets = np.zeros((control.n_vertices, 3))
-        moved = floats(shape, "position_offsets", columns=3) / amount
+        moved = floats(shape, "position_offsets", columns=3) @ linear / amount
         moved = finite(moved, f"mesh {control.name}: shape {name}")
         offsets[_vertices(shape, "offset_vertices", control)] = moved
         shapes[name] = offsets, channel
@@ -181,7 +191,7 @@ def _skinned(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh:
     stated = [get(cluster, "bone_node", "typed_id") for cluster in clusters]
     bones = tuple(dict.fromkeys(stated))
     matrices = {
-        bone: row_matrix(get(cluster, "geometry_to_bone")) for bone, cluster in zip(stated, clusters, strict=True)
+        bone: row_matrix(get(cluster, "mesh_node_to_bone")) for bone, cluster in zip(stated, clusters, strict=True)
     }
     vertices = [_vertices(cluster, "vertices", made.control) for cluster in clusters]
     columns = np.repeat([bones.index(bone) for bone in stated], [len(listed) for listed in vertices])
