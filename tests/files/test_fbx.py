@@ -29,7 +29,7 @@ from cagemap.tasks.mesh_commands import run_check, run_refine
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest, RefineRequest
 
-from fbx_scenes import TO_FBX, Fbx, Node, add_layer, fbx_arm, geometry, layer, properties
+from fbx_scenes import TO_FBX, Fbx, Node, add_curve, add_layer, fbx_arm, geometry, layer, properties
 from gltf_scenes import arm
 
 pytest.importorskip("ufbx")
@@ -183,6 +183,23 @@ def test_a_texture_that_is_not_there_is_said(tmp_path: Path, caplog: pytest.LogC
     assert "skin.png' is not found and left out" in caplog.text
 
 
+def test_a_skin_without_joints_is_passed_over(tmp_path: Path) -> None:
+    made = fbx_arm()
+    mesh = next(one.properties[0] for one in made.objects if one.name == "Geometry")
+    made.connections.insert(0, Node("C", ("OO", made.add("Deformer", "", "Skin", to=None), mesh)))
+    character = read_character(_file(tmp_path, made))
+    assert character.rig is not None
+    assert character.rig.names == ("upper", "lower")
+
+
+def test_vertices_of_no_face_are_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    made = fbx_arm()
+    vertices = next(one.inside[0] for one in made.objects if one.name == "Geometry")
+    vertices.properties = (np.append(vertices.properties[0], [0.0, 0.0, 900.0]),)
+    assert read_mesh(_file(tmp_path, made)).n_vertices == 6
+    assert "strip: 1 vertex of no face left out; later vertices have other numbers than in the file" in caplog.text
+
+
 def test_units(tmp_path: Path) -> None:
     """Inches, moved by 50 of them along Z, which is up."""
     made = Fbx(UnitScaleFactor=2.54)
@@ -240,6 +257,30 @@ def test_instances_with_other_geometric_transforms_keep_their_names(tmp_path: Pa
     one, other = read_character(_file(tmp_path, made)).parts
     assert (one.name, other.name) == ("a", "b")
     np.testing.assert_allclose(other.mesh.positions - one.mesh.positions, np.tile([9.0, 0.0, 0.0], (8, 1)), atol=1e-5)
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_uneven_scales_that_children_inherit_otherwise_than_in_gltf(
+    moving: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """InheritType 0: scales multiply along the axes of each joint. Names and the hierarchy stay."""
+    made = fbx_arm()
+    upper, lower = (one for one in made.objects if one.properties[2] == "LimbNode")
+    upper.inside.append(properties(Lcl_Scaling=(1.0, 1.0, 2.0)))
+    lower.inside[0].inside += properties(InheritType=0).inside
+    box = made.add("Model", "box", "Mesh", properties(Lcl_Scaling=(1.0, 1.0, 3.0), InheritType=0))
+    made.add("Geometry", "box", "Mesh", *BOX, to=box)
+    if moving:
+        add_curve(made, upper.properties[0], "Lcl Scaling", "d|Z", (2.0, 4.0, 2.0), others=1.0)
+    character = read_character(_file(tmp_path, made))
+    said = "animation bend: 2 moving scales left out, which children inherit otherwise than in glTF"
+    assert (said in caplog.text) == moving
+    assert [part.name for part in character.parts] == ["strip", "box"]
+    assert character.rig is not None
+    assert character.rig.names == ("upper", "lower")
+    np.testing.assert_array_equal(character.rig.parents, [-1, 0])
+    expected = [[0.0, 0.0, 0.0], [0.0, 2.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]
+    np.testing.assert_allclose(_at_half_a_second(character)[[0, 1, 4, 5]], expected, atol=1e-5)
 
 
 def test_weights_shapes_and_joints_as_values(tmp_path: Path) -> None:

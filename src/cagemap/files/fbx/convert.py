@@ -15,7 +15,7 @@ import ufbx
 from cagemap.errors import FormatError
 from cagemap.files.fbx.animations import animation_entry
 from cagemap.files.fbx.materials import Materials
-from cagemap.files.fbx.meshes import FbxMesh, finite, get, held, items, read_fbx_mesh, row_matrix
+from cagemap.files.fbx.meshes import FbxMesh, finite, get, held, items, node_name, read_fbx_mesh, row_matrix
 from cagemap.files.fbx.read import REFUSED
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.document import glb_bytes
@@ -127,9 +127,17 @@ class _Scene:
             animation_entry(self._binary, self._scene, stack, entries, before, self._number, channels)
             for stack in items(self._scene, "anim_stacks")
         ]
-        for stack, entry in zip(items(self._scene, "anim_stacks"), moving, strict=True):
+        helpers = {n for n, node in enumerate(self._nodes) if get(node, "is_scale_helper") and "mesh" not in entries[n]}
+        for entry in moving:
+            kept = [channel for channel in entry["channels"] if channel["target"]["node"] not in helpers]
+            if left := len(entry["channels"]) - len(kept):
+                scales = count_noun(left, "moving scale")
+                self._note(
+                    f"animation {entry['name']}: {scales} left out, which children inherit otherwise than in glTF"
+                )
+            entry["channels"] = kept
             if not entry["channels"]:
-                self._note(f"animation {get(stack, 'name')} moves nothing and is left out")
+                self._note(f"animation {entry['name']} moves nothing and is left out")
         for entry in entries:
             if "skin" in entry and "children" not in entry:  # without effect: the joints place a skinned mesh
                 for name in ("translation", "rotation", "scale"):
@@ -148,7 +156,7 @@ class _Scene:
         return None if parent is None else self._number.get(get(parent, "typed_id"))
 
     def _node(self, node: Any) -> dict[str, Any]:
-        name, rest = get(node, "name"), get(node, "local_transform")
+        name, rest = node_name(node), get(node, "local_transform")
         entry: dict[str, Any] = {"name": name}
         for part in ("translation", "rotation", "scale"):
             entry[part] = finite(list(getattr(rest, part)), f"node {name}: transform").tolist()

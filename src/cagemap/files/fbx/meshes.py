@@ -20,6 +20,7 @@ from cagemap.files.gltf.parts import turned_normals
 from cagemap.files.text import distinct
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.mesh_report import count_noun
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import decode_srgb
 
@@ -85,9 +86,18 @@ class FbxMesh:
         return finite(weights, f"mesh {self.control.name}: amounts of shapes").tolist()
 
 
+def node_name(node: Any) -> str:
+    """Name of a node; the helper to which ufbx moves a node's mesh has it instead of the node."""
+    if get(node, "is_scale_helper"):
+        node = get(node, "parent")
+    elif get(node, "scale_helper") is not None and get(node, "scale_helper", "mesh") is not None:
+        return ""
+    return str(get(node, "name"))
+
+
 def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
     """The mesh of a node, in the node's space; None if it has no polygons."""
-    mesh, name = get(node, "mesh"), get(node, "name")
+    mesh, name = get(node, "mesh"), node_name(node)
     placed = row_matrix(get(node, "geometry_to_node"))
     faces = whole(mesh, "faces").reshape(-1, 2)
     kept = faces[:, 1] >= 3
@@ -108,6 +118,9 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
         name=name,
         **_materials(mesh, kept),
     )
+    if loose := control.n_vertices - len(np.unique(control.face_indices)):
+        vertices = count_noun(loose, "vertex")
+        note(f"{name}: {vertices} of no face left out; later vertices have other numbers than in the file")
     sets = [_uv_set(one, corners, name) for one in items(mesh, "uv_sets")]
     if sets:
         control = replace(control, uvs=sets[0].uvs, uv_indices=sets[0].uv_indices, uv_name=sets[0].name)
@@ -177,7 +190,7 @@ def _shapes(
 
 
 def _skinned(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh:
-    skins = items(mesh, "skin_deformers")
+    skins = [skin for skin in items(mesh, "skin_deformers") if items(skin, "clusters")]
     if not skins:
         return made
     name = made.control.name
@@ -188,11 +201,14 @@ def _skinned(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh:
     clusters = [cluster for cluster in items(skins[0], "clusters") if get(cluster, "bone_node") is not None]
     if not clusters:
         return made
-    stated = [get(cluster, "bone_node", "typed_id") for cluster in clusters]
+    stated, matrices = [], {}
+    for cluster in clusters:
+        bone, matrix = get(cluster, "bone_node"), row_matrix(get(cluster, "mesh_node_to_bone"))
+        if get(bone, "is_scale_helper"):  # ufbx gives a joint a child for scales that its children do not inherit
+            bone, matrix = get(bone, "parent"), matrix @ row_matrix(get(bone, "node_to_parent"))
+        stated.append(get(bone, "typed_id"))
+        matrices[stated[-1]] = matrix
     bones = tuple(dict.fromkeys(stated))
-    matrices = {
-        bone: row_matrix(get(cluster, "mesh_node_to_bone")) for bone, cluster in zip(stated, clusters, strict=True)
-    }
     vertices = [_vertices(cluster, "vertices", made.control) for cluster in clusters]
     columns = np.repeat([bones.index(bone) for bone in stated], [len(listed) for listed in vertices])
     stated_weights = [get(cluster, "weights") for cluster in clusters]
