@@ -46,6 +46,7 @@ REFUSED = {
     "transfer BARE --source-uvs -o o.obj": "expected a source with texture coordinates to carry",
     "transfer R --vector-displacement t.png --scale 0 -o o.png": "scale: expected a number other than 0",
     "transfer R -o o.png": "expected one of",
+    "transfer R --texture t.png --usd o.usda -o o\1.png": "expected a name without control characters, to which USD",
     "transfer R --texture t.png --material-colors -o o.png": "expected one of",
     "transfer R --texture none.png -o o.png": "none.png: expected an image, there is no such file",
     "transfer R --texture t.png -o o.exr": "choose 16 or 32 bits",
