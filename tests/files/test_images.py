@@ -112,6 +112,13 @@ def test_what_a_format_cannot_hold_is_refused(tmp_path: Path, name: str, dtype: 
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_file_without_permission_is_said_to_be_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_image(tmp_path / "closed.png", noise("uint8", 3))
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    with pytest.raises(FormatError, match=r"closed\.png: cannot be read .* Check its permissions"):
+        read_image(tmp_path / "closed.png")
+
+
 def test_unreadable_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="no such file"):
         read_image(tmp_path / "missing.png")
