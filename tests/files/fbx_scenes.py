@@ -129,6 +129,15 @@ def geometry(points: np.ndarray, faces: Sequence[Sequence[int]], *elements: Node
     ]
 
 
+def add_layer(made: Fbx, element: Node) -> None:
+    """Add a layer element, in a layer of its own, to the first mesh."""
+    inside = next(one.inside for one in made.objects if (one.name, one.properties[2]) == ("Geometry", "Mesh"))
+    element.properties = (sum(one.name == element.name for one in inside),)
+    named = Node("LayerElement", (), [Node("Type", (element.name,)), Node("TypedIndex", element.properties)])
+    number = sum(one.name == "Layer" for one in inside)
+    inside += [element, Node("Layer", (number,), [Node("Version", (100,)), named])]
+
+
 def write_fbx(path: Path, mesh: ControlMesh) -> None:
     """Write a mesh in metres with Y up, with its UVs."""
     made = Fbx(UpAxis=1, FrontAxis=2, FrontAxisSign=1, UnitScaleFactor=100.0)
@@ -195,18 +204,24 @@ def fbx_arm(*, image: bytes = b"", leaf: bool = False, posed: bool = False, **sk
 def _animate(made: Fbx, lower: int, channel: int) -> None:
     """In half a second the second joint turns by 90 degrees about the axis of depth, and the shape is half there."""
     stack = made.add("AnimationStack", "bend", "", to=None)
-    layer_of = made.add("AnimationLayer", "base", "", to=stack)
-    for target, prop, name, amount in (
-        (lower, "Lcl Rotation", "d|Y", -90.0),
-        (channel, "DeformPercent", "d|DeformPercent", 50.0),
-    ):
-        curve_node = made.add("AnimationCurveNode", prop[0], "", properties(**{name: 0.0}), to=layer_of)
-        made.connect(curve_node, target, prop)
-        keys = [
-            Node("KeyTime", (np.array([0, SECOND // 2, 2 * SECOND], "<i8"),)),
-            Node("KeyValueFloat", (np.array([0.0, amount, 0.0], "<f4"),)),
-            Node("KeyAttrFlags", (np.array([4], "<i4"),)),  # linear
-            Node("KeyAttrDataFloat", (np.zeros(4, "<f4"),)),
-            Node("KeyAttrRefCount", (np.array([3], "<i4"),)),
-        ]
-        made.add("AnimationCurve", "", "", *keys, to=curve_node, by=name)
+    made.add("AnimationLayer", "base", "", to=stack)
+    add_curve(made, lower, "Lcl Rotation", "d|Y", (0.0, -90.0, 0.0))
+    add_curve(made, channel, "DeformPercent", "d|DeformPercent", (0.0, 50.0, 0.0))
+
+
+def add_curve(
+    made: Fbx, target: int, prop: str, name: str, values: tuple[float, float, float], others: float = 0.0
+) -> None:
+    """Move a component of a property in the last animation layer: values at 0, 0.5 and 2 seconds."""
+    layer_of = next(one.properties[0] for one in reversed(made.objects) if one.name == "AnimationLayer")
+    rest = {f"d|{axis}": others for axis in "XYZ"}
+    curve_node = made.add("AnimationCurveNode", prop[0], "", properties(**rest | {name: values[0]}), to=layer_of)
+    made.connect(curve_node, target, prop)
+    keys = [
+        Node("KeyTime", (np.array([0, SECOND // 2, 2 * SECOND], "<i8"),)),
+        Node("KeyValueFloat", (np.array(values, "<f4"),)),
+        Node("KeyAttrFlags", (np.array([4], "<i4"),)),  # linear
+        Node("KeyAttrDataFloat", (np.zeros(4, "<f4"),)),
+        Node("KeyAttrRefCount", (np.array([3], "<i4"),)),
+    ]
+    made.add("AnimationCurve", "", "", *keys, to=curve_node, by=name)

@@ -21,7 +21,14 @@ import pytest
 from examples.shapes import cube
 
 from cagemap.errors import CagemapError, FormatError
-from cagemap.files.atomic import all_or_nothing, atomic_folder, atomic_path, write_whole
+from cagemap.files.atomic import (
+    all_or_nothing,
+    atomic_folder,
+    atomic_path,
+    require_own_folder,
+    require_replaceable,
+    write_whole,
+)
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.ownership import is_own, mark, seal
@@ -204,8 +211,11 @@ def test_places_that_cannot_be_written_are_named(tmp_path: Path) -> None:
         pass
     with pytest.raises(FormatError, match="got a folder"), atomic_path(tmp_path):
         pass
-    with pytest.raises(FormatError, match="cannot write"), atomic_path(tmp_path / ("n" * 300)):
-        pass
+    for length in (245, 300):  # with the temporary name, and without
+        with pytest.raises(FormatError, match="name is too long"):
+            require_own_folder(tmp_path / ("n" * length), NAMES)
+    with pytest.raises(FormatError, match="does not exist"):
+        require_replaceable(tmp_path / ("n" * 300) / "a.txt")
     full = OSError(errno.ENOSPC, "No space left on device")
     with pytest.raises(FormatError, match=r"cannot write there \(No space left"), atomic_path(tmp_path / "a.txt"):
         fail_after(0, full)
@@ -259,6 +269,14 @@ def test_a_folder_without_permission_is_refused_by_a_name_that_it_would_get(
     monkeypatch.setattr("os.access", lambda *_: False)
     with pytest.raises(FormatError, match=r"a\.txt: cannot write to the folder"), atomic_folder(tmp_path, ["a.txt"]):
         pass
+
+
+def test_of_a_link_the_folder_that_cannot_be_written_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.txt").symlink_to(tmp_path / "closed" / "b.txt")
+    (tmp_path / "closed").mkdir()
+    monkeypatch.setattr("os.access", lambda path, _: Path(path).name != "closed")
+    with pytest.raises(FormatError, match=r"a\.txt: cannot write to the folder .*closed\."):
+        require_replaceable(tmp_path / "a.txt")
 
 
 def test_of_two_writers_of_a_new_folder_both_are_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

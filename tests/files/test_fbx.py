@@ -29,7 +29,7 @@ from cagemap.tasks.mesh_commands import run_check, run_refine
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest, RefineRequest
 
-from fbx_scenes import Fbx, Node, fbx_arm, geometry, properties
+from fbx_scenes import TO_FBX, Fbx, Node, add_curve, add_layer, fbx_arm, geometry, layer, properties
 from gltf_scenes import arm
 
 pytest.importorskip("ufbx")
@@ -183,6 +183,23 @@ def test_a_texture_that_is_not_there_is_said(tmp_path: Path, caplog: pytest.LogC
     assert "skin.png' is not found and left out" in caplog.text
 
 
+def test_a_skin_without_joints_is_passed_over(tmp_path: Path) -> None:
+    made = fbx_arm()
+    mesh = next(one.properties[0] for one in made.objects if one.name == "Geometry")
+    made.connections.insert(0, Node("C", ("OO", made.add("Deformer", "", "Skin", to=None), mesh)))
+    character = read_character(_file(tmp_path, made))
+    assert character.rig is not None
+    assert character.rig.names == ("upper", "lower")
+
+
+def test_vertices_of_no_face_are_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    made = fbx_arm()
+    vertices = next(one.inside[0] for one in made.objects if one.name == "Geometry")
+    vertices.properties = (np.append(vertices.properties[0], [0.0, 0.0, 900.0]),)
+    assert read_mesh(_file(tmp_path, made)).n_vertices == 6
+    assert "strip: 1 vertex of no face left out; later vertices have other numbers than in the file" in caplog.text
+
+
 def test_units(tmp_path: Path) -> None:
     """Inches, moved by 50 of them along Z, which is up."""
     made = Fbx(UnitScaleFactor=2.54)
@@ -204,6 +221,66 @@ def test_an_instance_has_its_own_place_and_with_y_up_nothing_turns(tmp_path: Pat
     np.testing.assert_allclose(one.mesh.positions, cube().positions, atol=1e-6)
     np.testing.assert_array_equal(one.mesh.face_indices, cube().face_indices)
     np.testing.assert_allclose(other.mesh.positions, cube().positions + np.array([9.0, 0.0, 0.0]), atol=1e-5)
+
+
+@pytest.mark.parametrize("across", [1.0, -1.0])
+def test_a_geometric_transform_moves_positions_and_shapes_and_turns_mirrored_faces(
+    across: float, tmp_path: Path
+) -> None:
+    """It moves the mesh of a node, but not the node's children; 3ds Max writes it."""
+    made = fbx_arm()
+    model = next(one for one in made.objects if one.name == "Model")
+    model.inside.append(
+        properties(
+            GeometricScaling=(across, 2.0, 3.0),
+            GeometricRotation=(0.0, 0.0, 90.0),
+            GeometricTranslation=(50.0, 0.0, 0.0),
+        )
+    )
+    plain = read_character(_file(tmp_path, fbx_arm(), "plain.fbx")).parts[0]
+    part = read_character(_file(tmp_path, made)).parts[0]
+    linear = TO_FBX @ np.diag([across, 2.0, 3.0]) @ [[0, 1, 0], [-1, 0, 0], [0, 0, 1]] @ np.linalg.inv(TO_FBX)
+    np.testing.assert_allclose(part.mesh.positions, plain.mesh.positions @ linear + [0.5, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(part.shapes["raise"], plain.shapes["raise"] @ linear, atol=1e-6)
+    corners = part.mesh.positions[part.mesh.face(0)]
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    assert normal @ (np.array([0.0, 0.0, 1.0]) @ linear) > 0.0
+
+
+def test_instances_with_other_geometric_transforms_keep_their_names(tmp_path: Path) -> None:
+    made = Fbx(UpAxis=1, FrontAxis=2, FrontAxisSign=1, UnitScaleFactor=100.0)
+    models = [
+        made.add("Model", name, "Mesh", properties(GeometricTranslation=(x, 0.0, 0.0)))
+        for name, x in (("a", 0.0), ("b", 9.0))
+    ]
+    made.connect(made.add("Geometry", "box", "Mesh", *BOX, to=models[0]), models[1])
+    one, other = read_character(_file(tmp_path, made)).parts
+    assert (one.name, other.name) == ("a", "b")
+    np.testing.assert_allclose(other.mesh.positions - one.mesh.positions, np.tile([9.0, 0.0, 0.0], (8, 1)), atol=1e-5)
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_uneven_scales_that_children_inherit_otherwise_than_in_gltf(
+    moving: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """InheritType 0: scales multiply along the axes of each joint. Names and the hierarchy stay."""
+    made = fbx_arm()
+    upper, lower = (one for one in made.objects if one.properties[2] == "LimbNode")
+    upper.inside.append(properties(Lcl_Scaling=(1.0, 1.0, 2.0)))
+    lower.inside[0].inside += properties(InheritType=0).inside
+    box = made.add("Model", "box", "Mesh", properties(Lcl_Scaling=(1.0, 1.0, 3.0), InheritType=0))
+    made.add("Geometry", "box", "Mesh", *BOX, to=box)
+    if moving:
+        add_curve(made, upper.properties[0], "Lcl Scaling", "d|Z", (2.0, 4.0, 2.0), others=1.0)
+    character = read_character(_file(tmp_path, made))
+    said = "animation bend: 2 moving scales left out, which children inherit otherwise than in glTF"
+    assert (said in caplog.text) == moving
+    assert [part.name for part in character.parts] == ["strip", "box"]
+    assert character.rig is not None
+    assert character.rig.names == ("upper", "lower")
+    np.testing.assert_array_equal(character.rig.parents, [-1, 0])
+    expected = [[0.0, 0.0, 0.0], [0.0, 2.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]
+    np.testing.assert_allclose(_at_half_a_second(character)[[0, 1, 4, 5]], expected, atol=1e-5)
 
 
 def test_weights_shapes_and_joints_as_values(tmp_path: Path) -> None:
@@ -283,6 +360,47 @@ def test_weights_of_vertices_that_are_not_there_are_refused_by_name(tmp_path: Pa
     next(one for one in cluster.inside if one.name == "Indexes").properties[0][0] = 29445
     with pytest.raises(FormatError, match="strip: a skin or shape of 6 vertices lists 29445"):
         read_mesh(_file(tmp_path, made))
+
+
+@pytest.mark.parametrize(
+    ("kind", "entry", "said"),
+    [
+        ("Mesh", "Vertices", "mesh strip: positions"),
+        ("Mesh", "UV", "mesh strip: UVs map"),
+        ("Mesh", "Colors", "mesh strip: colors"),
+        ("Shape", "Vertices", "mesh strip: shape raise"),
+        ("Cluster", "Weights", "mesh strip: skinning weights"),
+        ("Cluster", "Transform", "mesh strip: bind pose of the skin"),
+        ("AnimationCurve", "KeyValueFloat", "animation bend: keys"),
+        ("LimbNode", "Lcl_Translation", "node lower: transform"),
+        ("Material", "EmissiveColor", "material skin"),
+    ],
+)
+def test_numbers_that_are_not_finite_are_refused_by_name(kind: str, entry: str, said: str, tmp_path: Path) -> None:
+    made = fbx_arm()
+    add_layer(made, layer("Color", "", "ByPolygonVertex", Colors=np.ones(32)))
+    changed = next(one for one in reversed(made.objects) if kind in (one.name, one.properties[2]))
+    if kind in ("LimbNode", "Material"):
+        changed.inside[0].inside += properties(**{entry: (np.nan, 0.0, 0.0)}).inside
+    else:
+        inside = [inner for one in changed.inside for inner in (one, *one.inside)]
+        next(one for one in inside if one.name == entry).properties[0][0] = np.nan
+    with pytest.raises(FormatError, match=rf"arm\.fbx: .*\({said} .* not finite\)"):
+        read_mesh(_file(tmp_path, made))
+
+
+def test_normals_that_are_not_finite_are_computed_from_the_faces(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Some exporters write such normals where a face has no area."""
+    made = fbx_arm()
+    normals = np.tile(np.array([0.6, 0.0, 0.8]) @ TO_FBX / 100.0, (8, 1))
+    normals[7] = np.nan
+    add_layer(made, layer("Normal", "", "ByPolygonVertex", Normals=normals.ravel()))
+    (part,) = read_character(_file(tmp_path, made)).parts
+    assert part.normals is not None
+    np.testing.assert_allclose(part.normals, [[0.6, 0.0, 0.8]] * 7 + [[0.0, 0.0, 1.0]], atol=1e-6)
+    assert "strip: 1 normals are not finite and are computed from the faces" in caplog.text
 
 
 @pytest.mark.parametrize("child", ["import os; os.abort()", "raise RuntimeError"])

@@ -112,6 +112,13 @@ def test_what_a_format_cannot_hold_is_refused(tmp_path: Path, name: str, dtype: 
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_file_without_permission_is_said_to_be_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_image(tmp_path / "closed.png", noise("uint8", 3))
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    with pytest.raises(FormatError, match=r"closed\.png: cannot be read .* Check its permissions"):
+        read_image(tmp_path / "closed.png")
+
+
 def test_unreadable_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="no such file"):
         read_image(tmp_path / "missing.png")
@@ -119,11 +126,19 @@ def test_unreadable_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"text\.png: expected an image"):
         read_image(tmp_path / "text.png")
     whole = noise("uint8", 3, (64, 64))
-    write_image(tmp_path / "whole.png", whole)
-    half = (tmp_path / "whole.png").read_bytes()[:4000]
-    (tmp_path / "half.png").write_bytes(half)
-    with pytest.raises(FormatError, match=r"half\.png"):
-        read_image(tmp_path / "half.png")
+    for suffix in (".png", ".jpg"):  # the JPEG library fills the rest with grey
+        write_image(tmp_path / f"whole{suffix}", whole)
+        half = (tmp_path / f"whole{suffix}").read_bytes()[:4000]
+        (tmp_path / f"half{suffix}").write_bytes(half)
+        with pytest.raises(FormatError, match=rf"half\{suffix}: the image ends early or is damaged"):
+            read_image(tmp_path / f"half{suffix}")
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".tif"])
+def test_the_content_says_whether_colours_are_multiplied_by_alpha_not_the_name(suffix: str, tmp_path: Path) -> None:
+    write_image(tmp_path / f"a{suffix}", Image(noise("float32", 4), associated=True))
+    (tmp_path / f"a{suffix}").rename(tmp_path / "a.png")
+    assert read_image(tmp_path / "a.png").associated
 
 
 def test_more_than_four_channels_are_refused(tmp_path: Path) -> None:

@@ -120,6 +120,11 @@ output = "../elsewhere.html"
         (HEAD + ASSETS.replace('"a"', '"../a"') + PAIRS, "name"),
         ("output = ", "TOML"),
         (HEAD.replace('"out"', '"a.obj"') + ASSETS + PAIRS, "got the file a.obj"),
+        (HEAD + ASSETS.replace("a.obj", "n" * 300) + PAIRS, r"assets\.0\.file: n+ does not exist"),
+        (
+            f"{HEAD}{ASSETS}{PAIRS}[[outputs]]\ncommand = 'transfer'\ntexture = '{'n' * 300}'\n",
+            r"outputs\.0\.texture: n+ does not exist",
+        ),
     ],
 )
 def test_files_of_another_form_are_refused(folder: Path, text: str, words: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -46,6 +47,10 @@ REFUSED = {
     "transfer BARE --source-uvs -o o.obj": "expected a source with texture coordinates to carry",
     "transfer R --vector-displacement t.png --scale 0 -o o.png": "scale: expected a number other than 0",
     "transfer R -o o.png": "expected one of",
+    **{
+        f"transfer R --texture t.png --usd o.usda -o {name}": "a name without backslashes or control characters"
+        for name in ("o\1.png", *(["a\\b.png"] if os.name == "posix" else []))
+    },
     "transfer R --texture t.png --material-colors -o o.png": "expected one of",
     "transfer R --texture none.png -o o.png": "none.png: expected an image, there is no such file",
     "transfer R --texture t.png -o o.exr": "choose 16 or 32 bits",

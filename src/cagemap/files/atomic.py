@@ -235,13 +235,19 @@ def require_own_folder(path: str | Path, names: Iterable[str], *, force: bool = 
 
 
 def require_writable_folder(path: str | Path) -> None:
-    """Refuse a path whose parent folder is missing or cannot be written to."""
-    above = Path(path).parent
-    folder = _real(path).parent
-    if not folder.is_dir():
+    """Refuse a path whose parent folder is missing or cannot be written to, or whose name is too long."""
+    target = _real(path)
+    folder = target.parent
+    above = folder if os.path.islink(path) else Path(path).parent
+    if not os.path.isdir(folder):
         raise FormatError(f"{path}: the folder {above} does not exist. Create it, or give another output.")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise FormatError(f"{path}: cannot write to the folder {above}. Give one that you may write to.")
+    try:
+        os.lstat(folder / f".{target.name}.12345678.part")  # as long as temporary names
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            raise FormatError(f"{path}: the name is too long. Give a shorter one.") from None
 
 
 def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: bool = False) -> None:

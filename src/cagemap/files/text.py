@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 import unicodedata
@@ -23,6 +24,8 @@ def require_file(path: Path, what: str) -> None:
         raise FormatError(f"{path}: expected {what}, got a folder. Name a file inside it.")
     if not stat.S_ISREG(mode):
         raise FormatError(f"{path}: expected {what}, got a device or a pipe. Save it to a file first.")
+    if not os.access(path, os.R_OK):
+        raise _unreadable(path, PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
 
 
 def _unreadable(path: Path, error: Exception) -> FormatError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -107,7 +108,7 @@ def find_problems(
 ) -> Iterator[JobProblem]:
     """Problems of a file that passes the schema: names, files, options."""
     names = [asset.name for asset in job.assets]
-    if (folder / job.output).is_file():
+    if os.path.isfile(folder / job.output):
         yield ("output",), f"expected a folder for all results, got the file {job.output}. Give another name."
     for i, asset in enumerate(job.assets):
         if asset.name in names[:i]:
@@ -181,7 +182,7 @@ _MISSING = "{} does not exist. Check the path."
 
 
 def _missing(entry: KeyPath, folder: Path, file: Path | None) -> Iterator[JobProblem]:
-    if file is not None and not (folder / file).is_file():
+    if file is not None and not os.path.isfile(folder / file):
         yield entry, _MISSING.format(file)
 
 
@@ -211,8 +212,8 @@ def _option_problems(
 
 
 def _exists(path: Path) -> bool:
-    """Whether a file, a folder or a tile of a set exists."""
-    return path.exists() or any(file.is_file() for file in texture_files(path))
+    """Whether a file, a folder or a tile of a set exists; no error for names that are too long."""
+    return os.path.exists(path) or any(os.path.isfile(file) for file in texture_files(path))
 
 
 def _texts(value: Any) -> list[str]:

@@ -44,7 +44,7 @@ from cagemap.tasks.masks import in_file, keep_base, with_masks
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.transfer import TransferRequest, require_map_names
 from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
-from cagemap.tasks.usd_output import missing_file_warnings, write_usd_results
+from cagemap.tasks.usd_output import missing_file_warnings, texture_reference, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 from cagemap.transfer.texture import FILTERS
 
@@ -96,6 +96,7 @@ def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
     require_no_input(outputs, read_files(request.result, result.manifest))
     if request.usd is not None:
         check_usd_path(request.usd)
+        texture_reference(request.output, request.usd)
         require_replaceable(request.usd, force=request.force)
     result = result if request.level is None else result.at_level(request.level)
     masked = with_masks(result, request, request.result)

@@ -79,4 +79,6 @@ def texture_reference(image: Path, layer: Path) -> str:
     """Path of an image relative to a layer, with ``<UDIM>`` for the tile number."""
     relative = Path(os.path.relpath(image.resolve(), layer.resolve().parent)).as_posix()
     relative = relative.replace("%(UDIM)d", UDIM_MARK)
+    if "\\" in relative or any(character < " " or character == "\x7f" for character in relative):
+        raise ParameterError(f"{image}: expected a name without backslashes or control characters, for USD. Rename it.")
     return relative if relative.startswith(".") else f"./{relative}"

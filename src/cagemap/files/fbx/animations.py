@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import ufbx
 
-from cagemap.files.fbx.meshes import get, held, items
+from cagemap.files.fbx.meshes import finite, get, held, items
 from cagemap.files.gltf.binary import Binary
 from cagemap.numerics.arrays import FloatArray
 
@@ -34,6 +34,7 @@ def animation_entry(
     ``channels``: by ``element_id`` of a blend channel, for each node with its mesh: the node, number of the shape,
         weights of all its shapes at rest.
     """
+    where = f"animation {get(stack, 'name')}: keys"
     baked = held(
         ufbx.bake_anim(
             scene, get(stack, "anim"), trim_start_time=True, key_reduction_enabled=True, key_reduction_rotation=True
@@ -45,7 +46,7 @@ def animation_entry(
     for moved in items(baked, "nodes"):
         node = numbers.get(get(moved, "typed_id"))
         for path, name in _CHANNELS.items():
-            times, values = _keys(moved, name)
+            times, values = _keys(moved, name, where)
             if node is not None and len(times):
                 sampled[node, path] = times, values
     tracks = [
@@ -53,7 +54,9 @@ def animation_entry(
         for (node, path), (times, values) in sampled.items()
         if np.abs(values - nodes[node][path]).max() > _SAME_VALUE
     ]
-    tracks += [(node, "weights", times, values.ravel()) for node, (times, values) in _weights(baked, channels).items()]
+    tracks += [
+        (node, "weights", times, values.ravel()) for node, (times, values) in _weights(baked, channels, where).items()
+    ]
     entry: dict[str, Any] = {"name": get(stack, "name"), "samplers": [], "channels": []}
     for node, path, times, values in tracks:
         key = times.astype("<f4")
@@ -67,7 +70,7 @@ def animation_entry(
 
 
 def _weights(
-    baked: Any, channels: Mapping[int, list[tuple[int, int, list[float]]]]
+    baked: Any, channels: Mapping[int, list[tuple[int, int, list[float]]]], where: str
 ) -> dict[int, tuple[FloatArray, FloatArray]]:
     """Times (k,) and weights (k, shapes) of the shapes of every mesh node with moving shapes."""
     keys_of: dict[int, dict[int, tuple[FloatArray, FloatArray]]] = {}
@@ -75,7 +78,7 @@ def _weights(
         for node, place, _ in channels.get(get(element, "element_id"), []):
             for prop in items(element, "props"):
                 if get(prop, "name") == "DeformPercent":
-                    times, values = _keys(prop, "keys")
+                    times, values = _keys(prop, "keys", where)
                     keys_of.setdefault(node, {})[place] = times, values[:, 0] / 100.0
     at_rest = {node: amounts for users in channels.values() for node, _, amounts in users}
     tracks = {}
@@ -88,10 +91,10 @@ def _weights(
     return tracks
 
 
-def _keys(value: Any, name: str) -> tuple[FloatArray, FloatArray]:
+def _keys(value: Any, name: str, where: str) -> tuple[FloatArray, FloatArray]:
     """Times (k,) and values (k, q) of keys; the last one of several at the same time."""
     keys = items(value, name)
     times = np.array([get(key, "time") for key in keys], dtype=np.float64)
-    values = np.array([list(get(key, "value")) for key in keys], dtype=np.float64)
+    values = finite([list(get(key, "value")) for key in keys], where)
     last = np.append(np.diff(times.astype("<f4")) > 0.0, True)[: len(times)]
     return times[last], values[last]

@@ -15,7 +15,7 @@ import ufbx
 from cagemap.errors import FormatError
 from cagemap.files.fbx.animations import animation_entry
 from cagemap.files.fbx.materials import Materials
-from cagemap.files.fbx.meshes import FbxMesh, get, held, items, read_fbx_mesh, row_matrix
+from cagemap.files.fbx.meshes import FbxMesh, finite, get, held, items, node_name, read_fbx_mesh, row_matrix
 from cagemap.files.fbx.read import REFUSED
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.document import glb_bytes
@@ -34,7 +34,7 @@ _SPACE: dict[str, Any] = {
     "target_axes": _AXES,
     "target_unit_meters": 1.0,
     "space_conversion": ufbx.SpaceConversion.MODIFY_GEOMETRY,
-    "geometry_transform_handling": ufbx.GeometryTransformHandling.MODIFY_GEOMETRY,
+    "geometry_transform_handling": ufbx.GeometryTransformHandling.PRESERVE,
     "inherit_mode_handling": ufbx.InheritModeHandling.COMPENSATE,
     "pivot_handling": ufbx.PivotHandling.ADJUST_TO_PIVOT,
     "handedness_conversion_axis": ufbx.MirrorAxis.X,
@@ -85,6 +85,14 @@ def fbx_glb(content: bytes, path: Path, note: Note) -> bytes:
     return _Scene(scene, path, note).glb()
 
 
+# ``typed_id`` of a mesh, and the matrix that places it in the space of its node.
+_Instance = tuple[int, bytes]
+
+
+def _instance(node: Any) -> _Instance:
+    return get(node, "mesh", "typed_id"), row_matrix(get(node, "geometry_to_node")).tobytes()
+
+
 class _Scene:
     """A glTF document built from an FBX scene."""
 
@@ -94,11 +102,11 @@ class _Scene:
         self._number = {get(node, "typed_id"): number for number, node in enumerate(self._nodes)}
         self._binary = Binary()
         self._materials = Materials(self._binary, path, note)
-        self._read: dict[int, FbxMesh | None] = {}
+        self._read: dict[_Instance, FbxMesh | None] = {}
         self._meshes: list[dict[str, Any]] = []
         self._skins: list[dict[str, Any]] = []
-        self._mesh_of: dict[tuple[int, tuple[int, ...]], int] = {}
-        self._skin_of: dict[int, int] = {}
+        self._mesh_of: dict[tuple[_Instance, tuple[int, ...]], int] = {}
+        self._skin_of: dict[_Instance, int] = {}
 
     def glb(self) -> bytes:
         """The document as GLB."""
@@ -119,9 +127,17 @@ class _Scene:
             animation_entry(self._binary, self._scene, stack, entries, before, self._number, channels)
             for stack in items(self._scene, "anim_stacks")
         ]
-        for stack, entry in zip(items(self._scene, "anim_stacks"), moving, strict=True):
+        helpers = {n for n, node in enumerate(self._nodes) if get(node, "is_scale_helper") and "mesh" not in entries[n]}
+        for entry in moving:
+            kept = [channel for channel in entry["channels"] if channel["target"]["node"] not in helpers]
+            if left := len(entry["channels"]) - len(kept):
+                scales = count_noun(left, "moving scale")
+                self._note(
+                    f"animation {entry['name']}: {scales} left out, which children inherit otherwise than in glTF"
+                )
+            entry["channels"] = kept
             if not entry["channels"]:
-                self._note(f"animation {get(stack, 'name')} moves nothing and is left out")
+                self._note(f"animation {entry['name']} moves nothing and is left out")
         for entry in entries:
             if "skin" in entry and "children" not in entry:  # without effect: the joints place a skinned mesh
                 for name in ("translation", "rotation", "scale"):
@@ -140,13 +156,10 @@ class _Scene:
         return None if parent is None else self._number.get(get(parent, "typed_id"))
 
     def _node(self, node: Any) -> dict[str, Any]:
-        rest = get(node, "local_transform")
-        entry: dict[str, Any] = {
-            "name": get(node, "name"),
-            "translation": list(rest.translation),
-            "rotation": list(rest.rotation),
-            "scale": list(rest.scale),
-        }
+        name, rest = node_name(node), get(node, "local_transform")
+        entry: dict[str, Any] = {"name": name}
+        for part in ("translation", "rotation", "scale"):
+            entry[part] = finite(list(getattr(rest, part)), f"node {name}: transform").tolist()
         children = [self._number[get(child, "typed_id")] for child in items(node, "children")]
         if children:
             entry["children"] = children
@@ -156,17 +169,17 @@ class _Scene:
         if not get(node, "visible"):
             self._note(f"{get(node, 'name')} is hidden and left out")
             return entry
-        number = get(node, "mesh", "typed_id")
+        instance = _instance(node)
         materials = tuple(self._materials.number(material) for material in items(node, "materials"))
-        if (number, materials) not in self._mesh_of:
-            self._mesh_of[number, materials] = len(self._meshes)
+        if (instance, materials) not in self._mesh_of:
+            self._mesh_of[instance, materials] = len(self._meshes)
             self._meshes.append(self._mesh_entry(mesh, materials))
-        entry["mesh"] = self._mesh_of[number, materials]
+        entry["mesh"] = self._mesh_of[instance, materials]
         if mesh.bones:
-            if number not in self._skin_of:
-                self._skin_of[number] = len(self._skins)
+            if instance not in self._skin_of:
+                self._skin_of[instance] = len(self._skins)
                 self._skins.append(self._skin_entry(mesh))
-            entry["skin"] = self._skin_of[number]
+            entry["skin"] = self._skin_of[instance]
         return entry
 
     def _in_bind_pose(self, entries: list[dict[str, Any]]) -> dict[int, dict[str, Any]]:
@@ -175,7 +188,7 @@ class _Scene:
         for number, node in enumerate(self._nodes):
             if "skin" in entries[number] and (mesh := self._mesh(node)) is not None:
                 sound = invertible(mesh.inverse_bind)
-                to_world = row_matrix(get(node, "geometry_to_world"))
+                to_world = row_matrix(get(node, "node_to_world"))
                 for bone, inverse in zip(np.array(mesh.bones)[sound].tolist(), mesh.inverse_bind[sound], strict=True):
                     bind.setdefault(self._number[bone], np.linalg.inv(inverse) @ to_world)
         world: list[FloatArray] = []
@@ -185,7 +198,7 @@ class _Scene:
             parent = self._parent(self._nodes[number])
             above = np.eye(4) if parent is None else world[parent]
             if number in bind and invertible(above[None]).all():
-                bound = bind[number] @ np.linalg.inv(above)
+                bound = finite(bind[number] @ np.linalg.inv(above), f"node {entry['name']}: transform")
                 pose = {"translation": [0.0] * 3, "rotation": [0.0, 0.0, 0.0, 1.0], "scale": [1.0] * 3} | decomposed(
                     bound
                 )
@@ -201,13 +214,12 @@ class _Scene:
         return before
 
     def _mesh(self, node: Any) -> FbxMesh | None:
-        mesh = get(node, "mesh")
-        if mesh is None:
+        if get(node, "mesh") is None:
             return None
-        number = get(mesh, "typed_id")
-        if number not in self._read:
-            self._read[number] = read_fbx_mesh(mesh, get(node, "name"), self._note)
-        return self._read[number]
+        instance = _instance(node)
+        if instance not in self._read:
+            self._read[instance] = read_fbx_mesh(node, self._note)
+        return self._read[instance]
 
     def _mesh_entry(self, mesh: FbxMesh, materials: tuple[int, ...]) -> dict[str, Any]:
         numbers = [

@@ -10,7 +10,7 @@ import numpy as np
 import ufbx
 
 from cagemap.errors import FormatError
-from cagemap.files.fbx.meshes import get, held, items
+from cagemap.files.fbx.meshes import finite, get, held, items
 from cagemap.files.fbx.read import texture_file
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import image_suffix, image_type
@@ -73,6 +73,10 @@ class Materials:
             "roughnessFactor": _value(pbr, "roughness", 1.0),
         }
         glow = [1.0] * 3 if "emissiveTexture" in slots else _color(pbr, "emission")
+        finite(
+            [*surface["baseColorFactor"], surface["metallicFactor"], surface["roughnessFactor"], *glow],
+            f"material {name}",
+        )
         image = {slot: slots.pop(slot) for slot in ("baseColorTexture",) if slot in slots}
         entry = {"name": name, "pbrMetallicRoughness": surface | image} | slots
         entry |= {"alphaMode": "BLEND"} if opacity < 1.0 else {}
@@ -94,7 +98,7 @@ class Materials:
             number = self._image(file)
             if number is not None:
                 self.lists["textures"].append({"source": number, "sampler": self._sampler(file)})
-                transform = _transform(file) if get(file, "has_uv_transform") else {}
+                transform = _transform(file, where) if get(file, "has_uv_transform") else {}
                 if transform is None:
                     self._note(f"{where}: is turned and stretched as no glTF texture can be, and taken as it is")
                 elif transform:
@@ -159,10 +163,10 @@ def _color(pbr: Any, name: str) -> list[float]:
     return np.clip(color * _value(pbr, f"{name}_factor", 1.0), 0.0, 1.0).tolist()
 
 
-def _transform(texture: Any) -> dict[str, Any] | None:
+def _transform(texture: Any, where: str) -> dict[str, Any] | None:
     """KHR_texture_transform of a texture: scale, rotation and offset; None if it has shear too."""
     flip = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 1.0]])  # v down in glTF; for rows
-    stated = np.array(list(get(texture, "uv_to_texture")), dtype=np.float64)
+    stated = finite(list(get(texture, "uv_to_texture")), f"{where}: transform")
     rows = np.eye(3)
     rows[:2, :2], rows[2, :2] = stated[:2, :2], stated[3, :2]
     down: FloatArray = flip @ rows @ flip

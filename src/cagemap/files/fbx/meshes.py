@@ -12,13 +12,15 @@ from typing import Any
 
 import numpy as np
 import ufbx
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from cagemap.errors import FormatError
+from cagemap.files.gltf.parts import turned_normals
 from cagemap.files.text import distinct
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.mesh_report import count_noun
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import decode_srgb
 
@@ -44,6 +46,14 @@ def items(value: Any, *names: str) -> list[Any]:
     return listed
 
 
+def finite(values: ArrayLike, where: str) -> FloatArray:
+    """Numbers as an array; refused if single precision cannot hold them."""
+    array = np.array(values, dtype=np.float64)
+    if not (np.abs(array) <= np.finfo(np.float32).max).all():
+        raise FormatError(f"{where} with numbers that are too large or not finite")
+    return array
+
+
 def floats(value: Any, *names: str, columns: int) -> FloatArray:
     """A nested attribute that lists vectors, as an array (n, columns)."""
     return np.array(get(value, *names), dtype=np.float64).reshape(-1, columns)
@@ -56,7 +66,7 @@ def whole(value: Any, *names: str) -> IndexArray:
 
 @dataclass(frozen=True, eq=False)
 class FbxMesh:
-    """A mesh in object space, with skinning weights and blend shapes."""
+    """A mesh in the space of its node, with skinning weights and blend shapes."""
 
     # vertices are the control points of the file; ``material_names`` has a name for each material slot
     control: ControlMesh
@@ -72,42 +82,65 @@ class FbxMesh:
     @property
     def amounts(self) -> list[float]:
         """Weight of each shape at rest."""
-        return [float(get(channel, "weight")) for channel in self.channels]
+        weights = [get(channel, "weight") for channel in self.channels]
+        return finite(weights, f"mesh {self.control.name}: amounts of shapes").tolist()
 
 
-def read_fbx_mesh(mesh: Any, name: str, note: Callable[[str], None]) -> FbxMesh | None:
-    """A mesh of a scene; None if it has no polygons."""
-    faces = floats(mesh, "faces", columns=2).astype(np.int64)
+def node_name(node: Any) -> str:
+    """Name of a node; the helper to which ufbx moves a node's mesh has it instead of the node."""
+    if get(node, "is_scale_helper"):
+        node = get(node, "parent")
+    elif get(node, "scale_helper") is not None and get(node, "scale_helper", "mesh") is not None:
+        return ""
+    return str(get(node, "name"))
+
+
+def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
+    """The mesh of a node, in the node's space; None if it has no polygons."""
+    mesh, name = get(node, "mesh"), node_name(node)
+    placed = row_matrix(get(node, "geometry_to_node"))
+    faces = whole(mesh, "faces").reshape(-1, 2)
     kept = faces[:, 1] >= 3
     if not kept.any():
         return None
     begins, sizes = faces[kept].T
     offsets = np.concatenate([[0], np.cumsum(sizes)])
-    corners = np.repeat(begins - offsets[:-1], sizes) + np.arange(offsets[-1])
+    place = np.arange(offsets[-1]) - np.repeat(offsets[:-1], sizes)
+    if np.linalg.det(placed[:3, :3]) < 0.0:
+        place = -place % np.repeat(sizes, sizes)
+    corners = np.repeat(begins, sizes) + place
     points = whole(mesh, "vertex_indices")
     control = ControlMesh(
-        floats(mesh, "vertices", columns=3),
+        finite(floats(mesh, "vertices", columns=3) @ placed[:3, :3] + placed[3, :3], f"mesh {name}: positions"),
         offsets,
         points[corners],
         scheme=Plain(),
         name=name,
         **_materials(mesh, kept),
     )
-    sets = [_uv_set(one, corners) for one in items(mesh, "uv_sets")]
+    if loose := control.n_vertices - len(np.unique(control.face_indices)):
+        vertices = count_noun(loose, "vertex")
+        note(f"{name}: {vertices} of no face left out; later vertices have other numbers than in the file")
+    sets = [_uv_set(one, corners, name) for one in items(mesh, "uv_sets")]
     if sets:
         control = replace(control, uvs=sets[0].uvs, uv_indices=sets[0].uv_indices, uv_name=sets[0].name)
         control = replace(control, uv_sets=tuple(sets[1:]))
     creased = [get(mesh, "edge_crease"), get(mesh, "vertex_crease", "values")]
     if any(np.any(np.array(one, dtype=np.float64) > 0.0) for one in creased if len(one)):
         note(f"{name}: creases are left out; OBJ and USD files keep them")
-    shapes = _shapes(mesh, control, note)
+    shapes = _shapes(mesh, control, placed[:3, :3], note)
     fbx_mesh = FbxMesh(control, shapes={word: offsets for word, (offsets, _) in shapes.items()})
-    normals = get(mesh, "vertex_normal")
-    stated = (
-        floats(normals, "values", columns=3)[whole(normals, "indices")[corners]] if get(normals, "exists") else None
-    )
-    channels, colors = tuple(channel for _, channel in shapes.values()), _colors(mesh, corners)
-    fbx_mesh = replace(fbx_mesh, channels=channels, normals=stated, colors=colors)
+    channels = tuple(channel for _, channel in shapes.values())
+    normals, colors = (_of_corners(get(mesh, what), corners) for what in ("vertex_normal", "vertex_color"))
+    if normals is not None:
+        bad = ~np.isfinite(normals.sum(axis=1))
+        if bad.any():
+            note(f"{name}: {bad.sum()} normals are not finite and are computed from the faces")
+        normals = turned_normals(np.where(bad[:, None], 0.0, normals), placed[:3, :3])
+    if colors is not None:
+        colors = finite(colors, f"mesh {name}: colors").clip(0.0, 1.0)
+        colors[:, :3] = decode_srgb(colors[:, :3])
+    fbx_mesh = replace(fbx_mesh, channels=channels, normals=normals, colors=colors)
     return _skinned(mesh, fbx_mesh, note)
 
 
@@ -122,21 +155,23 @@ def _materials(mesh: Any, kept: NDArray[np.bool_]) -> dict[str, Any]:
     }
 
 
-def _uv_set(uv_set: Any, corners: IndexArray) -> UvSet:
-    uvs = get(uv_set, "vertex_uv")
-    return UvSet(get(uv_set, "name"), floats(uvs, "values", columns=2), whole(uvs, "indices")[corners])
+def _uv_set(uv_set: Any, corners: IndexArray, mesh: str) -> UvSet:
+    uvs, name = get(uv_set, "vertex_uv"), get(uv_set, "name")
+    values = finite(floats(uvs, "values", columns=2), f"mesh {mesh}: UVs {name}")
+    return UvSet(name, values, whole(uvs, "indices")[corners])
 
 
-def _colors(mesh: Any, corners: IndexArray) -> FloatArray | None:
-    """Colours (c, 4) of the first set, linear with opacity; None without one."""
-    colors = get(mesh, "vertex_color")
-    if not get(colors, "exists"):
+def _of_corners(values: Any, corners: IndexArray) -> FloatArray | None:
+    """An attribute of the face corners as an array (c, columns); None if the mesh lacks it."""
+    if not get(values, "exists"):
         return None
-    of_corner = floats(colors, "values", columns=4)[whole(colors, "indices")[corners]].clip(0.0, 1.0)
-    return np.column_stack([decode_srgb(of_corner[:, :3]), of_corner[:, 3]])
+    table: FloatArray = np.array(get(values, "values"), dtype=np.float64)
+    return table[whole(values, "indices")[corners]]
 
 
-def _shapes(mesh: Any, control: ControlMesh, note: Callable[[str], None]) -> dict[str, tuple[FloatArray, Any]]:
+def _shapes(
+    mesh: Any, control: ControlMesh, linear: FloatArray, note: Callable[[str], None]
+) -> dict[str, tuple[FloatArray, Any]]:
     """Offsets at full weight, and the channel, of every blend shape by name."""
     channels = [one for deformer in items(mesh, "blend_deformers") for one in items(deformer, "channels")]
     channels = [one for one in channels if items(one, "keyframes")]
@@ -147,13 +182,15 @@ def _shapes(mesh: Any, control: ControlMesh, note: Callable[[str], None]) -> dic
             note(f"{control.name}: shape {name} has {len(between)} shapes in between, which are left out")
         shape, amount = get(full, "shape"), float(get(full, "target_weight")) or 1.0
         offsets = np.zeros((control.n_vertices, 3))
-        offsets[_vertices(shape, "offset_vertices", control)] = floats(shape, "position_offsets", columns=3) / amount
+        moved = floats(shape, "position_offsets", columns=3) @ linear / amount
+        moved = finite(moved, f"mesh {control.name}: shape {name}")
+        offsets[_vertices(shape, "offset_vertices", control)] = moved
         shapes[name] = offsets, channel
     return shapes
 
 
 def _skinned(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh:
-    skins = items(mesh, "skin_deformers")
+    skins = [skin for skin in items(mesh, "skin_deformers") if items(skin, "clusters")]
     if not skins:
         return made
     name = made.control.name
@@ -164,19 +201,23 @@ def _skinned(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh:
     clusters = [cluster for cluster in items(skins[0], "clusters") if get(cluster, "bone_node") is not None]
     if not clusters:
         return made
-    stated = [get(cluster, "bone_node", "typed_id") for cluster in clusters]
+    stated, matrices = [], {}
+    for cluster in clusters:
+        bone, matrix = get(cluster, "bone_node"), row_matrix(get(cluster, "mesh_node_to_bone"))
+        if get(bone, "is_scale_helper"):  # ufbx gives a joint a child for scales that its children do not inherit
+            bone, matrix = get(bone, "parent"), matrix @ row_matrix(get(bone, "node_to_parent"))
+        stated.append(get(bone, "typed_id"))
+        matrices[stated[-1]] = matrix
     bones = tuple(dict.fromkeys(stated))
-    matrices = {
-        bone: row_matrix(get(cluster, "geometry_to_bone")) for bone, cluster in zip(stated, clusters, strict=True)
-    }
     vertices = [_vertices(cluster, "vertices", made.control) for cluster in clusters]
     columns = np.repeat([bones.index(bone) for bone in stated], [len(listed) for listed in vertices])
-    values = np.concatenate([np.array(get(cluster, "weights"), dtype=np.float64) for cluster in clusters])
+    stated_weights = [get(cluster, "weights") for cluster in clusters]
+    values = finite(np.concatenate(stated_weights), f"mesh {name}: skinning weights")
     shape = made.control.n_vertices, len(bones)
     weights = sparse.csr_array((np.maximum(values, 0.0), (np.concatenate(vertices), columns)), shape=shape)
     weights.sum_duplicates()
     weights.eliminate_zeros()
-    inverse = np.array([matrices[bone] for bone in bones])
+    inverse = finite([matrices[bone] for bone in bones], f"mesh {name}: bind pose of the skin")
     return replace(made, weights=weights, bones=bones, inverse_bind=inverse)
 
 

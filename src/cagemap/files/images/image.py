@@ -121,16 +121,16 @@ def _read(file: Path) -> Image:
     spec = opened.spec()
     try:
         pixels = opened.read_image(0, 0, 0, spec.nchannels, _READ_AS.get(kind, kind))
-        if pixels is None:
-            raise FormatError(
-                f"{file}: the image ends early or is damaged: {_reason(opened.geterror())} Export it again."
-            )
+        error = opened.geterror()
+        if pixels is None or error:  # of a JPEG that ends early, the library fills the rest with grey
+            raise FormatError(f"{file}: the image ends early or is damaged: {_reason(error)} Export it again.")
     finally:
         opened.close()
     array = np.asarray(pixels).reshape(spec.height, spec.width, spec.nchannels).astype(kind, copy=False)
-    may_be_associated = file.suffix.lower() in _ASSOCIATED_SUFFIXES
+    form = opened.format_name()
+    may_be_associated = form in ("tiff", "openexr")
     associated = may_be_associated and spec.alpha_channel >= 0 and not spec.getattribute("oiio:UnassociatedAlpha")
-    array = on_display(array, spec) if file.suffix.lower() == ".exr" else array
+    array = on_display(array, spec) if form == "openexr" else array
     array = upright(array, int(spec.getattribute("Orientation") or 1))
     profile = spec.getattribute("ICCProfile")
     return Image(
@@ -166,6 +166,7 @@ def _open(file: Path) -> tuple[Any, str]:
         )
     try:
         require_one_picture(file, opened)
+        opened.geterror()  # forgets that there is no further page
     except FormatError:
         opened.close()
         raise
