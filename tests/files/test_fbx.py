@@ -143,20 +143,23 @@ def test_a_texture_inside_the_file_or_beside_it(where: str, tmp_path: Path) -> N
     assert document.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] == {"index": 0}
 
 
-@pytest.mark.parametrize(("angle", "across"), [(30.0, 4.0), (0.0, 2.0), (30.0, 2.0)])
+@pytest.mark.parametrize(("angle", "across", "deep"), [(30.0, 4.0, 1), (0.0, 2.0, 0), (30.0, 2.0, 1), (0.0, 0.0, 1)])
 def test_a_texture_that_is_moved_turned_and_scaled(
-    angle: float, across: float, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    angle: float, across: float, deep: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """In FBX the image is scaled, turned and moved over the coordinates: not always what glTF can say."""
+    """In FBX the image is scaled, turned and moved over the coordinates: not always what glTF can say.
+
+    The third scale has no effect; assimp writes 0.
+    """
     made = fbx_arm(image=PNG)
     texture = next(one for one in made.objects if one.name == "Texture")
-    moved = {"Translation": (0.25, 0.5, 0.0), "Rotation": (0.0, 0.0, angle), "Scaling": (across, 4.0, 1.0)}
+    moved = {"Translation": (0.25, 0.5, 0.0), "Rotation": (0.0, 0.0, angle), "Scaling": (across, 4.0, float(deep))}
     texture.inside.append(properties(**moved))
     (image,) = material_images(read_document(_file(tmp_path, made)), "skin")
     on_image = np.random.default_rng(2).uniform(size=(5, 2))
     c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
     uvs = on_image * [across, 4.0] @ np.array([[c, s], [-s, c]]) + [0.25, 0.5]
-    if angle and across != 4.0:
+    if (angle and across != 4.0) or not across:
         assert "is turned and stretched" in caplog.text
         on_image = uvs
     np.testing.assert_allclose(image.on_image(uvs), on_image, atol=1e-6)

@@ -536,3 +536,15 @@ def test_sparse_positions_need_no_buffer_view(tmp_path: Path) -> None:
     write_document(tmp_path / "huge.glb", make.document(accessors=[entry | {"count": 3_000_000_000}], **top))
     with pytest.raises(FormatError, match="has no data"):
         read_mesh(tmp_path / "huge.glb")
+
+
+def test_check_reports_a_mesh_whose_image_is_missing(tmp_path: Path) -> None:
+    material = {"name": "skin", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    lost = {"materials": [material], "textures": [{"source": 0}], "images": [{"uri": "lost.png"}]}
+    document = arm()
+    buffer = "data:application/octet-stream;base64," + base64.b64encode(document.buffers[0]).decode()
+    top = document.json | lost | {"buffers": [{"byteLength": len(document.buffers[0]), "uri": buffer}]}
+    (tmp_path / "made.gltf").write_text(json.dumps(top))
+    text, _ = run_check(CheckRequest((tmp_path / "made.gltf",)), Stages())
+    assert "skin baseColor (cannot be read: lost.png)" in text
+    assert "faces" in text

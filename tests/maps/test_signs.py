@@ -29,7 +29,7 @@ from cagemap.maps.hypotheses.confidence import (
     median_distortion,
     turned_share,
 )
-from cagemap.maps.hypotheses.search import ANOTHER_WAY
+from cagemap.maps.hypotheses.search import ANOTHER_WAY, distinct_answers
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.landmarks import Landmarks
@@ -93,6 +93,14 @@ def test_an_answer_of_the_same_rotation_is_told_apart_in_words() -> None:
     answers = Placement(places, 0.0, name=name), Placement(places, 0.0, name=name + ANOTHER_WAY)
     said = "but the alignment as the files stand (limbs assigned differently) fits as well"
     assert said in Confidence(TWO, answers, deciding=0).message
+
+
+def test_further_answers_of_the_same_rotation_are_numbered(prepared: PreparedPair) -> None:
+    graph = prepared.energy.graph
+    placements = [Placement(graph.positions + 0.5 * k, 1.0 + k, name="as the files stand") for k in range(4)]
+    named = [answer.name for answer in distinct_answers(prepared, placements)]
+    way = "as the files stand (limbs assigned differently)"
+    assert named == ["as the files stand", way, f"{way} 2", f"{way} 3"]
 
 
 def test_the_distortion_of_a_stretched_grid_is_that_of_most_columns() -> None:

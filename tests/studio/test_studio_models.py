@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import re
@@ -16,6 +17,7 @@ import trimesh
 from examples.shapes import creature, cube
 from scipy.spatial import cKDTree
 
+from cagemap.files.gltf.document import read_document
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
@@ -306,6 +308,36 @@ def test_the_image_inside_a_glb_is_the_texture_where_none_is_named(tmp_path: Pat
     named = replace(opening, texture=tmp_path / "t.png")
     _, opened = run_task(None, OpenModels(named), lambda _: None)
     assert opened.source.texture == tmp_path / "t.png"
+
+
+def test_each_material_of_a_glb_is_shown_with_its_own_image(tmp_path: Path) -> None:
+    """The page gets one image with both; a bake reads them from the model's file."""
+    mesh = unwrapped_cube()
+    halves = (np.arange(mesh.n_faces) % 2).astype(np.int64)
+    painted = replace(mesh, face_materials=halves, material_names=("red", "blue"), material_colors=np.ones((2, 3)))
+    write_mesh(tmp_path / "made.glb", painted)
+    made = read_document(tmp_path / "made.glb")
+    document, data = json.loads(json.dumps(made.json)), bytes(made.buffers[0])
+    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    document |= {"buffers": [{"byteLength": len(data), "uri": uri}]}
+    document |= {"textures": [{"source": 0}, {"source": 1}], "images": [{"uri": "red.png"}, {"uri": "blue.png"}]}
+    for name, color in (("red", [255, 0, 0]), ("blue", [0, 0, 255])):
+        write_image(tmp_path / f"{name}.png", np.full((8, 8, 3), color, dtype=np.uint8))
+        material = next(one for one in document["materials"] if one["name"] == name)
+        material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": ["red", "blue"].index(name)}
+    (tmp_path / "box.gltf").write_text(json.dumps(document))
+    opening = PairFiles(tmp_path / "box.gltf", tmp_path / "box.gltf", None, 300, tmp_path)
+    _, opened = run_task(None, OpenModels(opening), lambda _: None)
+    assert opened.source.texture == tmp_path / "box.gltf"
+    shape, look = opened.source.shape, opened.source.look
+    middles = shape.uvs[shape.uv_triangles].mean(axis=1)
+    shown = texture_colors(look, middles)
+    of_triangle = opened.source.control.face_materials[shape.faces]
+    meant = np.array([[255, 0, 0], [0, 0, 255]])[of_triangle]
+    assert np.abs(shown.astype(int) - meant).max() < 60  # JPEG
+    files = default_files(tmp_path, tmp_path / "box.gltf", tmp_path / "box.gltf", opened.source.texture)
+    commands = finish_commands(all_options(), files, FinishOptions(), use_landmarks=False)
+    assert any(command.output.name == "box_from_box.png" for command in commands)
 
 
 def test_the_image_inside_a_usd_file_is_the_texture_where_none_is_named(tmp_path: Path) -> None:

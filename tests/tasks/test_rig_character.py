@@ -29,13 +29,13 @@ from cagemap.files.usd.stages import open_stage
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
-from cagemap.mesh.faces import face_areas
+from cagemap.mesh.faces import face_areas, face_centres
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import join_meshes
+from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.tasks.carry_character import Bodies, match_bodies, with_part
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
-from cagemap.tasks.rig_character import _kinds, _landmarks, body_in, read_body
+from cagemap.tasks.rig_character import _kinds, _landmarks, _split_body, body_in, read_body
 from cagemap.tasks.rig_materials import in_one_square
 
 from command_line import Run
@@ -518,3 +518,16 @@ def test_a_real_character_on_another_body(
     assert len(made.animations) == 1
     size = float(np.sqrt(face_areas(_part(truth, "body").mesh).sum()))
     assert np.linalg.norm(made.rig.heads - truth.rig.heads, axis=1).mean() < 0.015 * size
+
+
+def test_a_body_in_several_joined_parts_is_named() -> None:
+    whole = ball("ball", np.zeros(3), 1.0)
+    upper = face_centres(whole)[:, 1] > 0.0
+    halves = [
+        Part(name, extract_faces(whole, np.flatnonzero(faces))) for name, faces in (("top", upper), ("legs", ~upper))
+    ]
+    shell = Part("coat", whole.with_positions(1.001 * whole.positions))
+    legs = halves[1]
+    (said,) = _split_body(Path("man.fbx"), Character((*halves, shell)), legs)
+    assert "man.fbx: legs alone is matched as the body, but top continues it" in said
+    assert _split_body(Path("man.fbx"), Character((legs, shell)), legs) == []

@@ -21,8 +21,11 @@ from cagemap.files.usd.write import UsdResults, write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.progress import Stages
+from cagemap.tasks.report import run_report
+from cagemap.tasks.requests.report import ReportRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
+from cagemap.transfer.overlapping_uvs import overlapping_materials
 
 from example_result import identity_result
 
@@ -69,6 +72,46 @@ def test_the_image_inside_a_gltf_file_is_baked(tmp_path: Path) -> None:
     (tmp_path / "plain.gltf").write_text(json.dumps(scene))
     with pytest.raises(ParameterError, match=r"plain.gltf: expected a colour image .* --material-colors"):
         run_transfer(replace(request, texture=tmp_path / "plain.gltf"), Stages())
+
+
+def test_each_material_of_a_gltf_file_is_baked_with_its_own_image(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two materials whose images lie over each other in the layout, and one with a colour alone."""
+    scene = write_textured_scene(tmp_path)
+    write_image(tmp_path / "head.png", np.full((4, 4, 4), [10, 200, 30, 255], dtype=np.uint8))
+    scene["materials"].append({"name": "green", "pbrMetallicRoughness": {"baseColorTexture": {"index": 1}}})
+    scene["materials"].append({"name": "blue", "pbrMetallicRoughness": {"baseColorFactor": [0.0, 0.0, 1.0, 1.0]}})
+    scene["textures"], scene["images"] = [{"source": 0}, {"source": 1}], [{"uri": "skin.png"}, {"uri": "head.png"}]
+    (tmp_path / "box.gltf").write_text(json.dumps(scene))
+    result = identity_result()
+    target = result.target.control
+    assert target.uvs is not None
+    assert target.uv_indices is not None
+    middles = target.uvs[target.uv_indices.reshape(target.n_faces, -1)].mean(axis=1)
+    materials = np.arange(target.n_faces) % 3
+    source = replace(
+        target,
+        uvs=0.5 + 1.4 * (target.uvs - 0.5),  # repeated
+        face_materials=materials,
+        material_names=("red", "green", "blue"),
+        material_colors=np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),
+    )
+    write_result(tmp_path / "RESULT", replace(result, source=result.source.with_control(source)))
+    request = TransferRequest(tmp_path / "RESULT", tmp_path / "out.png", texture=tmp_path / "box.gltf", size=64)
+    _, warnings = run_transfer(request, Stages())
+    assert not any("lie over each other" in text for text in warnings)
+    pixels = read_image(tmp_path / "out.png").pixels
+    rows, columns = (64 * (1.0 - middles[:, 1])).astype(int), (64 * middles[:, 0]).astype(int)
+    meant = np.array([[200, 30, 10, 255], [10, 200, 30, 255], [0, 0, 255, 255]])[materials]
+    np.testing.assert_array_equal(pixels[rows, columns], meant)
+
+    shown: dict[str, Any] = {}
+    monkeypatch.setattr("cagemap.tasks.report.write_report", lambda _, result, **given: shown.update(given, of=result))
+    run_report(ReportRequest(tmp_path / "RESULT", tmp_path / "report.html"), Stages())
+    np.testing.assert_array_equal(shown["baked"], pixels)
+    assert set(map(tuple, meant)) <= set(map(tuple, shown["texture"].reshape(-1, 4)))
+    assert not overlapping_materials(shown["of"].source.control, 0.0)
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdz"])

@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+import numpy as np
+from scipy.spatial import cKDTree
+
 from cagemap.character.values import Part
 from cagemap.errors import ParameterError
 from cagemap.mesh.faces import face_areas
@@ -23,6 +26,25 @@ def passenger_word(name: str) -> str:
     """The passenger word in a part's name, in lower case; '' if none."""
     match = _PASSENGER_WORDS.search(name)
     return "" if match is None else match[0].lower()
+
+
+# Of the body's size: vertices closer than this are at the same place.
+_SAME_PLACE = 1e-5
+_FEWEST_JOINED = 3  # vertices along a common edge
+_MIN_JOINED_AREA = 0.1  # of the body's
+
+
+def joined_to(body: Part, parts: Sequence[Part]) -> list[Part]:
+    """Other parts that continue the body's surface: a torso whose lower edge is the upper edge of the legs."""
+    tree, area = cKDTree(body.mesh.positions), float(face_areas(body.mesh).sum())
+    reach = _SAME_PLACE * float(np.ptp(body.mesh.positions, axis=0).max())
+    found = []
+    for part in parts:
+        distances, _ = tree.query(part.mesh.positions, distance_upper_bound=reach)
+        is_large = float(face_areas(part.mesh).sum()) >= _MIN_JOINED_AREA * area
+        if part is not body and is_large and np.isfinite(distances).sum() >= _FEWEST_JOINED:
+            found.append(part)
+    return found
 
 
 def find_body(parts: Sequence[Part], name: str | None = None) -> Part:

@@ -19,6 +19,11 @@ SUFFIXES = (*SCENE_SUFFIXES, *USD_SUFFIXES)
 _COLOR_SLOT = "baseColorTexture"
 
 
+def color_image(document: Document, material: str) -> MaterialImage | None:
+    """The colour texture of a material of a document; None without one."""
+    return next((slot for slot in material_images(document, material) if slot.slot == _COLOR_SLOT), None)
+
+
 def color_texture(path: Path, control: ControlMesh) -> tuple[Document, MaterialImage] | None:
     """The colour texture of most of a mesh's faces in its file, and the file's document.
 
@@ -28,10 +33,9 @@ def color_texture(path: Path, control: ControlMesh) -> tuple[Document, MaterialI
         return None
     document = usd_document(path) if is_usd(path) else read_document(path)
     most = control.material_names[int(np.bincount(control.face_materials + 1, minlength=2)[1:].argmax())]
-    slots = material_images(document, most) if most in material_names(document) else ()
+    found = color_image(document, most) if most in material_names(document) else None
     in_use = control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0"
-    found = next((slot for slot in slots if slot.slot == _COLOR_SLOT and slot.uv_set == in_use), None)
-    return None if found is None else (document, found)
+    return None if found is None or found.uv_set != in_use else (document, found)
 
 
 def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from cagemap.errors import ParameterError
+from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.images.image import UDIM_MARK
 from cagemap.files.usd.stages import USD_SUFFIXES
@@ -319,7 +320,8 @@ class _CommandBuilder:
     def _image_name(self, image: Path) -> tuple[str, str]:
         """Parts of a baked image's name; the transfer adds tile numbers."""
         stem = image.stem.replace(UDIM_MARK, "").rstrip("._-")
-        return f"_from_{stem}", self.finish_options.image_form or image.suffix
+        form = image.suffix if image.suffix.lower() in IMAGE_SUFFIXES else ".png"  # a model's file has its images
+        return f"_from_{stem}", self.finish_options.image_form or form
 
     def wrap(self) -> Command:
         """The wrap of the target's cage onto the source."""

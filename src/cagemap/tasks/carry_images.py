@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from cagemap.errors import ParameterError
-from cagemap.files.gltf.material_images import MaterialImage
+from cagemap.files.gltf.material_images import MaterialImage, png_bytes, write_numbered
 from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern, udim_path
 from cagemap.files.inner_texture import SUFFIXES, color_texture, write_texture
 from cagemap.files.meshes.formats import read_mesh
@@ -40,6 +40,7 @@ from cagemap.tasks.detail_bakes import (
     mesh_detail,
     vertex_colors,
 )
+from cagemap.tasks.material_atlas import material_atlas
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.usd_output import texture_reference, write_usd_results
@@ -62,6 +63,12 @@ FEWEST_NORMALS = 0.3
 
 def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Carry one image, or all maps of a material, with one prepared bake."""
+    given = request.texture
+    atlas = None if given is None else material_atlas(given, result.source.control)
+    if given is not None and atlas is not None:
+        joined = write_numbered(request.result / f"{given.stem}_texture.png", png_bytes(atlas.image))
+        result = replace(result, source=result.source.with_control(atlas.control))
+        request = replace(request, texture=joined, size=request.size or base_size(request) or atlas.size)
     images = request.maps if request.texture is None else (("", request.texture),)
     maps = [(name, *_image_file(path, request, result)) for name, path in images]
     outputs = [map_path(request.output, name) for name, *_ in maps]
@@ -75,7 +82,7 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
     for (name, path, texture), output in zip(maps, outputs, strict=True):
         map_request = replace(request, output=output)
         image = _bake_map(map_request, result, prepared, name, path, stages, texture)
-        entry = _entry("texture", path, image)
+        entry = _entry("texture", path if atlas is None or given is None else given, image)
         summary, warnings = finish(map_request, prepared, entry | ({"map": name} if name else {}))
     if request.usd is not None:
         layer = request.usd

@@ -33,6 +33,7 @@ from cagemap.report import (
     write_report,
 )
 from cagemap.tasks.job_file import note_output
+from cagemap.tasks.material_atlas import material_atlas
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.wrap import level_mesh
@@ -55,7 +56,10 @@ def run_report(request: ReportRequest, stages: Stages) -> Outcome:
         texture = folder / known[-1]["image"] if known else None
     if texture is not None:
         check_outputs([output], [texture], force=force)
-    shown_texture = None if texture is None else read_texture(texture)
+    atlas = None if texture is None else material_atlas(texture, result.source.control)
+    if atlas is not None:
+        result = replace(result, source=result.source.with_control(atlas.control))
+    shown_texture = None if texture is None else read_texture(texture) if atlas is None else atlas.image
     pixels = shown_texture.pixels if isinstance(shown_texture, Image) else None  # tiles are not shown
     baked, baked_entry = None, None
     for entry in known:

@@ -10,7 +10,7 @@ import numpy as np
 
 from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.poses import pose_at
-from cagemap.character.roles import find_body
+from cagemap.character.roles import find_body, joined_to
 from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
@@ -31,7 +31,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import CagePoints, NamedPoints, on_cage
 from cagemap.mesh.curves import Curves
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
-from cagemap.mesh.mesh_report import count_noun
+from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.report import CarriedData, CarriedShape, Passenger, Pose, Weights, check_page_path, write_report
 from cagemap.tasks.carry_character import CarriedCharacter, carry_character, with_part
@@ -52,6 +52,8 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     source = character_of(document) if is_usd(request.like) else given_source
     body_document, target = read_body(request.body)
     to, of = body_in(target, request.body_part, request.body), body_in(source, request.like_part, request.like)
+    bodies = (request.body, target, to), (request.like, source, of)
+    split = [note for path, character, body in bodies for note in _split_body(path, character, body)]
     landmarks = _landmarks(request, (to, of), (target, given_source))
     keeps = request.keep_textures or of.mesh.face_materials is None
     laid_out = to.mesh if keeps or of.mesh.uvs is None else in_one_square(to.mesh)
@@ -90,7 +92,7 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
             _write_report(request.report, carried, source, of, baked, force=request.force)
     confidence = carried.result.confidence
     doubt = [] if confidence is None or confidence.verdict == SURE else [_DOUBT]
-    return _summary(request, dressed), [*carried.notes, *notes, *doubt]
+    return _summary(request, dressed), [*split, *carried.notes, *notes, *doubt]
 
 
 def _require_paths(request: RigRequest) -> None:
@@ -154,6 +156,17 @@ def body_in(character: Character, name: str | None, path: Path) -> Part:
         return find_body(character.parts, name)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from None
+
+
+def _split_body(path: Path, character: Character, body: Part) -> list[str]:
+    """A warning if other parts continue the body's surface."""
+    others = [part.name for part in joined_to(body, character.parts)]
+    if not others:
+        return []
+    return [
+        f"{path}: {body.name} alone is matched as the body, but {first_few(others)} continues it. Join these parts in "
+        "the modelling program (Blender: Ctrl+J, then Merge by Distance)"
+    ]
 
 
 def _with_mesh(character: Character, part: Part, mesh: ControlMesh) -> tuple[Character, Part]:

@@ -164,12 +164,15 @@ def _color(pbr: Any, name: str) -> list[float]:
 
 
 def _transform(texture: Any, where: str) -> dict[str, Any] | None:
-    """KHR_texture_transform of a texture: scale, rotation and offset; None if it has shear too."""
+    """KHR_texture_transform of a texture: scale, rotation and offset; None if it has shear too, or no inverse."""
     flip = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 1.0]])  # v down in glTF; for rows
-    stated = finite(list(get(texture, "uv_to_texture")), f"{where}: transform")
+    # Its inverse in the file is that in three dimensions, and zero if the scale along z is: assimp writes 1, 1, 0.
+    stated = finite(list(get(texture, "texture_to_uv")), f"{where}: transform")
     rows = np.eye(3)
     rows[:2, :2], rows[2, :2] = stated[:2, :2], stated[3, :2]
-    down: FloatArray = flip @ rows @ flip
+    if np.linalg.det(rows) == 0.0:
+        return None
+    down: FloatArray = flip @ np.linalg.inv(rows) @ flip
     across = float(np.hypot(*down[0, :2]))
     angle = float(np.arctan2(-down[0, 1], down[0, 0]))
     scale = [across, float(np.linalg.det(down[:2, :2])) / max(across, 1e-30)]

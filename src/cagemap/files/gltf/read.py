@@ -162,6 +162,15 @@ def contents_of(scene: Scene) -> Contents:
     )
 
 
+def _image_form(document: Document, image: int) -> str:
+    """The format of an image, or that it cannot be read: a match does not need it."""
+    try:
+        return image_bytes(document, image)[1].removeprefix(".")
+    except FormatError:
+        uri = str(document.entry("images", image).get("uri", "data:"))
+        return "cannot be read" if uri.startswith("data:") else f"cannot be read: {uri}"
+
+
 def _textures(document: Document) -> tuple[str, ...]:
     """Material, slot and format of every texture."""
     textures = []
@@ -169,6 +178,6 @@ def _textures(document: Document) -> tuple[str, ...]:
         for slot, holder in texture_slots(document.entry("materials", number)):
             texture = document.entry("textures", holder["index"], f"materials {number}")
             source = texture.get("source")
-            suffix = "" if source is None else f" ({image_bytes(document, source)[1][1:]})"
-            textures.append(f"{name} {slot.removesuffix('Texture')}{suffix}")
+            form = "" if source is None else f" ({_image_form(document, source)})"
+            textures.append(f"{name} {slot.removesuffix('Texture')}{form}")
     return tuple(textures)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import chain, count
 
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.multi_start import (
@@ -37,7 +38,7 @@ from cagemap.numerics.arrays import FloatArray, nearest_rotations
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, thread_limit
 
-# Suffix of an alignment's name where a better one has the same rotation but assigns limbs differently.
+# Suffix of an alignment's name where a better one has the same rotation but assigns limbs differently; then numbers.
 ANOTHER_WAY = " (limbs assigned differently)"
 
 
@@ -231,8 +232,7 @@ def distinct_answers(prepared: PreparedPair, placements: Sequence[Placement]) ->
     """Different alignments of the target with the source, in the order of placements, each with its own name."""
     answers, min_distance = dict[str, Placement](), prepared.elastic.search.min_answer_distance
     for placed in distinct_placements(placements, prepared.energy.graph.areas, min_distance):
-        name = placed.name
-        while name in answers:
-            name += ANOTHER_WAY
+        names = chain([placed.name, placed.name + ANOTHER_WAY], (f"{placed.name}{ANOTHER_WAY} {k}" for k in count(2)))
+        name = next(name for name in names if name not in answers)
         answers[name] = Placement(placed.map_positions, placed.cost, name=name, penalty=placed.penalty)
     return tuple(answers.values())
