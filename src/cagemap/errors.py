@@ -10,35 +10,63 @@ from typing import Any
 
 
 class CagemapError(Exception):
-    """Base of every error that cagemap raises on purpose."""
+    """Base of every error that cagemap raises on purpose.
+
+    Attributes
+    ----------
+    code : str
+        Kind of cause, for programs; the message is for people and may change.
+    """
+
+    code = "error"
 
 
 class InvalidMeshError(CagemapError, ValueError):
     """A control mesh that cannot be used (non-manifold, flipped, degenerate, ...)."""
 
+    code = "invalid-mesh"
+
 
 class InvalidLandmarksError(CagemapError, ValueError):
     """Landmarks that do not fit the two meshes (out of range, repeated, too few)."""
+
+    code = "invalid-landmarks"
 
 
 class DirectionError(CagemapError, ValueError):
     """Target and source were exchanged."""
 
+    code = "exchanged"
+
 
 class ParameterError(CagemapError, ValueError):
     """A parameter outside its range, or array shapes that disagree."""
+
+    code = "parameter"
 
 
 class FormatError(CagemapError, ValueError):
     """A file that is not valid in its format, or an unsupported format."""
 
+    code = "format"
+
+
+class MissingFileError(FormatError):
+    """A file that is not there."""
+
+    code = "missing-file"
+
 
 class SolverError(CagemapError, RuntimeError):
     """A linear or eigenvalue solver that did not reach its accuracy."""
 
+    code = "solver"
+
 
 class MissingLibraryError(CagemapError, ImportError):
     """A required library that is not installed, for example because its platform has no wheel."""
+
+    code = "missing-library"
 
 
 # Python names in messages, and the options of the command line for the same.

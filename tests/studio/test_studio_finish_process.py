@@ -20,6 +20,7 @@ from examples.shapes import creature
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import write_whole
 from cagemap.files.meshes.formats import write_mesh
+from cagemap.studio import finish_process
 from cagemap.studio.finish_process import RequestResult, run_finish_request, serve
 from cagemap.studio.worker import STOPPED_KIND, Failure, Worker
 from cagemap.tasks.progress import Stages
@@ -66,7 +67,7 @@ def test_warnings_are_said_once_and_what_was_written_before_an_error_is_told(
         write_whole(tmp_path / "a.txt", "a")
         raise ParameterError("exists (`force=True`)")
 
-    monkeypatch.setattr("cagemap.tasks.requests.catalogue.run_request", work)
+    monkeypatch.setattr("cagemap.studio.finish_process.runner_of", lambda request: work)
     made = run_finish_request(TransferRequest(tmp_path, tmp_path / "b.png"), Stages())
     assert made.warnings == ("a.obj has no UVs: --unwrap",)
     assert made.files == (tmp_path / "a.txt",)
@@ -120,9 +121,7 @@ def wait_for_threads(connection: Connection) -> None:
         stages("waits")
         threading.Event().wait()
 
-    import cagemap.tasks.requests.catalogue
-
-    cagemap.tasks.requests.catalogue.run_request = wait  # type: ignore[assignment]
+    finish_process.runner_of = lambda request: wait  # type: ignore[assignment]
     serve(connection)
 
 
@@ -161,9 +160,7 @@ def remove_slowly(connection: Connection) -> None:
             time.sleep(0.5)
             (request.result / "removed").touch()
 
-    import cagemap.tasks.requests.catalogue
-
-    cagemap.tasks.requests.catalogue.run_request = wait  # type: ignore[assignment]
+    finish_process.runner_of = lambda request: wait  # type: ignore[assignment]
     serve(connection)
 
 

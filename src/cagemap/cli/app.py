@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from functools import partial
-from importlib import import_module
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
@@ -13,6 +12,7 @@ from cagemap import __version__
 from cagemap.cli.console import say, set_verbosity, warn
 from cagemap.cli.progress import ConsoleStages
 from cagemap.cli.request_command import LAZY_MODULES, QUIET, VERBOSE, command_class, command_of, load_lazily
+from cagemap.tasks import runner_of
 from cagemap.tasks.requests.demo import DemoRequest
 from cagemap.tasks.requests.face import FaceRequest
 from cagemap.tasks.requests.functions import FunctionsRequest
@@ -40,30 +40,28 @@ def _read_transfer(
     return TransferRequest(texture=image, maps=maps, bases=all_bases, bake=bakes, **others)
 
 
-# Commands in the order of `--help`: request, the function of `cagemap` that runs it, and arguments of `command_of`
-# where fields are typed in another form.
-_COMMANDS: dict[str, tuple[type, str, dict[str, Any]]] = {
-    "demo": (DemoRequest, "tasks.demo.run_demo", {}),
-    "check": (CheckRequest, "tasks.mesh_commands.run_check", {}),
-    "refine": (RefineRequest, "tasks.mesh_commands.run_refine", {}),
-    "match": (MatchRequest, "tasks.match.run_match", {}),
+# Commands in the order of `--help`: request, and arguments of `command_of` where fields are typed in another form.
+_COMMANDS: dict[str, tuple[type, dict[str, Any]]] = {
+    "demo": (DemoRequest, {}),
+    "check": (CheckRequest, {}),
+    "refine": (RefineRequest, {}),
+    "match": (MatchRequest, {}),
     "transfer": (
         TransferRequest,
-        "tasks.transfer.run_transfer",
         {
             "word_types": {"texture": tuple[str, ...], "bases": tuple[str, ...], "bake": str | None},
             "make_request": _read_transfer,
         },
     ),
-    "rig": (RigRequest, "tasks.rig_character.run_rig", {}),
-    "face": (FaceRequest, "tasks.face.run_face", {}),
-    "report": (ReportRequest, "tasks.report.run_report", {}),
-    "suggest": (SuggestRequest, "tasks.suggest.run_suggest", {}),
-    "run": (RunRequest, "tasks.run_job.run_job", {}),
-    "studio": (StudioRequest, "cli.studio.run_studio", {}),
-    "functions": (FunctionsRequest, "tasks.functions.run_functions", {}),
-    "wrap": (WrapRequest, "tasks.wrap.run_wrap", {}),
-    "map": (MapRequest, "tasks.import_map.run_map", {}),
+    "rig": (RigRequest, {}),
+    "face": (FaceRequest, {}),
+    "report": (ReportRequest, {}),
+    "suggest": (SuggestRequest, {}),
+    "run": (RunRequest, {}),
+    "studio": (StudioRequest, {}),
+    "functions": (FunctionsRequest, {}),
+    "wrap": (WrapRequest, {}),
+    "map": (MapRequest, {}),
 }
 # Their functions return a text and whether all is well, which decides the exit code; others a text and warnings.
 _JUDGING = (CheckRequest, RunRequest)
@@ -117,11 +115,13 @@ def _root(
         os.environ["CAGEMAP_THREADS"] = os.environ["OPENIMAGEIO_THREADS"] = str(threads)
 
 
-def _run(name: str, request: Any) -> None:
+def _run(request: Any) -> None:
     """Run a request with its progress on standard error, and write its outcome; exit code 1 where not all is well."""
     load_lazily(LAZY_MODULES)
-    module, _, function = _COMMANDS[name][1].rpartition(".")
-    run = getattr(import_module(f"cagemap.{module}"), function)
+    if isinstance(request, StudioRequest):
+        from cagemap.cli.studio import run_studio  # here, since other commands need no server
+
+    run: Callable[..., tuple[str, Any]] = run_studio if isinstance(request, StudioRequest) else runner_of(request)
     with ConsoleStages() as stages:
         outcome = run(request, stages)
     if isinstance(request, _JUDGING):
@@ -136,5 +136,5 @@ def _run(name: str, request: Any) -> None:
         say(summary)
 
 
-for _name, (_kind, _, _how) in _COMMANDS.items():
-    app.command(_name, cls=command_class(moved_options(_kind)))(command_of(_kind, partial(_run, _name), **_how))
+for _name, (_kind, _how) in _COMMANDS.items():
+    app.command(_name, cls=command_class(moved_options(_kind)))(command_of(_kind, _run, **_how))

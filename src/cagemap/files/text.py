@@ -9,7 +9,7 @@ import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
 
-from cagemap.errors import FormatError
+from cagemap.errors import FormatError, MissingFileError
 
 
 def require_file(path: Path, what: str) -> None:
@@ -17,7 +17,9 @@ def require_file(path: Path, what: str) -> None:
     try:
         mode = path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError):
-        raise FormatError(f"{path}: expected {what}, there is no such file. Check the name and the folder.") from None
+        raise MissingFileError(
+            f"{path}: expected {what}, there is no such file. Check the name and the folder."
+        ) from None
     except (OSError, ValueError) as error:
         raise _unreadable(path, error) from None
     if stat.S_ISDIR(mode):

@@ -19,6 +19,7 @@ from cagemap.errors import explain_error, use_option_names
 from cagemap.files.atomic import files_written
 from cagemap.numerics.process import set_up_process
 from cagemap.studio.worker import END_TIMEOUT, FinalResult, StageReply
+from cagemap.tasks import runner_of
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import Request
 
@@ -90,11 +91,8 @@ def run_finish_request(request: Request, stages: Stages) -> RequestResult:
     try:
         with files_written() as files:
             try:
-                from cagemap.tasks.requests.catalogue import (
-                    run_request,  # here, so that loading libraries can be interrupted
-                )
-
-                summary, warnings = run_request(request, stages)
+                # `runner_of` loads libraries here, where it can be interrupted
+                summary, warnings = runner_of(request)(request, stages)
                 collector.texts += warnings
             except Exception as error:
                 failure = explain_error(error)

@@ -1,1 +1,130 @@
-"""Tasks of the command line, job files and the studio: one request and one function each."""
+"""Tasks of the command line, job files and the studio: a request each, and `run`, which runs any of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cagemap.errors import ParameterError, expected_value
+from cagemap.tasks.progress import Stages
+
+if TYPE_CHECKING:
+    from cagemap.tasks.requests.demo import DemoRequest as DemoRequest
+    from cagemap.tasks.requests.face import FaceRequest as FaceRequest
+    from cagemap.tasks.requests.functions import FunctionsRequest as FunctionsRequest
+    from cagemap.tasks.requests.import_map import MapRequest as MapRequest
+    from cagemap.tasks.requests.match import MatchRequest as MatchRequest
+    from cagemap.tasks.requests.mesh_commands import CheckRequest as CheckRequest
+    from cagemap.tasks.requests.mesh_commands import RefineRequest as RefineRequest
+    from cagemap.tasks.requests.report import ReportRequest as ReportRequest
+    from cagemap.tasks.requests.rig import RigRequest as RigRequest
+    from cagemap.tasks.requests.run import RunRequest as RunRequest
+    from cagemap.tasks.requests.suggest import SuggestRequest as SuggestRequest
+    from cagemap.tasks.requests.transfer import TransferRequest as TransferRequest
+    from cagemap.tasks.requests.wrap import WrapRequest as WrapRequest
+
+# By request: its module in `cagemap.tasks.requests`, and the function of `cagemap.tasks` that runs it.
+_TASKS = {
+    "DemoRequest": ("demo", "demo.run_demo"),
+    "CheckRequest": ("mesh_commands", "mesh_commands.run_check"),
+    "RefineRequest": ("mesh_commands", "mesh_commands.run_refine"),
+    "MatchRequest": ("match", "match.run_match"),
+    "TransferRequest": ("transfer", "transfer.run_transfer"),
+    "RigRequest": ("rig", "rig_character.run_rig"),
+    "FaceRequest": ("face", "face.run_face"),
+    "ReportRequest": ("report", "report.run_report"),
+    "SuggestRequest": ("suggest", "suggest.run_suggest"),
+    "RunRequest": ("run", "run_job.run_job"),
+    "FunctionsRequest": ("functions", "functions.run_functions"),
+    "WrapRequest": ("wrap", "wrap.run_wrap"),
+    "MapRequest": ("import_map", "import_map.run_map"),
+}
+
+__all__ = ["Outcome", "Stages", "run", *_TASKS]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a task did.
+
+    Attributes
+    ----------
+    summary : str
+        What the command prints.
+    warnings : tuple of str
+    succeeded : bool
+        False if `check` found problems, or a task of a job failed: the command's exit code is 1.
+    files : tuple of Path
+        Files that were written; not those of the workers of a job.
+    """
+
+    summary: str
+    warnings: tuple[str, ...]
+    succeeded: bool
+    files: tuple[Path, ...]
+
+
+def run(request: Any, progress: Callable[[str], None] | None = None) -> Outcome:
+    """Run the task of a request, as the command of that name does.
+
+    For example ``run(MatchRequest("deer.obj", "pony.obj", None, "RESULT"), print)``.
+
+    Parameters
+    ----------
+    request : MatchRequest, TransferRequest, ...
+        A dataclass of this module; its fields are the command's options. Paths may be strings.
+    progress : callable, optional
+        Called with the name of each stage that begins; `Stages` hears of notes too.
+
+    Raises
+    ------
+    ParameterError
+        If the request is none of this module, or a field has a value of another kind.
+    CagemapError
+        What the task refuses.
+    """
+    from cagemap.files.atomic import files_written  # here, since `cagemap --help` needs no files
+
+    task, checked = runner_of(request), _checked(request)
+    stages = progress if isinstance(progress, Stages) else Stages(progress)
+    with files_written() as files, stages:
+        summary, said = task(checked, stages)
+    judged = isinstance(said, bool)
+    return Outcome(summary, () if judged else tuple(said), said if judged else True, tuple(dict.fromkeys(files)))
+
+
+def runner_of(request: object) -> Callable[[Any, Stages], tuple[str, Any]]:
+    """The function that runs a request: it returns a summary and warnings, or of check and run whether all is well."""
+    name = type(request).__name__
+    if name not in _TASKS:
+        raise ParameterError(f"request: expected one of {', '.join(_TASKS)}, got {name}. Make one of these.")
+    module, _, function = _TASKS[name][1].rpartition(".")
+    runner: Callable[[Any, Stages], tuple[str, Any]] = getattr(import_module(f"cagemap.tasks.{module}"), function)
+    return runner
+
+
+def _checked(request: Any) -> Any:
+    """The request with values of the kinds of its fields."""
+    from pydantic import TypeAdapter, ValidationError  # here, since commands do not need it
+
+    values = {field.name: getattr(request, field.name) for field in fields(request)}
+    try:
+        return TypeAdapter(type(request)).validate_python(values)
+    except ValidationError as error:
+        problem = error.errors(include_url=False)[0]
+        raise ParameterError(
+            f"{'.'.join(map(str, problem['loc']))}: expected {expected_value(problem)}, got {problem['input']!r}"
+        ) from None
+
+
+def __getattr__(name: str) -> object:
+    if name not in _TASKS:
+        raise AttributeError(f"module 'cagemap.tasks' has no attribute {name!r}")
+    return getattr(import_module(f"cagemap.tasks.requests.{_TASKS[name][0]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -36,7 +36,7 @@ from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.threads import ThreadPool
 from cagemap.tasks.masks import mask_inputs
-from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.options import given_files
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, transfer_of, unwrap
@@ -276,7 +276,7 @@ def base_size(request: TransferRequest, name: str = "") -> int | None:
     return max(read_image(files[0]).size) if files else None
 
 
-def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any]) -> Outcome:
+def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any]) -> Said:
     """Record a bake in the manifest; returns a summary and warnings."""
     outputs = [udim_path(request.output, tile) for tile in prepared.tiles]
     level = {} if request.level is None else {"level": request.level}

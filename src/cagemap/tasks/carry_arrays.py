@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from typing import Any
 
@@ -24,8 +25,10 @@ from cagemap.transfer import (
     transfer_of,
 )
 from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes
-from cagemap.transfer.skin import carry_skin
+from cagemap.transfer.skin import carry_skin, normalised_skin
 from cagemap.wrap.net import counterpart_mask
+
+logger = logging.getLogger(__name__)
 
 # Least trust; control vertices below it take their weights from the vertices around them.
 _LEAST_TRUST = 0.1
@@ -106,7 +109,8 @@ def carry_weights(result: MatchResult, weights: ArrayLike, *, influences: int | 
     ----------
     result : MatchResult
     weights : (n2, j) array
-        Weight of each joint, not negative; rows with any weight sum to 1.
+        Weight of each joint, not negative. Rows sum to 0 or to 1; from 0.9 to 1.1 they are scaled, with a warning in
+        the log.
     influences : int, optional
         Most joints per vertex; None for all.
 
@@ -124,6 +128,9 @@ def carry_weights(result: MatchResult, weights: ArrayLike, *, influences: int | 
     given = real_numbers(weights, "skinning weights")
     if given.ndim != 2:
         raise ParameterError(f"skinning weights: expected an array (n, joints), got {given.shape}")
+    given, scaled = normalised_skin(given)
+    if scaled:
+        logger.warning("skinning weights: %s", scaled)
     target, source = result.target.refinement, result.source.refinement
     at_vertices = control_weights(prepare_transfer(target.finest, source.finest, result.point_map), target, source)
     split = cage_triangles(target.control)[0]

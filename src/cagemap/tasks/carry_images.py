@@ -41,7 +41,7 @@ from cagemap.tasks.detail_bakes import (
     vertex_colors,
 )
 from cagemap.tasks.material_atlas import material_atlas
-from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.usd_output import texture_reference, write_usd_results
 from cagemap.transfer import BakeOptions, bake_displacement, bake_face_colors, bake_texture, face_colors
@@ -61,7 +61,7 @@ from cagemap.transfer.vectors import (
 FEWEST_NORMALS = 0.3
 
 
-def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Carry one image, or all maps of a material, with one prepared bake."""
     given = request.texture
     atlas = None if given is None else material_atlas(given, result.source.control)
@@ -163,19 +163,19 @@ def _entry(kind: str, path: Path, given: SourceImage) -> dict[str, Any]:
     return {"kind": kind, "image": path, "size": given.size, "color_space": given.first.color_space}
 
 
-def carry_normal_map(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+def carry_normal_map(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Carry a normal map, in tangent or object space."""
     bake = partial(bake_normal_map, space=cast(Space, request.space), green=cast(Green, request.green))
     return _carry("normal-map", request.normal_map, 3, bake, {"space": request.space}, request, result, stages)
 
 
-def carry_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+def carry_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Carry displacement along the normal."""
     bake = partial(bake_displacement, midlevel=request.midlevel, scale=request.scale)
     return _carry("displacement", request.displacement, 1, bake, {}, request, result, stages)
 
 
-def carry_vector_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+def carry_vector_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Carry vector displacement, in tangent or object space."""
     space = cast(Space, request.space)
     bake = partial(bake_vector_displacement, space=space, midlevel=request.midlevel, scale=request.scale)
@@ -192,7 +192,7 @@ def _carry(
     request: TransferRequest,
     result: MatchResult,
     stages: Stages,
-) -> Outcome:
+) -> Said:
     """Bake an image of the source into all tiles; the manifest entry gets ``more``."""
     assert path is not None
     source_image = read_source_image(request, result, path, channels)
@@ -212,7 +212,7 @@ def _carry(
     return f"{summary}\n  {what} = (value - {baked.midlevel:g}) * {baked.scale:.6g} in the target's units", warnings
 
 
-def carry_material_colors(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+def carry_material_colors(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Bake colours of the source's materials."""
     floats = request.output.suffix.lower() == ".exr"
     dtype = pixel_type(request.bits or (32 if floats else 8), request.output.suffix)
@@ -226,7 +226,7 @@ def carry_material_colors(request: TransferRequest, result: MatchResult, stages:
     return finish(request, prepared, {"kind": "material-colors", "size": size})
 
 
-def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Bake normals, displacement, ambient occlusion and colours of a detailed mesh or the source."""
     kinds = _kinds(request)
     images = {kind: map_path(request.output, kind if len(kinds) > 1 else "") for kind in kinds}

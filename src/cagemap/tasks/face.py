@@ -24,7 +24,7 @@ from cagemap.pictures.camera import View, frame
 from cagemap.pictures.render import Image, Model, Skin, render
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import body_shapes, match_bodies, with_part
-from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.face import FaceRequest
 from cagemap.tasks.requests.options import comma_words, given_files
 from cagemap.tasks.rig_character import (
@@ -42,7 +42,7 @@ _COLUMNS, _PIXELS = 9, 200
 _VIEW = View("face", 15.0, 3.0)
 
 
-def run_face(request: FaceRequest, stages: Stages) -> Outcome:
+def run_face(request: FaceRequest, stages: Stages) -> Said:
     """Add blend shapes to a head and write it; returns a summary and warnings."""
     _require_paths(request)
     stages("read")

@@ -19,7 +19,7 @@ from cagemap.pipeline import choose_level, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.tasks.mesh_commands import require_size
 from cagemap.tasks.method import parse_schedule, with_laplacian
-from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.functions import FunctionsRequest
 from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
 
@@ -29,7 +29,7 @@ KINDS = (EIGENFUNCTIONS, "heat-signatures", "wave-signatures", "heat-kernels", "
 ARRAYS = (".npz", ".npy", ".csv")
 
 
-def run_functions(request: FunctionsRequest, stages: Stages) -> Outcome:
+def run_functions(request: FunctionsRequest, stages: Stages) -> Said:
     """Write functions of a mesh as arrays or vertex colours; returns a summary and notes."""
     kinds = _kinds(request)
     check_outputs([request.output], [request.mesh], force=request.force)

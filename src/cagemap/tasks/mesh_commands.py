@@ -30,7 +30,7 @@ from cagemap.mesh.weld import coincident_vertices, count_pieces, weld_tolerance
 from cagemap.subdivision import finest_mesh
 from cagemap.subdivision import refine as refine_mesh
 from cagemap.subdivision.refinement import vertex_counts
-from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest, RefineRequest
 from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
 
@@ -158,7 +158,7 @@ def _part_lines(mesh: ControlMesh, *, pieces: bool = True) -> str:
     return "\n".join(["\n  parts, for --part:", *lines])
 
 
-def run_refine(request: RefineRequest, stages: Stages) -> Outcome:
+def run_refine(request: RefineRequest, stages: Stages) -> Said:
     """Refine a mesh file into another; returns the table of levels, and notes about welds and quads."""
     path, output, level = request.mesh, request.output, request.level
     check_mesh_path(output)

@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
+from cagemap.errors import ParameterError
+
 _log = logging.getLogger("cagemap.cli")
 
-# Summary and warnings.
-Outcome = tuple[str, list[str]]
+# Summary and warnings of a task.
+Said = tuple[str, list[str]]
 
 
 class Stages:
     """Times the stages of a task: call it with the name of each stage that begins.
 
-    As a context manager it also ends the last stage. It shows nothing.
+    As a context manager it also ends the last stage. It shows nothing, but passes names of stages to ``tell``.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, tell: Callable[[str], None] | None = None) -> None:
+        if tell is not None and not callable(tell):
+            raise ParameterError(f"progress: expected a function of a text, got {tell!r}")
+        self._tell = tell
         self.timings: dict[str, float] = {}  # seconds of every finished stage; a repeated one adds to its time
         self._name: str | None = None
         self._start = 0.0
@@ -29,6 +35,8 @@ class Stages:
         self._finish()
         self._name, self._start = stage, time.perf_counter()
         _log.info("stage: %s", stage)
+        if self._tell is not None:
+            self._tell(stage)
 
     def show(self, text: str) -> None:
         """Show the progress of the running stage; nothing by default."""

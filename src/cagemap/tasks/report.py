@@ -34,14 +34,14 @@ from cagemap.report import (
 )
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.material_atlas import material_atlas
-from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.wrap import level_mesh
 
 _log = logging.getLogger(__name__)
 
 
-def run_report(request: ReportRequest, stages: Stages) -> Outcome:
+def run_report(request: ReportRequest, stages: Stages) -> Said:
     """Write the report of a RESULT folder; returns a summary and no warnings."""
     folder, output, texture, force = request.result, request.output, request.texture, request.force
     stages("read result")

@@ -31,7 +31,7 @@ from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights, trusted_vertices
 from cagemap.tasks.masks import in_file, keep_base, own_values
-from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.options import comma_words
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.tasks.usd_output import write_usd_results
@@ -41,7 +41,7 @@ from cagemap.transfer.skin import carry_joints, chosen_joints, mirrored_skin, no
 _APART = 0.05
 
 
-def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Carry skinning weights: a column or array for each joint, or one array of all joints."""
     assert request.weights is not None
     check_outputs([request.output], [request.weights], force=request.force)
@@ -165,7 +165,7 @@ def _moved(skeleton: Skeleton, point_map: PointMap) -> Skeleton:
     return replace(skeleton, heads=ends[:count], tails=ends[count:], axes=axes)
 
 
-def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Carry heads and tails of joints."""
     assert request.joints is not None
     check_outputs([request.output], [request.joints], force=request.force)
@@ -177,7 +177,7 @@ def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Sta
     return f"wrote {request.output}: {count} joints", []
 
 
-def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Carry blend shapes of the source's cage to the target's."""
     rows, target_rows = (
         file_rows(request.result, result, name) for name, side in (("source", result.source), ("target", result.target))
@@ -198,7 +198,7 @@ def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stage
     return text, []
 
 
-def write_point_map(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+def write_point_map(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Write the map itself, for other programs."""
     check_outputs([request.output], [], force=request.force)
     stages("write map")

@@ -35,7 +35,7 @@ from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.report import CarriedData, CarriedShape, Passenger, Pose, Weights, check_page_path, write_report
 from cagemap.tasks.carry_character import CarriedCharacter, carry_character, with_part
-from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.options import comma_words, given_files
 from cagemap.tasks.requests.rig import RigRequest
 from cagemap.tasks.rig_materials import BakedImages, colored, in_one_square, textured, with_own_materials
@@ -43,7 +43,7 @@ from cagemap.tasks.rig_materials import BakedImages, colored, in_one_square, tex
 _DOUBT = "the bodies may be matched wrongly: look at the result, and give --landmarks where it is wrong"
 
 
-def run_rig(request: RigRequest, stages: Stages) -> Outcome:
+def run_rig(request: RigRequest, stages: Stages) -> Said:
     """Carry a whole character to another body and write one file; returns a summary and warnings."""
     _require_paths(request)
     stages("read")

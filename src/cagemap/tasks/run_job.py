@@ -32,12 +32,12 @@ from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.threads import core_count
 from cagemap.report import draw_thumbnail
+from cagemap.tasks import runner_of
 from cagemap.tasks.dry_run import dry_run
-from cagemap.tasks.import_map import run_map
-from cagemap.tasks.match import check_match, read_control, run_match, weld_control
+from cagemap.tasks.match import check_match, read_control, weld_control
 from cagemap.tasks.method import SIDES, require_levels, side_bases, side_levels
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN, run_request
+from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.run import RunRequest
@@ -280,13 +280,15 @@ def run_task(task: Task) -> dict[str, Any]:
         return {"quality": result.manifest["quality"], "notes": result.manifest["notes"]}
     if task.kind == "match":
         return _match(task, stages)
-    _, warnings = run_request(_request_of(task), stages)
+    request = _request_of(task)
+    _, warnings = runner_of(request)(request, stages)
     return {"warnings": warnings}
 
 
 def _match(task: Task, stages: Stages) -> dict[str, Any]:
     """Match a pair, or import its given map."""
-    (run_map if "map" in task.request else run_match)(_request_of(task), stages)
+    request = _request_of(task)
+    runner_of(request)(request, stages)
     manifest = read_manifest(Path(task.request["output"]))
     warnings = [*landmark_messages(manifest), *manifest["quality"]["warnings"]]
     return {name: manifest[name] for name in ("quality", "timings", "notes") if name in manifest} | {

@@ -15,11 +15,11 @@ from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.pair import nearest_free_vertices
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.suggest import SuggestRequest
 
 
-def run_suggest(request: SuggestRequest, stages: Stages) -> Outcome:
+def run_suggest(request: SuggestRequest, stages: Stages) -> Said:
     """Write the landmarks of a result and ``count`` suggested ones."""
     folder, output, count = request.result, request.output, request.count
     check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=request.force)

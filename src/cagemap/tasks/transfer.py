@@ -41,14 +41,14 @@ from cagemap.tasks.carry_images import (
 from cagemap.tasks.detail_bakes import require_green
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import in_file, keep_base, with_masks
-from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.transfer import TransferRequest, require_map_names
 from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
 from cagemap.tasks.usd_output import missing_file_warnings, texture_reference, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 from cagemap.transfer.texture import FILTERS
 
-Carrier = Callable[[TransferRequest, MatchResult, Stages], Outcome]
+Carrier = Callable[[TransferRequest, MatchResult, Stages], Said]
 # Data that is carried whole: masks are refused with it.
 _WHOLE = ("--source-uvs", "--joints", "--passenger", "--write-map")
 
@@ -78,14 +78,14 @@ _READ_BY = {
 _SAID_AS = {"kind": "as", "bases": "base"}  # options whose field has another name
 
 
-def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
+def run_transfer(request: TransferRequest, stages: Stages) -> Said:
     """Carry one kind of data to the target, write and record it; returns a summary and warnings."""
     outcome = carry_one(request, stages)
     note_output("transfer", request.result, request)
     return outcome
 
 
-def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
+def carry_one(request: TransferRequest, stages: Stages) -> Said:
     """Carry one kind of data to the target and write it, without a note in the RESULT's job file."""
     carry = check_transfer(request)
     outputs = [path for path in (request.output, request.usd) if path is not None]
@@ -178,7 +178,7 @@ def _require_read(request: TransferRequest, carried: str) -> None:
             )
 
 
-def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Carry values at control vertices, control faces, face corners or refined vertices."""
     assert request.attribute is not None
     check_attribute_path(request.output)
@@ -214,7 +214,7 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
     return "\n".join([f"wrote {request.output}: {shapes}", *lines]), warnings + notes
 
 
-def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Write the target's mesh with the source's texture coordinates, so that the source's images fit it."""
     sides = result.target.refinement, result.source.refinement
     stages("prepare")
@@ -248,7 +248,7 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
 _FAR_PASSENGER = 0.5
 
 
-def transfer_passenger(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+def transfer_passenger(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Carry clothes, eyes, hair or a prop; UVs and materials do not change."""
     assert request.passenger is not None
     check_mesh_path(request.output)

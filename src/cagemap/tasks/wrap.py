@@ -41,7 +41,7 @@ from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import mask_inputs, with_masks
 from cagemap.tasks.match import match_files
 from cagemap.tasks.match import warnings as result_warnings
-from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.catalogue import WRAP_IMAGES_OF, WRITTEN
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
@@ -57,7 +57,7 @@ from cagemap.wrap.wrapping import NO_CAGE
 _TOLD = 5e-4
 
 
-def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
+def run_wrap(request: WrapRequest, stages: Stages) -> Said:
     """Wrap the target of one or several results, and write the cages; returns a summary and warnings."""
     check_wrap(request)
     _check_files(request)
@@ -125,7 +125,7 @@ def _of_both(request: WrapRequest, *names: str) -> dict[str, Any]:
     return said(request, *(f"{side}{name}" for name in names for side in ("", "target_", "source_")))
 
 
-def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stages: Stages) -> Outcome:
+def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stages: Stages) -> Said:
     """Also bake the source's texture into the target's layout, if requested."""
     if request.texture is None or request.baked is None:
         return summary, warnings
@@ -188,7 +188,7 @@ def _check_files(request: WrapRequest) -> None:
     check_outputs(outputs, inputs, force=request.force)
 
 
-def _run(request: WrapRequest, stages: Stages) -> Outcome:
+def _run(request: WrapRequest, stages: Stages) -> Said:
     config = WrapConfig(level=request.fit_level, fairness=request.fairness)
     stages("read result")
     results = [with_masks(read_result(folder), request, folder) for folder in request.results]
@@ -314,7 +314,7 @@ def _through(wrapped: Wrapped, space: FloatArray) -> Wrapped:
     return replace(wrapped, mesh=wrapped.mesh.with_positions(moved(wrapped.mesh.positions, space)))
 
 
-def _write_shapes(request: WrapRequest, results: list[MatchResult], config: WrapConfig, stages: Stages) -> Outcome:
+def _write_shapes(request: WrapRequest, results: list[MatchResult], config: WrapConfig, stages: Stages) -> Said:
     """Write a folder of OBJ files: the target at rest, and its cage in every source's shape."""
     sources = [Path(result.source.control.name) for result in results]
     files = _shape_files(request, Path(results[0].target.control.name), sources)

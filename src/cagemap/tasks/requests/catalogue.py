@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass
 from enum import StrEnum
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, cast, get_args, get_origin
@@ -14,7 +13,6 @@ from typing import Any, Literal, Union, cast, get_args, get_origin
 from pydantic import TypeAdapter
 
 from cagemap.errors import ParameterError
-from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.options import NameOrFile, OneOf, Option, SomeOf, options_in
 from cagemap.tasks.requests.report import ReportRequest
@@ -116,13 +114,6 @@ def request_of(options: Options, command: str, values: Mapping[str, Value]) -> R
             options[command, name].require(value)
     request: Request = _validator(COMMANDS[command]).validate_python(dict(values))
     return request
-
-
-def run_request(request: Request, stages: Stages) -> Outcome:
-    """Run a request of `COMMANDS`; returns a summary and warnings."""
-    command = next(name for name, kind in COMMANDS.items() if isinstance(request, kind))
-    run: Callable[[Request, Stages], Outcome] = getattr(import_module(f"cagemap.tasks.{command}"), f"run_{command}")
-    return run(request, stages)
 
 
 @cache

@@ -1,0 +1,74 @@
+"""Tasks from Python: a request of `cagemap.tasks` and `run`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import voxels
+
+from cagemap import tasks
+from cagemap.cli.app import app
+from cagemap.errors import CagemapError, FormatError, MissingFileError, ParameterError
+from cagemap.files.meshes.formats import write_mesh
+
+
+@pytest.fixture
+def box(tmp_path: Path) -> Path:
+    write_mesh(tmp_path / "box.obj", voxels([(0, 0, 0), (1, 0, 0), (1, 1, 0)]))
+    return tmp_path / "box.obj"
+
+
+def test_a_match_and_a_transfer_by_texts_and_a_function(box: Path) -> None:
+    result, said = box.parent / "R", list[str]()
+    outcome = tasks.run(tasks.MatchRequest(str(box), str(box), None, str(result), level=1), said.append)
+    assert said[0].startswith("read")
+    assert outcome.succeeded
+    assert result / "map.npz" in outcome.files
+    assert "sure" in outcome.summary
+    values = box.parent / "v.csv"
+    np.savetxt(values, np.arange(16.0))
+    carried = tasks.run(tasks.TransferRequest(result, box.parent / "w.csv", attribute=values))
+    np.testing.assert_allclose(np.loadtxt(carried.files[0], skiprows=1), np.arange(16.0), atol=1e-9)
+
+
+def test_what_check_finds_is_no_success(box: Path) -> None:
+    assert tasks.run(tasks.CheckRequest((box,))).succeeded
+    box.write_text(box.read_text() + "f 1 2 9\n")
+    found = tasks.run(tasks.CheckRequest((box,)))
+    assert not found.succeeded
+    assert found.warnings == ()
+
+
+def test_every_command_of_the_command_line_but_the_studio_has_a_request() -> None:
+    assert len(tasks._TASKS) == len(app.registered_commands) - 1
+    for name in tasks._TASKS:
+        assert callable(tasks.runner_of(object.__new__(getattr(tasks, name))))
+
+
+def test_what_is_no_request_or_no_value_of_its_field_is_refused_before_any_work(box: Path) -> None:
+    request = tasks.MatchRequest(box, box, None, box.parent / "R", level="two")
+    with pytest.raises(ParameterError, match="level: expected a whole number, got 'two'"):
+        tasks.run(request)
+    with pytest.raises(ParameterError, match=r"request: expected one of DemoRequest, .* got str"):
+        tasks.run("match")
+    with pytest.raises(ParameterError, match="progress: expected a function of a text, got 3"):
+        tasks.run(tasks.CheckRequest((box,)), 3)
+    with pytest.raises(AttributeError, match="no attribute 'Nothing'"):
+        tasks.Nothing  # noqa: B018
+    assert [file.name for file in box.parent.iterdir()] == ["box.obj"]
+
+
+@pytest.mark.parametrize("name", ["a.obj", "a.ply", "a.glb", "a.usda", "a.stl"])
+def test_errors_have_a_code_for_programs(tmp_path: Path, name: str) -> None:
+    with pytest.raises(MissingFileError) as found:
+        tasks.run(tasks.MatchRequest(tmp_path / name, tmp_path / name, None, tmp_path / "R"))
+    assert found.value.code == "missing-file"
+    codes = [kind.code for kind in (CagemapError, *_below(CagemapError))]
+    assert len(codes) == len(set(codes)) == 9
+    assert issubclass(MissingFileError, FormatError)
+
+
+def _below(kind: type) -> list[type]:
+    return [found for below in kind.__subclasses__() for found in (below, *_below(below))]
