@@ -152,8 +152,8 @@ def remove_slowly(connection: Connection) -> None:
     """Serve, but a request waits for a signal, and takes a while to remove its files."""
 
     def wait(request: TransferRequest, stages: Stages) -> None:
-        (request.result / "SIGINT").touch()
         try:
+            (request.result / "SIGINT").touch()  # within: the signal may come at once
             threading.Event().wait()
         finally:
             (request.result / "SIGTERM").touch()
