@@ -162,6 +162,18 @@ def test_a_texture_that_is_moved_turned_and_scaled(
     np.testing.assert_allclose(image.on_image(uvs), on_image, atol=1e-6)
 
 
+@pytest.mark.parametrize(("named", "coordinates"), [("second", 1), ("map", 0), ("unknown", 0)])
+def test_a_texture_of_another_uv_set(named: str, coordinates: int, tmp_path: Path) -> None:
+    made = fbx_arm(image=PNG)
+    add_layer(made, layer("UV", "second", "ByPolygonVertex", UV=np.full(2, 0.25), UVIndex=np.zeros(8, "<i4")))
+    texture = next(one for one in made.objects if one.name == "Texture")
+    texture.inside.append(properties(UVSet=named))
+    path = _file(tmp_path, made)
+    (image,) = material_images(read_document(path), "skin")
+    assert image.uv_set == f"TEXCOORD_{coordinates}"
+    assert (read_mesh(path).uv_sets[0].uvs == 0.25).all()
+
+
 def test_a_texture_that_is_clamped_stays_so(tmp_path: Path) -> None:
     made = fbx_arm(image=PNG)
     texture = next(one for one in made.objects if one.name == "Texture")

@@ -19,7 +19,7 @@ from cagemap.files.fbx.meshes import FbxMesh, finite, get, held, items, node_nam
 from cagemap.files.fbx.read import REFUSED
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.document import glb_bytes
-from cagemap.files.gltf.geometry import mesh_entry
+from cagemap.files.gltf.geometry import mesh_entry, uv_sets_in_order
 from cagemap.files.gltf.nodes import decomposed, invertible, transform
 from cagemap.mesh.mesh_report import count_noun
 from cagemap.numerics.arrays import FloatArray
@@ -170,7 +170,8 @@ class _Scene:
             self._note(f"{get(node, 'name')} is hidden and left out")
             return entry
         instance = _instance(node)
-        materials = tuple(self._materials.number(material) for material in items(node, "materials"))
+        uv_sets = [one.name for one in uv_sets_in_order(mesh.control)]
+        materials = tuple(self._materials.number(material, uv_sets) for material in items(node, "materials"))
         if (instance, materials) not in self._mesh_of:
             self._mesh_of[instance, materials] = len(self._meshes)
             self._meshes.append(self._mesh_entry(mesh, materials))

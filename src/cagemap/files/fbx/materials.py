@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -40,27 +40,31 @@ class Materials:
     def __init__(self, binary: Binary, path: Path, note: Callable[[str], None]) -> None:
         self._binary, self._path, self._note = binary, path, note
         self.lists: dict[str, list[Any]] = {"materials": [], "textures": [], "images": [], "samplers": []}
-        self._known: dict[int, int] = {}
+        self._known: dict[tuple[int, tuple[int, ...]], int] = {}
         self._image_of: dict[bytes, int] = {}
 
-    def number(self, material: Any) -> int:
-        """Number of a material in the document."""
-        known = get(material, "typed_id")
+    def number(self, material: Any, uv_sets: Sequence[str]) -> int:
+        """Number in the document of a material of a mesh with UV sets of these names."""
+        textures = [get(material, "pbr", source, "texture") for source in _SLOTS]
+        stated = [None if texture is None else get(texture, "uv_set") for texture in textures]
+        coordinates = tuple(uv_sets.index(name) if name in uv_sets else 0 for name in stated)
+        known = get(material, "typed_id"), coordinates
         if known not in self._known:
             self._known[known] = len(self.lists["materials"])
-            self.lists["materials"].append(self._entry(material))
+            self.lists["materials"].append(self._entry(material, coordinates))
         return self._known[known]
 
-    def _entry(self, material: Any) -> dict[str, Any]:
+    def _entry(self, material: Any, coordinates: Sequence[int]) -> dict[str, Any]:
         name, pbr = get(material, "name"), get(material, "pbr")
         slots: dict[str, Any] = {}
         used = []
-        for source, slot in _SLOTS.items():
+        for (source, slot), uv_set in zip(_SLOTS.items(), coordinates, strict=True):
             texture = get(pbr, source, "texture")
             if texture is not None:
                 used.append(get(texture, "element_id"))
                 entry_of_texture = self._texture(texture, f"material {name}: {slot}")
-                slots |= {} if entry_of_texture is None else {slot: entry_of_texture}
+                if entry_of_texture is not None:
+                    slots[slot] = entry_of_texture | ({"texCoord": uv_set} if uv_set else {})
         unused = [one for one in items(material, "textures") if get(one, "texture", "element_id") not in used]
         if unused:
             listed = ", ".join(sorted({get(one, "material_prop") for one in unused}))
