@@ -195,6 +195,12 @@ def test_a_texture_that_is_not_there_is_said(tmp_path: Path, caplog: pytest.LogC
     assert "skin.png' is not found and left out" in caplog.text
 
 
+def test_a_texture_that_cannot_be_read_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    document = read_document(_file(tmp_path, fbx_arm(image=b"no image")))
+    assert "images" not in document.json
+    assert "skin.png' cannot be read as an image and is left out" in caplog.text
+
+
 def test_a_skin_without_joints_is_passed_over(tmp_path: Path) -> None:
     made = fbx_arm()
     mesh = next(one.properties[0] for one in made.objects if one.name == "Geometry")

@@ -109,7 +109,10 @@ class Materials:
                     self._binary.extensions.add("KHR_texture_transform")
                 return {"index": len(self.lists["textures"]) - 1} | (transform or {})
         stated = get(texture, "relative_filename") or get(texture, "filename") or get(texture, "name")
-        self._note(f"{where}: {stated!r} is not found and left out; put it beside the FBX file")
+        if any(self._content(file) for file in files):
+            self._note(f"{where}: {stated!r} cannot be read as an image and is left out; save it as a PNG")
+        else:
+            self._note(f"{where}: {stated!r} is not found and left out; put it beside the FBX file")
         return None
 
     def _sampler(self, texture: Any) -> int:
@@ -122,7 +125,7 @@ class Materials:
 
     def _image(self, texture: Any) -> int | None:
         """Number of a texture's image; None if there is no readable one."""
-        data = bytes(get(texture, "content")) or self._beside(texture)
+        data = self._content(texture)
         if not data:
             return None
         if data not in self._image_of:
@@ -135,10 +138,10 @@ class Materials:
             self.lists["images"].append({"bufferView": self._binary.view(kept), "mimeType": kind})
         return self._image_of[data]
 
-    def _beside(self, texture: Any) -> bytes:
-        """Content of the file that a texture names, searched in the FBX's folder; b"" if missing."""
+    def _content(self, texture: Any) -> bytes:
+        """Content of a texture's image: in the FBX, or in its folder; b"" if missing."""
         file = texture_file(self._path, _stated(texture))
-        return b"" if file is None else held(file.read_bytes())
+        return bytes(get(texture, "content")) or (b"" if file is None else held(file.read_bytes()))
 
 
 def _stated(texture: Any) -> str:
