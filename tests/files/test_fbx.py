@@ -218,6 +218,23 @@ def test_vertices_of_no_face_are_said(tmp_path: Path, caplog: pytest.LogCaptureF
     assert "strip: 1 vertex of no face left out; later vertices have other numbers than in the file" in caplog.text
 
 
+def test_stated_axes_turn_positions_shapes_joints_and_animations_alike(tmp_path: Path) -> None:
+    """The same numbers, stated to have Z up and Y up."""
+    made = fbx_arm()
+    standing = read_character(_file(tmp_path, made))
+    made.settings = Fbx(UpAxis=1, FrontAxis=2, FrontAxisSign=1).settings
+    lying = read_character(_file(tmp_path, made))
+    assert standing.rig is not None
+    assert lying.rig is not None
+    for one, other in (
+        (standing.parts[0].mesh.positions, lying.parts[0].mesh.positions),
+        (standing.parts[0].shapes["raise"], lying.parts[0].shapes["raise"]),
+        (standing.rig.heads, lying.rig.heads),
+        (_at_half_a_second(standing), _at_half_a_second(lying)),
+    ):
+        np.testing.assert_allclose(other, one @ TO_FBX / 100.0, atol=1e-5)
+
+
 def test_units(tmp_path: Path) -> None:
     """Inches, moved by 50 of them along Z, which is up."""
     made = Fbx(UnitScaleFactor=2.54)
