@@ -29,7 +29,7 @@ from cagemap.tasks.mesh_commands import run_check, run_refine
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest, RefineRequest
 
-from fbx_scenes import TO_FBX, Fbx, Node, add_curve, add_layer, fbx_arm, geometry, layer, properties
+from fbx_scenes import SECOND, TO_FBX, Fbx, Node, add_curve, add_layer, fbx_arm, geometry, layer, properties
 from gltf_scenes import arm
 
 pytest.importorskip("ufbx")
@@ -104,6 +104,21 @@ def test_a_shape_that_an_animation_does_not_move_keeps_its_weight(tmp_path: Path
     output = animation["samplers"][moved["sampler"]]["output"]
     amounts = read_accessor(document, output, "weights", ("SCALAR",)).reshape(-1, 2)
     np.testing.assert_allclose(amounts, [[0.0, 0.25], [0.5, 0.25], [0.0, 0.25]], atol=1e-6)
+
+
+def test_an_animation_that_begins_before_0_is_moved(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """In glTF no time is negative."""
+    made = fbx_arm()
+    keys = [one for curve in made.objects if curve.name == "AnimationCurve" for one in curve.inside]
+    for times in (one for one in keys if one.name == "KeyTime"):
+        times.properties = (times.properties[0] - SECOND,)
+    document = read_document(_file(tmp_path, made))
+    (animation,) = document.json["animations"]
+    starts = [document.json["accessors"][one["input"]]["min"] for one in animation["samplers"]]
+    assert np.min(starts) == 0.0
+    expected = _at_half_a_second(read_character(_file(tmp_path, fbx_arm(), "plain.fbx")))
+    np.testing.assert_allclose(_at_half_a_second(character_of(document)), expected, atol=1e-5)
+    assert "animation bend begins 1 s before 0 and is moved to begin at 0" in caplog.text
 
 
 def test_joints_posed_in_the_file_are_in_the_pose_of_the_bind(tmp_path: Path) -> None:

@@ -124,7 +124,7 @@ class _Scene:
                 for place, channel in enumerate(mesh.channels):
                     channels.setdefault(get(channel, "element_id"), []).append((number, place, mesh.amounts))
         moving = [
-            animation_entry(self._binary, self._scene, stack, entries, before, self._number, channels)
+            animation_entry(self._binary, self._scene, stack, entries, before, self._number, channels, self._note)
             for stack in items(self._scene, "anim_stacks")
         ]
         helpers = {n for n, node in enumerate(self._nodes) if get(node, "is_scale_helper") and "mesh" not in entries[n]}
