@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest
 
 from damage import cases, mutated_bytes, mutated_entries, outcome
-from fbx_scenes import fbx_arm
+from fbx_scenes import Fbx, Node, fbx_arm
 from gltf_scenes import arm
 
 SUFFIXES = (".glb", ".gltf", ".vrm")
@@ -150,19 +150,29 @@ def test_damaged_copies_of_an_fbx_file(tmp_path: Path) -> None:
     """The library reads them in a process of its own, which may stop: this one goes on with a named error."""
     pytest.importorskip("ufbx")
     path, rng = tmp_path / "made.fbx", np.random.default_rng(7)
-    content = fbx_arm(image=b"\x89PNG" + bytes(60), leaf=True, posed=True).bytes()
-    path.write_bytes(content)
+
+    def made() -> Fbx:
+        return fbx_arm(image=b"\x89PNG" + bytes(60), leaf=True, posed=True)
+
+    path.write_bytes(made().bytes())
     use(path)
     numbers, refused = cases(16), 0
     for number in numbers:
-        changed = bytearray(mutated_bytes(content, rng) if number % 4 == 0 else content)
-        if number % 4:  # records keep their lengths
-            for at in rng.integers(30, len(content), 6).tolist():
-                changed[at] = int(rng.integers(256))
-        path.write_bytes(changed)
+        changed = made()
+        arrays = _arrays(changed.objects)
+        for array in (arrays[place] for place in rng.permutation(len(arrays))[: number % 4]):
+            wrong = (-1, 0, 7, 999_999) if array.dtype.kind == "i" else (np.nan, np.inf, 1e30, -1.0, 0.0)
+            array[rng.integers(len(array))] = wrong[rng.integers(len(wrong))]
+        path.write_bytes(changed.bytes() if number % 4 else mutated_bytes(changed.bytes(), rng))
         refused += not outcome(lambda: use(path))
     assert list(tmp_path.iterdir()) == [path]
     assert 0 < refused < len(numbers)
+
+
+def _arrays(records: Sequence[Node]) -> list[np.ndarray]:
+    """All arrays with numbers in FBX records."""
+    own = [value for one in records for value in one.properties if isinstance(value, np.ndarray) and value.size]
+    return own + [array for one in records for array in _arrays(one.inside)]
 
 
 def _json_of(content: bytes) -> Any:

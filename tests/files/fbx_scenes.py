@@ -214,7 +214,7 @@ def add_curve(
 ) -> None:
     """Move a component of a property in the last animation layer: values at 0, 0.5 and 2 seconds."""
     layer_of = next(one.properties[0] for one in reversed(made.objects) if one.name == "AnimationLayer")
-    rest = {f"d|{axis}": others for axis in "XYZ"}
+    rest = {f"d|{axis}": others for axis in "XYZ"} if others else {}
     curve_node = made.add("AnimationCurveNode", prop[0], "", properties(**rest | {name: values[0]}), to=layer_of)
     made.connect(curve_node, target, prop)
     keys = [

@@ -29,7 +29,7 @@ from cagemap.tasks.mesh_commands import run_check, run_refine
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest, RefineRequest
 
-from fbx_scenes import TO_FBX, Fbx, Node, add_curve, add_layer, fbx_arm, geometry, layer, properties
+from fbx_scenes import SECOND, TO_FBX, Fbx, Node, add_curve, add_layer, fbx_arm, geometry, layer, properties
 from gltf_scenes import arm
 
 pytest.importorskip("ufbx")
@@ -106,6 +106,21 @@ def test_a_shape_that_an_animation_does_not_move_keeps_its_weight(tmp_path: Path
     np.testing.assert_allclose(amounts, [[0.0, 0.25], [0.5, 0.25], [0.0, 0.25]], atol=1e-6)
 
 
+def test_an_animation_that_begins_before_0_is_moved(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """In glTF no time is negative."""
+    made = fbx_arm()
+    keys = [one for curve in made.objects if curve.name == "AnimationCurve" for one in curve.inside]
+    for times in (one for one in keys if one.name == "KeyTime"):
+        times.properties = (times.properties[0] - SECOND,)
+    document = read_document(_file(tmp_path, made))
+    (animation,) = document.json["animations"]
+    starts = [document.json["accessors"][one["input"]]["min"] for one in animation["samplers"]]
+    assert np.min(starts) == 0.0
+    expected = _at_half_a_second(read_character(_file(tmp_path, fbx_arm(), "plain.fbx")))
+    np.testing.assert_allclose(_at_half_a_second(character_of(document)), expected, atol=1e-5)
+    assert "animation bend begins 1 s before 0 and is moved to begin at 0" in caplog.text
+
+
 def test_joints_posed_in_the_file_are_in_the_pose_of_the_bind(tmp_path: Path) -> None:
     """Also the animation is what it is with an unposed file, where it moves the joint and where it does not."""
     plain, turned = (read_character(_file(tmp_path, fbx_arm(posed=posed))) for posed in (False, True))
@@ -165,6 +180,18 @@ def test_a_texture_that_is_moved_turned_and_scaled(
     np.testing.assert_allclose(image.on_image(uvs), on_image, atol=1e-6)
 
 
+@pytest.mark.parametrize(("named", "coordinates"), [("second", 1), ("map", 0), ("unknown", 0)])
+def test_a_texture_of_another_uv_set(named: str, coordinates: int, tmp_path: Path) -> None:
+    made = fbx_arm(image=PNG)
+    add_layer(made, layer("UV", "second", "ByPolygonVertex", UV=np.full(2, 0.25), UVIndex=np.zeros(8, "<i4")))
+    texture = next(one for one in made.objects if one.name == "Texture")
+    texture.inside.append(properties(UVSet=named))
+    path = _file(tmp_path, made)
+    (image,) = material_images(read_document(path), "skin")
+    assert image.uv_set == f"TEXCOORD_{coordinates}"
+    assert (read_mesh(path).uv_sets[0].uvs == 0.25).all()
+
+
 def test_a_texture_that_is_clamped_stays_so(tmp_path: Path) -> None:
     made = fbx_arm(image=PNG)
     texture = next(one for one in made.objects if one.name == "Texture")
@@ -186,6 +213,12 @@ def test_a_texture_that_is_not_there_is_said(tmp_path: Path, caplog: pytest.LogC
     assert "skin.png' is not found and left out" in caplog.text
 
 
+def test_a_texture_that_cannot_be_read_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    document = read_document(_file(tmp_path, fbx_arm(image=b"no image")))
+    assert "images" not in document.json
+    assert "skin.png' cannot be read as an image and is left out" in caplog.text
+
+
 def test_a_skin_without_joints_is_passed_over(tmp_path: Path) -> None:
     made = fbx_arm()
     mesh = next(one.properties[0] for one in made.objects if one.name == "Geometry")
@@ -201,6 +234,23 @@ def test_vertices_of_no_face_are_said(tmp_path: Path, caplog: pytest.LogCaptureF
     vertices.properties = (np.append(vertices.properties[0], [0.0, 0.0, 900.0]),)
     assert read_mesh(_file(tmp_path, made)).n_vertices == 6
     assert "strip: 1 vertex of no face left out; later vertices have other numbers than in the file" in caplog.text
+
+
+def test_stated_axes_turn_positions_shapes_joints_and_animations_alike(tmp_path: Path) -> None:
+    """The same numbers, stated to have Z up and Y up."""
+    made = fbx_arm()
+    standing = read_character(_file(tmp_path, made))
+    made.settings = Fbx(UpAxis=1, FrontAxis=2, FrontAxisSign=1).settings
+    lying = read_character(_file(tmp_path, made))
+    assert standing.rig is not None
+    assert lying.rig is not None
+    for one, other in (
+        (standing.parts[0].mesh.positions, lying.parts[0].mesh.positions),
+        (standing.parts[0].shapes["raise"], lying.parts[0].shapes["raise"]),
+        (standing.rig.heads, lying.rig.heads),
+        (_at_half_a_second(standing), _at_half_a_second(lying)),
+    ):
+        np.testing.assert_allclose(other, one @ TO_FBX / 100.0, atol=1e-5)
 
 
 def test_units(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ def animation_entry(
     before: Mapping[int, Mapping[str, Any]],
     numbers: Mapping[int, int],
     channels: Mapping[int, list[tuple[int, int, list[float]]]],
+    note: Callable[[str], None],
 ) -> dict[str, Any]:
     """Entry of ``animations`` for an animation stack; without channels if nothing moves.
 
@@ -34,7 +35,8 @@ def animation_entry(
     ``channels``: by ``element_id`` of a blend channel, for each node with its mesh: the node, number of the shape,
         weights of all its shapes at rest.
     """
-    where = f"animation {get(stack, 'name')}: keys"
+    name = get(stack, "name")
+    where = f"animation {name}: keys"
     baked = held(
         ufbx.bake_anim(
             scene, get(stack, "anim"), trim_start_time=True, key_reduction_enabled=True, key_reduction_rotation=True
@@ -45,8 +47,8 @@ def animation_entry(
     }
     for moved in items(baked, "nodes"):
         node = numbers.get(get(moved, "typed_id"))
-        for path, name in _CHANNELS.items():
-            times, values = _keys(moved, name, where)
+        for path, keys in _CHANNELS.items():
+            times, values = _keys(moved, keys, where)
             if node is not None and len(times):
                 sampled[node, path] = times, values
     tracks = [
@@ -57,9 +59,12 @@ def animation_entry(
     tracks += [
         (node, "weights", times, values.ravel()) for node, (times, values) in _weights(baked, channels, where).items()
     ]
-    entry: dict[str, Any] = {"name": get(stack, "name"), "samplers": [], "channels": []}
+    begin = min((float(times.min()) for _, _, times, _ in tracks), default=0.0)
+    if begin < 0.0:  # which glTF does not allow
+        note(f"animation {name} begins {-begin:g} s before 0 and is moved to begin at 0")
+    entry: dict[str, Any] = {"name": name, "samplers": [], "channels": []}
     for node, path, times, values in tracks:
-        key = times.astype("<f4")
+        key = (times - min(begin, 0.0)).astype("<f4")
         sampler = {
             "input": binary.accessor(key, min=[float(key.min())], max=[float(key.max())]),
             "output": binary.accessor(values.astype("<f4")),

@@ -19,7 +19,7 @@ from cagemap.files.fbx.meshes import FbxMesh, finite, get, held, items, node_nam
 from cagemap.files.fbx.read import REFUSED
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.document import glb_bytes
-from cagemap.files.gltf.geometry import mesh_entry
+from cagemap.files.gltf.geometry import mesh_entry, uv_sets_in_order
 from cagemap.files.gltf.nodes import decomposed, invertible, transform
 from cagemap.mesh.mesh_report import count_noun
 from cagemap.numerics.arrays import FloatArray
@@ -124,7 +124,7 @@ class _Scene:
                 for place, channel in enumerate(mesh.channels):
                     channels.setdefault(get(channel, "element_id"), []).append((number, place, mesh.amounts))
         moving = [
-            animation_entry(self._binary, self._scene, stack, entries, before, self._number, channels)
+            animation_entry(self._binary, self._scene, stack, entries, before, self._number, channels, self._note)
             for stack in items(self._scene, "anim_stacks")
         ]
         helpers = {n for n, node in enumerate(self._nodes) if get(node, "is_scale_helper") and "mesh" not in entries[n]}
@@ -170,7 +170,8 @@ class _Scene:
             self._note(f"{get(node, 'name')} is hidden and left out")
             return entry
         instance = _instance(node)
-        materials = tuple(self._materials.number(material) for material in items(node, "materials"))
+        uv_sets = [one.name for one in uv_sets_in_order(mesh.control)]
+        materials = tuple(self._materials.number(material, uv_sets) for material in items(node, "materials"))
         if (instance, materials) not in self._mesh_of:
             self._mesh_of[instance, materials] = len(self._meshes)
             self._meshes.append(self._mesh_entry(mesh, materials))

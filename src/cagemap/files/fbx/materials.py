@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -40,27 +40,31 @@ class Materials:
     def __init__(self, binary: Binary, path: Path, note: Callable[[str], None]) -> None:
         self._binary, self._path, self._note = binary, path, note
         self.lists: dict[str, list[Any]] = {"materials": [], "textures": [], "images": [], "samplers": []}
-        self._known: dict[int, int] = {}
+        self._known: dict[tuple[int, tuple[int, ...]], int] = {}
         self._image_of: dict[bytes, int] = {}
 
-    def number(self, material: Any) -> int:
-        """Number of a material in the document."""
-        known = get(material, "typed_id")
+    def number(self, material: Any, uv_sets: Sequence[str]) -> int:
+        """Number in the document of a material of a mesh with UV sets of these names."""
+        textures = [get(material, "pbr", source, "texture") for source in _SLOTS]
+        stated = [None if texture is None else get(texture, "uv_set") for texture in textures]
+        coordinates = tuple(uv_sets.index(name) if name in uv_sets else 0 for name in stated)
+        known = get(material, "typed_id"), coordinates
         if known not in self._known:
             self._known[known] = len(self.lists["materials"])
-            self.lists["materials"].append(self._entry(material))
+            self.lists["materials"].append(self._entry(material, coordinates))
         return self._known[known]
 
-    def _entry(self, material: Any) -> dict[str, Any]:
+    def _entry(self, material: Any, coordinates: Sequence[int]) -> dict[str, Any]:
         name, pbr = get(material, "name"), get(material, "pbr")
         slots: dict[str, Any] = {}
         used = []
-        for source, slot in _SLOTS.items():
+        for (source, slot), uv_set in zip(_SLOTS.items(), coordinates, strict=True):
             texture = get(pbr, source, "texture")
             if texture is not None:
                 used.append(get(texture, "element_id"))
                 entry_of_texture = self._texture(texture, f"material {name}: {slot}")
-                slots |= {} if entry_of_texture is None else {slot: entry_of_texture}
+                if entry_of_texture is not None:
+                    slots[slot] = entry_of_texture | ({"texCoord": uv_set} if uv_set else {})
         unused = [one for one in items(material, "textures") if get(one, "texture", "element_id") not in used]
         if unused:
             listed = ", ".join(sorted({get(one, "material_prop") for one in unused}))
@@ -105,7 +109,10 @@ class Materials:
                     self._binary.extensions.add("KHR_texture_transform")
                 return {"index": len(self.lists["textures"]) - 1} | (transform or {})
         stated = get(texture, "relative_filename") or get(texture, "filename") or get(texture, "name")
-        self._note(f"{where}: {stated!r} is not found and left out; put it beside the FBX file")
+        if any(self._content(file) for file in files):
+            self._note(f"{where}: {stated!r} cannot be read as an image and is left out; save it as a PNG")
+        else:
+            self._note(f"{where}: {stated!r} is not found and left out; put it beside the FBX file")
         return None
 
     def _sampler(self, texture: Any) -> int:
@@ -118,7 +125,7 @@ class Materials:
 
     def _image(self, texture: Any) -> int | None:
         """Number of a texture's image; None if there is no readable one."""
-        data = bytes(get(texture, "content")) or self._beside(texture)
+        data = self._content(texture)
         if not data:
             return None
         if data not in self._image_of:
@@ -131,10 +138,10 @@ class Materials:
             self.lists["images"].append({"bufferView": self._binary.view(kept), "mimeType": kind})
         return self._image_of[data]
 
-    def _beside(self, texture: Any) -> bytes:
-        """Content of the file that a texture names, searched in the FBX's folder; b"" if missing."""
+    def _content(self, texture: Any) -> bytes:
+        """Content of a texture's image: in the FBX, or in its folder; b"" if missing."""
         file = texture_file(self._path, _stated(texture))
-        return b"" if file is None else held(file.read_bytes())
+        return bytes(get(texture, "content")) or (b"" if file is None else held(file.read_bytes()))
 
 
 def _stated(texture: Any) -> str:
