@@ -202,3 +202,14 @@ def test_booleans_are_labels_in_files_as_in_arrays(tmp_path: Path) -> None:
     carried = np.load(tmp_path / "o.npz")["marked"]
     assert carried.dtype.kind == "i"
     np.testing.assert_array_equal(carried, carry_values(result, marked))
+
+
+def test_a_target_whose_texture_coordinates_are_one_point_is_refused_with_what_to_type(tmp_path: Path) -> None:
+    result = identity_result()
+    target = result.target.control
+    flat = target.with_uvs(np.array([[0.0, 1.0]]), np.zeros(len(target.face_indices), dtype=np.int64))
+    write_result(tmp_path / "RESULT", replace(result, target=result.target.with_control(flat)))
+    write_image(tmp_path / "skin.png", np.full((8, 8, 3), 90, dtype=np.uint8))
+    request = TransferRequest(tmp_path / "RESULT", tmp_path / "out.png", texture=tmp_path / "skin.png")
+    with pytest.raises(ParameterError, match=r"all of them are in one point or on a line. Add --unwrap"):
+        run_transfer(request, Stages())
