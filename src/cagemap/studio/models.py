@@ -177,12 +177,13 @@ def _open_welded(
     try:
         require_valid(mesh)
     except InvalidMeshError as error:
-        if scheme is not None or not _may_be_plain(mesh):
+        if scheme is not None or not _may_be_plain(file_mesh):  # welding states a scheme
             raise
         plain = _with_file_vertices(select_part(with_options(whole, NO_SCHEME), part, plain=True), welded)
         model = _open_plain(plain, whole, file_mesh, rotation)
+        faults = str(error).partition("\nOr use ")[0]  # without the remedy that is applied
         return replace(
-            model, notes=(f"{file_mesh.name} is no valid cage, so it is not subdivided: {error}", *model.notes)
+            model, notes=(f"{file_mesh.name} is no valid cage, so it is not subdivided: {faults}", *model.notes)
         )
     level = choose_level(mesh, vertices)
     original = OriginalMesh(file_mesh, selected.vertex_of) if mesh.file_vertices is not None else None
