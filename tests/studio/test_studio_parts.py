@@ -348,9 +348,21 @@ def test_a_scan_is_offered_to_be_taken_as_it_is_and_is_where_it_is_no_cage(
     torn = open_model(tmp_path / "torn.obj", None, None, 300)
     assert (torn.dense, torn.scheme) == (False, "none")
     assert "is no valid cage" in torn.notes[0]
-    # A small mesh of triangles is a cage, and what is wrong with it is said.
+    # A small mesh of triangles too: models of games have such faults. What is wrong with it is said.
     small = icosahedron()
     faces = np.concatenate([small.face_indices.reshape(-1, 3), [[*small.face_indices[:2], 9]]])
     write_mesh(tmp_path / "small.obj", ControlMesh.from_faces(small.positions, faces.tolist()))
-    with pytest.raises(InvalidMeshError):
-        open_model(tmp_path / "small.obj", None, None, 300)
+    repaired = open_model(tmp_path / "small.obj", None, None, 300)
+    assert (repaired.dense, repaired.scheme) == (False, "none")
+    assert "is no valid cage, so it is not subdivided" in repaired.notes[0]
+    assert "non-manifold edges" in repaired.notes[0]
+    assert "Or use" not in repaired.notes[0]
+    # Welded at seams as well.
+    positions = small.positions[faces.ravel()]
+    split = ControlMesh.from_faces(positions, np.arange(len(positions)).reshape(-1, 3).tolist())
+    write_mesh(tmp_path / "split.obj", split)
+    welded = open_model(tmp_path / "split.obj", None, None, 300)
+    assert welded.scheme == "none"
+    assert welded.control.n_vertices < len(positions)
+    with pytest.raises(InvalidMeshError):  # as asked: a cage
+        open_model(tmp_path / "small.obj", "loop", None, 300)

@@ -215,6 +215,15 @@ def test_a_target_without_uvs_is_laid_out(opened: Session) -> None:
     assert bake.request.unwrap
 
 
+def test_a_target_whose_uvs_are_one_point_is_laid_out(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, scene = opened._require_open()
+    control = scene.target.control
+    flat = control.with_uvs(np.array([[0.0, 1.0]]), np.zeros(len(control.face_indices), dtype=np.int64))
+    target = replace(scene.target, control=flat, uvs=flat.uvs, uv_triangles=np.zeros_like(scene.target.triangles))
+    monkeypatch.setattr(opened, "_scene", replace(scene, target=target))
+    assert next(one for one in opened.plan(FinishOptions()) if one.title == "texture").request.unwrap
+
+
 def test_without_an_image_colours_are_baked_or_the_wrap_made(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     begun: list[list[str]] = []
     monkeypatch.setattr(opened._runner, "start", lambda todo: begun.append([command.title for command in todo]))

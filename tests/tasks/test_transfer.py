@@ -20,8 +20,10 @@ from cagemap.files.result.folder import write_result
 from cagemap.files.usd.write import UsdResults, write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.tasks.carry_arrays import carry_values
+from cagemap.tasks.match import next_commands
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.report import run_report
+from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
@@ -202,3 +204,24 @@ def test_booleans_are_labels_in_files_as_in_arrays(tmp_path: Path) -> None:
     carried = np.load(tmp_path / "o.npz")["marked"]
     assert carried.dtype.kind == "i"
     np.testing.assert_array_equal(carried, carry_values(result, marked))
+
+
+def test_a_target_whose_texture_coordinates_are_one_point_is_refused_with_what_to_type(tmp_path: Path) -> None:
+    result = identity_result()
+    target = result.target.control
+    flat = target.with_uvs(np.array([[0.0, 1.0]]), np.zeros(len(target.face_indices), dtype=np.int64))
+    write_result(tmp_path / "RESULT", replace(result, target=result.target.with_control(flat)))
+    write_image(tmp_path / "skin.png", np.full((8, 8, 3), 90, dtype=np.uint8))
+    request = TransferRequest(tmp_path / "RESULT", tmp_path / "out.png", texture=tmp_path / "skin.png")
+    with pytest.raises(ParameterError, match=r"all of them are in one point or on a line. Add --unwrap"):
+        run_transfer(request, Stages())
+
+
+def test_match_says_the_next_command_with_the_file_that_has_the_texture(tmp_path: Path) -> None:
+    write_textured_scene(tmp_path)
+    result = identity_result()
+    request = MatchRequest(tmp_path / "a.obj", tmp_path / "my.obj", None, output=tmp_path / "RESULT")
+    assert f"transfer {tmp_path}/RESULT --texture IMG -o OUT.png, or" in next_commands(result, request)
+    bare = replace(result, target=result.target.with_control(result.target.control.with_uvs(None, None)))
+    text = next_commands(bare, replace(request, source=tmp_path / "box.gltf"))
+    assert f"--texture {tmp_path}/box.gltf -o OUT.png --unwrap, or" in text

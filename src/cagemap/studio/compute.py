@@ -27,6 +27,7 @@ from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_s
 from cagemap.studio.state import MapState
 from cagemap.subdivision import refine
 from cagemap.tasks.material_atlas import material_atlas
+from cagemap.transfer.overlapping_uvs import has_layout
 
 Progress = Callable[[str], None]
 
@@ -375,7 +376,7 @@ def _baked_skin(cache: PreviewCache, task: ShowBaked) -> bytes:
     if task.uv_set is not None:
         refined = refined_shape(refine(shape.control.with_uv_set(task.uv_set), target.level))
         shape = replace(shape, uvs=refined.uvs, uv_triangles=refined.uv_triangles)
-    if shape.uvs is None and task.layout is not None:
+    if task.layout is not None and not has_layout(shape.control):
         unwrapped = open_model(task.layout, target.scheme, None, len(shape.positions)).shape
         if np.array_equal(unwrapped.triangles, shape.triangles):
             shape = replace(shape, uvs=unwrapped.uvs, uv_triangles=unwrapped.uv_triangles)

@@ -166,7 +166,7 @@ def converted_model(path: Path, folder: Path) -> tuple[Path, tuple[str, ...]]:
 def _open_welded(
     welded: Welded, file_mesh: ControlMesh, scheme: str | None, part: str | None, vertices: int, rotation: FloatArray
 ) -> OpenedModel:
-    """Select a part, check and refine it; invalid scans are not refined."""
+    """Select a part, check and refine it; invalid triangle meshes are repaired and not refined."""
     whole = welded.mesh
     selected = _with_file_vertices(select_part(whole, part, plain=isinstance(whole.scheme, Plain)), welded)
     mesh = selected.mesh
@@ -177,12 +177,13 @@ def _open_welded(
     try:
         require_valid(mesh)
     except InvalidMeshError as error:
-        if not dense:
+        if scheme is not None or not _may_be_plain(file_mesh):  # welding states a scheme
             raise
         plain = _with_file_vertices(select_part(with_options(whole, NO_SCHEME), part, plain=True), welded)
         model = _open_plain(plain, whole, file_mesh, rotation)
+        faults = str(error).partition("\nOr use ")[0]  # without the remedy that is applied
         return replace(
-            model, notes=(f"{file_mesh.name} is no valid cage, so it is not subdivided: {error}", *model.notes)
+            model, notes=(f"{file_mesh.name} is no valid cage, so it is not subdivided: {faults}", *model.notes)
         )
     level = choose_level(mesh, vertices)
     original = OriginalMesh(file_mesh, selected.vertex_of) if mesh.file_vertices is not None else None
@@ -199,8 +200,12 @@ def _with_file_vertices(selected: SelectedPart, welded: Welded) -> SelectedPart:
 
 def is_dense(mesh: ControlMesh) -> bool:
     """Whether a mesh looks like a scan: many triangles, no scheme and no creases."""
-    stated = mesh.scheme is not None or mesh.crease_edges is not None
-    return mesh.is_triangle_mesh and not stated and mesh.n_faces >= MIN_SCAN_FACES
+    return _may_be_plain(mesh) and mesh.n_faces >= MIN_SCAN_FACES
+
+
+def _may_be_plain(mesh: ControlMesh) -> bool:
+    """Whether a mesh need not be a cage: triangles without a scheme or creases."""
+    return mesh.is_triangle_mesh and mesh.scheme is None and mesh.crease_edges is None
 
 
 def _open_plain(

@@ -15,6 +15,7 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
+from cagemap.files.inner_texture import color_texture
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.landmarks.points import read_points, symmetry_on
 from cagemap.files.meshes.formats import read_mesh, read_whole
@@ -47,6 +48,7 @@ from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.match import MatchRequest as MatchRequest
 from cagemap.tasks.requests.options import said
 from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
+from cagemap.transfer.overlapping_uvs import has_layout
 
 _log = logging.getLogger(__name__)
 
@@ -80,7 +82,8 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
     started = time.perf_counter()
     result = match_files(request, stages)
-    return summary(result, request.output, time.perf_counter() - started), warnings(result)
+    text = summary(result, request.output, time.perf_counter() - started)
+    return f"{text}\n{next_commands(result, request)}", warnings(result)
 
 
 def match_files(request: MatchRequest, stages: Stages, before: MatchResult | None = None) -> MatchResult:
@@ -287,7 +290,7 @@ def _match_part(part: PartInputs, inputs: Inputs, settings: MatchSettings, stage
 def summary(result: MatchResult, folder: Path, seconds: float) -> str:
     """Summary of a match for the terminal."""
     manifest = result.manifest
-    quality, typed = manifest["quality"], shlex.quote(str(folder))
+    quality = manifest["quality"]
     lines = [
         f"{result.source.control.name} -> {result.target.control.name}: {len(result.target.vertices):,} target and "
         f"{len(result.source.vertices):,} source vertices in {seconds:.1f} s",
@@ -295,9 +298,17 @@ def summary(result: MatchResult, folder: Path, seconds: float) -> str:
         f"  {100 * quality['flipped_area']:.2f} % folded, {100 * quality['coverage']:.1f} % of the "
         f"source{'' if result.shared is None else ', as far as it is shared,'} covered",
         *_shared_summary(result),
-        f"wrote {folder}; next: cagemap transfer {typed} --texture IMG -o OUT.png, or cagemap report {typed}",
+        f"wrote {folder}",
     ]
     return "\n".join(lines)
+
+
+def next_commands(result: MatchResult, request: MatchRequest) -> str:
+    """The commands to type next, with the source's file as texture if it contains images."""
+    folder, source = shlex.quote(str(request.output)), result.source.control
+    image = "IMG" if color_texture(request.source, source) is None else shlex.quote(str(request.source))
+    unwrap = "" if has_layout(result.target.control) else " --unwrap"
+    return f"next: cagemap transfer {folder} --texture {image} -o OUT.png{unwrap}, or cagemap report {folder}"
 
 
 def _shared_summary(result: MatchResult) -> list[str]:

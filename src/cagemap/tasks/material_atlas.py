@@ -72,13 +72,10 @@ def material_atlas(path: Path, control: ControlMesh) -> MaterialAtlas | None:
         if image is None or laid is None:
             color = np.tile(np.array(key), (_COLOR_SIDE, _COLOR_SIDE, 1)) * unit(dtype)
             pixels, uvs[inside] = to_dtype(color, dtype), 0.5
+        elif (repeated := _once(*laid.repeating(image.pixels, laid.on_image(uvs[inside])))) is not None:
+            pixels, uvs[inside] = repeated
         else:
-            pixels, uvs[inside] = laid.repeating(image.pixels, laid.on_image(uvs[inside]))
-            first = np.floor(uvs[inside].min(axis=0))
-            times = np.maximum(np.ceil(uvs[inside].max(axis=0)) - first, 1.0)
-            if (times * pixels.shape[1::-1] > _MAX_SIDE).any():
-                return None
-            pixels, uvs[inside] = np.tile(pixels, (int(times[1]), int(times[0]), 1)), (uvs[inside] - first) / times
+            return None
         cells.append(_with_channels(_in_dtype(pixels, dtype), channels))
     atlas, uvs = _side_by_side(cells, uvs, places[:, 1])
     if max(atlas.shape) > _MAX_SIDE:
@@ -99,6 +96,15 @@ def _color(control: ControlMesh, material: int) -> tuple[object, ...]:
     known = None if control.material_colors is None or material < 0 else control.material_colors[material]
     color = np.full(3, UNKNOWN_COLOR) if known is None or not np.isfinite(known).all() else known
     return tuple(encode_srgb(color).tolist())
+
+
+def _once(pixels: Pixels, uvs: FloatArray) -> tuple[Pixels, FloatArray] | None:
+    """An image as often as its coordinates (m, 2) repeat it, and these from 0 to 1; None if it gets too large."""
+    first = np.floor(uvs.min(axis=0))
+    times = np.maximum(np.ceil(uvs.max(axis=0)) - first, 1.0)
+    if (times * pixels.shape[1::-1] > _MAX_SIDE).any():
+        return None
+    return np.tile(pixels, (int(times[1]), int(times[0]), 1)), (uvs - first) / times
 
 
 def _in_dtype(pixels: Pixels, dtype: np.dtype[Any]) -> Pixels:

@@ -41,7 +41,7 @@ from cagemap.transfer.textured_surface import TexturedSurface
 Shade = Callable[[TexelSamples], FloatArray]
 
 # Area in the layout below which a triangle is degenerate: sides of about 1e-6. A texel's side in a 16k image is 6e-5.
-_MIN_AREA = 1e-12
+MIN_UV_AREA = 1e-12
 # Texels per band, the work of one thread at a time: about 100 bytes each.
 _BAND_TEXELS = 1 << 18
 # Samples located at a time within a band: 60 bytes each.
@@ -231,7 +231,7 @@ def make_layout(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
 
 def _laid_out(target: TexturedSurface) -> NDArray[np.bool_]:
     """(t1,) whether a triangle has an area in the layout, and is no hole."""
-    laid = np.asarray(triangle_areas(*target.layout()) > _MIN_AREA)
+    laid = np.asarray(triangle_areas(*target.layout()) > MIN_UV_AREA)
     return laid if target.holes is None else laid & ~target.holes
 
 
