@@ -108,7 +108,7 @@ def carry_weights(result: MatchResult, weights: ArrayLike, *, influences: int | 
     Parameters
     ----------
     result : MatchResult
-    weights : (n2, j) array
+    weights : (c2, j) array
         Weight of each joint, not negative. Rows sum to 0 or to 1; from 0.9 to 1.1 they are scaled, with a warning in
         the log.
     influences : int, optional
@@ -116,7 +116,7 @@ def carry_weights(result: MatchResult, weights: ArrayLike, *, influences: int | 
 
     Returns
     -------
-    (n1, j) float64
+    (c1, j) float64
         Rows sum to 1, unless the source rows that they come from are 0.
 
     Raises
@@ -140,7 +140,7 @@ def carry_weights(result: MatchResult, weights: ArrayLike, *, influences: int | 
 
 
 def trusted_vertices(result: MatchResult) -> NDArray[np.bool_]:
-    """(n1,) whether a target control vertex takes its skinning weights from its image."""
+    """(c1,) whether a target control vertex takes its skinning weights from its image."""
     count = result.target.control.n_vertices
     has_counterpart = counterpart_mask(result.point_map)[:count] >= 0.5
     return np.asarray((result.trust[:count] >= _LEAST_TRUST) & has_counterpart)
@@ -155,13 +155,13 @@ def carry_shapes(
     Parameters
     ----------
     result : MatchResult
-    offsets : (n2, 3) array, or dict of name to such arrays
+    offsets : (c2, 3) array, or dict of name to such arrays
         Displacements of the source's control vertices, in its file's lengths. Several shapes in one call share their
         preparation.
 
     Returns
     -------
-    (n1, 3) float64, or dict of name to such arrays
+    (c1, 3) float64, or dict of name to such arrays
         Of the target's control vertices, in its file's lengths.
 
     Raises

@@ -49,7 +49,7 @@ class ShapeCarrier:
 
     point_map: PointMap
     source: Refinement
-    samples: sparse.csr_array  # (s, n1) sampled target vertices from control vertices
+    samples: sparse.csr_array  # (s, c1) sampled target vertices from control vertices
     triangles: IndexArray  # (t, 3) of the samples
     gradient: sparse.csr_array  # (3 t, s) gradients of functions on the samples' triangles
     areas: FloatArray  # (t,)
@@ -58,9 +58,9 @@ class ShapeCarrier:
     rotations: FloatArray  # (t, 3, 3) Q, from the target to the source
     vertex_rotations: FloatArray  # (s, 3, 3)
     ratio: float  # length on the target for a length of 1 on the source, both at unit area
-    own: sparse.csr_array  # (n1, n2) weights of the source's control values at the target's control vertices
-    ridge: sparse.dia_array  # (n1, n1)
-    matrix: sparse.csc_array  # (n1, n1)
+    own: sparse.csr_array  # (c1, c2) weights of the source's control values at the target's control vertices
+    ridge: sparse.dia_array  # (c1, c1)
+    matrix: sparse.csc_array  # (c1, c1)
     factors: Factorization
 
 
@@ -148,7 +148,7 @@ def _centre_images(point_map: PointMap, frames: FloatArray, triangles: IndexArra
 
 
 def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
-    """Displacement (n1, 3) of the target's control vertices from the source's (n2, 3), each in its file units."""
+    """Displacement (c1, 3) of the target's control vertices from the source's (c2, 3), each in its file units."""
     expected = (carrier.source.control.n_vertices, 3)
     if np.shape(displacement) != expected or not np.isfinite(displacement).all():
         raise ParameterError(

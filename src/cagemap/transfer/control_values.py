@@ -31,7 +31,7 @@ _MAX_WEIGHT_CHANGE = 0.5
 
 
 def control_weights(transfer: Transfer, target: Refinement, source: Refinement) -> sparse.csr_array:
-    """(n1, n2) weights of the source's control vertices at every control vertex of the target.
+    """(c1, c2) weights of the source's control vertices at every control vertex of the target.
 
     Source values are interpolated linearly over control faces at the image of the vertex, so rows are not negative,
     sum to 1, and have at most as many entries as a source face has corners.
@@ -45,8 +45,8 @@ def control_weights(transfer: Transfer, target: Refinement, source: Refinement) 
 def combine(weights: sparse.csr_array, values: NDArray[Any]) -> NDArray[Any]:
     """Weighted means of values; of labels (integers, booleans) the one with the largest weight, or the smaller of two.
 
-    ``weights`` (n1, n2), not negative, have at least one entry in each row. A row of several integers in ``values``,
-    (n2,) or (n2, q), is one label. Returns (n1,) or (n1, q), of the same kind.
+    ``weights`` (c1, c2), not negative, have at least one entry in each row. A row of several integers in ``values``,
+    (c2,) or (c2, q), is one label. Returns (c1,) or (c1, q), of the same kind.
     """
     values = np.asarray(values)
     if len(values) != weights.shape[1]:

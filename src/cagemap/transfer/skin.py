@@ -29,10 +29,10 @@ def carry_skin(
     *,
     influences: int | None = 4,
 ) -> FloatArray:
-    """Skinning weights (n1, j) of the target's control vertices from the source's (n2, j), see `normalised_skin`.
+    """Skinning weights (c1, j) of the target's control vertices from the source's (c2, j), see `normalised_skin`.
 
-    ``weights`` (n1, n2) are convex, see `cagemap.transfer.control_values.control_weights`. Where the map is not
-    ``trusted`` (n1,), weights are harmonic on the net of the target's control mesh, so they stay convex.
+    ``weights`` (c1, c2) are convex, see `cagemap.transfer.control_values.control_weights`. Where the map is not
+    ``trusted`` (c1,), weights are harmonic on the net of the target's control mesh, so they stay convex.
     ``influences``: most joints per vertex, None for all; the smallest weights are left out. Rows sum to 1, unless the
     source rows that they come from are 0.
     """

@@ -30,8 +30,8 @@ class MapRequest:
     """
 
     map: Annotated[Path, Argument(metavar="MAP", help="Point map: .npy, .npz, .mtx or .vts.")]
-    target: Annotated[Path, Option(("--target", "-t"), help="Mesh that the map starts from; it receives.")]
-    source: Annotated[Path, Option(("--source", "-s"), help="Mesh that the map goes to; it gives.")]
+    target: Annotated[Path, Option(("--target", "-t"), help="Mesh that receives; the map starts from it.")]
+    source: Annotated[Path, Option(("--source", "-s"), help="Mesh that gives; the map goes to it.")]
     output: Annotated[Path, Option(("-o", "--output"), help="RESULT folder to write.")]
     level: Annotated[int | None, Option(min=1, help="Level of both surfaces.  [default: about 50000 vertices]")] = None
     weld: WeldOption = None

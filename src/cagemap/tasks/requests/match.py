@@ -37,8 +37,8 @@ class MatchRequest:
     """Find for every point of the target its place on the source.
 
     Writes a folder with manifest.json (settings, timings, quality) and map.npz (the map). Without landmarks several
-    alignments are tried, and the verdict says how sure the best one is. Landmarks improve the map: six to thirty,
-    spread over the whole surface; tips of limbs, nose and tail first.
+    alignments are tried, and the verdict says how sure the best one is. Landmarks improve the map: ten to thirty
+    are good; tips of limbs, nose and tail first.
     """
 
     target: Annotated[
@@ -59,9 +59,7 @@ class MatchRequest:
     ] = None
     vertices: Annotated[
         int | None,
-        Option(
-            group=INPUT, min=1, help="Instead of --level: at least about this many vertices each.  [default: 200000]"
-        ),
+        Option(group=INPUT, min=1, help="Instead of --level: 0.75 to 3 times this many vertices.  [default: 200000]"),
     ] = None
     k: Annotated[
         int | None, Option(("-k",), group=RESEARCH, min=3, help="Basis functions of each surface.  [default: 100]")
@@ -81,7 +79,7 @@ class MatchRequest:
         str | None,
         setting("Of quads: mean, alexa-wardetzky or de-goes-butts-desbrun, with :LAMBDA.  [default: mean]"),
     ] = None
-    accuracy: Annotated[float | None, setting("Convergence of the eigensolver.  [default: 1e-5]")] = None
+    accuracy: Annotated[float | None, setting("Convergence of the eigensolver.  [default: 1e-3; paper: 1e-5]")] = None
     literal: Annotated[bool, setting("With schedule: the paper's Definition 2 exactly as printed.", "--literal")] = (
         False
     )
@@ -118,7 +116,9 @@ class MatchRequest:
         bool,
         Option(("--trust-landmarks",), group=LANDMARKS, help="Keep every landmark; by default, outliers are left out."),
     ] = False
-    answer: Annotated[int, Option(group=OUTPUT, min=0, help="Use another of the reported alignments: 1, 2, ...")] = 0
+    answer: Annotated[
+        int, Option(group=OUTPUT, min=0, help="Which reported alignment to use: 0 the best, 1 the second.")
+    ] = 0
     target_points: Annotated[
         Path | None, Option(group=LANDMARKS, help="Named points of the target; equal names on both are landmarks.")
     ] = None

@@ -112,7 +112,7 @@ SchemeOption = Annotated[
     Option(
         group=INPUT,
         help="Subdivision scheme; none uses the mesh without subdivision.  "
-        "[default: as the file says, else loop for triangles]",
+        "[default: as the file says; glTF, FBX: none; else triangles: loop, others: catmull-clark]",
     ),
 ]
 TargetSchemeOption = Annotated[
@@ -127,7 +127,7 @@ WeldOption = Annotated[
     Option(
         group=INPUT,
         metavar="auto|TOLERANCE",
-        help="Join vertices that the file repeats along seams, within TOLERANCE.  [default: off]",
+        help="Join vertices that the file repeats along seams, within TOLERANCE.  [default: off; glTF and FBX: always]",
     ),
 ]
 TargetWeldOption = Annotated[

@@ -77,7 +77,7 @@ class TransferRequest:
         bool, Option(("--source-uvs",), help="Give the target the source's UVs; -o is the mesh to write.")
     ] = False
     weights: Annotated[
-        Path | None, Option(help="Skinning weights of the source, a column per joint: .csv, .npz, glTF.")
+        Path | None, Option(help="Skinning weights: .csv, .npz, .npy, .json groups, glTF, FBX or USD.")
     ] = None
     influences: Annotated[int, Option(min=0, help="Weights: most joints per vertex; 0 for all.")] = 4
     only: Annotated[str | None, Option(help="Weights: only these joints, with commas; --base has the others.")] = None
@@ -85,15 +85,18 @@ class TransferRequest:
         bool, Option(("--mirror",), help="Weights: make left and right symmetric, by the joints' names.")
     ] = False
     joints: Annotated[
-        Path | None, Option(help="Skeleton of the source, .json, glTF; with --weights, names the columns.")
+        Path | None, Option(help="Skeleton: .json, glTF, FBX, USD; with --weights, names the columns.")
     ] = None
     blend_shapes: Annotated[
-        tuple[Path, ...], Option(help="Shapes of the source's cage: .obj, .npz, folder; may be repeated.")
+        tuple[Path, ...], Option(help="Source's shapes: mesh, .npz, glTF, FBX, USD or folder; repeat it.")
     ] = ()
     passenger: Annotated[Path | None, Option(help="Mesh on the source to transfer: clothes, eyes, hair, prop.")] = None
     kind: Annotated[
         str | None,
-        Option(("--as",), help="Passenger: cloth, rigid or similarity.  [default: chosen for each piece]"),
+        Option(
+            ("--as",),
+            help="Passenger: cloth, rigid or similarity (rigid, locally scaled).  [default: chosen for each piece]",
+        ),
         OneOf(("cloth", "rigid", "similarity")),
     ] = None
     write_map: Annotated[

@@ -39,7 +39,7 @@ class WrapRequest:
         ),
     ]
     output: Annotated[
-        Path, Option(("-o", "--output"), help="Mesh to write: .obj, .ply, .off, .usd; a folder with --blend-shapes.")
+        Path, Option(("-o", "--output"), help="Mesh to write: .obj, .ply, .off, .glb, USD; folder with --blend-shapes.")
     ]
     target: Annotated[
         Path | None, Option(("--target", "-t"), help="Instead of RESULT: cage to match first, then to wrap.")
