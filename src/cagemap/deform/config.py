@@ -124,8 +124,8 @@ class SearchConfig:
     limb_area: float = 0.02  #: share of the area that counts as a limb; less than a forearm and its hand
     min_coarse_distance: float = 0.001  #: coarse placements at a larger mean distance are both refined
     max_refined: int = 3  #: coarse placements that are refined from one start, and candidates of the fine stage
-    #: a coarse placement that costs more times the cheapest one is not refined; neither are limb assignments that cost
-    #: more times the files' own alignment: fins are no limbs
+    #: a coarse placement that costs more than this factor times the cheapest is not refined; neither are limb
+    #: assignments that cost more than it times the files' own alignment, as where fins were taken for limbs
     max_cost: float = 1.5
     part_distance: float = 0.02  #: where two placements are farther apart, either one may be better
     part_area: float = 5e-4  #: least share of the area of a part that is taken from another placement

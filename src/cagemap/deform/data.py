@@ -79,7 +79,10 @@ def source_to_target(
     masks: Masks = WHOLE,
     config: DataConfig = DataConfig(),
 ) -> tuple[FloatArray, FloatArray, FloatArray, IndexArray]:
-    """Point-to-plane term of source vertices, to the deformed target; and the triangles (m,) of their closest points.
+    """Point-to-plane term of source vertices, to the deformed target.
+
+    Returns blocks and right sides, the source area (n,) that each vertex receives, and the triangles (m,) of the
+    closest points.
 
     ``closest`` (n, 3) are the source's points closest to the target's vertices, at the ends of round trips; the guess
     (m,) has triangles of an earlier search.

@@ -58,15 +58,16 @@ RIDGE = 1e-9
 
 # From maps (n, 3, 3) and rest normals (n, 3) to the nearest admissible maps, and which of them were bounded (b,).
 Admissible = Callable[[FloatArray, FloatArray], tuple[FloatArray, IndexArray]]
-NONE = np.zeros(0, dtype=np.int64)
+NO_VERTICES = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class ElasticEnergy:
     """Elastic energy E(x, A) of a graph (`cagemap.deform.graph`), with factors for the maps A.
 
-    The normal equations ``(G_i + epsilon L) a = c``, ``G_i = sum_j w_ij e_ij e_ij^T``, are those of the energy with A_i
-    instead of A_ij in its first term; they decouple into the three rows of A, with one matrix for all.
+    The maps solve ``(G_i + epsilon L) a = c``, ``G_i = sum_j w_ij e_ij e_ij^T``: the first term of the energy with A_i
+    instead of A_ij, and a smoothing. It approximates the minimum over A, and decouples into the three rows of A, with
+    one matrix for all.
     """
 
     graph: ElasticGraph
@@ -83,7 +84,7 @@ class ElasticEnergy:
         return cls(graph, factor(graph.block_matrix(smoothing, blocks)), admissible or bounded_maps)
 
     def maps(self, positions: FloatArray) -> FloatArray:
-        """(n, 3, 3) maps A that minimise the energy for positions x (n, 3)."""
+        """(n, 3, 3) maps A for positions x (n, 3): ``(G + epsilon L) a = c``, before they are restricted."""
         transposed = self.factors.solve(self.graph.moments @ positions)  # rows (i, b), columns a: A_i[a, b]
         return np.ascontiguousarray(transposed.reshape(-1, 3, 3).transpose(0, 2, 1))
 
@@ -123,12 +124,12 @@ def minimise_constant(
 
 def any_map(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexArray]:
     """All linear maps are admissible: small displacements."""
-    return maps, NONE
+    return maps, NO_VERTICES
 
 
 def rotations(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexArray]:
     """Only rotations are admissible: the energy is as rigid as possible (Sorkine and Alexa 2007)."""
-    return nearest_rotations(maps), NONE
+    return nearest_rotations(maps), NO_VERTICES
 
 
 def bounded_maps(

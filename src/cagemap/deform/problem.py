@@ -11,7 +11,7 @@ import numpy as np
 from cagemap.deform.config import ElasticConfig, GraphConfig, Stage, StartConfig
 from cagemap.deform.constraints import CurveConstraint, PlacementConstraints, constrained_clusters, points_on_level
 from cagemap.deform.data import SourceSamples
-from cagemap.deform.energy import NONE, ElasticEnergy, bounded_maps
+from cagemap.deform.energy import NO_VERTICES, ElasticEnergy, bounded_maps
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
 from cagemap.errors import ParameterError
 from cagemap.maps.coincidence import Coincidence
@@ -60,7 +60,7 @@ class PreparedPair:
     start : StartConfig
     elastic : ElasticConfig
     levels : (int, int)
-        Searched levels of target and source; the target's is the deformed level.
+        Levels of target and source on which starts are found; the target's is also the one that is deformed.
     energy : ElasticEnergy
         Of the target's mesh of that level; its graph has the rest shape.
     source_surface : TriangleSurface
@@ -225,7 +225,7 @@ class Problem:
         return self.coarse_shape_with(stage=config.small_graph_stage, count=config.small_graph_vertices)
 
     def coarse_shape_with(
-        self, tips: Tips = (NONE, NONE), stage: Stage | None = None, count: int | None = None
+        self, tips: Tips = (NO_VERTICES, NO_VERTICES), stage: Stage | None = None, count: int | None = None
     ) -> CoarseShape:
         """About ``count`` clusters with tips of limbs as constraints, besides the landmarks."""
         prepared, landmarks, config = self.prepared, self.landmarks, self.prepared.elastic

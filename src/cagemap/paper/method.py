@@ -109,7 +109,11 @@ def _next_level(
 def _alternate(
     pair: Pair, levels: LevelPair, functional_map: FloatArray, rounds: int, search: Callable[[FloatArray], IndexArray]
 ) -> LevelMap:
-    """Alternate the point map P and orthonormal C, starting from C (2.1.4)."""
+    """Alternate the point map P and orthonormal C, starting from C (2.1.4).
+
+    P maps each target vertex to the source vertex with the nearest row of Phi~2 C^T: unlike the paper's permutation,
+    several vertices may go to one. C is fitted to P by least squares, then replaced by the nearest orthonormal matrix.
+    """
     match = search(functional_map)
     for _ in range(rounds):
         functional_map = nearest_orthonormal(refit_map(pair, levels, match))
@@ -118,7 +122,7 @@ def _alternate(
 
 
 def nearest_orthonormal(functional_map: FloatArray) -> FloatArray:
-    """Nearest matrix to C with orthonormal rows or columns, by singular vectors (2.1.4)."""
+    """Nearest matrix to C with orthonormal rows or columns: U V^T of its singular vectors (2.1.4)."""
     left, _, right = np.linalg.svd(functional_map, full_matrices=False)
     return np.asarray(left @ right)
 
@@ -139,7 +143,8 @@ def search_full(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> In
 def search_level(pair: Pair, functional_map: FloatArray, levels: LevelPair, coarse: LevelMap) -> IndexArray:
     """(n1,) nearest candidate source vertex of every target vertex of a level (paper, Fig. 9).
 
-    If a side keeps its level, target vertices are their own parents, source vertices' neighbours their children.
+    If the target keeps its level, each of its vertices is its own parent; if the source does, the children of a vertex
+    are its neighbours.
     """
     unchanged = [fine == before for fine, before in zip(levels, coarse.levels, strict=True)]
     if unchanged[0]:

@@ -266,9 +266,9 @@ def new_directions(
     """Directions in a window of eigenvectors (m, m - present) that the refined basis lacks, and their indices.
 
     ``values`` (m,) ascend; ``overlap`` (k, m) and ``gram`` (k, k) are inner products of the refined basis with the
-    M-orthonormal window and with itself. The ``present`` directions of largest overlap are left out. Eigenvectors of a
-    repeated eigenvalue that a band's end splits are first rotated, to be inside or outside the refined span if
-    possible.
+    M-orthonormal window and with itself. As many directions as ``present``, those of largest overlap, are left out.
+    Eigenvectors of a repeated eigenvalue that a band's end splits are first rotated, to be inside or outside the
+    refined span if possible.
     """
     m = len(values)
     # In an orthonormal basis of the refined span, squared column norms are the shares of vectors inside that span.

@@ -61,7 +61,7 @@ class Surface:
 
     @kept
     def operators(self) -> Operators:
-        """Mass and stiffness of every level up to the one chosen by ``config.vertices`` (paper, section 4.1)."""
+        """Mass and stiffness of every level up to the one chosen by ``config.vertices`` (paper, 2.2.2)."""
         config, levels = self.config, self.hierarchy
         laplacian = named_laplacian(config.laplacian, config.stabilisation)
         if config.vertices is None:

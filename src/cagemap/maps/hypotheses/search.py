@@ -2,7 +2,8 @@
 
 A start gives positions to fit from. Fits have three sizes: a small graph (400 clusters) for many starts, the coarse
 stage (1500 clusters, soft or stiff) and the fine stage (the mesh). Constraints are landmarks, curves, and tips of limbs
-that are assigned to each other. Fits are ranked by cost times penalty; starts that turn the files' axes have one.
+that are assigned to each other. Fits are ranked by cost times penalty, which is 1 but for starts that turn the files'
+axes.
 """
 
 from __future__ import annotations
@@ -156,16 +157,17 @@ def search(
     2. Else fit a small graph from many starts: assigned limbs, the files' positions and, without landmarks, rotations.
     3. Fit the mesh from the best of these, with the tips of assigned limbs as constraints and without tips.
     4. For the best fit with constraints whose two starts disagree, add spectral starts.
-    5. Refit with tips near each other as constraints. Not for bodies of one kind in one pose.
-    6. Finish the best placement (`deform.refit`). Not for such bodies without landmarks.
+    5. If the best cost is above ``same_kind_cost`` (bodies of one kind in one pose stay below it), refit with tips near
+       each other as constraints.
+    6. Finish the best placement (`deform.refit`), but not below that cost without landmarks.
 
     Positions ``start`` (k, 3) of the coarse shape's vertices replace the start by ZoomOut; steps 2 and 3 are left out
     then. ``show`` is called with placements of the small graph.
     """
-    has_start = start is not None or len(problem.landmarks) >= FEWEST_LANDMARKS
+    has_given_start = start is not None or len(problem.landmarks) >= FEWEST_LANDMARKS
     # Fits with point constraints: the coarse shape, fine placements, and soft coarse ones if its two starts disagree
     constrained, placements = list[tuple[CoarseShape, list[Placement], list[Placement]]](), list[Placement]()
-    if has_start:
+    if has_given_start:
         progress("first alignment")
         fine, soft = fit_from_two_starts(problem, problem.coarse_shape, start)
         if not soft:
@@ -173,7 +175,7 @@ def search(
         constrained.append((problem.coarse_shape, fine, soft))
     if start is None:
         progress("possible alignments")
-        limb_fits, small_fits = fit_small_graph(problem, not has_start, show)
+        limb_fits, small_fits = fit_small_graph(problem, not has_given_start, show)
         progress("rough alignment")
         for tips, small_fit in limb_fits:
             shape = problem.coarse_shape_with(tips)
@@ -184,12 +186,12 @@ def search(
     if constrained:
         (shape, fine, soft), *others = sorted(constrained, key=lambda fits: fits[1][0].penalised_cost)
         best = fit_from_spectral_starts(problem, shape, fine, soft) if soft else fine
-        placements += [*best[: None if has_start else 1], *(fine[0] for _, fine, _ in others)]
+        placements += [*best[: None if has_given_start else 1], *(fine[0] for _, fine, _ in others)]
     floor = cost_floor(problem.prepared)
     ranked = rank_placements(placements, floor)
     if min(placed.cost for placed in ranked) > problem.prepared.elastic.search.same_kind_cost:
         ranked = rank_placements(refit_distinct_to_tips(problem, ranked), floor)
-    elif not has_start:
+    elif not has_given_start:
         return ranked
     return [finish_placement(problem, ranked[0]), *ranked[1:]]
 
