@@ -13,7 +13,7 @@ from cagemap.files.landmarks.points import read_symmetry
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.mesh.mirrors import mirror_symmetries
-from cagemap.operators import AlexaWardetzky, build_operators
+from cagemap.operators import build_operators, named_laplacian
 from cagemap.pipeline import MAP_BASIS, MatchConfig, default_basis
 from cagemap.spectral import BasisConfig, hierarchical_basis
 from cagemap.tasks.match import MatchRequest, match_config, read_inputs, run_match
@@ -117,7 +117,7 @@ def test_each_side_has_its_own_laplacian_accuracy_and_definition(tmp_path):
     assert (used["target_literal"], used["source_literal"]) == (False, True)
     asked = BasisConfig(schedule=(12, 6), accuracy=1e-10, laplacian="alexa-wardetzky", stabilisation=2.0)
     assert result.target.config == asked
-    operators = build_operators(result.target.refinement, AlexaWardetzky(2.0))
+    operators = build_operators(result.target.refinement, named_laplacian("alexa-wardetzky", 2.0))
     basis = hierarchical_basis(result.target.refinement, operators, asked)
     np.testing.assert_allclose(result.spectral.target_eigenvalues, basis.eigenvalues, rtol=1e-9, atol=1e-9)
     assert abs(result.spectral.target_eigenvalues[5] / result.spectral.source_eigenvalues[5] - 1) > 1e-3

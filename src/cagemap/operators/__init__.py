@@ -1,10 +1,7 @@
 """Mass and stiffness of a surface, and their restriction to every level (SEC)."""
 
 from cagemap.operators.laplacian import LAPLACIANS as LAPLACIANS
-from cagemap.operators.laplacian import AlexaWardetzky as AlexaWardetzky
-from cagemap.operators.laplacian import DeGoesButtsDesbrun as DeGoesButtsDesbrun
 from cagemap.operators.laplacian import Laplacian as Laplacian
-from cagemap.operators.laplacian import MeanTriangulation as MeanTriangulation
 from cagemap.operators.laplacian import Operators as Operators
 from cagemap.operators.laplacian import build_operators as build_operators
 from cagemap.operators.laplacian import lumped_areas as lumped_areas

@@ -12,8 +12,9 @@ W^l = (S^{f,l})^T W_f S^{f,l}, and M^l likewise.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -111,111 +112,88 @@ def _face_terms(positions, faces, table, share, weights, areas):  # type: ignore
                 weights[m, table[t, 5]] += half * (vv - uv)
 
 
-class Laplacian(Protocol):
-    """Interface of Laplacians: the terms of quads or triangles in W and M."""
-
-    def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
-        """Weights of every face's corner pairs, and vertex areas, as `cagemap.operators.laplacian.face_terms`."""
-        ...
-
-
-@dataclass(frozen=True)
-class MeanTriangulation:
-    """Mean of the cotangent Laplacians of both triangulations of every quad; the fastest, and the default."""
-
-    def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
-        """See `Laplacian`."""
-        return face_terms(positions, faces)
+# Weights of every face's corner pairs, and vertex areas, from positions (n, 3) and faces (m, 4) or (m, 3).
+Laplacian = Callable[[FloatArray, IndexArray], tuple[FloatArray, FloatArray]]
+# Inner products M_f (m, k, k) of 1-forms on polygons, from edges and centred midpoints (m, k, 3), areas (m,), unit
+# normals (m, 3), and the weight lambda of functions without gradient in the polygon's plane.
+InnerProducts = Callable[[FloatArray, FloatArray, FloatArray, FloatArray, float], FloatArray]
 
 
-@dataclass(frozen=True)
-class _Stabilised:
-    """A Laplacian W_f = d^T M_f d, with d the differences along the edges and an inner product M_f."""
-
-    stabilisation: float = 1.0  #: above 0, no unit: weight of functions without gradient in the polygon's plane
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.stabilisation < np.inf:
-            raise ParameterError(
-                f"stabilisation: expected a finite number above 0, got {self.stabilisation}; 1 is usual, and without "
-                "it functions such as +1 and -1 in turn over a quad's corners cost nothing"
-            )
-
-    def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
-        """See `Laplacian`."""
-        k, corners = faces.shape[1], positions[faces]
-        corners = corners - corners.mean(axis=1, keepdims=True)
-        following = np.roll(corners, -1, axis=1)
-        edges, midpoints = following - corners, 0.5 * (corners + following)
-        vectors = 0.5 * np.cross(corners, following).sum(axis=1)
-        sizes = np.linalg.norm(vectors, axis=1)
-        # Bounded so that energies stay finite (`SLIVER`). A polygon of one point gets area 1, and has no energy.
-        areas = np.maximum(sizes, 0.5 * SLIVER * np.einsum("fid,fid->fi", edges, edges).max(axis=1))
-        areas = np.where(areas == 0.0, 1.0, areas)
-        normals = vectors / np.where(sizes == 0.0, 1.0, sizes)[:, None]
-        inner = self._inner_products(edges, midpoints, areas, normals)
-        # (d^T M d)_ij = M_(i-1)(j-1) - M_(i-1)j - M_i(j-1) + M_ij, with edge i from corner i to corner i + 1.
-        rows = np.roll(inner, 1, axis=1) - inner
-        energy = np.roll(rows, 1, axis=2) - rows
-        pairs = np.array(QUAD_PAIRS if k == 4 else TRIANGLE_PAIRS)
-        weights = -energy[:, pairs[:, 0], pairs[:, 1]]
-        vertex_areas = np.bincount(faces.ravel(), np.repeat(sizes / k, k), minlength=len(positions))
-        return np.ascontiguousarray(weights), np.asarray(vertex_areas, dtype=np.float64)
-
-    def _inner_products(
-        self, edges: FloatArray, midpoints: FloatArray, areas: FloatArray, normals: FloatArray
-    ) -> FloatArray:
-        """(m, k, k) inner products M_f, from edges and centred midpoints (m, k, 3) of polygons."""
-        raise NotImplementedError
+def stabilised_terms(
+    inner_products: InnerProducts, stabilisation: float, positions: FloatArray, faces: IndexArray
+) -> tuple[FloatArray, FloatArray]:
+    """Terms, as `face_terms`, of W_f = d^T M_f d, with d the differences along the edges and inner products M_f."""
+    k, corners = faces.shape[1], positions[faces]
+    corners = corners - corners.mean(axis=1, keepdims=True)
+    following = np.roll(corners, -1, axis=1)
+    edges, midpoints = following - corners, 0.5 * (corners + following)
+    vectors = 0.5 * np.cross(corners, following).sum(axis=1)
+    sizes = np.linalg.norm(vectors, axis=1)
+    # Bounded so that energies stay finite (`SLIVER`). A polygon of one point gets area 1, and has no energy.
+    areas = np.maximum(sizes, 0.5 * SLIVER * np.einsum("fid,fid->fi", edges, edges).max(axis=1))
+    areas = np.where(areas == 0.0, 1.0, areas)
+    normals = vectors / np.where(sizes == 0.0, 1.0, sizes)[:, None]
+    inner = inner_products(edges, midpoints, areas, normals, stabilisation)
+    # (d^T M d)_ij = M_(i-1)(j-1) - M_(i-1)j - M_i(j-1) + M_ij, with edge i from corner i to corner i + 1.
+    rows = np.roll(inner, 1, axis=1) - inner
+    energy = np.roll(rows, 1, axis=2) - rows
+    pairs = np.array(QUAD_PAIRS if k == 4 else TRIANGLE_PAIRS)
+    weights = -energy[:, pairs[:, 0], pairs[:, 1]]
+    vertex_areas = np.bincount(faces.ravel(), np.repeat(sizes / k, k), minlength=len(positions))
+    return np.ascontiguousarray(weights), np.asarray(vertex_areas, dtype=np.float64)
 
 
-class AlexaWardetzky(_Stabilised):
+def alexa_wardetzky(
+    edges: FloatArray, midpoints: FloatArray, areas: FloatArray, normals: FloatArray, stabilisation: float
+) -> FloatArray:
     """The paper's Laplacian: Alexa and Wardetzky, *Discrete Laplacians on general polygonal meshes*, 2011.
 
     M_f = B B^T / ``|f|`` + lambda C C^T, with B the edges' midpoints, ``|f|`` the size of the vector area, and C an
-    orthonormal basis of the complement of the edges projected to the polygon's plane; lambda is ``stabilisation``.
+    orthonormal basis of the complement of the edges projected to the polygon's plane.
     """
-
-    def _inner_products(
-        self, edges: FloatArray, midpoints: FloatArray, areas: FloatArray, normals: FloatArray
-    ) -> FloatArray:
-        inner = np.einsum("fid,fjd->fij", midpoints, midpoints) / areas[:, None, None]
-        flat = edges - np.einsum("fid,fd,fe->fie", edges, normals, normals)
-        # Axes of the span of the projected edges; their third singular value is 0.
-        axes, spans, _ = np.linalg.svd(flat, full_matrices=False)
-        axes = axes[:, :, :2] * (spans[:, None, :2] > SLIVER * spans[:, None, :1])
-        complement = np.eye(edges.shape[1]) - np.einsum("fia,fja->fij", axes, axes)
-        return np.asarray(inner + self.stabilisation * complement)
+    inner = np.einsum("fid,fjd->fij", midpoints, midpoints) / areas[:, None, None]
+    flat = edges - np.einsum("fid,fd,fe->fie", edges, normals, normals)
+    # Axes of the span of the projected edges; their third singular value is 0.
+    axes, spans, _ = np.linalg.svd(flat, full_matrices=False)
+    axes = axes[:, :, :2] * (spans[:, None, :2] > SLIVER * spans[:, None, :1])
+    complement = np.eye(edges.shape[1]) - np.einsum("fia,fja->fij", axes, axes)
+    return np.asarray(inner + stabilisation * complement)
 
 
-class DeGoesButtsDesbrun(_Stabilised):
+def de_goes_butts_desbrun(
+    edges: FloatArray, midpoints: FloatArray, areas: FloatArray, normals: FloatArray, stabilisation: float
+) -> FloatArray:
     """Laplacian of De Goes, Butts and Desbrun, *Discrete differential operators on polygonal meshes*, 2020.
 
     M_f = ``|f|`` U^T U + lambda P^T P, with U the sharp operator (the mean gradient of a 1-form), V the flat one and
-    P = 1 - V U; lambda is ``stabilisation``.
+    P = 1 - V U.
     """
-
-    def _inner_products(
-        self, edges: FloatArray, midpoints: FloatArray, areas: FloatArray, normals: FloatArray
-    ) -> FloatArray:
-        sharp = np.cross(normals[:, None, :], midpoints) / areas[:, None, None]  # (m, k, 3): U^T
-        flat = edges - normals[:, None, :] * np.einsum("fid,fd->fi", edges, normals)[:, :, None]
-        unseen = np.eye(edges.shape[1]) - np.einsum("fid,fjd->fij", flat, sharp)
-        inner = np.einsum("fid,fjd->fij", sharp, sharp) * areas[:, None, None]
-        return np.asarray(inner + self.stabilisation * np.einsum("fki,fkj->fij", unseen, unseen))
+    sharp = np.cross(normals[:, None, :], midpoints) / areas[:, None, None]  # (m, k, 3): U^T
+    flat = edges - normals[:, None, :] * np.einsum("fid,fd->fi", edges, normals)[:, :, None]
+    unseen = np.eye(edges.shape[1]) - np.einsum("fid,fjd->fij", flat, sharp)
+    inner = np.einsum("fid,fjd->fij", sharp, sharp) * areas[:, None, None]
+    return np.asarray(inner + stabilisation * np.einsum("fki,fkj->fij", unseen, unseen))
 
 
-LAPLACIANS = ("mean", "alexa-wardetzky", "de-goes-butts-desbrun")
+LAPLACIANS: dict[str, InnerProducts | None] = {
+    "mean": None,
+    "alexa-wardetzky": alexa_wardetzky,
+    "de-goes-butts-desbrun": de_goes_butts_desbrun,
+}
 
 
 def named_laplacian(name: str, stabilisation: float = 1.0) -> Laplacian:
-    """Laplacian by name (`LAPLACIANS`); ParameterError for other names, or stabilisation not above 0."""
+    """Laplacian by name, of `LAPLACIANS`, for `build_operators`; ParameterError for other names.
+
+    "mean": of the cotangent Laplacians of both triangulations of every quad. The others are stabilised: without a
+    ``stabilisation`` above 0, functions such as +1 and -1 in turn over a quad's corners cost nothing.
+    """
     if name not in LAPLACIANS:
         raise ParameterError(f"laplacian: expected one of {', '.join(LAPLACIANS)}, got {name!r}")
-    if name == "de-goes-butts-desbrun":
-        return DeGoesButtsDesbrun(stabilisation)
-    paper = AlexaWardetzky(stabilisation)  # checks the value even if it is not used
-    return paper if name == "alexa-wardetzky" else MeanTriangulation()
+    if not 0.0 < stabilisation < np.inf:
+        raise ParameterError(f"stabilisation: expected a finite number above 0, got {stabilisation}; 1 is usual")
+    inner_products = LAPLACIANS[name]
+    return face_terms if inner_products is None else partial(stabilised_terms, inner_products, stabilisation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,18 +233,18 @@ def lumped_areas(mass: sparse.csr_array) -> FloatArray:
 
 
 @kinds_checked
-def build_operators(refinement: Refinement, laplacian: Laplacian = MeanTriangulation()) -> Operators:
+def build_operators(refinement: Refinement, laplacian: Laplacian = face_terms) -> Operators:
     """Operators of every level of a refinement, at unit area of the finest level (2.2.2, Lemma 5).
 
-    ``laplacian`` of the finest level is `MeanTriangulation`, `AlexaWardetzky` (the paper's) or `DeGoesButtsDesbrun`.
-    O(n_f) time and memory. Restricted matrices have about 25 nonzeros per row just below the finest level, 50 on
-    coarser levels. ParameterError if ``laplacian`` is no Laplacian.
+    The ``laplacian`` of the finest level is `face_terms` or another of `named_laplacian`. O(n_f) time and memory.
+    Restricted matrices have about 25 nonzeros per row just below the finest level, 50 on coarser levels. ParameterError
+    if ``laplacian`` is no function.
     """
-    if not callable(getattr(laplacian, "face_terms", None)):
-        raise ParameterError(f"laplacian: expected one such as AlexaWardetzky(1.0), got {laplacian!r}")
+    if not callable(laplacian):
+        raise ParameterError(f"laplacian: expected one of `named_laplacian`, got {laplacian!r}")
     finest = refinement.levels[-1]
     faces = refinement.faces(refinement.n_levels)
-    weights, areas = laplacian.face_terms(finest.positions, faces)
+    weights, areas = laplacian(finest.positions, faces)
     area = float(areas.sum())
     # One complex matrix W + i M: one product restricts both, and they keep the same pattern.
     both = sparse.csr_array(
