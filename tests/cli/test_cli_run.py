@@ -226,6 +226,7 @@ def test_each_task_by_its_number_is_done_once_and_has_an_exit_code(folder: Path,
         CliRunner().invoke(app, ["run", str(folder / "job.toml"), "--task", "9"], catch_exceptions=False)
 
 
+@pytest.mark.slow
 def test_a_numbered_output_is_made_with_the_way_round_its_doubtful_map(
     folder: Path, quick: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -246,6 +247,7 @@ def test_a_numbered_output_is_made_with_the_way_round_its_doubtful_map(
     assert numbered(folder, str(outputs.last + 1))[0] == 0
 
 
+@pytest.mark.slow
 def test_a_job_is_exported_for_farms_and_runs_nothing(folder: Path) -> None:
     before = sorted(folder.iterdir())
     made = {

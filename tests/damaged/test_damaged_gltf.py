@@ -18,7 +18,7 @@ import pytest
 from cagemap.errors import FormatError
 from cagemap.files.gltf.character import animation_names, character_of, humanoid_bones, read_shape_keys
 from cagemap.files.gltf.document import glb_bytes, read_document, write_document
-from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.read import contents_of
 from cagemap.files.gltf.write import character_glb
@@ -220,4 +220,6 @@ def _all_of(document: Document, path: Path) -> None:
     character = character_of(read_document(path))
     humanoid_bones(read_document(path))
     contents_of(read_scene(read_document(path)))
+    for image in range(len(document.json.get("images", ()))):
+        image_bytes(read_document(path), image)
     check_mesh(character.parts[0].mesh)

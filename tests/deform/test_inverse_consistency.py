@@ -142,6 +142,7 @@ def test_a_whole_body_is_averaged_where_a_part_of_it_is(on_part: Problem) -> Non
     assert beyond.max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_part_on_a_whole_places_the_whole_on_the_part(on_part: Problem) -> None:
     home, gaps = at_home(on_part)
     back = on_part.prepared.reverse_pair

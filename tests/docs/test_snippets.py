@@ -56,6 +56,7 @@ def test_functional_map() -> None:
     assert np.abs(names["carried"] - wanted).max() < 0.1 * np.ptp(wanted)
 
 
+@pytest.mark.slow
 def test_own_descriptor() -> None:
     names = run(2)
     count = len(names["V1"])

@@ -498,6 +498,7 @@ def test_a_new_process_answers_as_the_server_and_runs_no_modules_of_the_working_
 FOREIGN = ("quaternius_Pug.fbx", "quaternius_Female_Dress.fbx", "mh_male_young_blender.fbx")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FOREIGN)
 def test_files_as_they_come(name: str, shared_data: Path) -> None:
     """Counts of `inside.json`; bones that end others move nothing and are no joints."""

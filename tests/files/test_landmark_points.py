@@ -36,6 +36,7 @@ def some_points() -> NamedPoints:
 NAMES = st.text(st.characters(exclude_categories=("C", "Z")), min_size=1, max_size=6).filter(lambda name: name.strip())
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=20)
 @given(st.data())
 @pytest.mark.parametrize("form", POINT_FORMS, ids=lambda form: form.ending)

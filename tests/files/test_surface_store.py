@@ -71,6 +71,7 @@ def test_loop_surfaces_and_boundaries_come_back(mesh, tmp_path):
     assert_same(load_surface(tmp_path / "s.npz"), surface)
 
 
+@pytest.mark.slow
 def test_operators_may_end_below_the_finest_level(surface, tmp_path):
     """The basis is that of the coarser surface, and functions of it refine to the finest level."""
     config = replace(CONFIG, vertices=300)

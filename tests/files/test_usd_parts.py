@@ -70,6 +70,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.mark.slow
 def test_layers_about_a_part_of_a_prim_fit_the_prim(folder: Path) -> None:
     scene = _scene()
     first = scene.n_vertices - creature().n_vertices
@@ -101,6 +102,7 @@ def test_layers_about_a_part_of_a_prim_fit_the_prim(folder: Path) -> None:
     assert np.abs(wrapped.positions - scene.positions).max() < 0.05 * np.ptp(scene.positions)
 
 
+@pytest.mark.slow
 def test_a_new_layout_of_a_part_fits_the_prim(folder: Path) -> None:
     write_image(folder / "grey.png", np.full((32, 32, 3), 99, dtype=np.uint8))
     images = {"texture": folder / "grey.png", "output": folder / "colors.png"}

@@ -47,6 +47,7 @@ def test_a_job_that_cannot_run_is_refused(name: str, tmp_path: Path) -> None:
     REFUSED[name].check(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     Refusal(

@@ -53,6 +53,7 @@ def is_identity(found: MatchResult) -> bool:
     return np.array_equal(images, found.point_map.source.positions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [0, 1, 5])
 def test_a_surface_on_itself_is_the_identity_with_and_without_landmarks(surface: Surface, count: int) -> None:
     found = match(surface, surface, marked(MARKS[:count], MARKS[:count]))
@@ -62,6 +63,7 @@ def test_a_surface_on_itself_is_the_identity_with_and_without_landmarks(surface:
     assert is_identity(more)
 
 
+@pytest.mark.slow
 def test_moved_in_its_file_and_rounded_it_is_the_same_surface(pony: ControlMesh, surface: Surface) -> None:
     rounded = np.round(pony.positions, 6) + np.array([5.0, 0.0, -2.0])
     found = match(prepare_surface(pony.with_positions(rounded), 1), surface)
@@ -82,6 +84,7 @@ def test_a_plain_mesh_on_itself_is_the_identity(tmp_path: Path) -> None:
     assert is_identity(read_result(tmp_path / "RESULT"))
 
 
+@pytest.mark.slow
 def test_another_shape_other_faces_or_contrary_landmarks_are_matched(pony: ControlMesh, surface: Surface) -> None:
     thicker = prepare_surface(pony.with_positions(pony.positions * [1.05, 1.0, 1.0]), 1)
     faces = np.split(pony.face_indices, pony.face_offsets[1:-1])[::-1]
@@ -158,6 +161,7 @@ def moved(mesh: ControlMesh) -> ControlMesh:
     return mesh.with_positions(2.5 * MOVED.apply(np.array(mesh.positions)) + [3.0, -5.0, 1.0])
 
 
+@pytest.mark.slow
 def test_a_copy_that_was_turned_moved_and_scaled_is_the_identity(pony: ControlMesh, surface: Surface) -> None:
     """With other numbers, so that only closest points tell which vertex is which."""
     number = np.random.default_rng(4).permutation(pony.n_vertices)
@@ -265,6 +269,7 @@ def test_bodies_lie_on_their_own_other_meshes_and_not_on_other_bodies(shared_dat
     assert not lies(f"{mine}_male_young", f"{theirs}_female_old_heavy")
 
 
+@pytest.mark.slow
 def test_clothes_lie_on_the_body_that_wears_them(shared_data: Path) -> None:
     folder = shared_data / "characters" / "passengers"
     shirt = unprepared(read_mesh(folder / "shirt_neutral.obj"))

@@ -134,6 +134,7 @@ def test_a_report_shows_curves(with_curves: MatchResult) -> None:
     assert np.any(plain.maps[0].target != drawn.maps[0].target)
 
 
+@pytest.mark.slow
 def test_without_landmarks_curves_are_followed_by_every_coarse_fit(surfaces: tuple) -> None:
     rings = replace(Landmarks.none(), curves=rings_of(surfaces[0].control))
     problem = Problem.of_landmarks(PreparedPair.build(*surfaces), rings)

@@ -291,6 +291,7 @@ def test_a_pair_that_strains_is_kept_and_named(pair):
     assert any("knee_L" in note and "kept" in note for note in found.landmark_check.notes)
 
 
+@pytest.mark.slow
 def test_a_suspect_of_a_plain_mesh_names_the_vertex_that_was_given(monkeypatch) -> None:
     """Most vertices of a plain mesh are on no coarse level; steps of the search use others near them."""
     monkeypatch.setattr("cagemap.maps.pair.NEAR_VERTICES", 1000)  # so that a small mesh has a coarser level for them
@@ -419,6 +420,7 @@ def test_a_suspect_stays_out_only_while_its_pair_is_the_same() -> None:
     assert judged.for_changed(before, corrected).suspects == ()
 
 
+@pytest.mark.slow
 def test_an_update_checks_the_pairs_that_changed_and_keeps_what_was_known(pair, followed):
     _, source, landmarks = pair
     before = replace(followed, landmark_check=LandmarkCheck(notes=("a note",)))

@@ -102,6 +102,7 @@ def test_a_masked_match_keeps_its_masks_and_pulls_only_there(scene: Path) -> Non
     assert len(draw_gallery(identity_result(), size=(60, 50)).masks) == 0
 
 
+@pytest.mark.slow
 def test_outside_the_mask_the_texture_is_the_base(scene: Path) -> None:
     summary, _ = _run_transfer(scene, "over.png", texture=scene / "texture.png", bases=(("", scene / "base.png"),))
     assert "outside the masks it is" in summary

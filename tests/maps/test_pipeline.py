@@ -134,6 +134,7 @@ def test_added_landmarks_move_the_map_to_them_at_once():
     assert abs(errors(same) - errors(before)).mean() < 0.05 * errors(before).mean()  # projected once more, no more
 
 
+@pytest.mark.slow
 def test_a_prepared_pair_is_matched_as_it_was_prepared_or_not_at_all():
     """Another method, start, elastic fit or masks was not followed, without a word."""
     surface = prepare_surface(shapes.creature(), 1, BASIS)
@@ -172,6 +173,7 @@ def test_levels_are_walked_down_together(pony):
     assert np.all(moves.sum(axis=1) > 0)
 
 
+@pytest.mark.slow
 def test_levels_without_functions_are_not_searched():
     """A level may have vertices enough and yet no functions: a tight tolerance leaves them to finer levels."""
     surface = prepare_surface(shapes.creature(), 2, BasisConfig(schedule=(1, 2, 57)))

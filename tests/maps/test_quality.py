@@ -199,6 +199,7 @@ def test_the_identity_has_perfect_figures(n: int) -> None:
     assert figures.summary()["landmark_error_worst"] == pytest.approx(0, abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [41, 245])
 def test_coverage_is_the_share_of_area_reached_in_any_order_of_the_vertices(n: int) -> None:
     positions, triangles = grid(n)

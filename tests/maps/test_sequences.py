@@ -78,6 +78,7 @@ def test_landmarks_of_a_frame_are_held() -> None:
     assert result.landmark_errors.max() < 1e-6
 
 
+@pytest.mark.slow
 def test_a_map_that_folds_is_matched_afresh(monkeypatch: pytest.MonkeyPatch) -> None:
     config = replace(QUICK, elastic=replace(QUICK.elastic, refit=RefitConfig(max_folded_frame=-1.0)))
     still, moving = (prepare_surface(frame(angle, seed)[0], LEVEL) for seed, angle in enumerate(ANGLES[:2]))

@@ -51,6 +51,7 @@ def test_reversing_exchanges_the_two_sides() -> None:
     assert back.names == there.names
 
 
+@pytest.mark.slow
 @QUICK
 @given(data=st.data())
 def test_what_is_written_reads_back(tmp_path: Path, data: st.DataObject) -> None:

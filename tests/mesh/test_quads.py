@@ -71,6 +71,7 @@ def test_refine_makes_the_cage_of_a_glb(tmp_path: Path) -> None:
     assert (cage.n_vertices, cage.n_faces) == (body.n_vertices, body.n_faces)
 
 
+@pytest.mark.slow
 def test_a_body_as_games_have_it(shared_data: Path) -> None:
     """Limits were chosen on base_neutral."""
     for name in ("male1591_neutral", "soma18056_neutral"):

@@ -128,6 +128,7 @@ def test_a_welded_source_gives_values_numbered_as_its_file(
     assert np.abs(np.load("skin_out.npz")["hip"] - expected).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_a_symmetry_of_the_file_is_one_of_the_welded_mesh(
     run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -203,6 +204,7 @@ def test_the_studio_opens_the_welded_whole(folder: Path) -> None:
     assert open_model(folder / "whole.obj", None, None, 300).weld is None
 
 
+@pytest.mark.slow
 def test_the_finish_of_the_studio_welds_as_it_opened(folder: Path, boxes: Path, session: Session) -> None:
     for name in ("split.obj", "whole.obj"):
         shutil.copy(folder / name, boxes)

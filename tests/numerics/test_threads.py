@@ -115,6 +115,7 @@ def fail_at_two(i):
     return i
 
 
+@pytest.mark.slow
 def test_a_pair_prepared_at_once_is_what_each_is_alone():
     meshes, levels = (shapes.creature(), shapes.icosahedron()), (1, 2)
     together = prepare_surfaces(*meshes, levels, CONFIG)

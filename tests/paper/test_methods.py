@@ -107,6 +107,7 @@ def creature_pair(level=1, schedule=(20, 10)):
     return Pair.of_vertices(surface, surface, chosen, chosen)
 
 
+@pytest.mark.slow
 def test_landmarks_between_vertices_have_vertices_of_the_searched_level():
     """Those of the level where functions end are more than the searched level has: an internal error."""
     surface = creature_pair(2, (40, 15, 5)).target

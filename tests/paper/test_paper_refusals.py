@@ -12,6 +12,8 @@ from cagemap.paper.equations import solve_functional_map
 
 from refusals import Refusal
 
+pytestmark = pytest.mark.slow
+
 
 def matched(method: str, basis: BasisConfig) -> None:
     surface, vertices = prepare_surface(creature(), 1, basis), np.arange(0, 40, 5)

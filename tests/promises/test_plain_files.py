@@ -163,6 +163,7 @@ def test_a_cage_is_wrapped_onto_a_scan_with_its_colours_and_texture(tmp_path: Pa
     assert np.abs(painted - (carried - 0.01) / 0.98)[inside].mean() < 0.02
 
 
+@pytest.mark.slow
 def test_a_stored_plain_surface_is_the_prepared_one(tmp_path: Path) -> None:
     mesh = animal(2)
     first, second = (prepared(tmp_path, mesh, 0) for _ in range(2))

@@ -101,6 +101,7 @@ def test_without_landmarks_other_answers_are_read(matched: MatchResult, tmp_path
         other_answer(read, 1)
 
 
+@pytest.mark.slow
 def test_landmarks_between_vertices_stay_where_they_are(matched: MatchResult, tmp_path: Path) -> None:
     """Moved a third of the way along an edge of a face."""
     landmarks, control = matched.landmarks, matched.target.control

@@ -290,6 +290,7 @@ def test_wrong_values_are_refused_by_name(case: str, tmp_path: Path, monkeypatch
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_arrays_of_every_layout_and_type_give_the_same() -> None:
     """Read-only arrays, single precision, lists, every second column: as good as any."""
     s = scene()

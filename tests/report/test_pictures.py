@@ -128,6 +128,7 @@ def test_face_and_vertex_colours_arrive() -> None:
         assert drawn[:, 0].max() > 150
 
 
+@pytest.mark.slow
 def test_skins_of_one_view_are_drawn_with_few_more_rays_than_one(monkeypatch: pytest.MonkeyPatch) -> None:
     model = Model(np.random.default_rng(3).normal(size=(300, 3)), np.arange(300).reshape(100, 3))
     camera = frame(model.positions)

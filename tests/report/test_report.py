@@ -109,6 +109,7 @@ def test_identity_draws_source_and_target_alike(gallery: Gallery) -> None:
         assert np.mean(np.abs(figure.source.astype(int) - figure.target)) < 0.5
 
 
+@pytest.mark.slow
 def test_texture_is_shown_where_it_is_given(result: MatchResult, gallery: Gallery) -> None:
     def tint(picture: np.ndarray) -> np.ndarray:
         return np.diff(picture[25:45, 35:55].reshape(-1, 3).mean(0))
@@ -133,6 +134,7 @@ def test_without_a_texture_material_colours_are_shown_and_without_those_a_checke
     assert draw_gallery(replace(result, source=result.source.with_control(white)), size=SIZE).appearance == "checker"
 
 
+@pytest.mark.slow
 def test_progress_names_every_picture(result: MatchResult) -> None:
     said: list[str] = []
     draw_gallery(result, size=(30, 20), progress=said.append)

@@ -187,6 +187,7 @@ def test_texture_coordinates_far_outside_the_square_stay_fine(shift: float, move
     assert np.abs(values).max() <= 1.0 if moved else np.array_equal(values[keys], corners), values.max()
 
 
+@pytest.mark.slow
 def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchResult) -> None:
     check = LandmarkCheck((LandmarkSuspect("d", 2, 0.2, 7, 5, "distances"),), ())
     places = result.point_map.images.positions[:8]
@@ -248,6 +249,7 @@ def test_passengers_and_poses_are_sections_of_the_page(result: MatchResult) -> N
     assert np.ptp(panels[0].pictures[0][0].reshape(-1, 3).astype(int), axis=1).max() > 60
 
 
+@pytest.mark.slow
 def test_a_page_with_models_asks_nothing_of_other_machines(result: MatchResult, tmp_path: Any) -> None:
     write_report(tmp_path / "r.html", result, texture=np.zeros((8, 8, 3), np.uint8), size=(40, 30))
     page = (tmp_path / "r.html").read_text(encoding="utf-8")

@@ -54,6 +54,7 @@ def cosines(refinement, operators, basis, exact):
     return np.linalg.svd(ours.T @ (weights * exact.vectors), compute_uv=False)
 
 
+@pytest.mark.slow
 def test_a_basis_of_one_level_is_that_level_s_spectrum(surface):
     """Given by its number of functions alone; small surfaces have it on their finest level."""
     refinement, operators, count = surface
@@ -82,6 +83,7 @@ def test_a_basis_of_one_level_is_on_the_coarsest_that_has_enough_vertices():
     assert 1.0 <= (coarse / basis.eigenvalues[1:]).min() <= (coarse / basis.eigenvalues[1:]).max() < 1.04
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("schedule", [(12, 4, 4), (13, 5, 8), (4, 10, 10)])
 def test_fixed_schedule_has_its_counts_and_completes_cut_clusters(schedule):
     """Bands that end inside a pair of the torus: the next band brings the other half, and no half twice."""
@@ -104,6 +106,7 @@ def test_fixed_schedule_has_its_counts_and_completes_cut_clusters(schedule):
     assert basis.residuals.max() < 1e-3
 
 
+@pytest.mark.slow
 def test_index_of_every_pair_is_its_place_in_the_level_s_spectrum(creature):
     _, operators, basis = creature
     for level in range(3):

@@ -108,6 +108,7 @@ def forget_a_pair(monkeypatch, widest=np.inf):
     monkeypatch.setattr(eigenpairs, "shift_invert_lanczos", forgetful)
 
 
+@pytest.mark.slow
 def test_a_wider_block_follows_where_a_pair_was_missed(creature, reference, monkeypatch):
     forget_a_pair(monkeypatch, widest=16)
     pairs = band_pairs(creature.stiffness[2], creature.mass[2], 0, 40, accuracy=1e-5)

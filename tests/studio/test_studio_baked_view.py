@@ -94,6 +94,7 @@ def test_a_bake_of_an_earlier_map_is_not_shown_as_that_of_now(opened: Session, b
     until(lambda: opened.state.map.revision >= 1, opened)
 
 
+@pytest.mark.slow
 def test_what_was_baked_is_shown_where_there_is_any(opened: Session, boxes: Path) -> None:
     opened.change_view(mode="baked")
     assert opened.state.view.mode == "texture"

@@ -64,6 +64,7 @@ def test_the_preview_maps_and_follows_landmarks(opened: tuple[PreviewCache, Open
     np.testing.assert_allclose(back.position, scene.target.positions[0], atol=0.3)
 
 
+@pytest.mark.slow
 def test_fbx_models_are_converted_once_to_files_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also two of one name, beside another file that has it."""
     mesh, converted = unwrapped_cube(), list[Path]()

@@ -261,6 +261,7 @@ def test_an_added_mesh_names_no_file_outside_the_folders(session: Session, boxes
     added.unlink()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     [

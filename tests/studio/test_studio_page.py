@@ -285,6 +285,7 @@ def test_values_of_the_form_are_those_of_the_command_line(tmp_path: Path) -> Non
         read_form(options, {"match.k": "many"}, resolve)
 
 
+@pytest.mark.slow
 def test_the_target_with_its_baked_image_is_one_file(opened: Session, boxes: Path) -> None:
     import pygltflib
 

@@ -196,6 +196,7 @@ def test_what_was_not_saved_opens_its_part_and_waits_on_the_others(folder: Path)
     assert read_autosave_parts(kept) == (None, None)
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(st.lists(st.integers(0, 7 + creature().n_vertices + 8), unique=True, max_size=12), st.data())
 def test_no_landmark_of_a_file_is_lost_by_opening_a_part(vertices: list[int], data: st.DataObject) -> None:

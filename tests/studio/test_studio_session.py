@@ -327,6 +327,7 @@ def test_a_landmark_of_symmetric_models_brings_its_counterpart(opened: Session) 
     opened._scene = replace(opened.scene, mirrors=(None, None))
 
 
+@pytest.mark.slow
 def test_changes_of_two_pages_at_once_are_both_kept(opened: Session) -> None:
     for vertex in (0, 3):
         click(opened, "target", vertex)

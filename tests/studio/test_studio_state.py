@@ -78,6 +78,7 @@ def test_mirror_adds_the_counterpart_or_nothing() -> None:
 steps = st.lists(st.sampled_from(["place", "remove", "rename", "undo", "redo"]), max_size=30)
 
 
+@pytest.mark.slow
 @given(steps)
 def test_undo_and_redo_walk_the_same_way_back_and_forth(todo: list[str]) -> None:
     history, x = History(), 0.0

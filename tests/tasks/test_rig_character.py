@@ -141,6 +141,7 @@ def _image_error() -> float:
     return float(np.abs(colours[0] - colours[1]).mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("wrap", "sign"), [(33648, -1.0), (10497, 1.0)])
 def test_a_texture_continues_outside_the_unit_square_by_its_sampler(
     run: Run, files: Character, body: ControlMesh, wrap: int, sign: float
@@ -262,6 +263,7 @@ def test_vertex_colors_come_with_the_texture_they_tint(
     )
 
 
+@pytest.mark.slow
 def test_what_the_body_has_of_its_own_stays_and_follows(run: Run, files: Character, body: ControlMesh) -> None:
     """Also beside a passenger of the same name."""
     top = body.positions[np.argmax(body.positions[:, 1])]
@@ -279,6 +281,7 @@ def test_what_the_body_has_of_its_own_stays_and_follows(run: Run, files: Charact
     assert {part.name for part in _rig(run, "--passengers", "hat", "--force").parts} == {"body", "hat", "hat (own)"}
 
 
+@pytest.mark.slow
 def test_passengers_are_chosen_by_name(run: Run, files: Character) -> None:
     assert {part.name for part in _rig(run, "--passengers", "none").parts} == {"body"}
     made = _rig(run, "--passengers", "hat", "--force")

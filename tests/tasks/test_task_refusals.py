@@ -115,7 +115,7 @@ REFUSED = {
     ),
     "fewer influences than one": Refusal(
         lambda place: weights(place, "hip,knee", influences=-1),
-        "w.csv: influences:  ... expected at least 1 joint a vertex, got -1 ... Leave it out for all.",
+        "w.csv: influences:  ... expected at least 1 joint a vertex, got -1 ... on the command line 0, keeps all.",
     ),
     "a map of level 0": Refusal(map_of_level, "--level:  ... expected 1 or more, got 0 ... Leave it out"),
     "a wrap that is held everywhere": Refusal(

@@ -63,6 +63,7 @@ def _run(folder: Path, result: str, output: str, **options: object) -> Image:
     return read_image(folder / output)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("suffix", "dtype", "channels"), KINDS)
 def test_a_kind_of_image_stays_what_it_is(folder: Path, suffix: str, dtype: str, channels: int) -> None:
     given, base = _texture(dtype, channels, 1), _texture(dtype, channels, 2)

@@ -99,6 +99,7 @@ def test_bilinear_on_a_square() -> None:
     np.testing.assert_allclose(linear.matrix @ np.array([0.0, 0, 1, 0]), x * y, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None)
 def test_any_map_gives_convex_weights_and_labels_that_exist(seed: int) -> None:

@@ -58,6 +58,7 @@ def test_shapes(name: str) -> None:
     check_layout(unwrap(SHAPES[name]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ANIMALS)
 def test_animals_with_bent_and_concave_polygons(shared_data: Path, name: str) -> None:
     control = unwrap(read_obj(shared_data / "animals" / f"{name}.obj"))
@@ -89,6 +90,7 @@ def test_concave_polygons_become_convex_ones() -> None:
         assert _is_convex(_outline(positions[star.face(face)]))
 
 
+@pytest.mark.slow
 def test_animals_come_in_few_islands(shared_data: Path) -> None:
     control = unwrap(read_obj(shared_data / "animals" / "spot.obj"))
     level = refine(control, 1).finest
@@ -137,6 +139,7 @@ def test_islands_keep_their_distance() -> None:
     assert not grown[:, [0, -1]].any()
 
 
+@pytest.mark.slow
 def test_the_same_mesh_gives_the_same_layout_whatever_its_place_and_size() -> None:
     control = torus()
     first, again = unwrap(control), unwrap(control)

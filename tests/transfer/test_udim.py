@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from examples.shapes import grid
 
 from cagemap.files.images.image import (
@@ -43,6 +44,7 @@ def _noise(size: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (size, size, 3), dtype=np.uint8)
 
 
+@pytest.mark.slow
 def test_an_asset_onto_itself_gives_back_its_tiles() -> None:
     level = refine(_tiled_grid(3, 2), 4).finest
     tiles = {1001 + column + 10 * row: _noise(256, column + 3 * row) for row in range(2) for column in range(3)}

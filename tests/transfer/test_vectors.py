@@ -213,6 +213,7 @@ def test_what_holds_no_directions_is_refused(box: Level) -> None:
         bake_normal_map(transfer, normal_map(1), size=8, space="world")  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_through_the_command_line(run: Run, result_folder: Path) -> None:
     place = result_folder.parent
     texture = normal_map(6, size=64)

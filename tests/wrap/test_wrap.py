@@ -135,6 +135,7 @@ def test_weights_hold_a_part_back_and_it_follows_its_surroundings(ring: tuple[Re
     assert held.followed.mean < held.residual.mean
 
 
+@pytest.mark.slow
 def test_a_part_without_counterpart_is_found() -> None:
     """A quarter of the torus squeezed into a spot is carried along, not pulled there."""
     target = refine(torus(12, 8), 3)

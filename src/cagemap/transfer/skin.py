@@ -40,7 +40,9 @@ def carry_skin(
     if len(skin) != weights.shape[1]:
         raise ParameterError(f"skinning weights: expected {weights.shape[1]} rows, one a vertex, got {len(skin)}")
     if influences is not None and influences < 1:
-        raise ParameterError(f"influences: expected at least 1 joint a vertex, got {influences}. Give None for all.")
+        raise ParameterError(
+            f"influences: expected at least 1 joint a vertex, got {influences}. None, on the command line 0, keeps all."
+        )
     carried = filled_in(np.asarray(weights @ skin), net, trusted)
     return normalised(pruned(carried, influences), carried.sum(axis=1))
 
