@@ -1,7 +1,7 @@
 """Dense maps between subdivision surfaces from their control meshes and a few landmarks.
 
 The public names below are imported on first use, so that ``import cagemap`` (and the command's ``--help``) stays
-light. The packages they come from are importable too: see docs/architecture.md.
+light. So are the packages they come from, such as `cagemap.wrap`: see docs/architecture.md.
 """
 
 from __future__ import annotations
@@ -144,9 +144,13 @@ __all__ = sorted(_PACKAGE_OF)
 
 
 def __getattr__(name: str) -> object:
-    if name not in _PACKAGE_OF:
-        raise AttributeError(f"module 'cagemap' has no attribute {name!r}")
-    return getattr(import_module(f"cagemap.{_PACKAGE_OF[name]}"), name)
+    if name in _PACKAGE_OF:
+        return getattr(import_module(f"cagemap.{_PACKAGE_OF[name]}"), name)
+    from importlib.util import find_spec  # here, since `--help` needs no package
+
+    if find_spec(f"cagemap.{name}") is not None:
+        return import_module(f"cagemap.{name}")
+    raise AttributeError(f"module 'cagemap' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

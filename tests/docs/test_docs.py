@@ -83,6 +83,15 @@ def test_the_public_names_are_one_list() -> None:
     assert sorted(documented) == list(cagemap.__all__)
 
 
+def test_packages_are_loaded_when_their_names_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("example", "pictures", "research", "tasks", "wrap"):
+        package = importlib.import_module(f"cagemap.{name}")
+        monkeypatch.delattr(cagemap, name)  # as after `import cagemap` alone
+        assert getattr(cagemap, name) is package
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        cagemap.nothing  # noqa: B018
+
+
 def documents() -> list[Path]:
     pages = sorted((ROOT / "docs").glob("*.md"))
     return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *pages, *sorted((ROOT / "docs" / "lab").glob("*.md"))]
