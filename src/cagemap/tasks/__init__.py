@@ -70,7 +70,8 @@ class Outcome:
 def run(request: Any, progress: Callable[[str], None] | None = None) -> Outcome:
     """Run the task of a request, as the command of that name does.
 
-    For example ``run(MatchRequest("deer.obj", "pony.obj", None, "RESULT"), print)``.
+    For example ``run(MatchRequest("deer.obj", "pony.obj", None, "RESULT"), print)``. What the task refuses is a
+    `cagemap.CagemapError`.
 
     Parameters
     ----------
@@ -83,8 +84,6 @@ def run(request: Any, progress: Callable[[str], None] | None = None) -> Outcome:
     ------
     ParameterError
         If the request is none of this module, or a field has a value of another kind.
-    CagemapError
-        What the task refuses.
     """
     from cagemap.files.atomic import files_written  # here, since `cagemap --help` needs no files
 
