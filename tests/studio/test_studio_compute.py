@@ -151,7 +151,7 @@ def test_a_failing_task_is_a_named_failure_and_the_worker_lives_on(opened: tuple
     worker = Worker(stages.append)
     missing = worker.run(OpenModels(replace(task.pair_files, target=Path("/nowhere/a.obj"))))
     assert isinstance(missing, Failure)
-    assert missing.kind == "FormatError"
+    assert missing.kind == "MissingFileError"
     assert "a.obj" in missing.message
     answer = worker.run(task)
     assert not isinstance(answer, Failure)

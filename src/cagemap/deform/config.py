@@ -196,6 +196,8 @@ class CoincidenceConfig:
     clothed: float = 0.6  #: least share of the source that is covered; clothes cover 0.34 to 0.5, a second body 0.81
     reach: float = 0.1  #: search radius of closest points that face the same way
     # Motions
+    #: largest mean distance of a moved target; another shape, 4 % longer, can be moved to a distance of 0.0029
+    moved_gap: float = 0.001
     #: largest relative difference of the deviations along principal axes; one body under several cages has up to 0.04
     max_moment_change: float = 0.05
     #: least ratio of the deviations along two principal axes; with equal ones there is no telling them apart

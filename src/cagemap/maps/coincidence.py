@@ -76,8 +76,8 @@ class Coincidence:
     ) -> Coincidence | None:
         """Coincidence of two surfaces, None if they do not coincide; the target's mask weights its area.
 
-        Tried in this order: as the files stand, in other units, moved. If a moved target coincides in several
-        rotations, like a box, the answer is None too.
+        Tried in this order: as the files stand, in other units, moved. A moved target must be nearer, and if it
+        coincides in several rotations, like a box, the answer is None too.
         """
         for as_filed in (Motion(), Motion(scale=unit_ratio(target.scale / source.scale)), None):
             found: list[Coincidence] = []
@@ -89,7 +89,8 @@ class Coincidence:
                 if len(close) > 1:
                     return None
                 for gap, motion in close:
-                    found.append(cls(motion.of(mapped(target)), mapped(source), gap, config.reach, motion))
+                    if as_filed is not None or gap <= config.moved_gap:
+                        found.append(cls(motion.of(mapped(target)), mapped(source), gap, config.reach, motion))
             if found:
                 return min(found, key=lambda one: one.gap)
         return None
