@@ -15,6 +15,7 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
+from cagemap.files.gltf.document import GLTF_SUFFIXES
 from cagemap.files.inner_texture import color_texture
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.landmarks.points import read_points, symmetry_on
@@ -304,9 +305,11 @@ def summary(result: MatchResult, folder: Path, seconds: float) -> str:
 
 
 def next_commands(result: MatchResult, request: MatchRequest) -> str:
-    """The commands to type next, with the source's file as texture if it contains images."""
-    folder, source = shlex.quote(str(request.output)), result.source.control
-    image = "IMG" if color_texture(request.source, source) is None else shlex.quote(str(request.source))
+    """The commands to type next, with the source's file as texture if it is glTF and contains images."""
+    folder, file = shlex.quote(str(request.output)), request.source
+    # FBX and USD files would be converted once more, which takes seconds.
+    textured = file.suffix.lower() in GLTF_SUFFIXES and color_texture(file, result.source.control) is not None
+    image = shlex.quote(str(file)) if textured else "IMG"
     unwrap = "" if has_layout(result.target.control) else " --unwrap"
     return f"next: cagemap transfer {folder} --texture {image} -o OUT.png{unwrap}, or cagemap report {folder}"
 
