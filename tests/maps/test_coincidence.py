@@ -24,7 +24,7 @@ from cagemap.maps.pair import Pair, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
 from cagemap.maps.result import MatchResult
-from cagemap.mesh import Bilinear
+from cagemap.mesh import Bilinear, Plain
 from cagemap.pipeline import MatchConfig, choose_level, pair_of, prepare_pair
 from cagemap.subdivision import finest_mesh
 from cagemap.transfer import combine, control_weights, prepare_transfer
@@ -185,6 +185,21 @@ def test_a_box_that_was_turned_lies_on_itself_in_several_ways() -> None:
         assert (found is not None) == lies
         if found is not None:
             np.testing.assert_allclose(found.motion.rotation, MOVED.inv().as_matrix(), atol=1e-9)
+
+
+@pytest.mark.filterwarnings("error")
+def test_flat_surfaces_and_tiny_triangles_have_finite_images() -> None:
+    """A sheet has no extent along its normal, and every coordinate in a triangle of 1e-6 is near a side."""
+    sheet = ControlMesh.from_faces(
+        [[0, 0, 0], [3, 0, 0], [3, 2, 0], [0, 1, 0], [1e-6, 0, 0], [0, 1e-6, 0]],
+        [[0, 4, 5], [4, 1, 5], [1, 2, 5], [2, 3, 5]],
+    )
+    source = unprepared(replace(sheet, scheme=Plain()), 100)
+    for target in (sheet, moved(sheet)):
+        found = Coincidence.find(unprepared(replace(target, scheme=Plain()), 100), source)
+        images = found.images(source.finest_triangles)
+        np.testing.assert_allclose(images.barycentric.sum(axis=1), 1.0)
+        np.testing.assert_allclose(images.positions, source.finest_triangles.positions, atol=SAME)
 
 
 @pytest.mark.parametrize(("ratio", "expected"), [(1.3, 1.0), (0.0102, 0.01), (38.0, 1 / 0.0254), (0.3, 0.3048)])

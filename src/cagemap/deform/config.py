@@ -204,7 +204,7 @@ class CoincidenceConfig:
     min_axis_ratio: float = 1.05
     settling_rounds: int = 30  #: closest points and the best similarity in turn
     settling_samples: int = 500  #: face centres of the target in it
-    min_approach: float = 0.95  #: a round that leaves more than this of the last one's mean distance is the last
+    max_distance_ratio: float = 0.95  #: they end where the mean distance falls by less than this factor
 
 
 @dataclass(frozen=True)

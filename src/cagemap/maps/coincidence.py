@@ -1,8 +1,8 @@
 """Find whether a target lies on its source, as in retopology, levels of detail and clothes, or is a moved copy of it.
 
-Subdivision shrinks a coarse cage more than a fine one. So either the refined surfaces coincide or the control meshes
-do, and the pair with the smaller gap is used. A point of a control mesh corresponds to the point of the refined surface
-with the same position on its face.
+Two cages of one shape differ after subdivision, which shrinks a coarse cage more than a fine one. So the refined
+surfaces are compared and the control meshes too, and the pair with the smaller gap is used. A point of a control mesh
+corresponds to the point of the refined surface with the same position on its face.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ from cagemap.surface.triangles import row_lengths, triangle_areas, triangle_cent
 SAME = 1e-5
 # Usual units of length, in metres: millimetre, centimetre, inch, foot, metre.
 _UNITS = np.array([1e-3, 1e-2, 0.0254, 0.3048, 1.0])
+# Fewer pairs of points determine no motion.
+FEWEST_POINTS = 3
 # At most this many vertices, and faces, of either surface are sampled.
 _MOST_SAMPLES = 10_000
 
@@ -44,7 +46,7 @@ class Motion:
     shift: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     def of(self, surface: TriangleSurface) -> TriangleSurface:
-        """The surface as if the coordinates of its file were moved; in units of sqrt(area) as before."""
+        """The surface as if the coordinates of its file were moved, still at unit area."""
         shift = surface.scale / self.scale * self.shift
         return TriangleSurface(
             surface.positions @ self.rotation.T + shift, surface.triangles, surface.scale / self.scale
@@ -60,7 +62,7 @@ class Motion:
 class Coincidence:
     """A target that coincides with its source, as their files stand or after a motion."""
 
-    target: TriangleSurface  # the finest level, or its vertices on the faces of the control mesh; moved
+    target: TriangleSurface  # after the motion: the finest level, or its vertices on the faces of the control mesh
     source: TriangleSurface
     gap: float  # mean distance of the target's area from the source, in units of sqrt(source area)
     reach: float  # search radius of `images`, in the same unit
@@ -76,8 +78,8 @@ class Coincidence:
     ) -> Coincidence | None:
         """Coincidence of two surfaces, None if they do not coincide; the target's mask weights its area.
 
-        Tried in this order: as the files stand, in other units, moved. A moved target must be nearer, and if it
-        coincides in several rotations, like a box, the answer is None too.
+        Tried in this order: as the files stand, in other units, moved. A moved target must be nearer (``moved_gap``),
+        and if it coincides in several rotations, like a box, the answer is None too.
         """
         for as_filed in (Motion(), Motion(scale=unit_ratio(target.scale / source.scale)), None):
             found: list[Coincidence] = []
@@ -105,13 +107,15 @@ class Coincidence:
 def aligning_motions(target: TriangleSurface, source: TriangleSurface, config: CoincidenceConfig) -> list[Motion]:
     """Motions that may bring a target onto its source: of principal frames, then by closest points.
 
-    None if the moments tell the surfaces apart, or if two axes are equally long, which leaves more than four rotations.
+    An empty list if the moments differ, or if two axes are equally long: the frames then allow any rotation about the
+    third.
     """
     own, other = (PrincipalFrame.of(side.positions / side.scale, side.vertex_areas) for side in (target, source))
     scale = float(np.linalg.norm(other.deviations) / np.linalg.norm(own.deviations))
-    change = np.abs(scale * own.deviations / other.deviations - 1.0).max()
-    longer = min(other.deviations[:2] / other.deviations[1:])
-    if change > config.max_moment_change or longer < config.min_axis_ratio:
+    changes, lengths = np.abs(scale * own.deviations - other.deviations), other.deviations
+    if (changes > config.max_moment_change * np.maximum(lengths, SAME * lengths[0])).any():  # the last is 0 of a sheet
+        return []
+    if (lengths[:2] < config.min_axis_ratio * lengths[1:]).any():
         return []
     starts = [
         Motion(rotation, scale, other.centre - scale * rotation @ own.centre) for rotation in own.rotations_onto(other)
@@ -127,11 +131,13 @@ def _settled(motion: Motion, target: TriangleSurface, source: TriangleSurface, c
         triangle, barycentric, distance = closest_points(
             source.tree, source.scale * points, samples.normals @ motion.rotation.T, minimum_cosine=0.0
         )
-        if distance.mean() > config.min_approach * last:
+        near = np.flatnonzero(triangle >= 0)  # others face away from all of the source
+        if len(near) < FEWEST_POINTS or distance[near].mean() > config.max_distance_ratio * last:
             break
-        last = distance.mean()
-        places = np.einsum("kc,kcd->kd", barycentric, source.positions[source.triangles[triangle]]) / source.scale
-        motion = Motion(*fit_similarity(samples.points, places))
+        last = distance[near].mean()
+        corners = source.positions[source.triangles[triangle[near]]]
+        places = np.einsum("kc,kcd->kd", barycentric[near], corners) / source.scale
+        motion = Motion(*fit_similarity(samples.points[near], places))
     return motion
 
 
@@ -145,7 +151,9 @@ def _snapped(points: SurfacePoints) -> FloatArray:
     """(m, 3) barycentric coordinates of points, snapped to vertices and edges nearer than `SAME`."""
     corners = points.surface.positions[points.corners]
     longest = row_lengths(corners - corners[:, [1, 2, 0]]).max(axis=1, keepdims=True)
-    kept = np.where(points.barycentric * longest < SAME, 0.0, points.barycentric)
+    near_side = points.barycentric * longest < SAME
+    largest = points.barycentric == points.barycentric.max(axis=1, keepdims=True)  # kept, also of a tiny triangle
+    kept = np.where(near_side & ~largest, 0.0, points.barycentric)
     return np.asarray(kept / kept.sum(axis=1, keepdims=True))
 
 

@@ -18,10 +18,11 @@ from cagemap.numerics.srgb import encode_srgb
 from cagemap.transfer.attributes import UNKNOWN_COLOR
 from cagemap.transfer.baking import to_dtype, unit
 
-# Texels around every image that repeat its edge: the images of smaller sizes are not mixed.
+# Texels around every image that repeat its edge, so that images at 1/16 of the size are not mixed.
 _BORDER = 16
 _COLOR_SIDE = 8  # texels a side for a material without an image
 _MAX_SIDE = 16_384
+_ROUNDING = 1e-4  # UVs that leave an image by less do not repeat it
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +37,9 @@ class MaterialAtlas:
 def material_atlas(path: Path, control: ControlMesh) -> MaterialAtlas | None:
     """The colour images of a mesh's materials in its file, side by side; colours for materials without an image.
 
-    Materials that the file does not have show the image of most faces. None if all faces show the same image, if an
-    image belongs to another UV set than that in use, or if repeated images take too many texels.
+    Materials that the file does not have get the image that most faces have. None if all faces have the same image,
+    without UVs or materials, if an image belongs to another UV set than that in use or holds floats, or if the images,
+    as often as UVs repeat them, take too many texels.
     """
     textured = color_texture(path, control)
     if textured is None or control.face_materials is None or control.uvs is None or control.uv_indices is None:
@@ -77,9 +79,10 @@ def material_atlas(path: Path, control: ControlMesh) -> MaterialAtlas | None:
         else:
             return None
         cells.append(_with_channels(_in_dtype(pixels, dtype), channels))
-    atlas, uvs = _side_by_side(cells, uvs, places[:, 1])
-    if max(atlas.shape) > _MAX_SIDE:
+    laid_out = _side_by_side(cells, uvs, places[:, 1])
+    if laid_out is None:
         return None
+    atlas, uvs = laid_out
     size = max(max(image.size) for image in read)
     return MaterialAtlas(
         replace(read[0], pixels=atlas, channel_names=()), control.with_uvs(uvs, uv_indices.ravel()), size
@@ -87,7 +90,7 @@ def material_atlas(path: Path, control: ControlMesh) -> MaterialAtlas | None:
 
 
 def _look(image: MaterialImage) -> tuple[object, ...]:
-    """Equal for two images that lie on UVs alike."""
+    """Equal for the same image with the same wrapping and transform."""
     return image.image, image.wraps, *image.transform.ravel().tolist()
 
 
@@ -99,9 +102,9 @@ def _color(control: ControlMesh, material: int) -> tuple[object, ...]:
 
 
 def _once(pixels: Pixels, uvs: FloatArray) -> tuple[Pixels, FloatArray] | None:
-    """An image as often as its coordinates (m, 2) repeat it, and these from 0 to 1; None if it gets too large."""
-    first = np.floor(uvs.min(axis=0))
-    times = np.maximum(np.ceil(uvs.max(axis=0)) - first, 1.0)
+    """An image tiled as often as UVs (m, 2) repeat it, and these scaled to 0 to 1; None if it gets too large."""
+    first = np.floor(uvs.min(axis=0) + _ROUNDING)
+    times = np.maximum(np.ceil(uvs.max(axis=0) - _ROUNDING) - first, 1.0)
     if (times * pixels.shape[1::-1] > _MAX_SIDE).any():
         return None
     return np.tile(pixels, (int(times[1]), int(times[0]), 1)), (uvs - first) / times
@@ -119,11 +122,13 @@ def _with_channels(pixels: Pixels, channels: int) -> Pixels:
     return color if channels == 3 else np.concatenate([color, alpha], axis=2)
 
 
-def _side_by_side(cells: list[Pixels], uvs: FloatArray, cell_of_uv: IndexArray) -> tuple[Pixels, FloatArray]:
-    """One image of several, and the UVs on it; each has a border of its edge texels."""
+def _side_by_side(cells: list[Pixels], uvs: FloatArray, cell_of_uv: IndexArray) -> tuple[Pixels, FloatArray] | None:
+    """One image of several, each with a border of its edge texels, and the UVs on it; None if it gets too large."""
     columns = int(np.ceil(np.sqrt(len(cells))))
     height, width = (max(cell.shape[axis] for cell in cells) + 2 * _BORDER for axis in (0, 1))
     rows = -(-len(cells) // columns)
+    if max(rows * height, columns * width) > _MAX_SIDE:
+        return None
     atlas = np.zeros((rows * height, columns * width, cells[0].shape[2]), dtype=cells[0].dtype)
     placed = np.empty_like(uvs)
     for number, cell in enumerate(cells):
