@@ -13,7 +13,7 @@ import pytest
 from examples.shapes import cube
 
 from cagemap.character.poses import parent_transforms, pose_at
-from cagemap.character.values import Character, skinned_positions
+from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.errors import FormatError
 from cagemap.files.fbx import read as fbx_read
 from cagemap.files.gltf.character import character_of, read_character
@@ -262,15 +262,21 @@ def test_units(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_mesh(_file(tmp_path, made)).positions, expected, atol=1e-6)
 
 
-def test_an_instance_has_its_own_place_and_with_y_up_nothing_turns(tmp_path: Path) -> None:
+def _instances(folder: Path, translation: str) -> tuple[Part, Part]:
+    """Two nodes with one mesh, 9 apart by a property of the nodes, as they are read."""
     made = Fbx(UpAxis=1, FrontAxis=2, FrontAxisSign=1, UnitScaleFactor=100.0)
     models = [
-        made.add("Model", name, "Mesh", properties(Lcl_Translation=(x, 0.0, 0.0)))
+        made.add("Model", name, "Mesh", properties(**{translation: (x, 0.0, 0.0)}))
         for name, x in (("a", 0.0), ("b", 9.0))
     ]
     made.connect(made.add("Geometry", "box", "Mesh", *BOX, to=models[0]), models[1])
-    one, other = read_character(_file(tmp_path, made)).parts
+    one, other = read_character(_file(folder, made)).parts
     assert (one.name, other.name) == ("a", "b")
+    return one, other
+
+
+def test_an_instance_has_its_own_place_and_with_y_up_nothing_turns(tmp_path: Path) -> None:
+    one, other = _instances(tmp_path, "Lcl_Translation")
     np.testing.assert_allclose(one.mesh.positions, cube().positions, atol=1e-6)
     np.testing.assert_array_equal(one.mesh.face_indices, cube().face_indices)
     np.testing.assert_allclose(other.mesh.positions, cube().positions + np.array([9.0, 0.0, 0.0]), atol=1e-5)
@@ -301,14 +307,7 @@ def test_a_geometric_transform_moves_positions_and_shapes_and_turns_mirrored_fac
 
 
 def test_instances_with_other_geometric_transforms_keep_their_names(tmp_path: Path) -> None:
-    made = Fbx(UpAxis=1, FrontAxis=2, FrontAxisSign=1, UnitScaleFactor=100.0)
-    models = [
-        made.add("Model", name, "Mesh", properties(GeometricTranslation=(x, 0.0, 0.0)))
-        for name, x in (("a", 0.0), ("b", 9.0))
-    ]
-    made.connect(made.add("Geometry", "box", "Mesh", *BOX, to=models[0]), models[1])
-    one, other = read_character(_file(tmp_path, made)).parts
-    assert (one.name, other.name) == ("a", "b")
+    one, other = _instances(tmp_path, "GeometricTranslation")
     np.testing.assert_allclose(other.mesh.positions - one.mesh.positions, np.tile([9.0, 0.0, 0.0], (8, 1)), atol=1e-5)
 
 

@@ -7,7 +7,7 @@ corresponds to the point of the refined surface with the same position on its fa
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -46,7 +46,12 @@ class Motion:
     shift: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     def of(self, surface: TriangleSurface) -> TriangleSurface:
-        """The surface as if the coordinates of its file were moved, still at unit area."""
+        """The surface as if the coordinates of its file were moved, still at unit area.
+
+        Without rotation and shift the surface keeps its positions, and without a scale also its normals and tree.
+        """
+        if not (self.angle or np.any(self.shift)):
+            return surface if self.scale == 1.0 else replace(surface, scale=surface.scale / self.scale)
         shift = surface.scale / self.scale * self.shift
         return TriangleSurface(
             surface.positions @ self.rotation.T + shift, surface.triangles, surface.scale / self.scale
@@ -81,17 +86,17 @@ class Coincidence:
         Tried in this order: as the files stand, in other units, moved. A moved target must be nearer (``moved_gap``),
         and if it coincides in several rotations, like a box, the answer is None too.
         """
-        for as_filed in (Motion(), Motion(scale=unit_ratio(target.scale / source.scale)), None):
+        shapes = [(measured(target), measured(source), mapped) for measured, mapped in _SHAPES]
+        for factor in (*dict.fromkeys((1.0, unit_ratio(target.scale / source.scale))), None):
             found: list[Coincidence] = []
-            for measured, mapped in ((_cage, _unsmoothed), (_finest, _finest)):
-                own, other = measured(target), measured(source)
-                motions = aligning_motions(own, other, config) if as_filed is None else [as_filed]
+            for own, other, mapped in shapes:
+                motions = aligning_motions(own, other, config) if factor is None else [Motion(scale=factor)]
                 gaps = [_gap(motion.of(own), other, masks.target, config) for motion in motions]
                 close = [(gap, motion) for gap, motion in zip(gaps, motions, strict=True) if gap is not None]
                 if len(close) > 1:
                     return None
                 for gap, motion in close:
-                    if as_filed is not None or gap <= config.moved_gap:
+                    if factor is not None or gap <= config.moved_gap:
                         found.append(cls(motion.of(mapped(target)), mapped(source), gap, config.reach, motion))
             if found:
                 return min(found, key=lambda one: one.gap)
@@ -124,7 +129,7 @@ def aligning_motions(target: TriangleSurface, source: TriangleSurface, config: C
 
 
 def _settled(motion: Motion, target: TriangleSurface, source: TriangleSurface, config: CoincidenceConfig) -> Motion:
-    """Motion after closest points and the best similarity in turn (Besl and McKay 1992), while they come nearer."""
+    """The motion refined by iterative closest points (Besl and McKay 1992), while the mean distance falls."""
     samples, last = _on_faces(target, most=config.settling_samples), np.inf
     for _ in range(config.settling_rounds):
         points = motion.scale * samples.points @ motion.rotation.T + motion.shift
@@ -177,6 +182,10 @@ def _unsmoothed(surface: Surface) -> TriangleSurface:
         control, control.face_indices, control.n_vertices, refinement.n_levels, refinement.scheme
     )
     return TriangleSurface(surface.scale * (linear.matrix @ control.positions), linear.corners, surface.scale)
+
+
+# Two shapes of a surface that may coincide: the one that is compared, and the one whose vertices are mapped.
+_SHAPES = (_cage, _unsmoothed), (_finest, _finest)
 
 
 class _Samples(NamedTuple):

@@ -112,7 +112,8 @@ def _face_terms(positions, faces, table, share, weights, areas):  # type: ignore
                 weights[m, table[t, 5]] += half * (vv - uv)
 
 
-# Weights of every face's corner pairs, and vertex areas, from positions (n, 3) and faces (m, 4) or (m, 3).
+# A Laplacian: from positions (n, 3) and faces (m, 4) or (m, 3) to weights of the edges and diagonals of each face, and
+# vertex areas (n,).
 Laplacian = Callable[[FloatArray, IndexArray], tuple[FloatArray, FloatArray]]
 # Inner products M_f (m, k, k) of 1-forms on polygons, from edges and centred midpoints (m, k, 3), areas (m,), unit
 # normals (m, 3), and the weight lambda of functions without gradient in the polygon's plane.
@@ -183,7 +184,7 @@ LAPLACIANS: dict[str, InnerProducts | None] = {
 
 
 def named_laplacian(name: str, stabilisation: float = 1.0) -> Laplacian:
-    """Laplacian by name, of `LAPLACIANS`, for `build_operators`; ParameterError for other names.
+    """The Laplacian of a name in `LAPLACIANS`; ParameterError for other names.
 
     "mean": of the cotangent Laplacians of both triangulations of every quad. The others are stabilised: without a
     ``stabilisation`` above 0, functions such as +1 and -1 in turn over a quad's corners cost nothing.

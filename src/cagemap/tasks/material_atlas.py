@@ -18,7 +18,7 @@ from cagemap.numerics.srgb import encode_srgb
 from cagemap.transfer.attributes import UNKNOWN_COLOR
 from cagemap.transfer.baking import to_dtype, unit
 
-# Texels around every image that repeat its edge, so that images at 1/16 of the size are not mixed.
+# Width in texels of the border around each image, which repeats its edge: neighbours do not mix when it is filtered.
 _BORDER = 16
 _COLOR_SIDE = 8  # texels a side for a material without an image
 _MAX_SIDE = 16_384

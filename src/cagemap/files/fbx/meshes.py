@@ -87,7 +87,7 @@ class FbxMesh:
 
 
 def node_name(node: Any) -> str:
-    """Name of a node; the helper to which ufbx moves a node's mesh has it instead of the node."""
+    """Name of a node; a child that ufbx adds to hold the mesh (a scale helper) has the name instead of the node."""
     if get(node, "is_scale_helper"):
         node = get(node, "parent")
     elif get(node, "scale_helper") is not None and get(node, "scale_helper", "mesh") is not None:
