@@ -110,12 +110,19 @@ _EXPECTED = {
 }
 
 
-def expected_value(problem: Mapping[str, Any]) -> str:
-    """What pydantic expected of a value, from an item of its error's list, in the words of our messages."""
-    for kind, text in _EXPECTED.items():
-        if problem["type"].startswith(kind):
-            return text.format(**problem.get("ctx", {}))
-    return str(problem["msg"])
+def wrong_values(error: Any) -> list[tuple[tuple[str | int, ...], str]]:
+    """Path to each entry that a pydantic `ValidationError` is about, with what is wrong and what to do."""
+    return [(item["loc"], _wrong_value(item)) for item in error.errors(include_url=False)]
+
+
+def _wrong_value(item: Mapping[str, Any]) -> str:
+    if item["type"] == "extra_forbidden":
+        return "there is no such entry. Check its spelling, or remove it."
+    if item["type"] == "missing":
+        return "is missing. Add it."
+    known = (text.format(**item.get("ctx", {})) for kind, text in _EXPECTED.items() if item["type"].startswith(kind))
+    got = repr(item["input"])
+    return f"expected {next(known, item['msg'])}, got {got if len(got) <= 60 else f'{got[:57]}...'}. Correct it."
 
 
 def explain_error(error: Exception) -> str:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from cagemap.errors import expected_value
+from cagemap.errors import wrong_values
 from cagemap.files import INVERT_PREFIX
 from cagemap.files.images.image import texture_files
 from cagemap.jobs.job_schema import (
@@ -61,8 +61,8 @@ def parse_job(data: Any) -> tuple[JobFile | None, list[JobProblem]]:
     try:
         return JobFile.model_validate(data), []
     except ValidationError as error:
-        problems = list(_validation_problems(error, ()))
-        key_paths = [item["loc"] for item in error.errors()]
+        problems = wrong_values(error)
+    key_paths = [key_path for key_path, _ in problems]
     # An output without its command is invalid: then everything else is checked without outputs.
     for removed in (key_paths, [key_path[:1] if key_path[:1] == ("outputs",) else key_path for key_path in key_paths]):
         with suppress(ValidationError):
@@ -85,18 +85,6 @@ def _remove_entries(data: Any, key_paths: Iterable[KeyPath]) -> Any:
         if isinstance(parent, dict):
             parent.pop(key, None)
     return copy
-
-
-def _validation_problems(error: ValidationError, key_path: KeyPath) -> Iterator[JobProblem]:
-    for item in error.errors(include_url=False):
-        entry, value = (*key_path, *item["loc"]), repr(item["input"])
-        if item["type"] == "extra_forbidden":
-            yield entry, "there is no such entry. Check its spelling, or remove it."
-        elif item["type"] == "missing":
-            yield entry, "is missing. Add it."
-        else:
-            excerpt = value if len(value) <= 60 else value[:57] + "..."
-            yield entry, f"expected {expected_value(item)}, got {excerpt}. Correct it."
 
 
 def find_problems(
@@ -202,7 +190,7 @@ def _option_problems(
     try:
         schemas[command].model_validate(options)
     except ValidationError as error:
-        yield from _validation_problems(error, key_path)
+        yield from (((*key_path, *entry), text) for entry, text in wrong_values(error))
     for name, value in options.items():
         kind = kinds[command].get(name)
         for text, resolved in zip(_texts(value), _texts(resolve_files(value, kind, folder)), strict=True):

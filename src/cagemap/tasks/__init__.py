@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cagemap.errors import ParameterError, expected_value
+from cagemap.errors import ParameterError, wrong_values
 from cagemap.tasks.progress import Stages
 
 if TYPE_CHECKING:
@@ -113,10 +113,8 @@ def _checked(request: Any) -> Any:
     try:
         return TypeAdapter(type(request)).validate_python(values)
     except ValidationError as error:
-        problem = error.errors(include_url=False)[0]
-        raise ParameterError(
-            f"{'.'.join(map(str, problem['loc']))}: expected {expected_value(problem)}, got {problem['input']!r}"
-        ) from None
+        field, problem = wrong_values(error)[0]
+        raise ParameterError(f"{'.'.join(map(str, field))}: {problem}") from None
 
 
 def __getattr__(name: str) -> object:

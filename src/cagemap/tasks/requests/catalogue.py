@@ -149,13 +149,11 @@ def _option(command: str, name: str, kind: Any, info: Option, said: list[Any], d
         option_kind = "choice"
     else:
         option_kind = "name or file" if file_too is not None else _KINDS[plain]
-    flags = info.names or ("--" + name.replace("_", "-"),)
-    flag = next((note for note in flags if note.startswith("--")), flags[0])
-    on, _, off = flag.partition("/")
+    off = info.names[0].partition("/")[2] if info.names else ""
     return CommandOption(
         command,
         name,
-        off if off and default else on,
+        off if default and off else info.flags(name)[0],
         info.help,
         option_kind,
         cast(Value, str(default) if option_kind == "choice" and default is not None else default),

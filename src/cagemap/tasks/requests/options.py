@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import Field, dataclass, fields
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
+from cagemap.errors import ParameterError
 from cagemap.files import MASK_SUFFIXES
 from cagemap.tasks.subdivision import BoundaryName, CreasingName, SchemeName, UvName
 
@@ -27,6 +28,11 @@ class Option:
     group: str | None = None  # heading in `--help`
     # Typed as ``--set NAME=VALUE``, see `cagemap.tasks.requests.settings`; ``names`` are its former flags.
     setting: bool = False
+
+    def flags(self, field: str) -> tuple[str, ...]:
+        """What is typed for a field, long names first; a switch without its ``/--off``."""
+        names = self.names or (f"--{field.replace('_', '-')}",)
+        return tuple(sorted((name.partition("/")[0] for name in names), key=lambda name: not name.startswith("--")))
 
 
 def said(request: Any, *names: str) -> dict[str, Any]:
@@ -71,6 +77,24 @@ def options_in(request: type) -> Iterator[tuple[Field[Any], Any, list[Any], Opti
             yield from (
                 (field, kind, annotations, annotation) for annotation in annotations if type(annotation) is Option
             )
+
+
+def refuse_unread(request: Any, readers: Mapping[str, Sequence[str]], given: Collection[str]) -> None:
+    """Refuse options that nothing given reads.
+
+    ``readers``: fields or other words that read an option, by its field.
+    """
+    unread = (
+        (name, words)
+        for name, words in readers.items()
+        if getattr(request, name) != getattr(type(request), name) and not set(words) & set(given)
+    )
+    for name, words in unread:
+        flags = {field.name: option.flags(field.name)[0] for field, _, _, option in options_in(type(request))}
+        expected, got = (" or ".join(flags.get(word, word) for word in listed) for listed in (words, given))
+        raise ParameterError(
+            f"{flags[name]}: expected with {expected} only, got {got or 'none of them'}. Leave {flags[name]} out."
+        )
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_origin
 
-from cagemap.errors import FormatError, ParameterError, expected_value
+from cagemap.errors import FormatError, ParameterError, wrong_values
 from cagemap.files.text import require_file
 from cagemap.tasks.requests.options import Option, options_in
 
@@ -47,7 +47,7 @@ def moved_options(request: type) -> dict[str, str]:
     moved: dict[str, str] = {}
     for name, setting in settings_of(request).items():
         new = f"--set {name}={'yes' if setting.kind is bool else 'VALUE'}"
-        moved |= dict.fromkeys(setting.option.names or (f"--{setting.field.replace('_', '-')}",), new)
+        moved |= dict.fromkeys(setting.option.flags(setting.field), new)
     return moved | ({f"--{_PARAMETERS}": f"--set {_METHOD}.NAME=VALUE"} if moved else {})
 
 
@@ -80,9 +80,7 @@ def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
             given = (value,) if several and isinstance(value, str) else value
             checked = TypeAdapter(kind, config={"allow_inf_nan": False}).validate_python(given)
         except ValidationError as error:
-            raise ParameterError(
-                f"--set {name}: expected {expected_value(error.errors()[0])}, got '{value}'."
-            ) from None
+            raise ParameterError(f"--set {name}: {wrong_values(error)[0][1]}") from None
         checked = tuple(_in_folder(folder, item) for item in checked) if several else _in_folder(folder, checked)
         values[setting.field] = (*values.get(setting.field, ()), *checked) if several else checked
     stated = tuple(f"{name}={value}" for name, value in parameters.items())
