@@ -78,7 +78,7 @@ def test_settings_reach_the_request_and_the_last_of_one_name_counts(tmp_path: Pa
     assert request.parameter == ("rounds=3", "heat=6")
     assert request.source_symmetry == (tmp_path / "own.npy", Path("a.npy"), Path("b.npy"))
     typed("--set", "source.k=12")
-    assert asked[1] == MatchRequest(Path("t.obj"), Path("s.obj"), None, Path("R"), source_k=12)
+    assert asked[1] == MatchRequest(Path("t.obj"), Path("s.obj"), Path("R"), source_k=12)
 
 
 @pytest.mark.parametrize(

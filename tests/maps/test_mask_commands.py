@@ -70,8 +70,8 @@ def _run_match(folder: Path, name: str, **options: object) -> None:
     request = MatchRequest(
         folder / "target.obj",
         folder / "source.obj",
-        folder / "landmarks.json",
         folder / name,
+        folder / "landmarks.json",
         level=2,
         k=20,
         parameter=("search_vertices=500",),

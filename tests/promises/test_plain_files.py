@@ -98,7 +98,6 @@ def test_files_to_result_and_back(tmp_path: Path) -> None:
     request = MatchRequest(
         target=tmp_path / "cage.obj",
         source=tmp_path / "scan.ply",
-        landmarks=None,
         output=tmp_path / "RESULT",
         vertices=2000,
         source_scheme="none",

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 from examples.shapes import voxels
+from pydantic import TypeAdapter
 
 from cagemap import tasks
 from cagemap.cli.app import app
@@ -22,7 +24,7 @@ def box(tmp_path: Path) -> Path:
 
 def test_a_match_and_a_transfer_by_texts_and_a_function(box: Path) -> None:
     result, said = box.parent / "R", list[str]()
-    outcome = tasks.run(tasks.MatchRequest(str(box), str(box), None, str(result), level=1), said.append)
+    outcome = tasks.run(tasks.MatchRequest(str(box), str(box), str(result), level=1), said.append)
     assert said[0].startswith("read")
     assert outcome.succeeded
     assert result / "map.npz" in outcome.files
@@ -47,10 +49,23 @@ def test_every_command_of_the_command_line_but_the_studio_has_a_request() -> Non
         assert callable(tasks.runner_of(object.__new__(getattr(tasks, name))))
 
 
+@pytest.mark.parametrize("name", tasks._TASKS)
+def test_every_field_has_its_help_text_in_python_and_in_the_json_schema(name: str) -> None:
+    request = getattr(tasks, name)
+    described = TypeAdapter(request).json_schema()["properties"]
+    assert list(described) == [field.name for field in fields(request)]
+    for field, entry in described.items():
+        assert f"{field}\n    {entry['description']}\n" in f"{request.__init__.__doc__}\n"
+
+
 def test_what_is_no_request_or_no_value_of_its_field_is_refused_before_any_work(box: Path) -> None:
-    request = tasks.MatchRequest(box, box, None, box.parent / "R", level="two")
+    request = tasks.MatchRequest(box, box, box.parent / "R", level="two")
     with pytest.raises(ParameterError, match="level: expected a whole number, got 'two'"):
         tasks.run(request)
+    with pytest.raises(ParameterError, match="level: expected 1 or more, got 0"):
+        tasks.run(tasks.MatchRequest(box, box, box.parent / "R", level=0))
+    with pytest.raises(ParameterError, match="space: expected 'tangent' or 'object', got 'world'"):
+        tasks.run(tasks.TransferRequest(box.parent, box.parent / "a.png", normal_map=box, space="world"))
     with pytest.raises(ParameterError, match=r"request: expected one of DemoRequest, .* got str"):
         tasks.run("match")
     with pytest.raises(ParameterError, match="progress: expected a function of a text, got 3"):
@@ -63,7 +78,7 @@ def test_what_is_no_request_or_no_value_of_its_field_is_refused_before_any_work(
 @pytest.mark.parametrize("name", ["a.obj", "a.ply", "a.glb", "a.usda", "a.stl"])
 def test_errors_have_a_code_for_programs(tmp_path: Path, name: str) -> None:
     with pytest.raises(MissingFileError) as found:
-        tasks.run(tasks.MatchRequest(tmp_path / name, tmp_path / name, None, tmp_path / "R"))
+        tasks.run(tasks.MatchRequest(tmp_path / name, tmp_path / name, tmp_path / "R"))
     assert found.value.code == "missing-file"
     codes = [kind.code for kind in (CagemapError, *_below(CagemapError))]
     assert len(codes) == len(set(codes)) == 9

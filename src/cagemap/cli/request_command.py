@@ -15,7 +15,7 @@ from typer.core import TyperCommand
 
 from cagemap.cli.console import set_verbosity
 from cagemap.errors import ParameterError
-from cagemap.tasks.requests.options import INPUT, LANDMARKS, OUTPUT, RESEARCH, Argument, Option
+from cagemap.tasks.requests.options import INPUT, LANDMARKS, OUTPUT, RESEARCH, Argument, Option, PythonOnly
 from cagemap.tasks.requests.settings import moved_options, read_settings
 
 Request = TypeVar("Request")
@@ -85,7 +85,7 @@ def command_of(
         if get_origin(hints[field.name]) is Annotated
         for field_type, *options in [get_args(hints[field.name])]
         for word_type in [word_types.get(field.name, field_type)]
-        if not any(isinstance(option, Option) and option.setting for option in options)
+        if not any(isinstance(option, PythonOnly) or getattr(option, "setting", False) for option in options)
         for default in [_typer_default(MISSING if field.name in word_types else field.default, word_type, options)]
     ]
     if replacements:

@@ -96,12 +96,12 @@ def _found(
         return results, run_map(MapRequest(request.map, target, sources[0], results[0], **options), stages)[1]
     options, warnings = _of_both(request, "scheme", "weld"), list[str]()
     if len(sources) == 1:
-        result = match_files(MatchRequest(target, sources[0], request.landmarks, results[0], **options), stages)
+        result = match_files(MatchRequest(target, sources[0], results[0], request.landmarks, **options), stages)
         return results, list(dict.fromkeys(result_warnings(result)))
     before: MatchResult | None = None
     for frame, (source, output) in enumerate(zip(sources, results, strict=True)):
         landmarks = None if frame else request.landmarks
-        result = match_files(MatchRequest(target, source, landmarks, output, **options), stages, before)
+        result = match_files(MatchRequest(target, source, output, landmarks, **options), stages, before)
         stages.note(f"frame {frame + 1} of {len(sources)}, {source.name}: {_frame_text(result, before)}")
         warnings += [f"{source.name}: {message}" for message in result_warnings(result)]
         before = replace(result, prepared=None)

@@ -10,11 +10,8 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, cast, get_args, get_origin
 
-from pydantic import TypeAdapter
-
-from cagemap.errors import ParameterError
 from cagemap.tasks.requests.match import MatchRequest
-from cagemap.tasks.requests.options import NameOrFile, OneOf, Option, SomeOf, options_in
+from cagemap.tasks.requests.options import NameOrFile, OneOf, Option, SomeOf, options_in, validated
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
@@ -72,14 +69,6 @@ class CommandOption:
         """Command and field name."""
         return self.command, self.name
 
-    def require(self, value: Value) -> None:
-        """Refuse a number outside its range."""
-        if not isinstance(value, int | float):
-            return
-        if (self.least is not None and value < self.least) or (self.most is not None and value > self.most):
-            most = "or more" if self.most is None else f"to {self.most}"
-            raise ParameterError(f"{self.flag}: expected {self.least} {most}, got {value}. Correct it.")
-
     def placed(self, value: Value, require: Callable[[Path], Path]) -> Value:
         """The value with paths passed through ``require``, which also checks links in folders."""
         if isinstance(value, Path):
@@ -107,18 +96,10 @@ def all_options() -> Options:
     return catalogue(option for command, request in COMMANDS.items() for option in options_of(command, request))
 
 
-def request_of(options: Options, command: str, values: Mapping[str, Value]) -> Request:
+def request_of(command: str, values: Mapping[str, Value]) -> Request:
     """The request of a command with some values of its fields."""
-    for name, value in values.items():
-        if (command, name) in options:
-            options[command, name].require(value)
-    request: Request = _validator(COMMANDS[command]).validate_python(dict(values))
+    request: Request = validated(COMMANDS[command], values)
     return request
-
-
-@cache
-def _validator(request: type) -> TypeAdapter[Any]:
-    return TypeAdapter(request)  # cached: building it takes longer than the rest of a request
 
 
 @cache

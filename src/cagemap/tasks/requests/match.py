@@ -51,8 +51,10 @@ class MatchRequest:
         Path,
         Option(("--source", "-s"), group=INPUT, help="Mesh that gives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."),
     ]
-    landmarks: Annotated[Path | None, Option(group=LANDMARKS, help="JSON file of pairs of corresponding points.")]
     output: Annotated[Path, Option(("-o", "--output"), group=OUTPUT, help="RESULT folder to write.")]
+    landmarks: Annotated[Path | None, Option(group=LANDMARKS, help="JSON file of pairs of corresponding points.")] = (
+        None
+    )
     level: Annotated[
         int | None,
         Option(group=INPUT, min=1, help="Subdivision level of both surfaces.  [default: chosen by --vertices]"),

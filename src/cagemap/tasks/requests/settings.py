@@ -59,7 +59,7 @@ def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
     """
     if not words:
         return {}
-    from pydantic import Field, TypeAdapter, ValidationError  # here, since it takes 0.05 s and few commands need it
+    from pydantic import TypeAdapter, ValidationError  # here, since it takes 0.05 s and few commands need it
 
     known = settings_of(request)
     values: dict[str, Any] = {}
@@ -75,7 +75,7 @@ def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
             )
         setting = known[name]
         several = get_origin(setting.kind) is tuple
-        kind: Any = Annotated[setting.kind, Field(ge=setting.option.min)]
+        kind: Any = Annotated[setting.kind, setting.option]
         try:
             given = (value,) if several and isinstance(value, str) else value
             checked = TypeAdapter(kind, config={"allow_inf_nan": False}).validate_python(given)

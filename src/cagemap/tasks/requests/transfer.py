@@ -14,6 +14,7 @@ from cagemap.tasks.requests.options import (
     MaskEdgeOption,
     OneOf,
     Option,
+    PythonOnly,
     ResultFolder,
     SomeOf,
     SourceMaskOption,
@@ -38,7 +39,9 @@ class TransferRequest:
         Path | None,
         Option(help="Source image, or glTF, FBX or USD with one; repeat with NAME=IMAGE."),
     ] = None
-    maps: tuple[tuple[str, Path], ...] = ()  # images of --texture with names
+    maps: Annotated[
+        tuple[tuple[str, Path], ...], PythonOnly(help="Images of a material, instead of --texture, with their names.")
+    ] = ()
     usd: Annotated[Path | None, Option(help="Also write a USD layer over the target.")] = None
     displacement: Annotated[Path | None, Option(help="Source displacement along the normal.")] = None
     normal_map: Annotated[
