@@ -104,6 +104,7 @@ def _root(
         int | None,
         typer.Option(
             min=1,
+            metavar="NUMBER",
             help="Largest number of threads; CAGEMAP_THREADS does the same.  [default: all cores]",
         ),
     ] = None,

@@ -130,11 +130,11 @@ def _option(command: str, name: str, kind: Any, info: Option, said: list[Any], d
         option_kind = "choice"
     else:
         option_kind = "name or file" if file_too is not None else _KINDS[plain]
-    off = info.names[0].partition("/")[2] if info.names else ""
+    off = info.named(name)[0].partition("/")[2]
     return CommandOption(
         command,
         name,
-        off if default and off else info.flags(name)[0],
+        off if default and off else info.flag(name),
         info.help,
         option_kind,
         cast(Value, str(default) if option_kind == "choice" and default is not None else default),

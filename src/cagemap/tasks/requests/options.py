@@ -14,22 +14,24 @@ from cagemap.errors import ParameterError, wrong_values
 from cagemap.files import MASK_SUFFIXES
 from cagemap.tasks.subdivision import BoundaryName, CreasingName, SchemeName, UvName
 
-# Headings of `--help`.
-INPUT, LANDMARKS, OUTPUT, RESEARCH = "Input", "Landmarks", "Output", "Research"
+# Headings of `--help`, in their order.
+CARRIED, INPUT, LANDMARKS = "What to carry, one of these", "Input", "Landmarks"
+FIT, IMAGES, CHARACTER, FUNCTIONS = "Fit", "Images", "Weights and passengers", "Functions"
+OUTPUT, RESEARCH, PAGE = "Output", "Research", "Page"
+HEADINGS = (CARRIED, INPUT, LANDMARKS, FIT, IMAGES, CHARACTER, FUNCTIONS, OUTPUT, RESEARCH, PAGE)
 
 
 @dataclass(frozen=True)
 class Option:
     """Option of the command line for a field of a request."""
 
-    names: tuple[str, ...] = ()  # as typed; a switch may have ``--on/--off``. Default: ``--`` and the field's name
-    help: str = ""
+    help: str
+    group: str | None = None  # heading in `--help`
+    names: tuple[str, ...] = ()  # as typed, see `named`; a switch may have ``--on/--off``
     min: float | None = None  # least and largest value
     max: float | None = None
     metavar: str | None = None  # name of the value in help
-    group: str | None = None  # heading in `--help`
-    # Typed as ``--set NAME=VALUE``, see `cagemap.tasks.requests.settings`; ``names`` are its former flags.
-    setting: bool = False
+    setting: bool = False  # typed as ``--set NAME=VALUE``, see `cagemap.tasks.requests.settings`
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         """Validation and JSON schema of the field: its bounds, and the help text as its description."""
@@ -37,10 +39,15 @@ class Option:
 
         return handler(Annotated[source, Field(ge=self.min, le=self.max, description=self.help)])
 
-    def flags(self, field: str) -> tuple[str, ...]:
-        """What is typed for a field, long names first; a switch without its ``/--off``."""
-        names = self.names or (f"--{field.replace('_', '-')}",)
-        return tuple(sorted((name.partition("/")[0] for name in names), key=lambda name: not name.startswith("--")))
+    def named(self, field: str) -> tuple[str, ...]:
+        """What is typed for a field, the long name first: by default the field's name, beside a short one."""
+        if any(name.startswith("--") for name in self.names):
+            return self.names
+        return (f"--{field.replace('_', '-')}" if len(field) > 1 else f"-{field}", *self.names)
+
+    def flag(self, field: str) -> str:
+        """The long name of a field's option; of a switch without its ``/--off``."""
+        return self.named(field)[0].partition("/")[0]
 
 
 def validated(request: type, values: Mapping[str, Any]) -> Any:
@@ -97,9 +104,9 @@ def comma_words(text: str) -> list[str]:
     return [word.strip() for word in text.split(",") if word.strip()]
 
 
-def setting(help: str, *names: str, min: float | None = None, metavar: str | None = None) -> Option:
+def setting(help: str, *, min: float | None = None, metavar: str | None = None) -> Option:
     """A research option, typed as ``--set NAME=VALUE``."""
-    return Option(names, help, min=min, metavar=metavar, group=RESEARCH, setting=True)
+    return Option(help, RESEARCH, min=min, metavar=metavar, setting=True)
 
 
 class Argument(Option):
@@ -132,7 +139,7 @@ def refuse_unread(request: Any, readers: Mapping[str, Sequence[str]], given: Col
         if getattr(request, name) != getattr(type(request), name) and not set(words) & set(given)
     )
     for name, words in unread:
-        flags = {field.name: option.flags(field.name)[0] for field, _, _, option in options_in(type(request))}
+        flags = {field.name: option.flag(field.name) for field, _, _, option in options_in(type(request))}
         expected, got = (" or ".join(flags.get(word, word) for word in listed) for listed in (words, given))
         raise ParameterError(
             f"{flags[name]}: expected with {expected} only, got {got or 'none of them'}. Leave {flags[name]} out."
@@ -165,92 +172,78 @@ class NameOrFile:
 
 
 Space = Annotated[
-    str, Option(help="Space of normals and vectors: tangent (MikkTSpace) or object."), OneOf(("tangent", "object"))
+    str, Option("Space of normals and vectors: tangent (MikkTSpace) or object.", IMAGES), OneOf(("tangent", "object"))
 ]
-Green = Annotated[str, Option(help="Normal map: green up (OpenGL) or down (DirectX)."), OneOf(("up", "down"))]
-MeshFile = Annotated[
-    Path, Argument(metavar="MESH", help="Control mesh, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD.")
-]
-Force = Annotated[
-    bool,
-    Option(("--force",), group=OUTPUT, help="Also overwrite files that cagemap did not write, or that were edited."),
-]
-ResultFolder = Annotated[Path, Argument(metavar="RESULT", help="Folder that `cagemap match` wrote.")]
+Green = Annotated[str, Option("Normal map: green up (OpenGL) or down (DirectX).", IMAGES), OneOf(("up", "down"))]
+MeshFile = Annotated[Path, Argument("Control mesh, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD.", metavar="MESH")]
+Force = Annotated[bool, Option("Also overwrite files that cagemap did not write, or that were edited.", OUTPUT)]
+ResultFolder = Annotated[Path, Argument("Folder that `cagemap match` wrote.", metavar="RESULT")]
 
 SchemeOption = Annotated[
     SchemeName | None,
     Option(
-        group=INPUT,
-        help="Subdivision scheme; none uses the mesh without subdivision.  "
-        "[default: as the file says; glTF, FBX: none; else triangles: loop, others: catmull-clark]",
+        "Subdivision scheme; none uses the mesh without subdivision.  "
+        "[default: the file's, else none (glTF, FBX), loop (triangles), catmull-clark]",
+        INPUT,
     ),
 ]
 TargetSchemeOption = Annotated[
-    SchemeName | None, Option(group=INPUT, help="The target's own scheme, where it differs.  [default: --scheme]")
+    SchemeName | None, Option("The target's own scheme, where it differs.  [default: --scheme]", INPUT)
 ]
 SourceSchemeOption = Annotated[
-    SchemeName | None,
-    Option(group=INPUT, help="The source's own scheme, such as none for a scan.  [default: --scheme]"),
+    SchemeName | None, Option("The source's own scheme, such as none for a scan.  [default: --scheme]", INPUT)
 ]
 WeldOption = Annotated[
     str | None,
     Option(
-        group=INPUT,
+        "Join vertices that the file repeats along seams, within TOLERANCE.  [default: off; glTF and FBX: always]",
+        INPUT,
         metavar="auto|TOLERANCE",
-        help="Join vertices that the file repeats along seams, within TOLERANCE.  [default: off; glTF and FBX: always]",
     ),
 ]
 TargetWeldOption = Annotated[
-    str | None, Option(group=INPUT, metavar="auto|TOLERANCE", help="--weld of the target alone.  [default: --weld]")
+    str | None, Option("--weld of the target alone.  [default: --weld]", INPUT, metavar="auto|TOLERANCE")
 ]
 SourceWeldOption = Annotated[
-    str | None, Option(group=INPUT, metavar="auto|TOLERANCE", help="--weld of the source alone.  [default: --weld]")
+    str | None, Option("--weld of the source alone.  [default: --weld]", INPUT, metavar="auto|TOLERANCE")
 ]
-TargetPartOption = Annotated[str | None, Option(group=INPUT, help="--part of the target alone.  [default: --part]")]
-SourcePartOption = Annotated[str | None, Option(group=INPUT, help="--part of the source alone.  [default: --part]")]
+TargetPartOption = Annotated[str | None, Option("--part of the target alone.  [default: --part]", INPUT)]
+SourcePartOption = Annotated[str | None, Option("--part of the source alone.  [default: --part]", INPUT)]
 BoundaryOption = Annotated[
     BoundaryName | None,
     Option(
-        group=INPUT,
-        help="Boundary corners: edge-and-corner keeps them sharp, edge-only rounds them.  "
-        "[default: as the file says, else edge-and-corner]",
+        "Boundary corners: edge-and-corner keeps them sharp, edge-only rounds them.  "
+        "[default: the file's, else edge-and-corner]",
+        INPUT,
     ),
 ]
 UvOption = Annotated[
     UvName | None,
-    Option(
-        group=INPUT,
-        help="Where UVs are interpolated linearly, as in OpenSubdiv.  [default: as the file says, else all]",
-    ),
+    Option("Where UVs are interpolated linearly, as in OpenSubdiv.  [default: the file's, else all]", INPUT),
 ]
 CreasingOption = Annotated[
     CreasingName | None,
-    Option(
-        group=INPUT, help="Rule for semi-sharp creases, as in OpenSubdiv.  [default: as the file says, else uniform]"
-    ),
+    Option("Rule for semi-sharp creases, as in OpenSubdiv.  [default: the file's, else uniform]", INPUT),
 ]
 
 
 TargetMaskOption = Annotated[
     str | None,
-    Option(
-        group=INPUT,
-        help="Only this part of the target: name, values or image; not:... inverts.  [default: all]",
-    ),
+    Option("Only this part of the target: name, values or image; not:... inverts.  [default: all]", INPUT),
     NameOrFile(MASK_SUFFIXES),
 ]
 SourceMaskOption = Annotated[
     str | None,
-    Option(group=INPUT, help="Only this part of the source, see --target-mask.  [default: all]"),
+    Option("Only this part of the source, see --target-mask.  [default: all]", INPUT),
     NameOrFile(MASK_SUFFIXES),
 ]
 MaskEdgeOption = Annotated[
     float | None,
     Option(
-        group=INPUT,
+        "Distance over which masks fade in, relative to the model's size.  "
+        "[default: 0.02 for parts and face values, else 0]",
+        INPUT,
         min=0.0,
-        help="Distance over which masks fade in, relative to the model's size.  [default: 0.02 for parts by name and "
-        "values at faces, else 0]",
     ),
 ]
 

@@ -7,7 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-from cagemap.tasks.requests.options import Force, Option, ResultFolder
+from cagemap.tasks.requests.options import INPUT, OUTPUT, Force, Option, ResultFolder
 
 
 class UpAxis(StrEnum):
@@ -26,17 +26,18 @@ class ReportRequest:
     """
 
     result: ResultFolder
-    output: Annotated[Path, Option(("-o", "--output"), help="HTML file to write.")] = Path("report.html")
-    texture: Annotated[Path | None, Option(help="Source texture to show.  [default: that of the last transfer]")] = None
+    output: Annotated[Path, Option("HTML file to write.", OUTPUT, ("-o",))] = Path("report.html")
+    texture: Annotated[Path | None, Option("Source texture to show.  [default: that of the last transfer]", INPUT)] = (
+        None
+    )
     force: Force = False
     level: Annotated[
-        int | None,
-        Option(min=0, help="Map of this level of the target (methods hfm, paper).  [default: the finest]"),
+        int | None, Option("Map of this level of the target (methods hfm, paper).  [default: the finest]", INPUT, min=0)
     ] = None
     up: Annotated[
         UpAxis | None,
         Option(
-            help="Axis of the target that is up in the pictures.  "
-            "[default: from the USD file, or guessed from the shape]"
+            "Axis of the target that is up in the pictures.  [default: the USD file's, or guessed from the shape]",
+            OUTPUT,
         ),
     ] = None

@@ -24,7 +24,7 @@ class Setting:
     name: str  # as typed after ``--set``, such as "target.schedule"
     field: str  # of the request
     kind: Any  # type without the bounds, which the option has
-    option: Option  # its names are its former flags
+    option: Option
 
 
 def settings_of(request: type) -> dict[str, Setting]:
@@ -47,7 +47,7 @@ def moved_options(request: type) -> dict[str, str]:
     moved: dict[str, str] = {}
     for name, setting in settings_of(request).items():
         new = f"--set {name}={'yes' if setting.kind is bool else 'VALUE'}"
-        moved |= dict.fromkeys(setting.option.flags(setting.field), new)
+        moved[setting.option.flag(setting.field)] = new
     return moved | ({f"--{_PARAMETERS}": f"--set {_METHOD}.NAME=VALUE"} if moved else {})
 
 
