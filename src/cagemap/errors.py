@@ -1,11 +1,13 @@
 """Exception classes, one for each kind of cause.
 
-Every message says what was expected, what was found, where, and what to do about it.
+Every message reads "PLACE: expected this, got that. What to do.", where what was expected may say what to do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 
@@ -19,6 +21,21 @@ class CagemapError(Exception):
     """
 
     code = "error"
+
+    @property
+    def place(self) -> str:
+        """The file, option or element that the message begins with; empty if it names none."""
+        text = str(self)
+        place, found, _ = text.partition(": expected ")
+        if not found:
+            place, found, _ = text.partition(": ")
+        return place if found and not re.search(r"expected |[.,] [A-Z]", place) else ""
+
+    @property
+    def remedy(self) -> str:
+        """The sentences after the first, which say what to do; empty if that is what was expected."""
+        sentences = re.split(r"\. (?=[A-Z`])", str(self)[len(self.place) :], maxsplit=1)
+        return "" if len(sentences) == 1 else sentences[1]
 
 
 class InvalidMeshError(CagemapError, ValueError):
@@ -88,6 +105,15 @@ def use_option_names(text: str) -> str:
     for python, option in OPTION_NAMES.items():
         text = text.replace(python, option)
     return text
+
+
+@contextmanager
+def values_of(place: object) -> Iterator[None]:
+    """Name a file or another place before the messages of parameters that are refused."""
+    try:
+        yield
+    except ParameterError as error:
+        raise ParameterError(f"{place}: {error}") from None
 
 
 # What a value should be, by the start of the type of pydantic's error.

@@ -12,7 +12,7 @@ from pydantic import TypeAdapter
 
 from cagemap import tasks
 from cagemap.cli.app import app
-from cagemap.errors import CagemapError, FormatError, MissingFileError, ParameterError
+from cagemap.errors import CagemapError, FormatError, MissingFileError, ParameterError, values_of
 from cagemap.files.meshes.formats import write_mesh
 
 
@@ -83,6 +83,32 @@ def test_errors_have_a_code_for_programs(tmp_path: Path, name: str) -> None:
     codes = [kind.code for kind in (CagemapError, *_below(CagemapError))]
     assert len(codes) == len(set(codes)) == 9
     assert issubclass(MissingFileError, FormatError)
+
+
+@pytest.mark.parametrize(
+    ("message", "place", "remedy"),
+    [
+        (
+            "a b/v1.2: final.obj: expected an OBJ file, got none. Check the name.",
+            "a b/v1.2: final.obj",
+            "Check the name.",
+        ),
+        ("--rays: expected with --bake only, got --texture. Leave it out.", "--rays", "Leave it out."),
+        ("--amount: expected 0 to 1, got 1.5", "--amount", ""),
+        ("expected one RESULT, got 2: a. Give one. Or several with --blend-shapes.", "", None),
+        ("a.png: only 3 % are directions. Give it as: --texture.", "a.png", "Give it as: --texture."),
+        ("not enough memory. Use fewer workers: 2.", "", "Use fewer workers: 2."),
+    ],
+)
+def test_errors_have_a_place_and_a_remedy(message: str, place: str, remedy: str | None) -> None:
+    error = ParameterError(message)
+    assert (error.place, error.remedy) == (place, message.partition(". ")[2] if remedy is None else remedy)
+
+
+def test_a_place_is_added_before_the_messages_of_values() -> None:
+    with pytest.raises(ParameterError, match=r"^w\.csv: weights: expected numbers") as found, values_of("w.csv"):
+        raise ParameterError("weights: expected numbers, got texts")
+    assert found.value.place == "w.csv: weights"
 
 
 def _below(kind: type) -> list[type]:
