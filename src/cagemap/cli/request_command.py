@@ -5,18 +5,19 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields
+from enum import Enum, StrEnum
 from importlib.util import LazyLoader, find_spec, module_from_spec
 from inspect import Parameter, Signature
 from pathlib import Path
 from types import MappingProxyType, NoneType
-from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperCommand
 
 from cagemap.cli.console import set_verbosity
 from cagemap.errors import ParameterError
-from cagemap.tasks.requests.options import HEADINGS, RESEARCH, Argument, Option, PythonOnly
+from cagemap.tasks.requests.options import HEADINGS, RESEARCH, Argument, Option, PythonOnly, without_none
 from cagemap.tasks.requests.settings import moved_options, read_settings
 
 Request = TypeVar("Request")
@@ -100,7 +101,7 @@ def command_of(
     def command(*, verbose: int, quiet: bool, **given: Any) -> None:
         if verbose or quiet:
             set_verbosity(verbose, quiet)
-        values = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+        values = {name: _field_value(value) for name, value in given.items()}
         settings = read_settings(kind, values.pop(_SETTINGS, ()))
         run((make_request or kind)(**values, **settings))
 
@@ -134,7 +135,7 @@ def typer_parameter(field: str, option: Any, word_type: Any, default: Any) -> An
     help_text = option.help
     if hides_default and "[default:" not in help_text:
         help_text += f"  [default: {'off' if default is False else 'none'}]"
-    value_type = next((kind for kind in get_args(word_type) if kind not in (NoneType, ...)), word_type)
+    value_type = without_none(get_args(word_type)[0] if _is_list(word_type) else word_type)
     return typer.Option(
         *option.named(field),
         help=help_text,
@@ -185,8 +186,22 @@ def _typer_default(default: Any, kind: Any, options: Sequence[Any]) -> Any:
 
 
 def _typer_type(kind: Any) -> Any:
-    """A type for typer: tuples of any length become lists."""
-    return list[get_args(kind)[0]] if _is_list(kind) else kind  # type: ignore[misc]
+    """A type for typer: tuples of any length become lists, and choices an enumeration."""
+    if _is_list(kind):
+        return list[get_args(kind)[0]]  # type: ignore[misc]
+    choices = get_args(without_none(kind))
+    if get_origin(without_none(kind)) is not Literal:
+        return kind
+    are_texts = isinstance(choices[0], str)
+    one: Any = StrEnum("Choice", {text: text for text in choices}) if are_texts else type(choices[0])
+    return one | None if NoneType in get_args(kind) else one
+
+
+def _field_value(value: Any) -> Any:
+    """A value of typer for a request."""
+    if isinstance(value, list):
+        return tuple(value)
+    return value.value if isinstance(value, Enum) else value
 
 
 def _is_list(kind: Any) -> bool:

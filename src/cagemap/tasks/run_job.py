@@ -53,8 +53,10 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     _require_sound(job, plan)
     if request.dry_run:
         return dry_run(job, plan, request.workers or core_count()), True
-    if request.export is not None:
-        return exported(request.export, job.path, plan), True
+    if request.export == "slurm":
+        return slurm_script(job.path, farm_steps(plan)), True
+    if request.export == "openjd":
+        return json.dumps(openjd_template(job.path, farm_steps(plan)), indent=2), True
     if request.task is not None:
         return run_numbered(request.task, job.path.stem, plan, version, stages)
     started, slowest = time.perf_counter(), TaskOutcome("", "done")
@@ -78,15 +80,6 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     outcomes |= {name: matched[name] for name, now in outcomes.items() if now.state == "kept" and name in matched}
     stages("page")
     return _concluded(job.path.stem, plan, outcomes, verdict, started)
-
-
-def exported(kind: str, job: Path, plan: Plan) -> str:
-    """A template or script for a render farm or cluster: "openjd" or "slurm"."""
-    if kind == "slurm":
-        return slurm_script(job, farm_steps(plan))
-    if kind == "openjd":
-        return json.dumps(openjd_template(job, farm_steps(plan)), indent=2)
-    raise ParameterError(f"--export: expected openjd or slurm, got '{kind}'.")
 
 
 def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stages) -> tuple[str, bool]:

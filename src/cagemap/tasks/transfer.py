@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import cast
 
-from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.passengers import carry_passenger
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import (
@@ -47,7 +45,6 @@ from cagemap.tasks.requests.transfer import TransferRequest, require_map_names
 from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
 from cagemap.tasks.usd_output import missing_file_warnings, texture_reference, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
-from cagemap.transfer.texture import FILTERS
 
 Carrier = Callable[[TransferRequest, MatchResult, Stages], Said]
 # Kinds of data whose transfer reads an option; with other kinds the option is refused.
@@ -123,8 +120,6 @@ def check_transfer(request: TransferRequest) -> Carrier:
     for option, value in (("--scale", request.scale), ("--midlevel", request.midlevel)):
         if value is not None and not math.isfinite(value):
             raise ParameterError(f"{option}: expected a finite number, got {value}.")
-    if request.filter not in FILTERS:
-        raise ParameterError(f"--filter: expected {', '.join(FILTERS)}, got {request.filter}.")
     return carry
 
 
@@ -238,7 +233,7 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     stages("passenger")
     target, source = (input_file(request.result, result.manifest, side) for side in ("target", "source"))
     worn = mesh.with_positions(moved(mesh.positions, between_spaces(source, request.passenger)))
-    carried = carry_passenger(result, worn, kind=cast(PassengerKind | None, request.kind))
+    carried = carry_passenger(result, worn, kind=request.kind)
     places, like = carried.positions, request.passenger
     if states_units(request.passenger) and states_units(request.output):  # in the passenger's own units and axes
         places = moved(places, between_spaces(request.passenger, target))

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass
-from enum import StrEnum
 from functools import cache
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, Literal, Union, cast, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
 from cagemap.tasks.requests.match import MatchRequest
-from cagemap.tasks.requests.options import NameOrFile, OneOf, Option, SomeOf, options_in, validated
+from cagemap.tasks.requests.options import Option, options_in, validated, without_none
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
@@ -106,50 +104,36 @@ def request_of(command: str, values: Mapping[str, Value]) -> Request:
 def options_of(command: str, request: type) -> tuple[CommandOption, ...]:
     """Options of one command; fields that are no options are left out."""
     return tuple(
-        _option(command, field.name, kind, info, annotations, None if field.default is MISSING else field.default)
-        for field, kind, annotations, info in options_in(request)
+        _option(command, field.name, kind, option, None if field.default is MISSING else field.default)
+        for field, kind, option in options_in(request)
     )
 
 
-def _option(command: str, name: str, kind: Any, info: Option, said: list[Any], default: Any) -> CommandOption:
-    plain = _without_none(kind)
-    one_of = next((note for note in said if isinstance(note, OneOf)), None)
-    some_of = next((note for note in said if isinstance(note, SomeOf)), None)
-    file_too = next((note for note in said if isinstance(note, NameOrFile)), None)
-    choices: tuple[object, ...] = ()
-    if one_of is not None:
-        choices = one_of.choices
-    elif isinstance(plain, type) and issubclass(plain, StrEnum):
-        choices = tuple(plain)
+def _option(command: str, name: str, kind: Any, option: Option, default: Any) -> CommandOption:
+    plain = without_none(kind)
+    several = get_origin(plain) is tuple
+    one = get_args(plain)[0] if several else plain
+    choices = get_args(one) if get_origin(one) is Literal else ()
     option_kind: Kind
     if name in WRITTEN.get(command, ()):
         option_kind = "output"
-    elif some_of is not None:
-        option_kind, choices = "several", some_of.parts
     elif choices:
-        option_kind = "choice"
+        option_kind = "several" if several else "choice"
     else:
-        option_kind = "name or file" if file_too is not None else _KINDS[plain]
-    off = info.named(name)[0].partition("/")[2]
+        option_kind = "name or file" if option.suffixes else _KINDS[plain]
+    off = option.named(name)[0].partition("/")[2]
     return CommandOption(
         command,
         name,
-        off if default and off else info.flag(name),
-        info.help,
+        off if default and off else option.flag(name),
+        option.help,
         option_kind,
-        cast(Value, str(default) if option_kind == "choice" and default is not None else default),
+        default,
         tuple(map(str, choices)),
-        () if file_too is None else file_too.suffixes,
-        info.min,
-        info.max,
+        option.suffixes,
+        option.min,
+        option.max,
     )
-
-
-def _without_none(kind: Any) -> Any:
-    if get_origin(kind) in (Union, UnionType):
-        kinds = [member for member in get_args(kind) if member is not NoneType]
-        return kinds[0] if len(kinds) == 1 else kind
-    return kind
 
 
 _KINDS: dict[Any, Kind] = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cagemap.tasks.requests.options import (
     INPUT,
@@ -15,7 +15,6 @@ from cagemap.tasks.requests.options import (
     CreasingOption,
     Force,
     MaskEdgeOption,
-    Method,
     Option,
     SchemeOption,
     SourceMaskOption,
@@ -77,8 +76,9 @@ class MatchRequest:
     source_accuracy: Annotated[float | None, setting("accuracy of the source alone.")] = None
     source_literal: Annotated[bool, setting("literal of the source alone.")] = False
     method: Annotated[
-        Method, Option("elastic maps landmarks exactly; hfm and paper compute functional maps.", RESEARCH)
-    ] = Method.ELASTIC
+        Literal["elastic", "hfm", "paper"],
+        Option("elastic maps landmarks exactly; hfm and paper are functional maps.", RESEARCH),
+    ] = "elastic"
     parameter: Annotated[
         tuple[str, ...],
         setting("A parameter of the method, such as search_vertices=6000; repeat it for more.", metavar="NAME=VALUE"),

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import Field, dataclass, fields
-from enum import StrEnum
 from functools import cache
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 from cagemap.errors import ParameterError, wrong_values
 from cagemap.files import MASK_SUFFIXES
-from cagemap.tasks.subdivision import BoundaryName, CreasingName, SchemeName, UvName
 
 # Headings of `--help`, in their order.
 CARRIED, INPUT, LANDMARKS = "What to carry, one of these", "Input", "Landmarks"
 FIT, IMAGES, CHARACTER, FUNCTIONS = "Fit", "Images", "Weights and passengers", "Functions"
 OUTPUT, RESEARCH, PAGE = "Output", "Research", "Page"
 HEADINGS = (CARRIED, INPUT, LANDMARKS, FIT, IMAGES, CHARACTER, FUNCTIONS, OUTPUT, RESEARCH, PAGE)
+
+SchemeName = Literal["catmull-clark", "loop", "bilinear", "none"]
+UvName = Literal["none", "corners-only", "corners-plus1", "corners-plus2", "boundaries", "all"]
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Option:
     min: float | None = None  # least and largest value
     max: float | None = None
     metavar: str | None = None  # name of the value in help
+    suffixes: tuple[str, ...] = ()  # a text that ends in one of them is the name of a file
     setting: bool = False  # typed as ``--set NAME=VALUE``, see `cagemap.tasks.requests.settings`
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
@@ -117,15 +119,18 @@ class PythonOnly(Option):
     """Field that the command line fills from another option."""
 
 
-def options_in(request: type) -> Iterator[tuple[Field[Any], Any, list[Any], Option]]:
-    """Option fields of a request: field, type, all annotations, and the option among them."""
+def options_in(request: type) -> Iterator[tuple[Field[Any], Any, Option]]:
+    """Option fields of a request, their types and options."""
     hints = get_type_hints(request, include_extras=True)
     for field in fields(request):
-        if get_origin(hints[field.name]) is Annotated:
-            kind, *annotations = get_args(hints[field.name])
-            yield from (
-                (field, kind, annotations, annotation) for annotation in annotations if type(annotation) is Option
-            )
+        kind, *annotations = get_args(hints[field.name]) or (None,)
+        yield from ((field, kind, option) for option in annotations if type(option) is Option)
+
+
+def without_none(kind: Any) -> Any:
+    """A type without None; a union of several others stays."""
+    kinds = [member for member in get_args(kind) if member is not NoneType]
+    return kinds[0] if NoneType in get_args(kind) and len(kinds) == 1 else kind
 
 
 def refuse_unread(request: Any, readers: Mapping[str, Sequence[str]], given: Collection[str]) -> None:
@@ -139,42 +144,17 @@ def refuse_unread(request: Any, readers: Mapping[str, Sequence[str]], given: Col
         if getattr(request, name) != getattr(type(request), name) and not set(words) & set(given)
     )
     for name, words in unread:
-        flags = {field.name: option.flag(field.name) for field, _, _, option in options_in(type(request))}
+        flags = {field.name: option.flag(field.name) for field, _, option in options_in(type(request))}
         expected, got = (" or ".join(flags.get(word, word) for word in listed) for listed in (words, given))
         raise ParameterError(
             f"{flags[name]}: expected with {expected} only, got {got or 'none of them'}. Leave {flags[name]} out."
         )
 
 
-@dataclass(frozen=True)
-class OneOf:
-    """Allowed values of an option."""
-
-    choices: tuple[object, ...]
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """Validation and JSON schema of the field."""
-        return handler(Literal[self.choices] | None if NoneType in get_args(source) else Literal[self.choices])
-
-
-@dataclass(frozen=True)
-class SomeOf:
-    """Words that a comma-separated option may list."""
-
-    parts: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class NameOrFile:
-    """An option that is a file if it ends in one of ``suffixes``, and a name otherwise."""
-
-    suffixes: tuple[str, ...]
-
-
 Space = Annotated[
-    str, Option("Space of normals and vectors: tangent (MikkTSpace) or object.", IMAGES), OneOf(("tangent", "object"))
+    Literal["tangent", "object"], Option("Space of normals and vectors: tangent (MikkTSpace) or object.", IMAGES)
 ]
-Green = Annotated[str, Option("Normal map: green up (OpenGL) or down (DirectX).", IMAGES), OneOf(("up", "down"))]
+Green = Annotated[Literal["up", "down"], Option("Normal map: green up (OpenGL) or down (DirectX).", IMAGES)]
 MeshFile = Annotated[Path, Argument("Control mesh, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD.", metavar="MESH")]
 Force = Annotated[bool, Option("Also overwrite files that cagemap did not write, or that were edited.", OUTPUT)]
 ResultFolder = Annotated[Path, Argument("Folder that `cagemap match` wrote.", metavar="RESULT")]
@@ -210,7 +190,7 @@ SourceWeldOption = Annotated[
 TargetPartOption = Annotated[str | None, Option("--part of the target alone.  [default: --part]", INPUT)]
 SourcePartOption = Annotated[str | None, Option("--part of the source alone.  [default: --part]", INPUT)]
 BoundaryOption = Annotated[
-    BoundaryName | None,
+    Literal["edge-and-corner", "edge-only", "none"] | None,
     Option(
         "Boundary corners: edge-and-corner keeps them sharp, edge-only rounds them.  "
         "[default: the file's, else edge-and-corner]",
@@ -222,20 +202,22 @@ UvOption = Annotated[
     Option("Where UVs are interpolated linearly, as in OpenSubdiv.  [default: the file's, else all]", INPUT),
 ]
 CreasingOption = Annotated[
-    CreasingName | None,
+    Literal["uniform", "chaikin"] | None,
     Option("Rule for semi-sharp creases, as in OpenSubdiv.  [default: the file's, else uniform]", INPUT),
 ]
 
 
 TargetMaskOption = Annotated[
     str | None,
-    Option("Only this part of the target: name, values or image; not:... inverts.  [default: all]", INPUT),
-    NameOrFile(MASK_SUFFIXES),
+    Option(
+        "Only this part of the target: name, values or image; not:... inverts.  [default: all]",
+        INPUT,
+        suffixes=MASK_SUFFIXES,
+    ),
 ]
 SourceMaskOption = Annotated[
     str | None,
-    Option("Only this part of the source, see --target-mask.  [default: all]", INPUT),
-    NameOrFile(MASK_SUFFIXES),
+    Option("Only this part of the source, see --target-mask.  [default: all]", INPUT, suffixes=MASK_SUFFIXES),
 ]
 MaskEdgeOption = Annotated[
     float | None,
@@ -246,11 +228,3 @@ MaskEdgeOption = Annotated[
         min=0.0,
     ),
 ]
-
-
-class Method(StrEnum):
-    """Matching methods."""
-
-    ELASTIC = "elastic"
-    HFM = "hfm"
-    PAPER = "paper"

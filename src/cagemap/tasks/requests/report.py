@@ -3,18 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cagemap.tasks.requests.options import INPUT, OUTPUT, Force, Option, ResultFolder
-
-
-class UpAxis(StrEnum):
-    """Axis of the target's file that points up in the pictures."""
-
-    Y = "y"
-    Z = "z"
 
 
 @dataclass(frozen=True)
@@ -35,7 +27,7 @@ class ReportRequest:
         int | None, Option("Map of this level of the target (methods hfm, paper).  [default: the finest]", INPUT, min=0)
     ] = None
     up: Annotated[
-        UpAxis | None,
+        Literal["y", "z"] | None,
         Option(
             "Axis of the target that is up in the pictures.  [default: the USD file's, or guessed from the shape]",
             OUTPUT,

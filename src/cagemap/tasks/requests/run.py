@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-from cagemap.tasks.requests.options import Argument, OneOf, Option
+from cagemap.tasks.requests.options import Argument, Option
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,7 @@ class RunRequest:
         str | None, Option("Only tasks of these numbers, without Dask; --dry-run lists them.", metavar="N|A-B")
     ] = None
     export: Annotated[
-        str | None,
-        Option("Print a template or script that runs each task by its number.", metavar="openjd|slurm"),
-        OneOf(("openjd", "slurm")),
+        Literal["openjd", "slurm"] | None, Option("Print a template or script that runs each task by its number.")
     ] = None
 
     @property

@@ -31,7 +31,7 @@ def settings_of(request: type) -> dict[str, Setting]:
     """Research options of a request, by name; parameters of the method are not listed."""
     return {
         (name := setting_name(field.name)): Setting(name, field.name, kind, option)
-        for field, kind, _, option in options_in(request)
+        for field, kind, option in options_in(request)
         if option.setting and field.name != _PARAMETERS
     }
 

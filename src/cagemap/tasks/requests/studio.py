@@ -42,8 +42,7 @@ class StudioRequest:
     part: Annotated[
         str | None,
         Option(
-            "Open this object, group, material or component of both files.  [default: all, or the largest piece]",
-            INPUT,
+            "Open this object, group, material or component of both files.  [default: all, or the largest piece]", INPUT
         ),
     ] = None
     target_part: TargetPartOption = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cagemap.errors import ParameterError
 from cagemap.tasks.requests.options import (
@@ -17,15 +17,15 @@ from cagemap.tasks.requests.options import (
     Force,
     Green,
     MaskEdgeOption,
-    OneOf,
     Option,
     PythonOnly,
     ResultFolder,
-    SomeOf,
     SourceMaskOption,
     Space,
     TargetMaskOption,
 )
+
+BakeKind = Literal["normal", "displacement", "vector-displacement", "ao", "colors", "texture"]
 
 
 @dataclass(frozen=True)
@@ -56,18 +56,16 @@ class TransferRequest:
         False
     )
     filter: Annotated[
-        str,
+        Literal["smooth", "linear", "nearest"],
         Option("Sampling of enlarged images: smooth, linear, or nearest for labels.", IMAGES),
-        OneOf(("smooth", "linear", "nearest")),
     ] = "smooth"
     attribute: Annotated[Path | None, Option("Values at the source's control vertices, faces or corners.", CARRIED)] = (
         None
     )
     material_colors: Annotated[bool, Option("Bake the source's material colours.", CARRIED)] = False
     bake: Annotated[
-        tuple[str, ...],
+        tuple[BakeKind, ...],
         Option("Bake from a detailed mesh: normal, displacement, vector-displacement, ao, colors, texture.", CARRIED),
-        SomeOf(("normal", "displacement", "vector-displacement", "ao", "colors", "texture")),
     ] = ()
     detail: Annotated[
         Path | None,
@@ -97,13 +95,12 @@ class TransferRequest:
         None
     )
     kind: Annotated[
-        str | None,
+        Literal["cloth", "rigid", "similarity"] | None,
         Option(
             "Passenger: cloth, rigid or similarity (rigid, locally scaled).  [default: chosen for each piece]",
             CHARACTER,
             ("--as",),
         ),
-        OneOf(("cloth", "rigid", "similarity")),
     ] = None
     write_map: Annotated[bool, Option("Write the map itself, for other programs.", CARRIED)] = False
     level: Annotated[
@@ -114,9 +111,8 @@ class TransferRequest:
         Option("Width and height in texels.  [default: the source image's, or 2048]", IMAGES, min=1, max=65536),
     ] = None
     bits: Annotated[
-        int | None,
-        Option("Bits per channel: 8, 16 or 32 (float).  [default: as the source image]", IMAGES),
-        OneOf((8, 16, 32)),
+        Literal[8, 16, 32] | None,
+        Option("Bits per channel: 8, 16 or 32 (float).  [default: as the source image]", IMAGES, metavar="8|16|32"),
     ] = None
     scale: Annotated[float, Option("Displacement: height that the values 0 to 1 span.", IMAGES)] = 1.0
     midlevel: Annotated[
