@@ -17,7 +17,7 @@ from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
 from cagemap.maps.hypotheses.confidence import answer_confidence, jump_lengths, prolong_answers, turned_limb_answers
-from cagemap.maps.hypotheses.search import distinct_answers, search, search_from_source
+from cagemap.maps.hypotheses.search import distinct_answers, search_from_source, search_placements
 from cagemap.maps.landmarks.check import (
     LandmarkCheck,
     check_changes,
@@ -39,7 +39,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, one_blas_thread
 from cagemap.paper.hfm import hfm_map
 from cagemap.paper.method import paper_map, search_levels
-from cagemap.paper.operators import paired_mirrors
+from cagemap.paper.symmetries import paired_mirrors
 from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
 from cagemap.spectral.surface import DEFAULT_VERTICES, Surface
 from cagemap.spectral.surface import ENOUGH as ENOUGH
@@ -119,7 +119,7 @@ def match(
         with _timed(timings, "pair"):
             prepared = prepare_pair(target, source, config)
         return _match_elastic(prepared, landmarks, config, progress, timings)
-    needed = target.finest, source.finest
+    needed = target.finest_level, source.finest_level
     if config.method == "hfm":
         needed = search_levels(target, source, config.hfm.search_vertices, config.hfm.source_search_vertices)
     for surface, level in zip((target, source), needed, strict=True):
@@ -204,7 +204,7 @@ def _match_elastic(
             point_map, confidence = coincident
             placements = confidence.answers
         elif len(landmarks) < FEWEST_LANDMARKS:
-            found = search(problem, progress, show=show)
+            found = search_placements(problem, progress, show=show)
             placements = distinct_answers(prepared, search_from_source(problem, found, progress))
             progress("closest points")
             point_map = map_of_places(problem, placements[0].map_positions)
@@ -213,7 +213,7 @@ def _match_elastic(
             if config.check_landmarks:
                 outliers, notes = landmark_outliers(problem, landmarks.names, progress)
             trusted = problem.without(outliers)
-            placements = search(trusted, progress)
+            placements = search_placements(trusted, progress)
             progress("closest points")
             point_map = map_of_places(trusted, placements[0].map_positions)
             if config.check_landmarks:

@@ -13,7 +13,7 @@ from cagemap.deform.config import StartConfig
 from cagemap.deform.constraints import CurveConstraint
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.multi_start import curve_vertices
-from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
+from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.errors import FormatError
 from cagemap.files.result.folder import ARRAYS, read_result, write_result
 from cagemap.maps.pair import Pair, point_pairs
@@ -23,7 +23,7 @@ from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, pair_by_name
 from cagemap.mesh.topology import mesh_topology
-from cagemap.paper.constraints import curve_rows
+from cagemap.paper.functional_constraints import curve_rows
 from cagemap.pipeline import MatchResult, match, update_match
 from cagemap.spectral.surface import prepare_surfaces
 from cagemap.subdivision import refine
@@ -51,8 +51,8 @@ def with_curves(surfaces: tuple) -> MatchResult:
 
 def errors(found: MatchResult) -> tuple[np.ndarray, np.ndarray]:
     """Distances between where vertices go and where they belong, and how far each is from the nearest ring."""
-    target = found.target.triangles(found.target.finest)
-    true = found.source.triangles(found.source.finest).positions
+    target = found.target.triangles(found.target.finest_level)
+    true = found.source.triangles(found.source.finest_level).positions
     rings = curve_pairs(found.target, found.source, rings_of(found.target.control))
     feet = [pair.target.line.nearest(target.positions)[0] for pair in rings]
     near = np.min([np.linalg.norm(places - target.positions, axis=1) for places in feet], axis=0)
@@ -138,16 +138,16 @@ def test_a_report_shows_curves(with_curves: MatchResult) -> None:
 def test_without_landmarks_curves_are_followed_by_every_coarse_fit(surfaces: tuple) -> None:
     rings = replace(Landmarks.none(), curves=rings_of(surfaces[0].control))
     problem = Problem.of_landmarks(PreparedPair.build(*surfaces), rings)
-    for shape in (problem.small_shape, problem.coarse_shape):
-        start = shape.energy.graph.positions
-        assert len(shape.constraints.curves) == len(RINGS)
+    for clusters in (problem.small_clusters, problem.coarse_clusters):
+        start = clusters.energy.graph.positions
+        assert len(clusters.constraints.curves) == len(RINGS)
 
-        def miss(positions: np.ndarray, shape: CoarseShape) -> float:
+        def miss(positions: np.ndarray, clusters: Clusters) -> float:
             """Largest mean distance of a ring's points from the other ring."""
-            at = [(curve.anchors.of(positions), curve.source) for curve in shape.constraints.curves]
+            at = [(curve.anchors.of(positions), curve.source) for curve in clusters.constraints.curves]
             return max(np.linalg.norm(line.nearest(points)[0] - points, axis=1).mean() for points, line in at)
 
-        assert miss(coarse_fit(problem, start, shape).positions, shape) < 0.15 * miss(start, shape)
+        assert miss(coarse_fit(problem, start, clusters).positions, clusters) < 0.15 * miss(start, clusters)
 
 
 # ---- the term of the fit
@@ -241,7 +241,7 @@ def test_descriptors_of_a_curve_are_the_mean_of_its_points(surfaces: tuple) -> N
     pair = curve_pairs(*surfaces, rings_of(surfaces[0].control))[0]
     surface, curve = surfaces[0], pair.target
     vertices = curve.points.corners[np.arange(len(curve.points)), curve.points.barycentric.argmax(axis=1)]
-    expected = curve.shares @ surface.basis.rows(surface.finest, vertices)
+    expected = curve.shares @ surface.basis.rows(surface.finest_level, vertices)
     np.testing.assert_allclose(curve_rows(surface, [curve])[0], expected, atol=1e-10)
 
 

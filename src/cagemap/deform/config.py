@@ -28,7 +28,7 @@ class Stage:
     factored: int = 1  #: iterations from one factorisation of the matrix to the next; those between reuse its factors
     #: share of vertices whose differentials may be bounded (fold or flatten the surface) at the end
     max_bounded: float = 0.005
-    gradients: int = 4  #: conjugate gradient steps of an iteration that reuses factors
+    gradient_steps: int = 4  #: conjugate gradient steps of an iteration that reuses factors
     tolerance: float = 1e-9  #: relative residual at which these steps end early
     max_unsolved: float = 0.5  #: relative residual above which the matrix is factored anew
 

@@ -31,7 +31,7 @@ Tips = tuple[IndexArray, IndexArray]
 
 
 @dataclass(frozen=True, eq=False)
-class CoarseShape:
+class Clusters:
     """Clusters of a mesh's vertices, and the coarse stage that moves them."""
 
     energy: ElasticEnergy  # of the k clusters
@@ -44,7 +44,7 @@ class CoarseShape:
     constrained_vertices: tuple[IndexArray, IndexArray]
     stage: Stage
 
-    def with_stage(self, stage: Stage) -> CoarseShape:
+    def with_stage(self, stage: Stage) -> Clusters:
         """The clusters with another coarse stage."""
         energy = ElasticEnergy.build(self.energy.graph, stage.smoothing, self.energy.admissible)
         return replace(self, energy=energy, stage=stage)
@@ -214,19 +214,19 @@ class Problem:
         return target, vertices_near(landmarks.source, prepared.source, prepared.levels[1])
 
     @kept
-    def coarse_shape(self) -> CoarseShape:
+    def coarse_clusters(self) -> Clusters:
         """Clusters of the target's mesh, with a cluster for every landmark."""
-        return self.coarse_shape_with()
+        return self.clusters_with()
 
     @kept
-    def small_shape(self) -> CoarseShape:
+    def small_clusters(self) -> Clusters:
         """The small graph on which many starts are tried, with a cluster for every landmark."""
         config = self.prepared.elastic.search
-        return self.coarse_shape_with(stage=config.small_graph_stage, count=config.small_graph_vertices)
+        return self.clusters_with(stage=config.small_graph_stage, count=config.small_graph_vertices)
 
-    def coarse_shape_with(
+    def clusters_with(
         self, tips: Tips = (NO_VERTICES, NO_VERTICES), stage: Stage | None = None, count: int | None = None
-    ) -> CoarseShape:
+    ) -> Clusters:
         """About ``count`` clusters with tips of limbs as constraints, besides the landmarks."""
         prepared, landmarks, config = self.prepared, self.landmarks, self.prepared.elastic
         stage, count = stage or config.coarse, count or config.coarse_vertices
@@ -237,7 +237,7 @@ class Problem:
         energy, masks = bounded_energy(coarse, stage.smoothing, config), prepared.level_masks.for_vertices(chosen)
         anchors = CagePoints.of_vertices(np.arange(len(on_target)))
         constraints = PlacementConstraints(anchors, np.vstack([landmarks.source.positions, places]), curves)
-        return CoarseShape(energy, masks, chosen, constraints, (on_target, on_source), stage)
+        return Clusters(energy, masks, chosen, constraints, (on_target, on_source), stage)
 
     @kept
     def landmark_distances(self) -> tuple[FloatArray, FloatArray]:

@@ -50,7 +50,7 @@ class SharedArea:
         target, level = prepared.target, prepared.source.hierarchy.coarsest_level(config.source_vertices)
         sides = ((target, prepared.levels[0], target_near), (prepared.source, level, source_near))
         values = [
-            np.clip(side.hierarchy.prolong(has_counterpart.astype(np.float64), at, side.finest), 0.0, 1.0)
+            np.clip(side.hierarchy.prolong(has_counterpart.astype(np.float64), at, side.finest_level), 0.0, 1.0)
             for side, at, has_counterpart in sides
         ]
         return cls.of_vertices((target.finest_triangles, prepared.source.finest_triangles), (values[0], values[1]))

@@ -35,7 +35,7 @@ def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> 
     sampled = point_map.images.at(chosen)
     corners, places = np.unique(sampled.corners, return_inverse=True)
     at_vertices, at_corners = in_threads(
-        lambda side: side[0].basis.rows(side[0].finest, side[1]), [(target, chosen), (source, corners)]
+        lambda side: side[0].basis.rows(side[0].finest_level, side[1]), [(target, chosen), (source, corners)]
     )
     weights = sampled.barycentric
     pulled = np.asarray(sum(weights[:, i, None] * at_corners[places.reshape(-1, 3)[:, i]] for i in range(3)))
@@ -114,7 +114,7 @@ def _sides(
     """Own basis, given functions and areas at sampled vertices, for target and source."""
     surfaces, sides = (pair.target, pair.source), []
     for i, name in enumerate(("target", "source")):
-        surface, level = surfaces[i], surfaces[i].finest if levels is None else levels[i]
+        surface, level = surfaces[i], surfaces[i].finest_level if levels is None else levels[i]
         triangles, theirs = surface.triangles(level), real_numbers(functions[i], f"{name} functions")
         if len(shape) != 2 or theirs.ndim != 2 or len(theirs) != triangles.n or theirs.shape[1] < shape[i]:
             raise ParameterError(
@@ -123,7 +123,7 @@ def _sides(
                 "target"
             )
         chosen = evenly_spaced_vertices(triangles.n, FIT_SAMPLES)
-        rows = surface.basis.rows(surface.finest, surface.hierarchy.on_finest(level)[chosen])
+        rows = surface.basis.rows(surface.finest_level, surface.hierarchy.on_finest(level)[chosen])
         sides.append((rows, theirs[chosen, : shape[i]], triangles.vertex_areas[chosen]))
     return sides
 
@@ -203,4 +203,4 @@ def zoomout_of_map(pair: Pair, given: MapLike, schedule: ZoomOutSchedule) -> Flo
 
 def _finest_rows(surface: Surface, vertices: IndexArray) -> FloatArray:
     """(q, k) basis rows of finest vertices."""
-    return surface.basis.rows(surface.finest, vertices)
+    return surface.basis.rows(surface.finest_level, vertices)

@@ -121,7 +121,7 @@ def vertex_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
         If there is not one number from 0 to 1 for each control vertex.
     """
     given = _checked(values, refinement.control.n_vertices, "control vertex")
-    return np.clip(refinement.prolong(given, 0, refinement.n_levels), 0.0, 1.0)
+    return np.clip(refinement.prolong(given, 0, refinement.finest_level), 0.0, 1.0)
 
 
 @kinds_checked

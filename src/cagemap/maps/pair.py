@@ -92,7 +92,7 @@ class Pair:
     landmarks : PointPairs
     symmetries : tuple of ((n_0 target,), (n_0 source,)) arrays
         Self-maps of the control meshes that correspond, each side's as the image of every control vertex, -1 where it
-        is not known (see `cagemap.paper.operators.check_symmetry`).
+        is not known (see `cagemap.paper.symmetries.check_symmetry`).
     """
 
     target: Surface

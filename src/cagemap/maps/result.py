@@ -133,7 +133,7 @@ class MatchResult:
         ParameterError
             If no map of that level was found.
         """
-        finest = self.target.refinement.n_levels
+        finest = self.target.refinement.finest_level
         if level == finest:
             return self
         plain = self.target.refinement.is_plain or self.source.refinement.is_plain

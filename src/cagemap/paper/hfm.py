@@ -24,9 +24,9 @@ from cagemap.maps.projection.project import facing_points
 from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Brief
-from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.embeddings import functions_at, spectral_rows
 from cagemap.paper.equations import solve_functional_map
+from cagemap.paper.functional_constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.method import FEWEST_FUNCTIONS, finer_level_pairs, search_levels, start_map
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule, evenly_spaced_vertices, fit_functional_map, nearest_rows

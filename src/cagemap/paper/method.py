@@ -15,7 +15,6 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Brief
-from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.embeddings import (
     Rows,
     nearest_candidates,
@@ -25,6 +24,7 @@ from cagemap.paper.embeddings import (
     vertex_to_point,
 )
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
+from cagemap.paper.functional_constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import evenly_spaced_vertices, fit_functional_map, nearest_rows
 
@@ -169,7 +169,7 @@ def refit_map(pair: Pair, levels: LevelPair, match: IndexArray, sizes: tuple[int
     rows = spectral_rows(pair.target, levels[0], k1)(chosen).astype(np.float64)
     values = spectral_rows(pair.source, levels[1], k2)(match[chosen]).astype(np.float64)
     operators = pair.target.operators
-    on_level = levels[0] <= operators.finest
+    on_level = levels[0] <= operators.finest_level
     areas = operators.areas(levels[0]) if on_level else pair.target.triangles(levels[0]).vertex_areas
     return fit_functional_map(rows, areas[chosen], values)
 
@@ -184,7 +184,7 @@ def start_map(pair: Pair, start: MapLike, sizes: tuple[int, int]) -> FloatArray:
     if isinstance(given, PointMap) or given.ndim == 2:
         return functional_map_from(pair, given)
     level = [len(level_mesh.positions) for level_mesh in pair.target.hierarchy.levels].index(len(given))
-    return refit_map(pair, (level, pair.source.finest), given.astype(np.int64), sizes)
+    return refit_map(pair, (level, pair.source.finest_level), given.astype(np.int64), sizes)
 
 
 def recover_points(pair: Pair, matched: LevelMap) -> PointMap:
@@ -230,7 +230,7 @@ def search_levels(target: Surface, source: Surface, vertices: int, source_vertic
             for i, level in enumerate(surface.hierarchy.levels)
             if len(level.positions) >= wanted and surface.basis.size(i) >= functions
         )
-        return next(enough, surface.finest)
+        return next(enough, surface.finest_level)
 
     return first(target, vertices), first(source, source_vertices or vertices)
 
@@ -242,9 +242,9 @@ def finer_level_pairs(pair: Pair, start: LevelPair) -> list[LevelPair]:
     """
     steps = []
     l1, l2 = start
-    while (l1, l2) != (pair.target.finest, pair.source.finest):
+    while (l1, l2) != (pair.target.finest_level, pair.source.finest_level):
         n1, n2 = pair.target.triangles(l1).n, pair.source.triangles(l2).n
-        target_may, source_may = l1 < pair.target.finest, l2 < pair.source.finest
+        target_may, source_may = l1 < pair.target.finest_level, l2 < pair.source.finest_level
         move_target = target_may and (not source_may or n1 < COMPARABLE * n2)
         move_source = source_may and (not target_may or n2 < COMPARABLE * n1)
         l1, l2 = l1 + move_target, l2 + move_source

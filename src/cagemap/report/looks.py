@@ -122,13 +122,13 @@ def _source_look(
 ) -> _SourceLook | None:
     """The texture or the material colours; None if the source has neither."""
     map_triangles, barycentric = result.triangle[target.vertices], result.barycentric[target.vertices]
-    finest_level = result.source.refinement.finest
-    if texture is not None and finest_level.uv_indices is not None:
+    finest = result.source.refinement.finest
+    if texture is not None and finest.uv_indices is not None:
         legend = "Left the source as it came, right what the target received."
         keys, values = dict[str, IndexArray](), dict[str, FloatArray]()
         colors: dict[str, FloatArray | str] = {}
         pixels = display_image(texture)
-        corner_uvs = TexturedSurface.from_level(finest_level).corner_uvs()
+        corner_uvs = TexturedSurface.from_level(finest).corner_uvs()
         if source.corner_uvs is None:
             colors[SOURCE] = _vertex_texture(source, corner_uvs, pixels)
         else:
@@ -150,7 +150,7 @@ def _source_look(
     palette, index = np.unique(source_colors, axis=0, return_inverse=True)
     corners = np.repeat(index.ravel()[source.control_faces][:, None], 3, axis=1)
     per_face = len(result.source_triangles) // len(result.source.faces)
-    received = source_colors[finest_level.face_parents[map_triangles // per_face]]
+    received = source_colors[finest.face_parents[map_triangles // per_face]]
     look = Look("Materials", "Left the source's materials, right the same on the target.", None, received)
     return _SourceLook(look, {SOURCE: corners}, {SOURCE: palette})
 
@@ -177,7 +177,7 @@ def _index_uvs(corner_uvs: FloatArray) -> tuple[IndexArray, FloatArray]:
 def _prolong(display: DisplaySurface, values: FloatArray) -> FloatArray:
     """Values of the control vertices, subdivided to the displayed vertices."""
     refinement = display.surface.refinement
-    return np.asarray(refinement.prolong(values, 0, refinement.n_levels)[display.vertices])
+    return np.asarray(refinement.prolong(values, 0, refinement.finest_level)[display.vertices])
 
 
 def _shapes(

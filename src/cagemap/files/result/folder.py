@@ -305,7 +305,7 @@ def _manifest(result: MatchResult) -> dict[str, Any]:
         prefix: {
             "name": side.control.name,
             "scheme": scheme_to_entry(side.refinement.scheme),
-            "level": side.refinement.n_levels,
+            "level": side.refinement.finest_level,
             "control_vertices": side.control.n_vertices,
             "control_faces": side.control.n_faces,
             "vertices": len(side.vertices),

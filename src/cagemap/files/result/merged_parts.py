@@ -189,8 +189,8 @@ def _merged_checks(parts: Sequence[MatchResult]) -> LandmarkCheck:
 
 def _merge_sides(sides: Sequence[Surface]) -> tuple[Surface, list[_Numbers]]:
     refinements = [side.refinement for side in sides]
-    level, scheme = refinements[0].n_levels, refinements[0].scheme
-    if any((refinement.n_levels, refinement.scheme) != (level, scheme) for refinement in refinements):
+    level, scheme = refinements[0].finest_level, refinements[0].scheme
+    if any((refinement.finest_level, refinement.scheme) != (level, scheme) for refinement in refinements):
         raise ParameterError(
             "parts: expected all to have the same level and scheme, got different ones; match one by one"
         )

@@ -135,11 +135,11 @@ def carried_to_finest(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
         chosen = sparse.csr_array(sparse.eye_array(len(fitted), refinement.finest.n_vertices, format="csr"))
         for matrix in reversed(refinement.matrices[level:]):
             chosen = sparse.csr_array(chosen @ matrix)
-        return refinement.prolong(control_points(chosen, fitted), level, refinement.n_levels)
+        return refinement.prolong(control_points(chosen, fitted), level, refinement.finest_level)
     maps, _ = prepared.energy.differentials(fitted)
     rest = prepared.target.finest_triangles.positions
     shifts = fitted - np.einsum("nab,nb->na", maps, rest[prepared.vertices])
-    blended = refinement.prolong(np.hstack([shifts, maps.reshape(-1, 9)]), level, refinement.n_levels)
+    blended = refinement.prolong(np.hstack([shifts, maps.reshape(-1, 9)]), level, refinement.finest_level)
     return np.asarray(blended[:, :3] + np.einsum("nab,nb->na", blended[:, 3:].reshape(-1, 3, 3), rest))
 
 
