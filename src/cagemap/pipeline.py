@@ -12,7 +12,7 @@ from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.refit import fit_from_shape
-from cagemap.deform.shared_area import SharedArea
+from cagemap.deform.shared_area import shared_area
 from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
@@ -118,7 +118,7 @@ def match(
     if config.method == "elastic":
         with _timed(timings, "pair"):
             prepared = prepare_pair(target, source, config)
-        return _match_elastic(prepared, landmarks, config, progress, timings)
+        return match_pair(prepared, landmarks, config, progress=progress, timings=timings)
     needed = target.finest_level, source.finest_level
     if config.method == "hfm":
         needed = search_levels(target, source, config.hfm.search_vertices, config.hfm.source_search_vertices)
@@ -178,19 +178,7 @@ def match_pair(
     prepared.require_same(config.start, config.elastic, config.masks)
     landmarks = Landmarks.none() if landmarks is None else landmarks
     check_landmarks(landmarks, prepared.target.control, prepared.source.control)
-    return _match_elastic(prepared, landmarks, config, progress, dict(timings or {}), preview)
-
-
-def _match_elastic(
-    prepared: PreparedPair,
-    landmarks: Landmarks,
-    config: MatchConfig,
-    progress: Progress,
-    timings: dict[str, float],
-    preview: Callable[[PointMap], None] | None = None,
-) -> MatchResult:
-    """Match by the steps of the default method; the landmarks were checked against the control meshes."""
-    problem = Problem.of_landmarks(prepared, landmarks)
+    problem, timings = Problem.of_landmarks(prepared, landmarks), dict(timings or {})
     check, confidence = LandmarkCheck(), None
     placements: Sequence[Placement]
 
@@ -221,7 +209,7 @@ def _match_elastic(
                 check = check_on_map(problem, landmarks.names, point_map, outliers, notes)
                 mirrored, check = check_mirrored(problem, placements[0], outliers, check, progress)
                 confidence = mirrored or turned_limb_answers(placements, prepared)
-        shared = SharedArea.of_fit(prepared, placements[0].map_positions)
+        shared = shared_area(prepared, placements[0].map_positions)
         jumps = jump_lengths(prepared, point_map, shared)
         if coincident is None and len(landmarks) < FEWEST_LANDMARKS:
             confidence = answer_confidence(problem, point_map, tuple(placements), shared, jumps)
@@ -331,7 +319,7 @@ def match_next(
         places = fit_from_shape(problem, last)
         progress("closest points")
         point_map = map_of_places(problem, places)
-        shared = SharedArea.of_fit(prepared, places)
+        shared = shared_area(prepared, places)
     progress("quality")
     found = result_of_fit(prepared, point_map, landmarks, LandmarkCheck(), timings, shared)
     followed = found.quality.flipped_area <= config.elastic.refit.max_folded_frame
@@ -366,7 +354,7 @@ def other_answer(
     timings: dict[str, float] = {}
     with one_blas_thread(), _timed(timings, "map"):
         point_map = map_of_places(problem, answers[index].positions[prepared.vertices])
-        shared = SharedArea.of_fit(prepared, answers[index].positions)
+        shared = shared_area(prepared, answers[index].positions)
     progress("quality")
     return result_of_fit(prepared, point_map, landmarks, before.landmark_check, timings, shared, before.confidence)
 

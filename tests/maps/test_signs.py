@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from cagemap import pipeline
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair
-from cagemap.deform.shared_area import SharedArea
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.maps.hypotheses.confidence import (
     JUMPING,
@@ -195,15 +194,14 @@ def test_parts_of_one_result_keep_what_was_said_of_them() -> None:
 def test_parts_of_one_result_keep_their_shared_area() -> None:
     part = identity_result()
     n, m = len(part.target.vertices), len(part.source.vertices)
-    surfaces = part.target.finest_triangles, part.source.finest_triangles
     lower = part.target.vertices[:, 2] < 0
-    half = replace(part, shared=SharedArea.of_vertices(surfaces, (lower.astype(np.float64), np.ones(m))))
+    half = replace(part, shared=Masks(lower.astype(np.float64), np.ones(m)))
     merged = merge_results([part, half], {})
     # The part that was not asked weights whole, the other one as far as it did.
-    assert merged.shared.target_share == pytest.approx((1 + half.shared.target_share) / 2)
+    assert merged.shared_shares[0] == pytest.approx((1 + half.shared_shares[0]) / 2)
     assert merged.shared.target.sum() == n + lower.sum()
-    assert merged.shared.source_share == pytest.approx(1.0)
-    lacking = f"{50 * (1 - half.shared.target_share):.1f} % of the target has no counterpart on the source"
+    assert merged.shared_shares[1] == pytest.approx(1.0)
+    lacking = f"{50 * (1 - half.shared_shares[0]):.1f} % of the target has no counterpart on the source"
     assert any(text.startswith(lacking) for text in merged.quality.warnings)
     assert merge_results([part, part], {}).shared is None
 
@@ -211,10 +209,10 @@ def test_parts_of_one_result_keep_their_shared_area() -> None:
 def test_what_has_no_counterpart_says_nothing_about_a_map(surface: Surface, prepared: PreparedPair) -> None:
     wrong, lower = across(surface)
     weights = np.where(wrong.target.positions[:, 1] <= wrong.target.positions[lower, 1].max() + 0.05, 0.0, 1.0)
-    assert not jump_lengths(prepared, wrong, SharedArea(weights, np.ones(wrong.source.n), 0.5, 1.0)).any()
+    assert not jump_lengths(prepared, wrong, Masks(weights, np.ones(wrong.source.n))).any()
     assert median_distortion(wrong, weights) == pytest.approx(1.0, abs=1e-6)
-    nothing = SharedArea(np.zeros(wrong.target.n), np.ones(wrong.source.n), 0.0, 1.0)
-    assert not nothing.within(WHOLE).any  # a map that shares nothing is judged as a whole
+    nothing = Masks(np.zeros(wrong.target.n), np.ones(wrong.source.n))
+    assert not WHOLE.within(nothing).any  # a map that shares nothing is judged as a whole
 
 
 def test_what_is_masked_does_not_jump(surface: Surface) -> None:

@@ -88,6 +88,20 @@ class Masks:
         """(n1,) target's mask at every vertex times the source's mask at its image."""
         return self.of_target(point_map.target.n) * self.at_source(point_map.images)
 
+    def shares(self, target: TriangleSurface, source: TriangleSurface) -> tuple[float, float]:
+        """Shares of the area of both surfaces that count."""
+        on_target, on_source = self.of_target(target.n), self.of_source(source.n)
+        return float(target.vertex_areas @ on_target), float(source.vertex_areas @ on_source)
+
+    def within(self, shared: Masks | None) -> Masks:
+        """Masks of the unmasked area that has a counterpart; unchanged if ``shared`` is None, or no area has one."""
+        if shared is None or shared.target is None or shared.source is None:
+            return self
+        target, source = shared.target, shared.source
+        if not (target.any() and source.any()):
+            return self
+        return Masks(self.of_target(len(target)) * target, self.of_source(len(source)) * source)
+
     def require_fit(self, n_target: int, n_source: int) -> None:
         """Refuse masks of the wrong length, values outside [0, 1], and masks that leave nothing.
 

@@ -93,12 +93,10 @@ def report_models(
         looks.append(Look("Masks", "Dark parts were masked: neither matched nor transferred.", on_source, on_target))
     shared = result.shared
     if shared is not None:
-        legend = (
-            f"Dark parts have no counterpart: {1 - shared.target_share:.0%} of the target, "
-            f"{1 - shared.source_share:.0%} of the source."
-        )
-        on_source = scalar_colors(shared.source[source.vertices], 0.0, 1.0)
-        on_target = scalar_colors(shared.target[target.vertices], 0.0, 1.0)
+        lacking = [1 - share for share in result.shared_shares]
+        legend = f"Dark parts have no counterpart: {lacking[0]:.0%} of the target, {lacking[1]:.0%} of the source."
+        on_source = scalar_colors(shared.of_source(len(result.source.vertices))[source.vertices], 0.0, 1.0)
+        on_target = scalar_colors(shared.of_target(len(result.target.vertices))[target.vertices], 0.0, 1.0)
         looks.append(Look("Shared", legend, on_source, on_target))
     if carried.weights is not None:
         on_source = _prolong(source, joint_colors(carried.weights.source))

@@ -16,8 +16,8 @@ from cagemap.deform.constraints import PlacementConstraints
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.placement import Placement, distinct_placements
 from cagemap.deform.problem import PreparedPair, Problem
-from cagemap.deform.shared_area import SharedArea
 from cagemap.maps.hypotheses.rigid_starts import rigid_starts
+from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import distortion, stretches, weighted_percentiles
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -158,14 +158,14 @@ class Confidence:
 
 
 def answer_confidence(
-    problem: Problem, point_map: PointMap, answers: tuple[Placement, ...], shared: SharedArea | None, jumps: FloatArray
+    problem: Problem, point_map: PointMap, answers: tuple[Placement, ...], shared: Masks | None, jumps: FloatArray
 ) -> Confidence:
     """Confidence in the map of the first of several answers, from the `WARNING_SIGNS` of a wrong map.
 
     ``jumps`` are the map's `jump_lengths` (n,). Area that is not shared tells nothing about the map.
     """
     prepared, controls = problem.prepared, problem.prepared.target.control.n_vertices
-    weights = None if shared is None else shared.within(prepared.masks).of_target(point_map.target.n)
+    weights = None if shared is None else prepared.masks.within(shared).of_target(point_map.target.n)
     signs = {"jumps": jump_share(prepared, jumps), "stretched": median_distortion(point_map, weights)}
     confidence = Confidence.of(answers, controls, signs)
     if confidence.verdict == SURE:  # takes as long as all other signs
@@ -233,7 +233,7 @@ def median_distortion(found: PointMap, weights: FloatArray | None = None) -> flo
     return float(weighted_percentiles(distortion(sigma), areas, [50.0])[0])
 
 
-def jump_lengths(prepared: PreparedPair, found: PointMap, shared: SharedArea | None = None) -> FloatArray:
+def jump_lengths(prepared: PreparedPair, found: PointMap, shared: Masks | None = None) -> FloatArray:
     """(n,) lengths of a map's jumps at the vertices of the deformed level, of sqrt(area); else 0.
 
     A map jumps where neighbours on one surface are far apart along the other. No cost shows this where parts touch.
@@ -247,7 +247,7 @@ def jump_lengths(prepared: PreparedPair, found: PointMap, shared: SharedArea | N
     tree = cKDTree(np.hstack([source.positions, NORMAL_WEIGHT * source.normals]))
     at = tree.query(np.hstack([places, NORMAL_WEIGHT * normals]))[1]
     pairs = np.concatenate([edges, image_pairs(places, normals)])
-    masks = prepared.masks if shared is None else shared.within(prepared.masks)
+    masks = prepared.masks.within(shared)
     pairs = pairs[(masks.of_target(found.target.n)[prepared.vertices] > 0)[pairs].all(axis=1)]
     on_target = distances_apart(target.station_distances, pairs)
     on_source = distances_apart(source.station_distances[:, at], pairs)
