@@ -17,7 +17,7 @@ from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.errors import FormatError
 from cagemap.files.result.folder import ARRAYS, read_result, write_result
 from cagemap.maps.pair import Pair, point_pairs
-from cagemap.maps.places import curve_pairs, edge_vertices, refined_edges
+from cagemap.maps.places import curve_pairs, refined_edges
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.curves import CageCurves, Curves
@@ -186,7 +186,7 @@ def test_edge_vertices_are_the_rows_of_their_edges(mesh: ControlMesh, scheme: ob
     """In its row of S^l an edge's vertex has both ends at their largest weight."""
     refinement = refine(mesh, 3, scheme)  # type: ignore[arg-type]
     edges = mesh_topology(mesh).edge_vertices
-    found = edge_vertices(refinement, 0, edges)
+    found = refined_edges(refinement, edges, 1)[:, 1]
     rows = refinement.matrices[0].toarray()[found]
     assert len(np.unique(found)) == len(edges)
     np.testing.assert_array_equal(np.sort(np.argsort(-rows, axis=1, kind="stable")[:, :2], axis=1), edges)
@@ -194,7 +194,8 @@ def test_edge_vertices_are_the_rows_of_their_edges(mesh: ControlMesh, scheme: ob
     assert chains.shape == (len(edges), 9)
     steps = np.linalg.norm(np.diff(refinement.levels[3].positions[chains], axis=1), axis=2)
     assert steps.max() < 0.5 * np.linalg.norm(mesh.positions[edges[:, 0]] - mesh.positions[edges[:, 1]], axis=1).max()
-    assert edge_vertices(refinement, 0, np.array([[0, 0], [-1, 2]])).tolist() == [-1, -1]
+    np.testing.assert_array_equal(refined_edges(refinement, edges[:, ::-1], 3), chains[:, ::-1])
+    np.testing.assert_array_equal(refined_edges(refinement, np.array([[0, 0], [-1, 2]]), 3), -1)
 
 
 def test_a_curve_through_places_lies_on_the_surface_near_them(surfaces: tuple) -> None:

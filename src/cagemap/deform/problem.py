@@ -189,9 +189,7 @@ def fitted_surface(source: Surface, config: ElasticConfig) -> TriangleSurface:
 
 def level_graph(surface: Surface, level: int, config: GraphConfig = GraphConfig()) -> ElasticGraph:
     """Graph of a level's vertices at their positions on the finest surface, at unit area."""
-    faces = surface.hierarchy.levels[level].faces
-    mesh = surface.triangles(level)
-    return mesh_graph(mesh, mesh.triangles if faces is None else faces, config)
+    return mesh_graph(surface.triangles(level), surface.hierarchy.faces(level), config)
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +232,7 @@ class Problem:
         places = prepared.source.triangles(prepared.levels[1]).positions[tips[1]]
         every, curves = constrained_clusters(prepared.curves(landmarks), on_target, count, config.data)
         coarse, chosen = cluster_graph(prepared.energy.graph, count, every, config.graph)
-        energy, masks = bounded_energy(coarse, stage.smoothing, config), prepared.level_masks.for_vertices(chosen)
+        energy, masks = bounded_energy(coarse, stage.smoothing, config), prepared.level_masks.at(chosen)
         anchors = CagePoints.of_vertices(np.arange(len(on_target)))
         constraints = PlacementConstraints(anchors, np.vstack([landmarks.source.positions, places]), curves)
         return Clusters(energy, masks, chosen, constraints, (on_target, on_source), stage)

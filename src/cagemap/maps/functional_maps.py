@@ -53,7 +53,8 @@ def from_bases(
     """C12 on the bases of a pair, from a functional map on other functions.
 
     pyFM's ``model.FM_12`` with ``model.mesh2.eigenvectors`` as the target's functions and ``mesh1``'s as the source's;
-    geomfum's matrix with those of ``basis_b.vecs`` and ``basis_a.vecs``.
+    geomfum's matrix with those of ``basis_b.vecs`` and ``basis_a.vecs``. ParameterError if functions lack a row for
+    each vertex of their level, or are fewer than the map takes.
 
     Parameters
     ----------
@@ -69,11 +70,6 @@ def from_bases(
     -------
     (k1, k2) array
         k1 = q1 and k2 = q2, or as many functions as a basis has.
-
-    Raises
-    ------
-    ParameterError
-        If functions lack a row for each vertex of their level, or are fewer than the map takes.
     """
     matrix = real_numbers(functional_map, "functional map")
     target, source = _sides(pair, matrix.shape, (target_functions, source_functions), levels)
@@ -94,10 +90,7 @@ def to_bases(
 ) -> FloatArray:
     """(q1, q2) map on functions (n1, q1), (n2, q2) from C12 of a pair: the inverse of `from_bases`.
 
-    Raises
-    ------
-    ParameterError
-        As `from_bases`.
+    Errors as of `from_bases`.
     """
     matrix = real_numbers(functional_map, "functional map")
     given = [real_numbers(values, "functions") for values in (target_functions, source_functions)]
@@ -157,19 +150,24 @@ def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
     return matrix
 
 
-def functional_map_from(pair: Pair, given: MapLike) -> FloatArray:
-    """C12 of a map in any form; a point or vertex map uses all basis functions."""
+def functional_map_from(pair: Pair, given: MapLike, sizes: tuple[int, int] | None = None) -> FloatArray:
+    """C12 of a map in any form; vertex maps are fitted with ``sizes`` functions (k1, k2), by default with all."""
     checked = check_map(pair, given)
     if isinstance(checked, PointMap):
         return functional_map_of(pair.target, pair.source, checked)
     if checked.ndim == 2:
         return np.asarray(checked, dtype=np.float64)
-    levels = pair.target.hierarchy
-    level = [len(mesh.positions) for mesh in levels.levels].index(len(checked))
+    k1, k2 = (None, None) if sizes is None else sizes
     chosen = evenly_spaced_vertices(len(checked), FIT_SAMPLES)
-    vertices, images = levels.on_finest(level)[chosen], checked[chosen].astype(np.int64)
+    vertices = pair.target.hierarchy.on_finest(_level_of(pair, checked))[chosen]
     areas = pair.target.finest_triangles.vertex_areas[vertices]
-    return fit_functional_map(_finest_rows(pair.target, vertices), areas, _finest_rows(pair.source, images))
+    values = _finest_rows(pair.source, checked[chosen].astype(np.int64))
+    return fit_functional_map(_finest_rows(pair.target, vertices)[:, :k1], areas, values[:, :k2])
+
+
+def _level_of(pair: Pair, vertex_map: FloatArray | IndexArray) -> int:
+    """Level of the target that has as many vertices as a vertex map has entries."""
+    return [level.n_vertices for level in pair.target.hierarchy.levels].index(len(vertex_map))
 
 
 def image_positions(pair: Pair, given: MapLike, vertices: IndexArray) -> FloatArray:
@@ -178,8 +176,7 @@ def image_positions(pair: Pair, given: MapLike, vertices: IndexArray) -> FloatAr
     if isinstance(checked, PointMap):
         return checked.images.at(vertices).positions
     if checked.ndim == 1:
-        levels = pair.target.hierarchy
-        rows = levels.on_level([len(mesh.positions) for mesh in levels.levels].index(len(checked)), vertices)
+        rows = pair.target.hierarchy.on_level(_level_of(pair, checked), vertices)
         if (rows >= 0).all():
             return np.asarray(places[checked[rows].astype(np.int64)])
     candidates = evenly_spaced_vertices(len(places), SOURCE_SAMPLES)

@@ -73,8 +73,7 @@ def control_net(refinement: Refinement, level: int, scale: float, config: WrapCo
     """Prepare a level of the target for fitting."""
     mesh = level_mesh(refinement, level)
     net = TriangleSurface(scale * mesh.positions, level_triangles(refinement, level), scale)
-    faces = refinement.levels[level].faces
-    graph = mesh_graph(net, net.triangles if faces is None else faces)
+    graph = mesh_graph(net, refinement.faces(level))
     lengths2 = np.einsum("ed,ed->e", graph.edges, graph.edges)
     graph = replace(
         graph, weights=graph.weights * (lengths2 / lengths2.mean()) ** config.weight_power * lengths2.mean()
@@ -129,8 +128,7 @@ class Samples:
         sampled = refinement.levels[level]
         count = sampled.n_vertices
         rows = refinement.rows(slice(count), refinement.finest_level, net.level)
-        faces = level_triangles(refinement, level) if sampled.faces is None else sampled.faces
-        areas = vertex_areas(sampled.positions, faces)
+        areas = vertex_areas(sampled.positions, refinement.faces(level))
         lengths = np.linalg.norm(graph.edges, axis=1)
         around = np.bincount(graph.heads, lengths, graph.n) / np.maximum(np.bincount(graph.heads, minlength=graph.n), 1)
         weights = follow[:count] * areas / areas.sum()
