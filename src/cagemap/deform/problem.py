@@ -24,6 +24,7 @@ from cagemap.numerics.factorization import Factorization
 from cagemap.numerics.threads import ThreadPool, in_threads, kept
 from cagemap.spectral.surface import Surface
 from cagemap.surface.polylines import Polyline
+from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 
 # Corresponding tips (k,) of limbs, as vertices of the searched levels of target and source.
@@ -144,15 +145,6 @@ class PreparedPair:
         """(n,) numbers of the vertices of `mesh` among the finest target vertices."""
         return self.target.hierarchy.on_finest(self.levels[0])
 
-    def curves(self, landmarks: PointPairs) -> tuple[CurveConstraint, ...]:
-        """Constraints on `mesh` of the landmarks' curves."""
-        constraints = []
-        for pair in landmarks.curves:
-            anchors = points_on_level(self.target, self.levels[0], pair.target.points, self.elastic)
-            rest = Polyline(anchors.of(self.mesh.positions), pair.target.closed)
-            constraints.append(CurveConstraint(anchors, rest, pair.source.line))
-        return tuple(constraints)
-
     @kept
     def graphs(self) -> tuple[ElasticGraph, ElasticGraph]:
         """Elastic graphs of the searched levels of target and source; built on first access."""
@@ -230,7 +222,7 @@ class Problem:
         stage, count = stage or config.coarse, count or config.coarse_vertices
         on_target, on_source = (np.concatenate(both) for both in zip(self.landmark_vertices, tips, strict=True))
         places = prepared.source.triangles(prepared.levels[1]).positions[tips[1]]
-        every, curves = constrained_clusters(prepared.curves(landmarks), on_target, count, config.data)
+        every, curves = constrained_clusters(self.constraints.curves, on_target, count, config.data)
         coarse, chosen = cluster_graph(prepared.energy.graph, count, every, config.graph)
         energy, masks = bounded_energy(coarse, stage.smoothing, config), prepared.level_masks.at(chosen)
         anchors = CagePoints.of_vertices(np.arange(len(on_target)))
@@ -253,8 +245,16 @@ class Problem:
     def constraints(self) -> PlacementConstraints:
         """Landmarks and curves on the mesh that the fine stage deforms."""
         prepared, landmarks = self.prepared, self.landmarks
-        anchors = points_on_level(prepared.target, prepared.levels[0], landmarks.target, prepared.elastic)
-        return PlacementConstraints(anchors, landmarks.source.positions, prepared.curves(landmarks))
+
+        def on_mesh(points: SurfacePoints) -> CagePoints:
+            return points_on_level(prepared.target, prepared.levels[0], points, prepared.elastic)
+
+        curves = []
+        for pair in landmarks.curves:
+            anchors = on_mesh(pair.target.points)
+            rest = Polyline(anchors.of(prepared.mesh.positions), pair.target.closed)
+            curves.append(CurveConstraint(anchors, rest, pair.source.line))
+        return PlacementConstraints(on_mesh(landmarks.target), landmarks.source.positions, tuple(curves))
 
     @kept
     def reverse_problem(self) -> Problem:
