@@ -88,7 +88,7 @@ def animal_rows(key: str, vertices: int, method: str, left_out: int) -> list[dic
     for landmarks, to, of in ((forward, target, source), (forward.reversed(), source, target)):
         config = MatchConfig(method=method)
         result = match(to, of, landmarks, config)
-        positions = of.triangles(of.finest).positions
+        positions = of.triangles(of.finest_level).positions
         errors = []
         for i in np.unique(np.linspace(0, len(landmarks) - 1, left_out).astype(int)):
             less = _without(landmarks, int(i))
@@ -149,7 +149,7 @@ def _refined_sides(pair: HumanPair, vertices: int) -> tuple[Side, Side]:
 
 
 def _side(refinement: Refinement, neutral: np.ndarray, surface: Surface | None) -> Side:
-    top = refinement.n_levels
+    top = refinement.finest_level
     prolonged = refinement.prolong(neutral, 0, top)
     return Side(surface, refinement.finest.positions, level_triangles(refinement, top), prolonged)
 

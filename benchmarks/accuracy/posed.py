@@ -66,7 +66,7 @@ class Bodies:
             for body in (target, source):
                 refinement = self.surface(body).refinement
                 control = read_obj(DATA / "humans" / f"{body[0]}_neutral.obj").positions
-                top = refinement.n_levels
+                top = refinement.finest_level
                 places = refinement.prolong(control, 0, top)
                 neutral.append(TriangleSurface.from_faces(places, level_triangles(refinement, top)))
             self.truths[key] = true_map(*neutral)

@@ -69,8 +69,8 @@ def measured(target: str, source: str, landmarks: str, vertices: int) -> dict[st
             for mesh, level in zip(meshes, levels, strict=True)
         ]
         row["control"] = [mesh.n_vertices for mesh in meshes]
-        row["finest"] = [surface.triangles(surface.finest).n for surface in surfaces]
-        row["prepared"] = [surface.refinement.levels[surface.operators.finest].n_vertices for surface in surfaces]
+        row["finest"] = [surface.triangles(surface.finest_level).n for surface in surfaces]
+        row["prepared"] = [surface.refinement.levels[surface.operators.finest_level].n_vertices for surface in surfaces]
         row["store_bytes"] = sum(file.stat().st_size for file in (folder / "store").iterdir())
         given = None
         if landmarks:

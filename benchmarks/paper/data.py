@@ -68,12 +68,12 @@ class Judged:
         """Source is the pair's first mesh."""
         neutrals = [
             TriangleSurface.from_faces(
-                surface.refinement.prolong(neutral, 0, surface.finest), surface.refinement.finest.faces
+                surface.refinement.prolong(neutral, 0, surface.finest_level), surface.refinement.finest.faces
             )
             for surface, neutral in zip((source, target), pair.neutrals(), strict=True)
         ]
         truth = true_map(neutrals[1], neutrals[0])
-        places = source.triangles(source.finest)
+        places = source.triangles(source.finest_level)
         return cls(places.positions, truth.on(places).positions, truth.known)
 
     def errors(self, images: np.ndarray) -> np.ndarray:

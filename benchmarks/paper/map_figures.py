@@ -141,10 +141,10 @@ def figure_2() -> Drawn:
         axes[2].axvline(edge, color="0.6", lw=0.5)
     source, target = pair.source.refinement.finest, pair.target.refinement.finest
     colors = position_colors(source.positions, source.positions)
-    top = level_triangles(pair.source.refinement, pair.source.finest)
+    top = level_triangles(pair.source.refinement, pair.source.finest_level)
     axes[3].imshow(picture(source.positions, top, colors))
     axes[3].set_title("source")
-    top = level_triangles(pair.target.refinement, pair.target.finest)
+    top = level_triangles(pair.target.refinement, pair.target.finest_level)
     axes[4].imshow(picture(target.positions, top, points.pull_back(colors)))
     axes[4].set_title("(d) pulled back to the target")
     for axis in axes[[0, 1, 3, 4]]:
@@ -184,12 +184,12 @@ def figure_10() -> Drawn:
     figure, axes = plt.subplots(2, len(maps) + 2, figsize=(2.4 * (len(maps) + 2), 7.4))
     source = pair.source.refinement.finest.positions
     colors = position_colors(source, source)
-    axes[0, 0].imshow(picture(source, level_triangles(pair.source.refinement, pair.source.finest), colors))
+    axes[0, 0].imshow(picture(source, level_triangles(pair.source.refinement, pair.source.finest_level), colors))
     axes[0, 0].set_title("source")
     shown = [
         (f"l = {found.levels[0]}", found.levels[0], colors[found.match], known.places[found.match]) for found in maps
     ]
-    shown.append(("refined", pair.target.finest, points.pull_back(colors), points.images.positions))
+    shown.append(("refined", pair.target.finest_level, points.pull_back(colors), points.images.positions))
     means = []
     for (above, below), (name, level, carried, images) in zip(axes[:, 1:].T, shown, strict=True):
         mesh, triangles = pair.target.refinement.levels[level], level_triangles(pair.target.refinement, level)

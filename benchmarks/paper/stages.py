@@ -17,7 +17,7 @@ from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap
 from cagemap.paper import hfm, method
-from cagemap.paper.constraints import DescriptorConfig, gather_constraints
+from cagemap.paper.functional_constraints import DescriptorConfig, gather_constraints
 from cagemap.paper.hfm import HfmConfig, hfm_map
 from cagemap.paper.method import PaperConfig, finer_level_pairs, paper_map, recover_points, search_full, search_level
 from cagemap.pipeline import MatchConfig, choose_level, default_basis, pair_of, prepare_surface
@@ -144,7 +144,7 @@ def closest_map_off(pair: Pair, levels: tuple[int, int], functional_map: np.ndar
     """C alone: full search on the first level, Fig. 9 and vertex to point below (5.4), as `paper` does it."""
     first = hfm.search_levels(pair.target, pair.source, HfmConfig().search_vertices)
     found = LevelMap(first, functional_map, search_full(pair, functional_map, first))
-    if levels != (pair.target.finest, pair.source.finest):
+    if levels != (pair.target.finest_level, pair.source.finest_level):
         return found  # only the last level is judged
     for finer in finer_level_pairs(pair, first):
         found = LevelMap(finer, functional_map, search_level(pair, functional_map, finer, found))
@@ -165,7 +165,9 @@ def runs(of: str, vertices: int) -> Iterator[Run]:
         names = (human.first, human.second)
         sides = [surface(name, identity, vertices, of) for name, identity in zip(names, human.identities, strict=True)]
         neutrals = [
-            TriangleSurface.from_faces(side.hierarchy.prolong(neutral, 0, side.finest), side.finest_triangles.triangles)
+            TriangleSurface.from_faces(
+                side.hierarchy.prolong(neutral, 0, side.finest_level), side.finest_triangles.triangles
+            )
             for side, neutral in zip(sides, human.neutrals(), strict=True)
         ]
         for source, target in ((0, 1), (1, 0)):

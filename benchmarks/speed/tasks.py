@@ -107,7 +107,7 @@ def check_map(pair: str, result: str) -> Figures:
 
     stored = read_result(result)
     return _assert_accurate(
-        PAIRS[pair], stored.target.finest, stored.source.finest, stored.triangle, stored.barycentric
+        PAIRS[pair], stored.target.finest_level, stored.source.finest_level, stored.triangle, stored.barycentric
     )
 
 

@@ -93,8 +93,8 @@ def right_landmarks(surfaces: Surfaces, target: Model, source: Model, count: int
         truth = surfaces.bodies.truth(target.body, source.body)
         known = np.flatnonzero(truth.known[: sides[0].control.n_vertices]).tolist()
         vertices = np.array(choose.sample(known, count))
-        true = truth.on(sides[1].triangles(sides[1].finest)).positions[vertices]
-        cage = sides[1].triangles(sides[1].finest).positions[: sides[1].control.n_vertices]
+        true = truth.on(sides[1].triangles(sides[1].finest_level)).positions[vertices]
+        cage = sides[1].triangles(sides[1].finest_level).positions[: sides[1].control.n_vertices]
         pairs = list(zip(vertices.tolist(), np.linalg.norm(true[:, None] - cage, axis=2).argmin(axis=1), strict=True))
     elif target.kind == source.kind:
         shared = sorted(target.places.keys() & source.places.keys())

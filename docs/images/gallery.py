@@ -62,7 +62,7 @@ def bake(names: Names) -> tuple[Image, ...]:
 def weights(names: Names) -> tuple[Image, ...]:
     """02: weights of the front joint on both."""
     return tuple(
-        colored(side, side.refinement.prolong(values[:, :1], 0, side.refinement.n_levels)[:, 0], 0.0, 1.0)
+        colored(side, side.refinement.prolong(values[:, :1], 0, side.refinement.finest_level)[:, 0], 0.0, 1.0)
         for side, values in ((names["source"], names["weights"]), (names["target"], names["carried"]))
     )
 

@@ -93,7 +93,7 @@ def weights_of(file: Path, side: Surface) -> Skin:
     values = np.loadtxt(file, delimiter=",", skiprows=1)[:, 0]
     return Skin(
         vertex_colors=scalar_colors(
-            side.refinement.prolong(values[:, None], 0, side.refinement.n_levels)[:, 0], 0.0, 1.0
+            side.refinement.prolong(values[:, None], 0, side.refinement.finest_level)[:, 0], 0.0, 1.0
         )
     )
 

@@ -27,7 +27,7 @@ YELLOW = 2e-3  # of sqrt(area)
 
 def draw(refinement: Refinement, skin: Skin | None = None, edges: FloatArray | None = None) -> Image:
     """The finest surface from the front."""
-    model = Model(refinement.finest.positions, level_triangles(refinement, refinement.n_levels))
+    model = Model(refinement.finest.positions, level_triangles(refinement, refinement.finest_level))
     camera = frame(model.positions, FRONT, aspect=WIDTH / HEIGHT)
     image = render(model, skin or Skin(), camera, width=WIDTH, height=HEIGHT, samples=3)
     return image if edges is None else draw_segments(image, model, camera, edges, WIRE)
@@ -37,7 +37,7 @@ def row(folder: Path, wrapped: Path) -> Image:
     """Four pictures of one result."""
     result = read_result(folder)
     target, surface = result.target.refinement, result.point_map.source
-    fine = refine(read_mesh(wrapped), target.n_levels, target.scheme)
+    fine = refine(read_mesh(wrapped), target.finest_level, target.scheme)
     _, _, distance = closest_points(surface.tree, surface.scale * fine.finest.positions)
     colors = Skin(vertex_colors=scalar_colors(distance, 0.0, YELLOW))
     pictures = [draw(target), draw(result.source.refinement), draw(fine, colors)]

@@ -12,12 +12,12 @@ from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.refit import fit_from_shape
-from cagemap.deform.shared_area import SharedArea
+from cagemap.deform.shared_area import shared_area
 from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
 from cagemap.maps.hypotheses.confidence import answer_confidence, jump_lengths, prolong_answers, turned_limb_answers
-from cagemap.maps.hypotheses.search import distinct_answers, search, search_from_source
+from cagemap.maps.hypotheses.search import distinct_answers, search_from_source, search_placements
 from cagemap.maps.landmarks.check import (
     LandmarkCheck,
     check_changes,
@@ -39,7 +39,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, one_blas_thread
 from cagemap.paper.hfm import hfm_map
 from cagemap.paper.method import paper_map, search_levels
-from cagemap.paper.operators import paired_mirrors
+from cagemap.paper.symmetries import paired_mirrors
 from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
 from cagemap.spectral.surface import DEFAULT_VERTICES, Surface
 from cagemap.spectral.surface import ENOUGH as ENOUGH
@@ -75,7 +75,9 @@ def match(
     """Map a target surface to a source surface (paper, section 5).
 
     With fewer than three landmarks many alignments are tried. The result has a ``confidence`` then, and with more
-    landmarks if they are mirrored or leave the rotation of a limb open.
+    landmarks if they are mirrored or leave the rotation of a limb open. InvalidMeshError if a mesh is not an oriented
+    connected manifold. InvalidLandmarksError if the landmarks do not fit the control meshes, or "hfm" has fewer than
+    three.
 
     Parameters
     ----------
@@ -89,13 +91,6 @@ def match(
     config : MatchConfig
     progress : callable
         Called with the name of each stage.
-
-    Raises
-    ------
-    InvalidMeshError
-        If a mesh is not an oriented connected manifold.
-    InvalidLandmarksError
-        If the landmarks do not fit the control meshes, or "hfm" has fewer than three.
     """
     landmarks = Landmarks.none() if landmarks is None else landmarks
     controls = [side.control if isinstance(side, Surface) else side for side in (target, source)]
@@ -118,8 +113,8 @@ def match(
     if config.method == "elastic":
         with _timed(timings, "pair"):
             prepared = prepare_pair(target, source, config)
-        return _match_elastic(prepared, landmarks, config, progress, timings)
-    needed = target.finest, source.finest
+        return match_pair(prepared, landmarks, config, progress=progress, timings=timings)
+    needed = target.finest_level, source.finest_level
     if config.method == "hfm":
         needed = search_levels(target, source, config.hfm.search_vertices, config.hfm.source_search_vertices)
     for surface, level in zip((target, source), needed, strict=True):
@@ -150,6 +145,9 @@ def match_pair(
 ) -> MatchResult:
     """Match a prepared pair by the elastic method.
 
+    InvalidLandmarksError if the landmarks do not fit the control meshes. ParameterError if the config asks for another
+    method, start, elastic fit or masks than the pair was prepared for.
+
     Parameters
     ----------
     prepared : PreparedPair
@@ -162,13 +160,6 @@ def match_pair(
         Seconds of earlier stages.
     preview : callable, optional
         Called with approximate maps during the search, with fewer than three landmarks.
-
-    Raises
-    ------
-    InvalidLandmarksError
-        If the landmarks do not fit the control meshes.
-    ParameterError
-        If the config asks for another method, start, elastic fit or masks than the pair was prepared for.
     """
     if config.method != "elastic":
         raise ParameterError(
@@ -178,19 +169,7 @@ def match_pair(
     prepared.require_same(config.start, config.elastic, config.masks)
     landmarks = Landmarks.none() if landmarks is None else landmarks
     check_landmarks(landmarks, prepared.target.control, prepared.source.control)
-    return _match_elastic(prepared, landmarks, config, progress, dict(timings or {}), preview)
-
-
-def _match_elastic(
-    prepared: PreparedPair,
-    landmarks: Landmarks,
-    config: MatchConfig,
-    progress: Progress,
-    timings: dict[str, float],
-    preview: Callable[[PointMap], None] | None = None,
-) -> MatchResult:
-    """Match by the steps of the default method; the landmarks were checked against the control meshes."""
-    problem = Problem.of_landmarks(prepared, landmarks)
+    problem, timings = Problem.of_landmarks(prepared, landmarks), dict(timings or {})
     check, confidence = LandmarkCheck(), None
     placements: Sequence[Placement]
 
@@ -204,7 +183,7 @@ def _match_elastic(
             point_map, confidence = coincident
             placements = confidence.answers
         elif len(landmarks) < FEWEST_LANDMARKS:
-            found = search(problem, progress, show=show)
+            found = search_placements(problem, progress, show=show)
             placements = distinct_answers(prepared, search_from_source(problem, found, progress))
             progress("closest points")
             point_map = map_of_places(problem, placements[0].map_positions)
@@ -213,7 +192,7 @@ def _match_elastic(
             if config.check_landmarks:
                 outliers, notes = landmark_outliers(problem, landmarks.names, progress)
             trusted = problem.without(outliers)
-            placements = search(trusted, progress)
+            placements = search_placements(trusted, progress)
             progress("closest points")
             point_map = map_of_places(trusted, placements[0].map_positions)
             if config.check_landmarks:
@@ -221,7 +200,7 @@ def _match_elastic(
                 check = check_on_map(problem, landmarks.names, point_map, outliers, notes)
                 mirrored, check = check_mirrored(problem, placements[0], outliers, check, progress)
                 confidence = mirrored or turned_limb_answers(placements, prepared)
-        shared = SharedArea.of_fit(prepared, placements[0].map_positions)
+        shared = shared_area(prepared, placements[0].map_positions)
         jumps = jump_lengths(prepared, point_map, shared)
         if coincident is None and len(landmarks) < FEWEST_LANDMARKS:
             confidence = answer_confidence(problem, point_map, tuple(placements), shared, jumps)
@@ -243,6 +222,7 @@ def update_match(
 
     The map responds elastically to the landmarks; its error is within a few percent of that of a new match
     (docs/lab/fit_experiments.md). If landmarks change which parts correspond (an arm instead of a leg), match again.
+    InvalidLandmarksError if the landmarks do not fit the control meshes.
 
     Parameters
     ----------
@@ -254,11 +234,6 @@ def update_match(
         The config of the match before.
     progress : callable
         Called with the name of each stage.
-
-    Raises
-    ------
-    InvalidLandmarksError
-        If the landmarks do not fit the control meshes.
     """
     target, source = before.target, before.source
     check_landmarks(landmarks, target.control, source.control)
@@ -297,7 +272,8 @@ def match_next(
 
     The fit starts from the map to the last frame; no other starts are tried, and errors add up from frame to frame
     (docs/lab/sequences.md). If the map folds more than ``max_folded_frame`` of `RefitConfig`, the frame is matched
-    without the last one; without landmarks only such a result has a ``confidence``.
+    without the last one; without landmarks only such a result has a ``confidence``. InvalidMeshError if the frame is
+    not an oriented connected manifold. InvalidLandmarksError if the landmarks do not fit the control meshes.
 
     Parameters
     ----------
@@ -310,13 +286,6 @@ def match_next(
     config : MatchConfig
         Of method "elastic".
     progress : callable
-
-    Raises
-    ------
-    InvalidMeshError
-        If the frame is not an oriented connected manifold.
-    InvalidLandmarksError
-        If the landmarks do not fit the control meshes.
     """
     landmarks = Landmarks.none() if landmarks is None else landmarks
     if not isinstance(source, Surface):
@@ -331,7 +300,7 @@ def match_next(
         places = fit_from_shape(problem, last)
         progress("closest points")
         point_map = map_of_places(problem, places)
-        shared = SharedArea.of_fit(prepared, places)
+        shared = shared_area(prepared, places)
     progress("quality")
     found = result_of_fit(prepared, point_map, landmarks, LandmarkCheck(), timings, shared)
     followed = found.quality.flipped_area <= config.elastic.refit.max_folded_frame
@@ -343,10 +312,7 @@ def other_answer(
 ) -> MatchResult:
     """Result with another of ``before.confidence.answers``; index 0 is the match's own.
 
-    Raises
-    ------
-    ParameterError
-        If there is no such answer, or a result that was read does not contain it in full.
+    ParameterError if there is no such answer, or a result that was read does not contain it in full.
     """
     answers = () if before.confidence is None else before.confidence.answers
     if not 0 <= index < len(answers):
@@ -366,7 +332,7 @@ def other_answer(
     timings: dict[str, float] = {}
     with one_blas_thread(), _timed(timings, "map"):
         point_map = map_of_places(problem, answers[index].positions[prepared.vertices])
-        shared = SharedArea.of_fit(prepared, answers[index].positions)
+        shared = shared_area(prepared, answers[index].positions)
     progress("quality")
     return result_of_fit(prepared, point_map, landmarks, before.landmark_check, timings, shared, before.confidence)
 

@@ -26,7 +26,7 @@ from cagemap.maps.functional_maps import (
     zoomout_of_map,
 )
 from cagemap.maps.functional_maps import functional_map_from as functional_map_of
-from cagemap.maps.hypotheses.search import search
+from cagemap.maps.hypotheses.search import search_placements
 from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, vertices_at
 from cagemap.maps.places import cage_points_of, choose_points
 from cagemap.maps.point_map import PointMap
@@ -39,9 +39,15 @@ from cagemap.maps.result import LevelMap
 from cagemap.mesh.inputs import control_mesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, real_numbers, whole_numbers
-from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints, signature_functions
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
+from cagemap.paper.functional_constraints import (
+    Constraints,
+    DescriptorConfig,
+    MapWeights,
+    gather_constraints,
+    signature_functions,
+)
 from cagemap.paper.hfm import HfmConfig, hfm_map
 from cagemap.paper.method import (
     PaperConfig,
@@ -53,7 +59,7 @@ from cagemap.paper.method import (
     search_level,
     search_levels,
 )
-from cagemap.paper.operators import check_symmetry
+from cagemap.paper.symmetries import check_symmetry
 from cagemap.pipeline import MAP_BASIS, MatchResult, prepare_pair, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule
@@ -170,7 +176,7 @@ def functional_map(
     levels : (int, int), optional
         Last levels; default: the finest.
     """
-    last = (pair.target.finest, pair.source.finest) if levels is None else levels
+    last = (pair.target.finest_level, pair.source.finest_level) if levels is None else levels
     level_pairs = [(min(l1, last[0]), min(l2, last[1])) for l1, l2 in [(0, 0), *finer_level_pairs(pair, (0, 0))]]
     matrix = solve_functional_map(constraints.leading(*basis_sizes(pair, (0, 0))), weights)
     for level_pair in level_pairs[1:]:
@@ -232,8 +238,8 @@ def elastic(pair: Pair, start: MapLike | None = None, prepared: PreparedPair | N
     problem = Problem(prepare_pair(pair.target, pair.source) if prepared is None else prepared, pair.landmarks)
     places = None
     if start is not None:
-        places = image_positions(pair, start, problem.prepared.vertices[problem.coarse_shape.vertices])
-    return map_of_places(problem, search(problem, start=places)[0].map_positions)
+        places = image_positions(pair, start, problem.prepared.vertices[problem.coarse_clusters.vertices])
+    return map_of_places(problem, search_placements(problem, start=places)[0].map_positions)
 
 
 def project(pair: Pair, start: MapLike, prepared: PreparedPair | None = None) -> PointMap:

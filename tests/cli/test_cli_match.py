@@ -67,7 +67,7 @@ def test_match_from_files_to_a_result(run: Run, pair_files: Path, one_start: Non
     outcome = run.done("match", *MATCH, *COARSE, "-o", "R")
     assert "deer.obj" in outcome.out
     result = read_result(pair_files / "R")
-    assert (result.target.finest, result.functional_map.shape) == (1, (20, 20))
+    assert (result.target.finest_level, result.functional_map.shape) == (1, (20, 20))
     assert (result.barycentric >= -1e-12).all()
     np.testing.assert_allclose(result.barycentric.sum(1), 1.0, atol=1e-12)
     manifest = result.manifest

@@ -36,7 +36,7 @@ def matched() -> MatchResult:
 def images(result: MatchResult) -> np.ndarray:
     """(n, 3) places on the source, its area being 1."""
     refinement, point_map = result.source.refinement, result.point_map
-    corners = level_triangles(refinement, refinement.n_levels)[point_map.triangle]
+    corners = level_triangles(refinement, refinement.finest_level)[point_map.triangle]
     places = np.einsum("ij,ijk->ik", point_map.barycentric, refinement.finest.positions[corners])
     return np.asarray(places * result.source.operators.scale)
 

@@ -158,7 +158,7 @@ def use_consistency(path: Path) -> None:
 def with_levels(result: MatchResult) -> MatchResult:
     """A result of a method that goes from level to level."""
     maps = []
-    for level in (1, result.target.finest):
+    for level in (1, result.target.finest_level):
         sides = result.target.triangles(level), result.source.triangles(level)
         vertices = np.arange(sides[0].n)
         maps.append(LevelMap((level, level), np.eye(5), vertices, PointMap.from_vertices(*sides, vertices)))
@@ -191,13 +191,13 @@ def use_mask(path: Path) -> None:
     """A mask, read and laid on a surface."""
     surface = same_result().target
     mask = read_mask(str(path), None, surface.refinement.control, path, "--target-mask")
-    mask.on(surface.refinement, surface.triangles(surface.finest))
+    mask.on(surface.refinement, surface.triangles(surface.finest_level))
 
 
 def use_map(path: Path) -> None:
     """A map, read for the surface that it was made for."""
     surface = same_result().source
-    read_images(path, surface.triangles(surface.finest))
+    read_images(path, surface.triangles(surface.finest_level))
 
 
 def use_points(path: Path) -> None:

@@ -41,7 +41,7 @@ def test_a_surface_fits_itself_from_a_shaken_start(creature_at_3: tuple[Refineme
     pair, prepared = Pair.of_vertices(surface, surface, landmarks, landmarks), prepared_at(surface, surface, 2, config)
     graph, problem = prepared.energy.graph, Problem(prepared, pair.landmarks)
     start = graph.positions + 0.03 * np.random.default_rng(13).standard_normal((graph.n, 3))
-    started = [coarse_fit(problem, first) for first in (start[problem.coarse_shape.vertices], None)]
+    started = [coarse_fit(problem, first) for first in (start[problem.coarse_clusters.vertices], None)]
     found = fine_fit(problem, min(started, key=lambda ended: ended.cost))
     error = np.linalg.norm(found - graph.positions, axis=1)
     assert error.mean() < 0.003  # ten times less than the noise; tangentially only landmarks and the energy hold it
@@ -168,8 +168,8 @@ def test_a_step_ends_where_nothing_is_left_to_miss() -> None:
     """Factors of the matrix itself: one gradient solves it, and the next would divide by zero."""
     matrix, right = sparse.csc_array(2.0 * sparse.eye_array(15)), np.ones(15)
     system, stage = LinearSystem(factor(matrix), matrix), Stage(1, (1.0, 1.0), 1.0)
-    np.testing.assert_allclose(system.gradients(right, stage), 0.5 * right, rtol=1e-12)
-    np.testing.assert_array_equal(system.gradients(0.0 * right, stage), 0.0)
+    np.testing.assert_allclose(system.conjugate_gradients(right, stage), 0.5 * right, rtol=1e-12)
+    np.testing.assert_array_equal(system.conjugate_gradients(0.0 * right, stage), 0.0)
 
 
 def test_a_step_with_factors_of_another_matrix_is_solved_all_the_same():
@@ -179,7 +179,7 @@ def test_a_step_with_factors_of_another_matrix_is_solved_all_the_same():
     weights = np.repeat(10.0 ** rng.uniform(0, 6, 40), 3)
     matrix, other = (sparse.csc_array(chain + np.diag(diagonal)) for diagonal in (weights, weights[::-1]))
     right = matrix @ rng.standard_normal(120) / 10.0 ** rng.uniform(0, 6, 120)
-    found = LinearSystem(factor(other), matrix).gradients(right, Stage(1, (1.0, 1.0), 1.0))
+    found = LinearSystem(factor(other), matrix).conjugate_gradients(right, Stage(1, (1.0, 1.0), 1.0))
     np.testing.assert_allclose(matrix @ found, right, atol=1e-9 * np.abs(right).max())
 
 

@@ -22,11 +22,11 @@ def problem() -> Problem:
 
 def test_held_vertices_come_first_each_with_its_place(problem: Problem) -> None:
     places = problem.prepared.source.finest_triangles.positions
-    shape = problem.coarse_shape_with((np.array([60, 9]), np.array([61, 8])))
-    np.testing.assert_array_equal(shape.vertices[:5], [*TARGET, 60, 9])
-    np.testing.assert_array_equal(shape.constraints.anchors.corners[:, 0], np.arange(5))
-    np.testing.assert_array_equal(shape.constraints.places, places[[*SOURCE, 61, 8]])
-    np.testing.assert_array_equal(problem.coarse_shape.vertices[:3], TARGET)
+    clusters = problem.clusters_with((np.array([60, 9]), np.array([61, 8])))
+    np.testing.assert_array_equal(clusters.vertices[:5], [*TARGET, 60, 9])
+    np.testing.assert_array_equal(clusters.constraints.anchors.corners[:, 0], np.arange(5))
+    np.testing.assert_array_equal(clusters.constraints.places, places[[*SOURCE, 61, 8]])
+    np.testing.assert_array_equal(problem.coarse_clusters.vertices[:3], TARGET)
     np.testing.assert_array_equal(problem.constraints.anchors.corners[:, 0], TARGET)
     np.testing.assert_array_equal(problem.constraints.places, places[SOURCE])
 
@@ -39,7 +39,7 @@ def test_problems_made_of_one_keep_what_they_do_not_change(problem: Problem) -> 
     assert back.prepared is problem.prepared.reverse_pair
     np.testing.assert_array_equal(back.landmark_vertices, (SOURCE, TARGET))
     stage = Stage(3, (1.0, 1e-2), 1e-2)
-    small = problem.coarse_shape_with(stage=stage, count=100)
+    small = problem.clusters_with(stage=stage, count=100)
     assert small.stage is stage
-    assert 90 < small.energy.graph.n < 110 < problem.coarse_shape.energy.graph.n
-    assert problem.coarse_shape_with(stage=stage).energy.graph.n == problem.coarse_shape.energy.graph.n
+    assert 90 < small.energy.graph.n < 110 < problem.coarse_clusters.energy.graph.n
+    assert problem.clusters_with(stage=stage).energy.graph.n == problem.coarse_clusters.energy.graph.n

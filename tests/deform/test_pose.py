@@ -15,7 +15,7 @@ from cagemap.deform.fit import coarse_fit, fine_fit
 from cagemap.deform.graph import mesh_graph
 from cagemap.deform.multi_start import fit_from_two_starts
 from cagemap.deform.placement import Placement
-from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
+from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.deform.refit import (
     edge_stiffness,
     finish_placement,
@@ -100,12 +100,12 @@ def test_placements_that_agree_are_doubted_where_a_limb_is_posed(
     bent: PreparedPair, monkeypatch: pytest.MonkeyPatch, angle: float
 ) -> None:
     problem = problem_of(bent)
-    at_rest = Placement(problem.coarse_shape.energy.graph.positions, 1.0)
+    at_rest = Placement(problem.coarse_clusters.energy.graph.positions, 1.0)
     monkeypatch.setattr(multi_start, "coarse_fit", lambda *given: at_rest)
     monkeypatch.setattr(multi_start, "refine_placements", lambda problem, coarse: list(coarse))
-    monkeypatch.setattr(multi_start, "start_map", lambda *given: bent.source.finest_triangles.positions)
+    monkeypatch.setattr(multi_start, "zoomout_start", lambda *given: bent.source.finest_triangles.positions)
     monkeypatch.setattr(multi_start, "largest_limb_rotation", lambda *given: angle)
-    assert (not fit_from_two_starts(problem, problem.coarse_shape)[1]) == (angle < LIMB_POSED)
+    assert (not fit_from_two_starts(problem, problem.coarse_clusters)[1]) == (angle < LIMB_POSED)
 
 
 def test_edges_are_loose_where_a_body_turns_and_stiff_where_it_does_not(energy: ElasticEnergy) -> None:
@@ -161,9 +161,9 @@ def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypat
     truth, problem = bent.source.finest_triangles.positions, problem_of(bent)
     stages = []
 
-    def fitted(problem: Problem, start: FloatArray, shape: CoarseShape) -> Placement:
-        stages.append(shape.stage)
-        return coarse_fit(problem, start, shape)
+    def fitted(problem: Problem, start: FloatArray, clusters: Clusters) -> Placement:
+        stages.append(clusters.stage)
+        return coarse_fit(problem, start, clusters)
 
     monkeypatch.setattr("cagemap.deform.refit.coarse_fit", fitted)
     assert pose_difference(bent.energy, truth) > POSES_DIFFER

@@ -131,9 +131,9 @@ def found() -> dict[str, tuple[MatchResult, np.ndarray, np.ndarray]]:
 def test_a_cap_goes_where_it_was_cut_off(found: dict[str, tuple[MatchResult, np.ndarray, np.ndarray]]) -> None:
     result, points, _ = found["part"]
     assert np.linalg.norm(result.image() - points, axis=1).mean() < 0.05
-    assert result.shared.target_share == pytest.approx(1.0, abs=0.05)
+    assert result.shared_shares[0] == pytest.approx(1.0, abs=0.05)
     # A ball has no features: the landmarks alone keep the cap from sliding and stretching.
-    assert result.shared.source_share == pytest.approx(share_of_cap(), abs=0.1)
+    assert result.shared_shares[1] == pytest.approx(share_of_cap(), abs=0.1)
     heights, own = result.source.vertices[:, 2], result.shared.source
     np.testing.assert_allclose(own[heights > HEIGHT + 0.3], 1.0)
     np.testing.assert_allclose(own[heights < HEIGHT - 0.3], 0.0)
@@ -145,8 +145,8 @@ def test_a_ball_on_a_cap_keeps_what_the_cap_lacks(found: dict[str, tuple[MatchRe
     away = np.linalg.norm(result.image()[kept] - part, axis=1)
     # The rest of a featureless ball pulls its rim outwards in the coarse stage.
     assert away.mean() < 0.08 * SCALE
-    assert result.shared.target_share == pytest.approx(share_of_cap(), abs=0.1)
-    assert result.shared.source_share == pytest.approx(1.0, abs=0.05)
+    assert result.shared_shares[0] == pytest.approx(share_of_cap(), abs=0.1)
+    assert result.shared_shares[1] == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.slow
@@ -156,7 +156,7 @@ def test_the_order_of_vertices_does_not_matter(found: dict[str, tuple[MatchResul
     at[second[2]] = np.arange(len(second[2]))
     # Samples of the source are taken along its numbering, the target's clusters are not.
     assert np.linalg.norm(first[0].image() - second[0].image()[at[first[2]]], axis=1).mean() < 0.01
-    assert first[0].shared.source_share == pytest.approx(second[0].shared.source_share, abs=0.01)
+    assert first[0].shared_shares[1] == pytest.approx(second[0].shared_shares[1], abs=0.01)
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from cagemap.deform.placement import Placement
 from cagemap.errors import FormatError
 from cagemap.files.result.folder import ARRAYS, read_result, write_result
 from cagemap.files.result.manifest import MANIFEST, assurance, file_hash, landmark_messages, mesh_hash, note_transfer
-from cagemap.maps.hypotheses.confidence import LOOK, SIGNS, SURE, TWO, Confidence
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, WARNING_SIGNS, Confidence
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult, SpectralMap
@@ -65,7 +65,7 @@ def test_everything_comes_back_bit_for_bit(result: MatchResult, folder: Path) ->
         assert mesh_hash(ours.control) == mesh_hash(theirs.control)
         assert ours.control.name == theirs.control.name
         assert ours.control.material_names == theirs.control.material_names
-        assert (ours.refinement.scheme, ours.finest) == (theirs.refinement.scheme, theirs.finest)
+        assert (ours.refinement.scheme, ours.finest_level) == (theirs.refinement.scheme, theirs.finest_level)
         assert ours.config == theirs.config
         for name in ("vertices", "faces"):
             np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
@@ -215,7 +215,7 @@ def test_landmarks_that_seem_exchanged_come_back(result: MatchResult, tmp_path: 
 
 def test_a_result_of_before_is_sure_only_if_its_map_may_be_now(result: MatchResult, tmp_path: Path) -> None:
     """Bounds of signs change, and older results have none."""
-    answers, bound = (Placement(result.point_map.images.positions, 1e-4, name=""),), SIGNS["stretched"].bound
+    answers, bound = (Placement(result.point_map.images.positions, 1e-4, name=""),), WARNING_SIGNS["stretched"].bound
     for name, value, verdict in (("much", bound + 0.1, LOOK), ("little", bound, SURE)):
         given = Confidence(SURE, answers, {"cost": 1.0, "stretched": value})
         write_result(tmp_path / name, replace(result, confidence=given))

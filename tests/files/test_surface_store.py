@@ -76,7 +76,7 @@ def test_operators_may_end_below_the_finest_level(surface, tmp_path):
     """The basis is that of the coarser surface, and functions of it refine to the finest level."""
     config = replace(CONFIG, vertices=300)
     short = prepare_surface(shapes.creature(), LEVEL, config)
-    level = short.operators.finest
+    level = short.operators.finest_level
     assert level < LEVEL
     assert short.refinement.levels[level].n_vertices >= 300
     coarse = prepare_surface(shapes.creature(), level, CONFIG)

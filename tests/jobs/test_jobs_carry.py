@@ -204,7 +204,7 @@ def test_points_where_both_directions_disagree_are_to_be_looked_at(tmp_path: Pat
 def test_a_point_of_the_surface_has_a_point_of_the_cage_that_lies_there() -> None:
     """`cage_points_of` undoes `locate`, up to what creases of the cage leave without a counterpart."""
     surface = prepare_surface(creature(), 2)
-    finest = surface.triangles(surface.finest)
+    finest = surface.triangles(surface.finest_level)
     random = np.random.default_rng(8)
     chosen = random.integers(len(finest.triangles), size=200)
     weights = random.dirichlet(np.ones(3), size=200)

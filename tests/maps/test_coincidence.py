@@ -114,7 +114,7 @@ def unprepared(mesh: ControlMesh, vertices: int = 6000) -> Surface:
 def closest(target: Surface, source: Surface) -> sparse.csr_array:
     """Weights of the source's control vertices at the target's, of surfaces that lie on each other."""
     found = Coincidence.find(target, source)
-    point_map = PointMap(target.triangles(target.finest), found.images(source.triangles(source.finest)))
+    point_map = PointMap(target.triangles(target.finest_level), found.images(source.triangles(source.finest_level)))
     sides = target.refinement, source.refinement
     return control_weights(prepare_transfer(sides[0].finest, sides[1].finest, point_map), *sides)
 

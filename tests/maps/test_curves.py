@@ -13,17 +13,17 @@ from cagemap.deform.config import StartConfig
 from cagemap.deform.constraints import CurveConstraint
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.multi_start import curve_vertices
-from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
+from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.errors import FormatError
 from cagemap.files.result.folder import ARRAYS, read_result, write_result
 from cagemap.maps.pair import Pair, point_pairs
-from cagemap.maps.places import curve_pairs, edge_vertices, refined_edges
+from cagemap.maps.places import curve_pairs, refined_edges
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, pair_by_name
 from cagemap.mesh.topology import mesh_topology
-from cagemap.paper.constraints import curve_rows
+from cagemap.paper.functional_constraints import curve_rows
 from cagemap.pipeline import MatchResult, match, update_match
 from cagemap.spectral.surface import prepare_surfaces
 from cagemap.subdivision import refine
@@ -51,8 +51,8 @@ def with_curves(surfaces: tuple) -> MatchResult:
 
 def errors(found: MatchResult) -> tuple[np.ndarray, np.ndarray]:
     """Distances between where vertices go and where they belong, and how far each is from the nearest ring."""
-    target = found.target.triangles(found.target.finest)
-    true = found.source.triangles(found.source.finest).positions
+    target = found.target.triangles(found.target.finest_level)
+    true = found.source.triangles(found.source.finest_level).positions
     rings = curve_pairs(found.target, found.source, rings_of(found.target.control))
     feet = [pair.target.line.nearest(target.positions)[0] for pair in rings]
     near = np.min([np.linalg.norm(places - target.positions, axis=1) for places in feet], axis=0)
@@ -138,16 +138,16 @@ def test_a_report_shows_curves(with_curves: MatchResult) -> None:
 def test_without_landmarks_curves_are_followed_by_every_coarse_fit(surfaces: tuple) -> None:
     rings = replace(Landmarks.none(), curves=rings_of(surfaces[0].control))
     problem = Problem.of_landmarks(PreparedPair.build(*surfaces), rings)
-    for shape in (problem.small_shape, problem.coarse_shape):
-        start = shape.energy.graph.positions
-        assert len(shape.constraints.curves) == len(RINGS)
+    for clusters in (problem.small_clusters, problem.coarse_clusters):
+        start = clusters.energy.graph.positions
+        assert len(clusters.constraints.curves) == len(RINGS)
 
-        def miss(positions: np.ndarray, shape: CoarseShape) -> float:
+        def miss(positions: np.ndarray, clusters: Clusters) -> float:
             """Largest mean distance of a ring's points from the other ring."""
-            at = [(curve.anchors.of(positions), curve.source) for curve in shape.constraints.curves]
+            at = [(curve.anchors.of(positions), curve.source) for curve in clusters.constraints.curves]
             return max(np.linalg.norm(line.nearest(points)[0] - points, axis=1).mean() for points, line in at)
 
-        assert miss(coarse_fit(problem, start, shape).positions, shape) < 0.15 * miss(start, shape)
+        assert miss(coarse_fit(problem, start, clusters).positions, clusters) < 0.15 * miss(start, clusters)
 
 
 # ---- the term of the fit
@@ -186,7 +186,7 @@ def test_edge_vertices_are_the_rows_of_their_edges(mesh: ControlMesh, scheme: ob
     """In its row of S^l an edge's vertex has both ends at their largest weight."""
     refinement = refine(mesh, 3, scheme)  # type: ignore[arg-type]
     edges = mesh_topology(mesh).edge_vertices
-    found = edge_vertices(refinement, 0, edges)
+    found = refined_edges(refinement, edges, 1)[:, 1]
     rows = refinement.matrices[0].toarray()[found]
     assert len(np.unique(found)) == len(edges)
     np.testing.assert_array_equal(np.sort(np.argsort(-rows, axis=1, kind="stable")[:, :2], axis=1), edges)
@@ -194,7 +194,8 @@ def test_edge_vertices_are_the_rows_of_their_edges(mesh: ControlMesh, scheme: ob
     assert chains.shape == (len(edges), 9)
     steps = np.linalg.norm(np.diff(refinement.levels[3].positions[chains], axis=1), axis=2)
     assert steps.max() < 0.5 * np.linalg.norm(mesh.positions[edges[:, 0]] - mesh.positions[edges[:, 1]], axis=1).max()
-    assert edge_vertices(refinement, 0, np.array([[0, 0], [-1, 2]])).tolist() == [-1, -1]
+    np.testing.assert_array_equal(refined_edges(refinement, edges[:, ::-1], 3), chains[:, ::-1])
+    np.testing.assert_array_equal(refined_edges(refinement, np.array([[0, 0], [-1, 2]]), 3), -1)
 
 
 def test_a_curve_through_places_lies_on_the_surface_near_them(surfaces: tuple) -> None:
@@ -241,7 +242,7 @@ def test_descriptors_of_a_curve_are_the_mean_of_its_points(surfaces: tuple) -> N
     pair = curve_pairs(*surfaces, rings_of(surfaces[0].control))[0]
     surface, curve = surfaces[0], pair.target
     vertices = curve.points.corners[np.arange(len(curve.points)), curve.points.barycentric.argmax(axis=1)]
-    expected = curve.shares @ surface.basis.rows(surface.finest, vertices)
+    expected = curve.shares @ surface.basis.rows(surface.finest_level, vertices)
     np.testing.assert_allclose(curve_rows(surface, [curve])[0], expected, atol=1e-10)
 
 

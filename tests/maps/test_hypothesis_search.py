@@ -28,7 +28,7 @@ def prepared() -> PreparedPair:
 def found(
     prepared: PreparedPair, monkeypatch: pytest.MonkeyPatch, agree: bool, start: FloatArray | None = None
 ) -> tuple[list[Placement], list[bool]]:
-    """What `search` finds where limbs lead to the truth and landmarks beside it; whether rotations were tried."""
+    """Placements found where limbs lead to the truth and landmarks beside it; whether rotations were tried."""
     vertices, asked = np.array([0, 40, 80]), list[bool]()
     problem = Problem.of_landmarks(prepared, Landmarks(("a", "b", "c"), vertices, vertices))
     places = prepared.energy.graph.positions
@@ -44,7 +44,7 @@ def found(
     monkeypatch.setattr(search, "fit_without_tips", lambda problem, small_fits: [evaluate_placement(prepared, places)])
     monkeypatch.setattr(search, "refit_distinct_to_tips", lambda problem, ranked: ranked)
     monkeypatch.setattr(search, "finish_placement", lambda problem, placed: placed)
-    return search.search(problem, start=start), asked
+    return search.search_placements(problem, start=start), asked
 
 
 def test_other_starts_compete_with_landmarks_whose_fits_disagree(
@@ -73,7 +73,7 @@ def test_costs_below_the_floor_are_ties(prepared: PreparedPair, monkeypatch: pyt
     monkeypatch.setattr(search, "fit_without_tips", lambda *given: [turned, as_filed])
     monkeypatch.setattr(search, "refit_distinct_to_tips", lambda problem, ranked: ranked)
     monkeypatch.setattr(search, "finish_placement", lambda problem, placed: placed)
-    assert search.search(Problem.of_landmarks(prepared, Landmarks.none()))[0] is as_filed
+    assert search.search_placements(Problem.of_landmarks(prepared, Landmarks.none()))[0] is as_filed
 
 
 @pytest.mark.slow

@@ -259,7 +259,7 @@ def test_landmarks_that_seem_mirrored_have_two_answers_unless_they_cost_nothing(
     points = Pair(target, source, point_pairs(target, source, landmarks))
     near = np.asarray(followed.point_map.images.positions[: prepared.mesh.n])
     other = Placement(near * [-1.0, 1.0, 1.0], 3e-4, name="another")
-    monkeypatch.setattr(check, "search", lambda problem, progress: (other,))
+    monkeypatch.setattr(check, "search_placements", lambda problem, progress: (other,))
     monkeypatch.setattr(check, "orientation_agreement", lambda *given: -1.0)
     problem = Problem(prepared, points.landmarks)
     known = LandmarkCheck(notes=("another note",))

@@ -22,7 +22,7 @@ def crowded(_: object) -> None:
     surface = prepare_surface(cube(), 1, BasisConfig(count=5))
     count = 4 * len(surface.vertices)
     weights = np.random.default_rng(2).dirichlet(np.ones(3), count)
-    finest = surface.triangles(surface.finest)
+    finest = surface.triangles(surface.finest_level)
     near_vertices(SurfacePoints(finest, np.arange(count) % len(finest.triangles), weights), surface)
 
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.deform.problem import Problem
 from cagemap.files.meshes.obj import read_obj
-from cagemap.maps.hypotheses.confidence import SIGNS, SURE, TWO, Confidence, mirrored_gain
+from cagemap.maps.hypotheses.confidence import SURE, TWO, WARNING_SIGNS, Confidence, mirrored_gain
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import Landmarks
@@ -70,7 +70,7 @@ def test_a_chair_is_surely_a_chair_however_it_is_turned() -> None:
     errors = np.linalg.norm(result.point_map.images.positions - result.point_map.source.positions, axis=1)
     assert confidence.verdict == SURE, confidence.summary()
     assert confidence.answers[0].name == "turned 90 degrees about y"
-    assert confidence.signs["mirrored"] < SIGNS["mirrored"].bound
+    assert confidence.signs["mirrored"] < WARNING_SIGNS["mirrored"].bound
     assert errors.mean() < 0.02
 
 
@@ -92,8 +92,8 @@ def test_a_corner_of_three_arms_with_a_curve_fits_its_mirror_image_better() -> N
     chain = np.flatnonzero(along_an_arm)[np.argsort(corner.positions[along_an_arm, 0])]
     line = CageCurves.of_vertices([chain], [False])
     wrong, right = gains(corner, 2, replace(Landmarks.none(), curves=Curves(("edge",), line, line)))
-    assert wrong > 3 * SIGNS["mirrored"].bound
-    assert right < 0.5 * SIGNS["mirrored"].bound
+    assert wrong > 3 * WARNING_SIGNS["mirrored"].bound
+    assert right < 0.5 * WARNING_SIGNS["mirrored"].bound
 
 
 @pytest.mark.slow
@@ -101,5 +101,5 @@ def test_a_stride_with_the_other_foot_fits_its_mirror_image_better(shared_data: 
     """In the wrong map the hips are twisted by half a turn and the legs exchanged; head and arms are right."""
     walker = read_obj(shared_data / "humans/posed/proxy741_male_young_stride.obj")
     wrong, right = gains(walker, 1, Landmarks.none())
-    assert wrong > 3 * SIGNS["mirrored"].bound
-    assert right < 0.5 * SIGNS["mirrored"].bound
+    assert wrong > 3 * WARNING_SIGNS["mirrored"].bound
+    assert right < 0.5 * WARNING_SIGNS["mirrored"].bound

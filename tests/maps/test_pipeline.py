@@ -180,7 +180,7 @@ def test_levels_without_functions_are_not_searched():
     assert search_levels(surface, surface, 100) == (2, 2)
     usual = prepare_surface(shapes.creature(), 2, BasisConfig(schedule=(50, 10)))
     assert search_levels(usual, surface, 100) == (0, 2)
-    assert search_levels(usual, usual, 100, 10**6) == (0, usual.finest)
+    assert search_levels(usual, usual, 100, 10**6) == (0, usual.finest_level)
 
 
 def test_wrong_input_is_refused_before_anything_expensive(pony):

@@ -37,7 +37,7 @@ def test_limbs_keep_their_turn_about_their_axis_in_strong_poses(shared_data: Pat
     # From the two starts alone an arm is turned about its axis, and the error is 3.3.
     pair = ("male1591", "female_old_heavy", ""), ("female1605", "male_young", "stride")
     problem = problem_of(*pair, SEARCHED)
-    found = figures(problem, search.search(problem)[0].map_positions, *pair)
+    found = figures(problem, search.search_placements(problem)[0].map_positions, *pair)
     assert 100 * found.mean < 1.5
     assert found.flipped_area < 0.005
 
@@ -76,7 +76,7 @@ def test_shins_of_a_crouching_body_stay_where_they_belong(shared_data: Path, mon
         return inverse_consistent(problem, positions)
 
     monkeypatch.setattr(refit, "inverse_consistent", averaged)
-    placed = search.fit_from_two_starts(problem, problem.coarse_shape)[0][0]
+    placed = search.fit_from_two_starts(problem, problem.coarse_clusters)[0][0]
     finished = refit.finish_placement(problem, placed).map_positions
     slid, half, whole = (100 * figures(problem, at, *pair).mean for at in (placed.positions, posed[0], finished))
     assert whole < 0.85

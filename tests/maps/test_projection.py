@@ -85,7 +85,7 @@ def test_unfolding_knows_what_still_folds_however_far_folds_spread(
 @pytest.mark.slow
 def test_projection_meets_landmarks_wherever_the_fit_left_them(creature_at_3: tuple[Refinement, float]) -> None:
     surface = surface_of(creature_at_3[0])
-    prepared = prepared_at(surface, surface, surface.finest, ElasticConfig())
+    prepared = prepared_at(surface, surface, surface.finest_level, ElasticConfig())
     pair = Pair.of_vertices(surface, surface, landmarks := np.array([3, 40, 90]), landmarks)
     positions = prepared.source.finest_triangles.positions
     fitted = positions.copy()

@@ -48,7 +48,7 @@ def gap_and_error(target: Surface, source: Surface, vertices: np.ndarray) -> tup
     assert found.quality.flipped_area < 0.002
     own = target.operators.scale * target.refinement.finest.positions
     other = source.operators.scale * source.refinement.finest.positions
-    triangles = level_triangles(source.refinement, source.finest)
+    triangles = level_triangles(source.refinement, source.finest_level)
     gap = closest_points(build_tree(other, triangles), own)[2]
     error = np.linalg.norm(found.point_map.pull_back(other) - own, axis=1)
     areas = target.operators.mass[-1].diagonal()

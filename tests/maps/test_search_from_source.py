@@ -35,7 +35,7 @@ def test_the_inverse_of_a_cheaper_reverse_placement_is_taken(
         asked.append(given)
         return [replace(wrong)] if given is problem else [right]
 
-    monkeypatch.setattr(search_module, "search", search)
+    monkeypatch.setattr(search_module, "search_placements", search)
     first, *others = search_from_source(problem, search(problem))
     assert len(asked) == searches
     if takes_inverse:

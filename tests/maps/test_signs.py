@@ -12,14 +12,13 @@ from scipy.spatial.transform import Rotation
 from cagemap import pipeline
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair
-from cagemap.deform.shared_area import SharedArea
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.maps.hypotheses.confidence import (
     JUMPING,
     LOOK,
-    SIGNS,
     SURE,
     TWO,
+    WARNING_SIGNS,
     Confidence,
     describe_signs,
     image_pairs,
@@ -64,14 +63,14 @@ def prepared(surface: Surface) -> PreparedPair:
 
 
 def map_to(surface: Surface, places: FloatArray) -> PointMap:
-    mesh = surface.triangles(surface.finest)
+    mesh = surface.triangles(surface.finest_level)
     found = SurfacePoints.nearest(mesh, places, mesh.vertex_normals, normal_weight=0.05)
     return PointMap(mesh, found)
 
 
 def across(surface: Surface) -> tuple[PointMap, FloatArray]:
     """The lower half of one leg on the other leg, as if both were one; and which vertices that is."""
-    mesh = surface.triangles(surface.finest)
+    mesh = surface.triangles(surface.finest_level)
     places = mesh.positions.copy()
     middle, knee = places[:, 0].mean(), np.quantile(places[:, 1], 0.4)
     lower = (places[:, 0] > middle) & (places[:, 1] < knee)
@@ -79,11 +78,11 @@ def across(surface: Surface) -> tuple[PointMap, FloatArray]:
     return map_to(surface, places), lower
 
 
-@pytest.mark.parametrize("name", SIGNS)
+@pytest.mark.parametrize("name", WARNING_SIGNS)
 def test_each_sign_alone_is_a_doubt_beyond_its_bound(name: str) -> None:
     answers = (Placement(np.zeros((4, 3)), 0.0, name="as the files stand"),)
-    assert Confidence.of(answers, 3, {name: SIGNS[name].bound}).verdict == SURE
-    doubt = Confidence.of(answers, 3, {name: 1.1 * SIGNS[name].bound})
+    assert Confidence.of(answers, 3, {name: WARNING_SIGNS[name].bound}).verdict == SURE
+    doubt = Confidence.of(answers, 3, {name: 1.1 * WARNING_SIGNS[name].bound})
     assert doubt.verdict == LOOK
     assert describe_signs(doubt.signs)[0] in doubt.message
 
@@ -116,7 +115,7 @@ def test_the_distortion_of_a_stretched_grid_is_that_of_most_columns() -> None:
 
 def test_a_strip_s_last_third_on_its_first_jumps_on_both_and_at_the_tear() -> None:
     strip = prepare_surface(grid(30, 10), 1)
-    mesh, pair = strip.triangles(strip.finest), prepare_pair(strip, strip)
+    mesh, pair = strip.triangles(strip.finest_level), prepare_pair(strip, strip)
     places = mesh.positions.copy()
     x = places[:, 0] - places[:, 0].min()
     third = x.max() / 3
@@ -147,14 +146,14 @@ def test_half_a_bar_turned_about_its_axis_is_its_sides() -> None:
 
 
 def test_the_identity_has_no_jumps(surface: Surface, prepared: PreparedPair) -> None:
-    mesh = surface.triangles(surface.finest)
+    mesh = surface.triangles(surface.finest_level)
     same = PointMap.from_vertices(mesh, mesh, np.arange(mesh.n))
     assert not jump_lengths(prepared, same).any()
     assert jump_warnings(prepared, jump_lengths(prepared, same)) == ()
 
 
 def test_a_leg_on_the_other_leg_is_told_and_said_where(surface: Surface, prepared: PreparedPair) -> None:
-    mesh = surface.triangles(surface.finest)
+    mesh = surface.triangles(surface.finest_level)
     wrong, lower = across(surface)
     farthest = jump_lengths(prepared, wrong)
     share = jump_share(prepared, farthest)
@@ -174,7 +173,7 @@ def test_a_leg_on_the_other_leg_is_told_and_said_where(surface: Surface, prepare
 
 def test_maps_that_landmarks_decide_are_asked_too(surface: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
     wrong, _ = across(surface)
-    monkeypatch.setattr(pipeline, "search", lambda problem, progress: [Placement(wrong.images.positions)])
+    monkeypatch.setattr(pipeline, "search_placements", lambda problem, progress: [Placement(wrong.images.positions)])
     monkeypatch.setattr(pipeline, "map_of_places", lambda *given: wrong)
     given = Landmarks(("a", "b", "c"), np.array([0, 10, 20]), np.array([1, 10, 20]))  # not the identity
     result = match(surface, surface, given, MatchConfig(check_landmarks=False))
@@ -195,15 +194,14 @@ def test_parts_of_one_result_keep_what_was_said_of_them() -> None:
 def test_parts_of_one_result_keep_their_shared_area() -> None:
     part = identity_result()
     n, m = len(part.target.vertices), len(part.source.vertices)
-    surfaces = part.target.finest_triangles, part.source.finest_triangles
     lower = part.target.vertices[:, 2] < 0
-    half = replace(part, shared=SharedArea.of_vertices(surfaces, (lower.astype(np.float64), np.ones(m))))
+    half = replace(part, shared=Masks(lower.astype(np.float64), np.ones(m)))
     merged = merge_results([part, half], {})
     # The part that was not asked weights whole, the other one as far as it did.
-    assert merged.shared.target_share == pytest.approx((1 + half.shared.target_share) / 2)
+    assert merged.shared_shares[0] == pytest.approx((1 + half.shared_shares[0]) / 2)
     assert merged.shared.target.sum() == n + lower.sum()
-    assert merged.shared.source_share == pytest.approx(1.0)
-    lacking = f"{50 * (1 - half.shared.target_share):.1f} % of the target has no counterpart on the source"
+    assert merged.shared_shares[1] == pytest.approx(1.0)
+    lacking = f"{50 * (1 - half.shared_shares[0]):.1f} % of the target has no counterpart on the source"
     assert any(text.startswith(lacking) for text in merged.quality.warnings)
     assert merge_results([part, part], {}).shared is None
 
@@ -211,10 +209,10 @@ def test_parts_of_one_result_keep_their_shared_area() -> None:
 def test_what_has_no_counterpart_says_nothing_about_a_map(surface: Surface, prepared: PreparedPair) -> None:
     wrong, lower = across(surface)
     weights = np.where(wrong.target.positions[:, 1] <= wrong.target.positions[lower, 1].max() + 0.05, 0.0, 1.0)
-    assert not jump_lengths(prepared, wrong, SharedArea(weights, np.ones(wrong.source.n), 0.5, 1.0)).any()
+    assert not jump_lengths(prepared, wrong, Masks(weights, np.ones(wrong.source.n))).any()
     assert median_distortion(wrong, weights) == pytest.approx(1.0, abs=1e-6)
-    nothing = SharedArea(np.zeros(wrong.target.n), np.ones(wrong.source.n), 0.0, 1.0)
-    assert not nothing.within(WHOLE).any  # a map that shares nothing is judged as a whole
+    nothing = Masks(np.zeros(wrong.target.n), np.ones(wrong.source.n))
+    assert not WHOLE.within(nothing).any  # a map that shares nothing is judged as a whole
 
 
 def test_what_is_masked_does_not_jump(surface: Surface) -> None:

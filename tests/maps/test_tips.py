@@ -13,7 +13,7 @@ from cagemap.deform.data import SourceSamples, source_to_clusters
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.graph import cluster_graph, mesh_graph
 from cagemap.deform.placement import Placement
-from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
+from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.deform.refit import finish_placement
 from cagemap.maps.hypotheses.limbs import (
     find_tips,
@@ -51,7 +51,7 @@ def prepared(surface: Surface) -> PreparedPair:
 
 def ends_of(surface: Surface, positions: np.ndarray) -> np.ndarray:
     """Number of the nearest end of places at unit area."""
-    places = positions / surface.triangles(surface.finest).scale
+    places = positions / surface.triangles(surface.finest_level).scale
     return np.asarray(np.linalg.norm(places[:, None] - ENDS, axis=2).argmin(axis=1))
 
 
@@ -65,7 +65,7 @@ def test_a_peak_stands_above_the_pass_to_a_higher_one() -> None:
 def test_tips_are_where_limbs_end(surface: Surface, prepared: PreparedPair) -> None:
     places = prepared.energy.graph.positions[tip_vertices(prepared.energy.graph)]
     assert sorted(ends_of(surface, places)) == list(range(len(ENDS)))
-    scale = surface.triangles(surface.finest).scale
+    scale = surface.triangles(surface.finest_level).scale
     assert np.linalg.norm(places / scale - ENDS[ends_of(surface, places)], axis=1).max() < 1.0  # within the cell
 
 
@@ -90,11 +90,11 @@ def test_small_pieces_have_no_tips() -> None:
 
 
 def test_what_is_masked_or_has_a_landmark_is_no_tip(surface: Surface) -> None:
-    positions = surface.triangles(surface.finest).positions
-    tail = np.linalg.norm(positions / surface.triangles(surface.finest).scale - ENDS[TAIL], axis=1) < 1.5
+    positions = surface.triangles(surface.finest_level).positions
+    tail = np.linalg.norm(positions / surface.triangles(surface.finest_level).scale - ENDS[TAIL], axis=1) < 1.5
     prepared = prepare_pair(surface, surface, MatchConfig(masks=Masks(source=1.0 - tail)))
-    cage = surface.triangles(surface.finest).positions[: surface.control.n_vertices]
-    nose = int(np.linalg.norm(cage / surface.triangles(surface.finest).scale - ENDS[NOSE], axis=1).argmin())
+    cage = surface.triangles(surface.finest_level).positions[: surface.control.n_vertices]
+    nose = int(np.linalg.norm(cage / surface.triangles(surface.finest_level).scale - ENDS[NOSE], axis=1).argmin())
     pair = pair_of(surface, surface, Landmarks(("nose",), np.array([nose]), np.array([nose])))
     found = find_tips(Problem(prepared, pair.landmarks))
     assert set(range(8)) - set(ends_of(surface, positions[found[0]])) == {NOSE}
@@ -107,9 +107,9 @@ def test_a_fit_is_led_to_tips_that_it_missed(
 ) -> None:
     held = []
 
-    def fitted(problem: Problem, start: FloatArray, shape: CoarseShape, samples: SourceSamples) -> Placement:
-        held.append((shape.energy.graph.positions[: len(shape.constraints.places)], shape.constraints.places))
-        return coarse_fit(problem, start, shape, samples)
+    def fitted(problem: Problem, start: FloatArray, clusters: Clusters, samples: SourceSamples) -> Placement:
+        held.append((clusters.energy.graph.positions[: len(clusters.constraints.places)], clusters.constraints.places))
+        return coarse_fit(problem, start, clusters, samples)
 
     monkeypatch.setattr("cagemap.maps.hypotheses.limbs.coarse_fit", fitted)
     problem = Problem.of_landmarks(prepared, Landmarks.none())
@@ -150,14 +150,14 @@ def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
     long = cage.with_positions(cage.positions + [0.0, 2.0, 0.0] * np.minimum(height - 2.0, 0.0))
     prepared = prepare_pair(prepare_surface(cage, 1), prepare_surface(long, 1))
     problem = Problem.of_landmarks(prepared, Landmarks.none())
-    sheet, shape = prepared.source_surface, problem.coarse_shape_with(stage=prepared.elastic.stiff_coarse)
-    start = shape.energy.graph.positions * prepared.source.finest_triangles.scale / prepared.mesh.scale
+    sheet, clusters = prepared.source_surface, problem.clusters_with(stage=prepared.elastic.stiff_coarse)
+    start = clusters.energy.graph.positions * prepared.source.finest_triangles.scale / prepared.mesh.scale
     start[:, 1] += sheet.positions[:, 1].max() - start[:, 1].max()
     feet, ground = start[:, 1] < start[:, 1].min() + 0.02, sheet.positions[:, 1].min()
     assert (start[feet, 1] > ground + 0.35).all()
 
     def above_ground(samples: SourceSamples | None) -> float:
-        ended = coarse_fit(problem, start, shape, samples)
+        ended = coarse_fit(problem, start, clusters, samples)
         return float((ended.positions[feet, 1] - ground).mean())
 
     assert above_ground(None) > 0.2

@@ -7,7 +7,7 @@ from examples.shapes import creature
 from scipy.spatial.transform import Rotation
 
 from cagemap.deform.placement import Placement
-from cagemap.maps.hypotheses.confidence import LOOK, SIGNS, turned_limb_answers, turned_share
+from cagemap.maps.hypotheses.confidence import LOOK, WARNING_SIGNS, turned_limb_answers, turned_share
 from cagemap.pipeline import prepare_pair, prepare_surface
 
 
@@ -24,7 +24,7 @@ def test_another_map_as_good_that_turns_a_limb_is_named_where_it_differs_most() 
         return np.where(front[:, None], turn.apply(places - axis) + axis, places)
 
     turned = rotated(0.2, 90.0)
-    bound = SIGNS["limb_turned"].bound
+    bound = WARNING_SIGNS["limb_turned"].bound
     assert turned_share(prepared.mesh, places, turned) > bound
     best, cheap, dear = Placement(places, 1e-4), Placement(turned, 1.1e-4), Placement(turned, 1.3e-4)
     doubt = turned_limb_answers((best, cheap), prepared)

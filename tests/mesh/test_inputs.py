@@ -98,7 +98,7 @@ def test_meshes_are_matched_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None
     chosen = np.arange(0, MESH.n_vertices, 9)
     pairs = np.column_stack([chosen, chosen])
     result = cagemap.match(*target_and_source(), pairs, QUICK)
-    assert result.target.finest == 1
+    assert result.target.finest_level == 1
     np.testing.assert_array_equal(result.nearest_vertices(), np.arange(MESH.n_vertices))
     again = cagemap.match(result.target, target_and_source()[1], pairs, QUICK)
     np.testing.assert_allclose(again.image(), result.image(), atol=1e-6)

@@ -58,10 +58,10 @@ def levels() -> Refinement:
 def test_levels_below_a_plain_mesh_are_nested(levels: Refinement) -> None:
     mesh, found = animal(3), levels
     assert found.is_plain
-    assert found.n_levels >= 1
+    assert found.finest_level >= 1
     assert [level.n_vertices for level in found.levels] == sorted(level.n_vertices for level in found.levels)
     alone, again = refine(mesh, 0), found.without_coarse_levels()
-    assert again.n_levels == 0
+    assert again.finest_level == 0
     assert again.coarse_vertices is None
     for name in ("positions", "faces", "face_parents"):
         assert np.array_equal(getattr(again.finest, name), getattr(alone.finest, name))
@@ -79,7 +79,7 @@ def test_levels_below_a_plain_mesh_are_nested(levels: Refinement) -> None:
 
 def test_vertices_of_levels_are_found_among_the_finest(levels: Refinement) -> None:
     plain, cage = levels, refine(creature(), 2)
-    assert plain.n_levels == 2
+    assert plain.finest_level == 2
     for refinement in (plain, cage):
         for level, mesh in enumerate(refinement.levels):
             own = np.arange(mesh.n_vertices)
@@ -87,7 +87,7 @@ def test_vertices_of_levels_are_found_among_the_finest(levels: Refinement) -> No
             np.testing.assert_array_equal(refinement.on_level(level, on_finest), own)
             others = np.setdiff1d(np.arange(refinement.finest.n_vertices), on_finest)
             assert (refinement.on_level(level, np.append(others, -1)) == -1).all()
-            for finer in range(level, refinement.n_levels + 1):
+            for finer in range(level, refinement.finest_level + 1):
                 through = refinement.on_finest(finer)[refinement.vertices_on(finer, level)]
                 np.testing.assert_array_equal(through, on_finest)
         below = refinement.up_to(1)
@@ -187,7 +187,7 @@ def test_a_plain_result_that_is_read_has_no_coarse_levels_until_a_match_asks(tmp
         assert "hierarchy" not in vars(side)
     again = update_match(result, landmarks)
     assert again.target is result.target
-    assert vars(again.target)["hierarchy"].n_levels == 1
+    assert vars(again.target)["hierarchy"].finest_level == 1
 
 
 @pytest.mark.slow
@@ -211,7 +211,7 @@ def test_landmarks_of_a_plain_mesh_are_found_on_coarse_levels_by_place(scan: Sur
     levels, finest = surface.hierarchy, surface.finest_triangles
     for vertices in (levels.on_finest(0)[:5], np.arange(0, 900, 100)):
         points = SurfacePoints.from_vertices(finest, vertices)
-        for level in range(levels.n_levels + 1):
+        for level in range(levels.finest_level + 1):
             near = vertices_near(points, surface, level)
             assert len(np.unique(near)) == len(vertices)
             places = surface.triangles(level).positions[near]
@@ -229,7 +229,7 @@ def test_answers_for_a_plain_mesh_are_in_its_own_numbers(scan: Surface) -> None:
     apart = np.linalg.norm(told.positions - surface.scale * mesh.positions, axis=1)
     assert apart.mean() < 0.01  # rounded by smooth prolongation; of sqrt(area)
     np.testing.assert_array_equal(told.positions[prepared.vertices], known.positions)
-    whole = replace(prepared, levels=(surface.finest, prepared.levels[1]))
+    whole = replace(prepared, levels=(surface.finest_level, prepared.levels[1]))
     known = replace(known, positions=read_only(surface.finest_triangles.positions))
     told = prolong_answers(Confidence("sure", (known,)), whole).answers[0]
     np.testing.assert_allclose(told.positions, surface.scale * mesh.positions, atol=1e-12)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cagemap.errors import ParameterError
-from cagemap.paper.constraints import Constraints, MapWeights, SpectralData
 from cagemap.paper.equations import extend_functional_map, laplacian_penalties, solve_functional_map
+from cagemap.paper.functional_constraints import Constraints, MapWeights, SpectralData
 
 RNG = np.random.default_rng(20190)
 LITERAL = MapWeights(laplacian=0.1, operators=0.3, decay=0.0)

@@ -34,7 +34,7 @@ def surface(request):
 def levels(surface):
     """Pairs of neighbouring levels that are large enough for the eigenpairs used here."""
     refinement, operators = surface
-    return [level for level in range(refinement.n_levels) if operators.mass[level].shape[0] > 2 * COUNT]
+    return [level for level in range(refinement.finest_level) if operators.mass[level].shape[0] > 2 * COUNT]
 
 
 def test_lemma_1_prolonged_pairs_are_weak_pairs(surface):
@@ -143,7 +143,7 @@ def test_lemma_5_gram_matrix_needs_coarse_products_only(surface):
     """The Gram matrix of the prolonged basis is the same at every level, and is known without the fine basis."""
     refinement, operators = surface
     basis = hierarchical_basis(refinement, operators, BasisConfig(schedule=(10, 10)))
-    for level in range(refinement.n_levels + 1):
+    for level in range(refinement.finest_level + 1):
         phi = basis.at(level)
         assert phi.shape[1] == basis.size(level)
         gram = basis.gram[: basis.size(level), : basis.size(level)]
@@ -153,7 +153,9 @@ def test_lemma_5_gram_matrix_needs_coarse_products_only(surface):
 def test_lemma_4_descriptors_of_a_level_are_subdivided_and_added_to(surface):
     """Eq. 12 on real bases: K~^{l+1} = S K~^l S^T + band rho(Lambda-bar) band^T, and its columns and diagonal."""
     refinement, operators = surface
-    basis = hierarchical_basis(refinement, operators, BasisConfig(schedule=(COUNT, 6, 5)[: refinement.n_levels + 1]))
+    basis = hierarchical_basis(
+        refinement, operators, BasisConfig(schedule=(COUNT, 6, 5)[: refinement.finest_level + 1])
+    )
     filters = heat_filters(basis.eigenvalues, heat_times(basis.eigenvalues, 3))
     for level in range(1, basis.last_level + 1):
         low, size = basis.size(level - 1), basis.size(level)
@@ -192,11 +194,11 @@ def test_definition_2_literally():
         np.testing.assert_allclose(phi.T @ (operators.mass[level] @ phi), gram, rtol=0, atol=EXACT)
     assert ours.indices.max() <= literal.indices.max()
     # What Definition 2 loses: eigenfunctions between the bands.
-    exact = exact_basis(operators, operators.finest, sum(counts)).vectors
+    exact = exact_basis(operators, operators.finest_level, sum(counts)).vectors
     lost = {}
     for name, basis in (("literal", literal), ("ours", ours)):
-        rest = exact - basis.at(operators.finest) @ basis.project(exact, operators.finest)
-        lost[name] = np.einsum("ij,ij->j", rest, operators.mass[operators.finest] @ rest).max()
+        rest = exact - basis.at(operators.finest_level) @ basis.project(exact, operators.finest_level)
+        lost[name] = np.einsum("ij,ij->j", rest, operators.mass[operators.finest_level] @ rest).max()
     assert lost["literal"] > 0.5
     assert lost["ours"] < 0.5
 

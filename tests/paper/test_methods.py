@@ -16,7 +16,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.pair import Pair, PointPairs, near_vertices
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.paper import hfm, method
-from cagemap.paper.constraints import MapWeights
+from cagemap.paper.functional_constraints import MapWeights
 from cagemap.paper.hfm import HfmConfig, both_directions, fit_displacement, hfm_map
 from cagemap.paper.method import PaperConfig, nearest_orthonormal, paper_map, search_levels
 from cagemap.pipeline import MatchConfig, default_basis, match, prepare_surface
@@ -132,7 +132,7 @@ def test_finer_levels_start_from_the_same_map():
         landmarks = Landmarks(tuple(map(str, chosen)), chosen, chosen, one.control.name, two.control.name)
         found.append(match(one, two, landmarks, MatchConfig(method="hfm", hfm=config)))
         assert found[-1].level_maps[-1].levels == levels
-        away = found[-1].point_map.images.positions - one.triangles(one.finest).positions
+        away = found[-1].point_map.images.positions - one.triangles(one.finest_level).positions
         assert np.median(np.linalg.norm(away, axis=1)) < 0.03  # a wrong part of the body is 0.3 away
     for other in found[1:]:
         assert np.mean(other.level_maps[0].match == found[0].level_maps[0].match) > 0.95

@@ -14,7 +14,7 @@ from cagemap.maps.pair import Pair
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import is_symmetry, mirror_symmetries
 from cagemap.operators import build_operators
-from cagemap.paper.operators import check_symmetry, paired_mirrors, propagate_symmetry, symmetry_at, symmetry_operator
+from cagemap.paper.symmetries import check_symmetry, paired_mirrors, propagate_symmetry, symmetry_at, symmetry_operator
 from cagemap.spectral import BasisConfig, Surface, hierarchical_basis
 from cagemap.subdivision import refine
 

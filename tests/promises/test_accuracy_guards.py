@@ -119,5 +119,5 @@ def test_examples_in_the_docs_run(
         exec(code.replace("level=3", "level=1").replace("size=1024", "size=32"), names)
     assert "flipped_area" in capsys.readouterr().out
     assert read_image(pair_files / "deer.png").pixels.shape == (32, 32, 3)
-    assert read_result(pair_files / "RESULT").target.finest == 1
+    assert read_result(pair_files / "RESULT").target.finest_level == 1
     assert names["figures"].landmark_errors.max() < 1e-12

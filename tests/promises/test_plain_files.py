@@ -54,7 +54,7 @@ def test_every_method_matches_plain_files(options: tuple[str, ...], worst: float
     outcome = CliRunner().invoke(app, ["match", *_scan_files(tmp_path), *options, "-o", str(tmp_path / "RESULT")])
     assert outcome.exit_code == 0, outcome.output
     result = read_result(tmp_path / "RESULT")
-    assert result.target.refinement.n_levels == 0
+    assert result.target.refinement.finest_level == 0
     wanted = result.target.vertices * (1.0, 1.2, 1.0)
     assert np.linalg.norm(result.image() - wanted, axis=1).mean() < worst * np.ptp(wanted, axis=0).max()
 
@@ -105,8 +105,8 @@ def test_files_to_result_and_back(tmp_path: Path) -> None:
     _, warnings = run_match(request, Stages())
     assert any("1 smaller piece set aside" in text for text in warnings)
     result = read_result(tmp_path / "RESULT")
-    assert result.source.refinement.n_levels == 0
-    assert result.target.refinement.n_levels > 0
+    assert result.source.refinement.finest_level == 0
+    assert result.target.refinement.finest_level > 0
     assert result.manifest["repairs"]["source"]["pieces"] == 1
     places = np.linalg.norm(result.image() - result.target.vertices, axis=1)
     assert places.mean() < 0.01 * np.ptp(scan.positions, axis=0).max()

@@ -113,7 +113,7 @@ def scene() -> Any:
         cube=cube(),
         surface=surface,
         refinement=surface.refinement,
-        triangles=surface.triangles(surface.finest),
+        triangles=surface.triangles(surface.finest_level),
         n=len(surface.vertices),
         corners=creature().n_vertices,
         landmarks=landmarks,
@@ -308,7 +308,7 @@ def test_arrays_of_every_layout_and_type_give_the_same() -> None:
     for names in (np.array(["a", "b", "c"]), iter("abc"), ["a", "b", "c"]):
         assert Landmarks(names, [0, 1, 2], [0, 1, 2]).names == ("a", "b", "c")
     levels: Any = np.array([1, 2])
-    assert [one.finest for one in cagemap.prepare_surfaces(s.mesh, s.mesh, levels)] == [1, 2]
+    assert [one.finest_level for one in cagemap.prepare_surfaces(s.mesh, s.mesh, levels)] == [1, 2]
     small = marks(np.array([0, 50, 100], np.uint8), [0, 50, 100])
     assert small.target.dtype == np.int64
     assert operator.eq(*map(tuple, (small.target, small.source)))

@@ -268,7 +268,7 @@ def test_a_net_is_the_edges_between_control_faces() -> None:
     refinement = result.target.refinement
     segments = control_edges(refinement)
     edges = cage_edges(refinement.control)
-    assert len(segments) == len(edges) * 2**refinement.n_levels
+    assert len(segments) == len(edges) * 2**refinement.finest_level
     assert draw_carried(result, CarriedData(), SIZE) == ()
 
 

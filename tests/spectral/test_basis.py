@@ -47,7 +47,7 @@ def creature():
 
 def cosines(refinement, operators, basis, exact):
     """Cosines of the principal angles between the hierarchical basis and exact eigenvectors, at the finest level."""
-    finest = operators.finest
+    finest = operators.finest_level
     phi = basis.at(finest)
     weights = np.sqrt(operators.mass[-1].diagonal())[:, None]
     ours, _ = np.linalg.qr(weights * phi)
@@ -65,7 +65,7 @@ def test_a_basis_of_one_level_is_that_level_s_spectrum(surface):
     np.testing.assert_allclose(basis.eigenvalues[1:], exact.values[1:], rtol=1e-8)
     np.testing.assert_array_equal(basis.indices, np.arange(count))
     np.testing.assert_allclose(basis.gram, np.eye(count), rtol=0, atol=EXACT)
-    fine = exact_basis(operators, operators.finest, count)
+    fine = exact_basis(operators, operators.finest_level, count)
     assert cosines(refinement, operators, basis, fine).min() > 1.0 - 1e-3
 
 
@@ -139,7 +139,7 @@ def test_rows_and_blocks_are_parts_of_the_dense_basis(creature, monkeypatch):
     monkeypatch.setattr(sys.modules["cagemap.spectral.basis"], "ROW_BLOCK", 333)
     refinement, operators, basis = creature
     rng = np.random.default_rng(43)
-    for level in range(operators.finest + 1):
+    for level in range(operators.finest_level + 1):
         phi = basis.at(level)
         assert phi.shape == (refinement.levels[level].n_vertices, basis.size(level))
         vertices = rng.integers(0, len(phi), 40)
@@ -169,7 +169,7 @@ def test_projection_gives_back_coefficients_and_is_orthogonal(creature, seed, le
     # What is left of any function is orthogonal to the basis, here tested densely at the finest level.
     f = rng.standard_normal(refinement.levels[level].n_vertices)
     single = basis.project(f, level)
-    phi, finest = basis.at(operators.finest), operators.finest
+    phi, finest = basis.at(operators.finest_level), operators.finest_level
     rest = refinement.prolong(f, level, finest) - phi @ single
     assert np.abs(phi.T @ (operators.mass[-1].diagonal() * rest)).max() < 1e-9
 
@@ -249,9 +249,9 @@ def test_a_schedule_may_skip_a_level(creature, literal):
 def test_a_basis_belongs_to_its_levels(creature):
     _, _, basis = creature
     other = refine(shapes.icosahedron(), 3)
-    with pytest.raises(ParameterError, match="the refinement and the operators"):
-        replace(basis, refinement=other)
-    with pytest.raises(ParameterError, match="the refinement and the operators"):
+    with pytest.raises(ParameterError, match="the hierarchy and the operators"):
+        replace(basis, hierarchy=other)
+    with pytest.raises(ParameterError, match="the hierarchy and the operators"):
         replace(basis, operators=build_operators(other))
 
 

@@ -252,7 +252,7 @@ def _limits_agree(ours: Refinement, order: np.ndarray, theirs: Theirs) -> None:
     normals /= np.maximum(lengths, 1e-300)[:, None]
     curve = one & theirs.boundary & (theirs.rule == CREASE)
     by_mask = one & ~np.isin(np.arange(len(one)), list(theirs.rings))  # the sign of the others' normals is anyone's
-    for level in (0 if isinstance(scheme, Loop) else 1, ours.n_levels):
+    for level in (0 if isinstance(scheme, Loop) else 1, ours.finest_level):
         mine = order[: ours.levels[level].n_vertices]
         gaps = np.abs(limit_positions(ours, level) - limits[mine])[known[mine]]
         assert gaps.max(initial=0) < TOLERANCE

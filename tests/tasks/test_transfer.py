@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import ParameterError
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.files.usd.write import UsdResults, write_usd
+from cagemap.maps.masks import Masks
 from cagemap.mesh import ControlMesh
 from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.match import next_commands
@@ -37,7 +37,7 @@ def test_area_without_a_counterpart_is_said(tmp_path: Path, shared: float) -> No
     result = identity_result()
     surfaces = result.target.finest_triangles, result.source.finest_triangles
     own = np.where(np.arange(surfaces[0].n) < shared * surfaces[0].n, 1.0, 0.0)
-    area = SharedArea.of_vertices(surfaces, (own, np.ones(surfaces[1].n)))
+    area = Masks(own, np.ones(surfaces[1].n))
     write_result(tmp_path / "RESULT", replace(result, shared=area))
     values = tmp_path / "values.csv"
     np.savetxt(values, np.arange(8.0))

@@ -94,7 +94,7 @@ def heads() -> tuple[Refinement, Refinement, PointMap, np.ndarray, np.ndarray]:
 def lip_gaps(refinement: Refinement, moved: np.ndarray, rings: np.ndarray) -> np.ndarray:
     """Height between upper and lower lip, from one corner of the mouth to the other; below zero they overlap."""
     rest = refinement.finest.positions
-    lip = refinement.prolong(rings[:, None], 0, refinement.n_levels)[:, 0]
+    lip = refinement.prolong(rings[:, None], 0, refinement.finest_level)[:, 0]
     x, upper = rest[:, 0], rest[:, 1] > 0
     lip = (lip > 0.63) & (lip < 0.75)
     half = 0.75 * np.abs(x[lip]).min(initial=np.inf, where=np.abs(rest[lip, 1]) < 1e-3)
@@ -106,7 +106,7 @@ def lip_gaps(refinement: Refinement, moved: np.ndarray, rings: np.ndarray) -> np
 
 
 def carried(carrier: ShapeCarrier, target: Refinement, shape: np.ndarray) -> np.ndarray:
-    return target.prolong(target.control.positions + carry_shape(carrier, shape), 0, target.n_levels)
+    return target.prolong(target.control.positions + carry_shape(carrier, shape), 0, target.finest_level)
 
 
 @pytest.mark.slow
@@ -114,7 +114,7 @@ def test_closed_lips_are_closed_on_the_other_head_and_do_not_overlap(heads) -> N
     target, source, point_map, target_rings, source_rings = heads
     shape = closing(source.control, source_rings)
     carrier = prepare_shapes(target, source, point_map)
-    given = lip_gaps(source, source.finest.positions + source.prolong(shape, 0, source.n_levels), source_rings)
+    given = lip_gaps(source, source.finest.positions + source.prolong(shape, 0, source.finest_level), source_rings)
     np.testing.assert_allclose(given, 0.008, atol=1e-3)
     gaps = lip_gaps(target, carried(carrier, target, shape), target_rings)
     rest = lip_gaps(target, target.finest.positions, target_rings)
@@ -128,7 +128,7 @@ def test_lips_that_are_closed_at_rest_do_not_move_the_other_head(heads) -> None:
     target, source, point_map, _, source_rings = heads
     # The source's own lips are closed; the target's are open and stay so where nothing moves.
     closed = source.control.positions + closing(source.control, source_rings)
-    finest = source.prolong(closed, 0, source.n_levels)
+    finest = source.prolong(closed, 0, source.finest_level)
     given = replace(point_map.source, positions=point_map.source.scale * finest)
     images = replace(point_map.images, surface=given)
     shut = replace(

@@ -226,7 +226,7 @@ def test_maps_come_back_from_files(tmp_path: Path, ring: Refinement, suffix: str
 def test_a_map_file_says_which_level_its_triangles_are_of(tmp_path: Path, ring: Refinement) -> None:
     surface, file = surface_of(ring), tmp_path / "map.npz"
     write_map(file, PointMap.from_vertices(surface, surface, np.zeros(surface.n, dtype=np.int64)))
-    assert source_level(file, ring) == ring.n_levels  # though coarser levels have these triangles as well
+    assert source_level(file, ring) == ring.finest_level  # though coarser levels have these triangles as well
     coarse = surface_of(ring.up_to(1))
     write_map(file, PointMap.from_vertices(coarse, coarse, np.arange(coarse.n)))
     assert source_level(file, ring) == 1

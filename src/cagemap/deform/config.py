@@ -28,7 +28,7 @@ class Stage:
     factored: int = 1  #: iterations from one factorisation of the matrix to the next; those between reuse its factors
     #: share of vertices whose differentials may be bounded (fold or flatten the surface) at the end
     max_bounded: float = 0.005
-    gradients: int = 4  #: conjugate gradient steps of an iteration that reuses factors
+    gradient_steps: int = 4  #: conjugate gradient steps of an iteration that reuses factors
     tolerance: float = 1e-9  #: relative residual at which these steps end early
     max_unsolved: float = 0.5  #: relative residual above which the matrix is factored anew
 
@@ -105,9 +105,8 @@ class DataConfig:
     curve_share: int = 6  #: at most one in so many coarse vertices lies on curves
     min_curve_points: int = 6  #: coarse vertices that a curve needs to bend
     shared_gap: float = 0.03  #: a place that a fit leaves farther from the other surface has no counterpart there
-    at_boundary: float = (
-        1e-4  #: a place so near to the other surface has a counterpart, even at that surface's boundary
-    )
+    #: a place so near to the other surface has a counterpart, even at that surface's boundary
+    at_boundary: float = 1e-4
 
 
 @dataclass(frozen=True)
@@ -295,53 +294,28 @@ class ProjectionConfig:
 
 @dataclass(frozen=True, repr=False)
 class ElasticConfig(Brief):
-    """Parameters of the fit; the defaults are the measured ones (docs/lab/fit_experiments.md).
+    """Parameters of the fit; the defaults are the measured ones (docs/lab/fit_experiments.md)."""
 
-    Attributes
-    ----------
-    coarse_vertices : int
-        Size of the coarse graph.
-    source_vertices : int
-        Vertices from which on a level of the source is fine enough to fit to.
-    coarse, fine : Stage
-    stiff_coarse : Stage
-        Instead of `coarse` where its placements from both starts agree, see `cagemap.deform.multi_start`.
-    landmark_start : Stage
-        Positions from the landmarks alone; differentials are smoothed as in the stage that starts there.
-    normal_weight : float
-        Closest points count position and this length times the normal.
-    fine_normal_weight : float
-        The same for those of the fine stage's vertices, and of landmarks that are moved to a coarser mesh.
-    projection_normal_weights : (float, float)
-        The same in the last projection, see `facing_points`.
-    landmark_weight : float
-        Of a landmark, against a data weight of 1 for the whole surface.
-    curve_weight : float
-        Of a curve, by its length in sqrt(area), against the same.
-    cost_stiffness : float
-        Stiffness alpha at which placements are compared.
-    stretch_weight : float
-        Of the variance of logarithmic stretches, where placements of open surfaces are compared.
-    response : Stage
-        What changed landmarks do to a map that is there, on the coarse graph (`cagemap.deform.update`).
-    graph, data, search, refit, coincidence, landmarks, projection
-        Numbers of the parts of the method.
-    """
-
-    coarse_vertices: int = 1500
-    source_vertices: int = 15_000
+    coarse_vertices: int = 1500  #: size of the coarse graph
+    source_vertices: int = 15_000  #: vertices from which on a level of the source is fine enough to fit to
     coarse: Stage = Stage(10, (5e-3, 5e-5), 1e-3, momentum=0.6)
+    #: instead of `coarse` where its placements from both starts agree, see `cagemap.deform.multi_start`
     stiff_coarse: Stage = Stage(10, (5e-2, 2e-4), 1e-2, momentum=0.6)
     fine: Stage = Stage(8, (2e-4, 2e-5), 1e-4, momentum=0.8, patience=12, factored=4)
+    #: positions from the landmarks alone; differentials are smoothed as in the stage that starts there
     landmark_start: Stage = Stage(20, (1.0, 1.0), 1e-3)
-    normal_weight: float = 0.03
+    normal_weight: float = 0.03  #: closest points count position and this length times the normal
+    #: the same for those of the fine stage's vertices, and of landmarks that are moved to a coarser mesh
     fine_normal_weight: float = 0.01
-    projection_normal_weights: tuple[float, float] = (0.002, 0.02)
-    landmark_weight: float = 1e2
-    curve_weight: float = 1.0
-    cost_stiffness: float = 1e-3
+    projection_normal_weights: tuple[float, float] = (0.002, 0.02)  #: in the last projection, see `facing_points`
+    landmark_weight: float = 1e2  #: of a landmark, against a data weight of 1 for the whole surface
+    curve_weight: float = 1.0  #: of a curve, by its length in sqrt(area), against the same
+    cost_stiffness: float = 1e-3  #: stiffness alpha at which placements are compared
+    #: of the variance of logarithmic stretches, where placements of open surfaces are compared
     stretch_weight: float = 3e-3
+    #: what changed landmarks do to a map that is there, on the coarse graph (`cagemap.deform.update`)
     response: Stage = Stage(8, (2e-4, 2e-4), 1e-2, momentum=0.6)
+    # Numbers of the parts of the method
     graph: GraphConfig = GraphConfig()
     data: DataConfig = DataConfig()
     search: SearchConfig = SearchConfig()

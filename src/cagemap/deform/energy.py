@@ -34,10 +34,10 @@ class LinearSystem:
         if self.matrix is None:
             return self.factors.solve(right.ravel()).reshape(-1, 3)
         residual = right.ravel() - self.matrix @ positions.ravel()
-        step = self.factors.solve(residual) if self.stage is None else self.gradients(residual, self.stage)
+        step = self.factors.solve(residual) if self.stage is None else self.conjugate_gradients(residual, self.stage)
         return positions + step.reshape(-1, 3)
 
-    def gradients(self, residual: FloatArray, stage: Stage) -> FloatArray:
+    def conjugate_gradients(self, residual: FloatArray, stage: Stage) -> FloatArray:
         """About ``A^-1 r`` (3 n,) by a few conjugate gradients (Hestenes and Stiefel 1952).
 
         Each step costs a tenth of a factorisation. If they leave too large a residual, the matrix is factored anew.
@@ -45,7 +45,7 @@ class LinearSystem:
         matrix = self.matrix
         assert matrix is not None
         near = LinearOperator(matrix.shape, matvec=self.factors.solve, dtype=np.float64)
-        step, missed = cg(matrix, residual, rtol=stage.tolerance, maxiter=stage.gradients, M=near)
+        step, missed = cg(matrix, residual, rtol=stage.tolerance, maxiter=stage.gradient_steps, M=near)
         unsolved = stage.max_unsolved * np.linalg.norm(residual)
         if missed and not np.linalg.norm(residual - matrix @ step) <= unsolved:
             step = factor(matrix, like=self.factors).solve(residual)

@@ -18,7 +18,7 @@ from cagemap.deform.energy import VertexTerms, deformed_normals, minimise_consta
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.minimise import Differentials, Terms, minimise
 from cagemap.deform.placement import Placement
-from cagemap.deform.problem import CoarseShape, PreparedPair, Problem
+from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.errors import ParameterError
 from cagemap.maps.masks import Masks
 from cagemap.numerics.arrays import FloatArray
@@ -29,9 +29,9 @@ from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
 
-def cluster_terms(prepared: PreparedPair, shape: CoarseShape, samples: SourceSamples | None = None) -> Terms:
+def cluster_terms(prepared: PreparedPair, clusters: Clusters, samples: SourceSamples | None = None) -> Terms:
     """Data terms and constraints of clusters; source-to-target terms only if there are samples."""
-    graph, masks, source, config = shape.energy.graph, shape.masks, prepared.source_surface, prepared.elastic
+    graph, masks, source, config = clusters.energy.graph, clusters.masks, prepared.source_surface, prepared.elastic
     weight = config.normal_weight
 
     def terms(
@@ -46,8 +46,8 @@ def cluster_terms(prepared: PreparedPair, shape: CoarseShape, samples: SourceSam
                 samples, positions, normals, normal_weight=weight, masks=masks
             )
             blocks, right = blocks + source_blocks, right + source_right
-        shape.constraints.add(blocks, right, positions, config)
-        return VertexTerms(shape.energy, blocks, right, guesses=(nearest.triangle, None))
+        clusters.constraints.add(blocks, right, positions, config)
+        return VertexTerms(clusters.energy, blocks, right, guesses=(nearest.triangle, None))
 
     return terms
 
@@ -94,29 +94,25 @@ def mesh_terms(prepared: PreparedPair, constraints: PlacementConstraints) -> Ter
 def coarse_fit(
     problem: Problem,
     start: FloatArray | None,
-    shape: CoarseShape | None = None,
+    clusters: Clusters | None = None,
     samples: SourceSamples | None = None,
 ) -> Placement:
     """Placement of clusters by their coarse stage, from positions (k, 3), or from landmarks if None.
 
-    The ``shape`` is the problem's coarse shape by default. Source ``samples`` give source-to-target terms, with which
-    limbs reach the ends of the source's limbs.
-
-    Raises
-    ------
-    ParameterError
-        If the start has not one position for every vertex of the coarse graph.
+    The ``clusters`` are the problem's coarse ones by default. Source ``samples`` give source-to-target terms, with
+    which limbs reach the ends of the source's limbs. ParameterError if the start has not one position for every vertex
+    of the coarse graph.
     """
-    shape = problem.coarse_shape if shape is None else shape
-    prepared, energy, graph = problem.prepared, shape.energy, shape.energy.graph
+    clusters = problem.coarse_clusters if clusters is None else clusters
+    prepared, energy, graph = problem.prepared, clusters.energy, clusters.energy.graph
     expected = graph.positions.shape
     if start is not None and start.shape != expected:
         raise ParameterError(f"start: expected {expected} positions, one for each coarse vertex, got {start.shape}")
-    first = landmark_start(shape, prepared.elastic) if start is None else start
-    terms = cluster_terms(prepared, shape, samples)
-    positions = minimise(graph, energy.differentials, terms, first, shape.stage)
+    first = landmark_start(clusters, prepared.elastic) if start is None else start
+    terms = cluster_terms(prepared, clusters, samples)
+    positions = minimise(graph, energy.differentials, terms, first, clusters.stage)
     maps, _ = energy.differentials(positions)
-    costs = vertex_costs(prepared, graph, shape.masks, positions, maps, shape.stage.smoothing)
+    costs = vertex_costs(prepared, graph, clusters.masks, positions, maps, clusters.stage.smoothing)
     return Placement(positions, float(costs.sum()), costs, maps=maps, graph=graph)
 
 
@@ -128,15 +124,15 @@ def fine_fit(problem: Problem, start: Placement | FloatArray) -> FloatArray:
     return minimise(energy.graph, energy.differentials, terms, first, config.fine)
 
 
-def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
+def landmark_start(clusters: Clusters, config: ElasticConfig) -> FloatArray:
     """(k, 3) clusters placed by the constrained ones alone: a similarity, then the energy, which bends limbs."""
-    graph, constraints = shape.energy.graph, shape.constraints
+    graph, constraints = clusters.energy.graph, clusters.constraints
     places, constrained = constraints.places, constraints.anchors.corners[:, 0]
     rotation, scale, shift = fit_similarity(graph.positions[constrained], places)
     blocks, right = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
     start = scale * graph.positions @ rotation.T + shift
     constraints.add_points(blocks, right, start, config)
-    return minimise_constant(shape.energy, blocks, right, start, config.landmark_start)
+    return minimise_constant(clusters.energy, blocks, right, start, config.landmark_start)
 
 
 def evaluate_placement(prepared: PreparedPair, positions: FloatArray) -> Placement:

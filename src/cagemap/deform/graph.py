@@ -20,7 +20,15 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from cagemap.deform.config import GraphConfig
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, label_components, read_only
+from cagemap.numerics.arrays import (
+    FloatArray,
+    IndexArray,
+    grouped_sums,
+    label_components,
+    mask_of,
+    places_of,
+    read_only,
+)
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.numerics.threads import kept
 from cagemap.operators.laplacian import stiffness, vertex_areas
@@ -142,8 +150,7 @@ class ElasticGraph:
 
     def part(self, vertices: IndexArray, stiffness: FloatArray) -> ElasticGraph:
         """Subgraph on vertices (k,), ascending, with edges stiffened by the mean stiffness (n,) of both ends."""
-        number = np.full(self.n, -1, dtype=np.int64)
-        number[vertices] = np.arange(len(vertices))
+        number = places_of(vertices, self.n)
         edges = (number[self.heads] >= 0) & (number[self.tails] >= 0)
         heads, tails = self.heads[edges], self.tails[edges]
         weights = self.weights[edges] * np.sqrt(stiffness[heads] * stiffness[tails])
@@ -158,8 +165,7 @@ class ElasticGraph:
 
     def rings(self, vertices: IndexArray, count: int) -> IndexArray:
         """(k,) vertices and those up to ``count`` edges away, ascending."""
-        inside = np.zeros(self.n, dtype=np.bool_)
-        inside[vertices] = True
+        inside = mask_of(vertices, self.n)
         for _ in range(count):
             inside[self.heads[inside[self.tails]]] = True
         return np.flatnonzero(inside)

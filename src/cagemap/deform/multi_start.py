@@ -17,7 +17,7 @@ from cagemap.deform.energy import deformed_normals
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.placement import Placement, distinct_placements, mean_distance, sort_by_cost
-from cagemap.deform.problem import CoarseShape, Problem
+from cagemap.deform.problem import Clusters, Problem
 from cagemap.deform.refit import largest_limb_rotation
 from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
 from cagemap.numerics.threads import ThreadPool, in_threads
@@ -29,12 +29,12 @@ from cagemap.spectral.zoomout import ZoomOutSchedule, evenly_spaced_vertices, ne
 FEWEST_LANDMARKS = 3
 
 
-def start_map(problem: Problem, shape: CoarseShape) -> FloatArray:
-    """(k, 3) places on the source of a coarse shape's vertices, by ZoomOut from the constrained points' coordinates."""
+def zoomout_start(problem: Problem, clusters: Clusters) -> FloatArray:
+    """(k, 3) places on the source of clusters, by ZoomOut from the constrained points' coordinates."""
     prepared = problem.prepared
-    vertices, constrained = shape.vertices, shape.constrained_vertices
-    levels, areas = prepared.levels, shape.energy.graph.areas
-    areas = areas * shape.masks.of_target(len(vertices))
+    vertices, constrained = clusters.vertices, clusters.constrained_vertices
+    levels, areas = prepared.levels, clusters.energy.graph.areas
+    areas = areas * clusters.masks.of_target(len(vertices))
     n_searched = prepared.source.hierarchy.levels[levels[1]].n_vertices
     candidates = np.union1d(evenly_spaced_vertices(n_searched, prepared.start.samples), constrained[1])
     of_curves = curve_vertices(problem)
@@ -75,7 +75,7 @@ def curve_vertices(problem: Problem) -> tuple[list[IndexArray], list[IndexArray]
     return found
 
 
-def spectral_starts(problem: Problem, shape: CoarseShape) -> Callable[[Placement], list[FloatArray]]:
+def spectral_starts(problem: Problem, clusters: Clusters) -> Callable[[Placement], list[FloatArray]]:
     """A function that gives starts (k, 3) from a coarse fit, by ZoomOut from its closest points.
 
     They find limbs in other poses. One start for each number of functions that the fit is trusted to determine.
@@ -86,8 +86,8 @@ def spectral_starts(problem: Problem, shape: CoarseShape) -> Callable[[Placement
     vertices = evenly_spaced_vertices(surface.n, config.samples)
     places = surface.positions[vertices]
     tree = cKDTree(np.hstack([places, config.normal_length * surface.vertex_normals[vertices]]))
-    target = basis_rows(prepared.target, prepared.levels[0], shape.vertices)
-    source, areas = basis_rows(prepared.source, level, vertices), shape.energy.graph.areas
+    target = basis_rows(prepared.target, prepared.levels[0], clusters.vertices)
+    source, areas = basis_rows(prepared.source, level, vertices), clusters.energy.graph.areas
     schedules = [ZoomOutSchedule(first, config.last_functions, config.growth) for first in config.trusted_functions]
 
     def starts(fitted: Placement) -> list[FloatArray]:
@@ -107,43 +107,43 @@ def basis_rows(surface: Surface, level: int, vertices: IndexArray) -> FloatArray
 
 
 def fit_from_two_starts(
-    problem: Problem, shape: CoarseShape, start: FloatArray | None = None
+    problem: Problem, clusters: Clusters, start: FloatArray | None = None
 ) -> tuple[list[Placement], list[Placement]]:
     """Fine placements from two starts, cheapest first; and the soft coarse ones of both, none if these agree.
 
-    The starts are ZoomOut from landmark coordinates (`start_map`), or positions ``start`` (k, 3), and the constrained
-    points alone (`landmark_start`). From each, clusters are fitted by the soft and by the stiff coarse stage. The stiff
-    one spreads strain more evenly, so its placements are refined. The soft ones disagree if they are far apart or a
-    limb is in another pose; `fit_from_spectral_starts` goes on from them. With a start and fewer than three constrained
-    points, the start is the only one.
+    The starts are ZoomOut from landmark coordinates (`zoomout_start`), or positions ``start`` (k, 3), and the
+    constrained points alone (`landmark_start`). From each, clusters are fitted by the soft and by the stiff coarse
+    stage. The stiff one spreads strain more evenly, so its placements are refined. The soft ones disagree if they are
+    far apart or a limb is in another pose; `fit_from_spectral_starts` goes on from them. With a start and fewer than
+    three constrained points, the start is the only one.
     """
     prepared, elastic = problem.prepared, problem.prepared.elastic
-    shapes = shape, shape.with_stage(elastic.stiff_coarse)
+    both = clusters, clusters.with_stage(elastic.stiff_coarse)
 
     def both_stages(positions: FloatArray | None) -> list[Placement]:
         """Placements of the soft and of the stiff coarse stage."""
-        return in_threads(lambda clusters: coarse_fit(problem, positions, clusters), shapes)
+        return in_threads(lambda chosen: coarse_fit(problem, positions, chosen), both)
 
-    if start is not None and len(shape.constrained_vertices[0]) < FEWEST_LANDMARKS:
+    if start is not None and len(clusters.constrained_vertices[0]) < FEWEST_LANDMARKS:
         return refine_placements(problem, both_stages(start)), []
     with ThreadPool(1) as pool:  # at the same time as ZoomOut
         from_points = pool.submit(both_stages, None)
-        first = both_stages(start_map(problem, shape) if start is None else start)
+        first = both_stages(zoomout_start(problem, clusters) if start is None else start)
         soft, stiff = zip(first, from_points.result(), strict=True)
     # Costs of coarse placements differ too little to choose by: a rotated elbow costs only on the mesh.
     fine = refine_placements(problem, stiff)
     rotation = largest_limb_rotation(prepared.energy, prepared.level_masks, fine[0].positions, elastic.search.limb_area)
-    distance = mean_distance(soft[0].positions, soft[1].positions, shape.energy.graph.areas)
+    distance = mean_distance(soft[0].positions, soft[1].positions, clusters.energy.graph.areas)
     agree = distance <= elastic.search.max_start_distance and rotation <= elastic.search.max_limb_rotation
     return fine, [] if agree else list(soft)
 
 
 def fit_from_spectral_starts(
-    problem: Problem, shape: CoarseShape, fine: Sequence[Placement], soft: Sequence[Placement]
+    problem: Problem, clusters: Clusters, fine: Sequence[Placement], soft: Sequence[Placement]
 ) -> list[Placement]:
     """Fine placements, those of `fit_from_two_starts` and others from spectral starts of its first soft one."""
-    starts = spectral_starts(problem, shape)(soft[0])
-    more = in_threads(lambda start: coarse_fit(problem, start, shape), starts)
+    starts = spectral_starts(problem, clusters)(soft[0])
+    more = in_threads(lambda start: coarse_fit(problem, start, clusters), starts)
     return [placed.with_start_of(fine[0]) for placed in refine_cheapest(problem, [*soft, *more], fine=fine)]
 
 

@@ -24,6 +24,7 @@ from cagemap.numerics.factorization import Factorization
 from cagemap.numerics.threads import ThreadPool, in_threads, kept
 from cagemap.spectral.surface import Surface
 from cagemap.surface.polylines import Polyline
+from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 
 # Corresponding tips (k,) of limbs, as vertices of the searched levels of target and source.
@@ -31,7 +32,7 @@ Tips = tuple[IndexArray, IndexArray]
 
 
 @dataclass(frozen=True, eq=False)
-class CoarseShape:
+class Clusters:
     """Clusters of a mesh's vertices, and the coarse stage that moves them."""
 
     energy: ElasticEnergy  # of the k clusters
@@ -44,7 +45,7 @@ class CoarseShape:
     constrained_vertices: tuple[IndexArray, IndexArray]
     stage: Stage
 
-    def with_stage(self, stage: Stage) -> CoarseShape:
+    def with_stage(self, stage: Stage) -> Clusters:
         """The clusters with another coarse stage."""
         energy = ElasticEnergy.build(self.energy.graph, stage.smoothing, self.energy.admissible)
         return replace(self, energy=energy, stage=stage)
@@ -144,15 +145,6 @@ class PreparedPair:
         """(n,) numbers of the vertices of `mesh` among the finest target vertices."""
         return self.target.hierarchy.on_finest(self.levels[0])
 
-    def curves(self, landmarks: PointPairs) -> tuple[CurveConstraint, ...]:
-        """Constraints on `mesh` of the landmarks' curves."""
-        constraints = []
-        for pair in landmarks.curves:
-            anchors = points_on_level(self.target, self.levels[0], pair.target.points, self.elastic)
-            rest = Polyline(anchors.of(self.mesh.positions), pair.target.closed)
-            constraints.append(CurveConstraint(anchors, rest, pair.source.line))
-        return tuple(constraints)
-
     @kept
     def graphs(self) -> tuple[ElasticGraph, ElasticGraph]:
         """Elastic graphs of the searched levels of target and source; built on first access."""
@@ -189,9 +181,7 @@ def fitted_surface(source: Surface, config: ElasticConfig) -> TriangleSurface:
 
 def level_graph(surface: Surface, level: int, config: GraphConfig = GraphConfig()) -> ElasticGraph:
     """Graph of a level's vertices at their positions on the finest surface, at unit area."""
-    faces = surface.hierarchy.levels[level].faces
-    mesh = surface.triangles(level)
-    return mesh_graph(mesh, mesh.triangles if faces is None else faces, config)
+    return mesh_graph(surface.triangles(level), surface.hierarchy.faces(level), config)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,30 +204,30 @@ class Problem:
         return target, vertices_near(landmarks.source, prepared.source, prepared.levels[1])
 
     @kept
-    def coarse_shape(self) -> CoarseShape:
+    def coarse_clusters(self) -> Clusters:
         """Clusters of the target's mesh, with a cluster for every landmark."""
-        return self.coarse_shape_with()
+        return self.clusters_with()
 
     @kept
-    def small_shape(self) -> CoarseShape:
+    def small_clusters(self) -> Clusters:
         """The small graph on which many starts are tried, with a cluster for every landmark."""
         config = self.prepared.elastic.search
-        return self.coarse_shape_with(stage=config.small_graph_stage, count=config.small_graph_vertices)
+        return self.clusters_with(stage=config.small_graph_stage, count=config.small_graph_vertices)
 
-    def coarse_shape_with(
+    def clusters_with(
         self, tips: Tips = (NO_VERTICES, NO_VERTICES), stage: Stage | None = None, count: int | None = None
-    ) -> CoarseShape:
+    ) -> Clusters:
         """About ``count`` clusters with tips of limbs as constraints, besides the landmarks."""
         prepared, landmarks, config = self.prepared, self.landmarks, self.prepared.elastic
         stage, count = stage or config.coarse, count or config.coarse_vertices
         on_target, on_source = (np.concatenate(both) for both in zip(self.landmark_vertices, tips, strict=True))
         places = prepared.source.triangles(prepared.levels[1]).positions[tips[1]]
-        every, curves = constrained_clusters(prepared.curves(landmarks), on_target, count, config.data)
+        every, curves = constrained_clusters(self.constraints.curves, on_target, count, config.data)
         coarse, chosen = cluster_graph(prepared.energy.graph, count, every, config.graph)
-        energy, masks = bounded_energy(coarse, stage.smoothing, config), prepared.level_masks.for_vertices(chosen)
+        energy, masks = bounded_energy(coarse, stage.smoothing, config), prepared.level_masks.at(chosen)
         anchors = CagePoints.of_vertices(np.arange(len(on_target)))
         constraints = PlacementConstraints(anchors, np.vstack([landmarks.source.positions, places]), curves)
-        return CoarseShape(energy, masks, chosen, constraints, (on_target, on_source), stage)
+        return Clusters(energy, masks, chosen, constraints, (on_target, on_source), stage)
 
     @kept
     def landmark_distances(self) -> tuple[FloatArray, FloatArray]:
@@ -255,8 +245,16 @@ class Problem:
     def constraints(self) -> PlacementConstraints:
         """Landmarks and curves on the mesh that the fine stage deforms."""
         prepared, landmarks = self.prepared, self.landmarks
-        anchors = points_on_level(prepared.target, prepared.levels[0], landmarks.target, prepared.elastic)
-        return PlacementConstraints(anchors, landmarks.source.positions, prepared.curves(landmarks))
+
+        def on_mesh(points: SurfacePoints) -> CagePoints:
+            return points_on_level(prepared.target, prepared.levels[0], points, prepared.elastic)
+
+        curves = []
+        for pair in landmarks.curves:
+            anchors = on_mesh(pair.target.points)
+            rest = Polyline(anchors.of(prepared.mesh.positions), pair.target.closed)
+            curves.append(CurveConstraint(anchors, rest, pair.source.line))
+        return PlacementConstraints(on_mesh(landmarks.target), landmarks.source.positions, tuple(curves))
 
     @kept
     def reverse_problem(self) -> Problem:

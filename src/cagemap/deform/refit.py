@@ -57,7 +57,7 @@ def fit_from_shape(problem: Problem, shape: FloatArray) -> FloatArray:
     graph = replace(energy.graph, positions=shape, normals=vertex_normals(shape, prepared.mesh.triangles))
     moved = ElasticEnergy.build(graph, prepared.elastic.fine.smoothing, energy.admissible)
     alike = replace(problem, prepared=replace(prepared, energy=moved))
-    clusters = alike.coarse_shape_with(stage=prepared.elastic.stiff_coarse)
+    clusters = alike.clusters_with(stage=prepared.elastic.stiff_coarse)
     return fine_fit(alike, coarse_fit(alike, shape[clusters.vertices], clusters))
 
 

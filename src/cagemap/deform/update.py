@@ -13,9 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig
-from cagemap.deform.constraints import add_curves, constrained_clusters
+from cagemap.deform.constraints import add_curves
 from cagemap.deform.energy import ElasticEnergy, any_map, minimise_constant
-from cagemap.deform.graph import ElasticGraph, cluster_graph, extrapolate
+from cagemap.deform.graph import ElasticGraph, extrapolate
 from cagemap.deform.problem import Problem
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -50,16 +50,13 @@ def displacement_response(
 
 def linear_update(problem: Problem, before: PointMap) -> FloatArray:
     """(n, 3) positions of the deformed level, by a map moved to meet landmarks and curves."""
-    prepared, landmarks, constrained = problem.prepared, problem.landmarks, problem.landmark_vertices[0]
-    graph, mesh, config = prepared.energy.graph, prepared.mesh, prepared.elastic
-    size = min(config.coarse_vertices, graph.n)
-    every, curves = constrained_clusters(prepared.curves(landmarks), constrained, size, config.data)
-    coarse, vertices = cluster_graph(graph, size, every, config.graph)
+    prepared, landmarks, clusters = problem.prepared, problem.landmarks, problem.coarse_clusters
+    coarse, vertices, config = clusters.energy.graph, clusters.vertices, prepared.elastic
     positions = before.images.at(prepared.vertices).positions
-    normals = vertex_normals(positions, mesh.triangles)[vertices]
+    normals = vertex_normals(positions, prepared.mesh.triangles)[vertices]
     offsets = landmarks.source.positions - landmarks.target.interpolate(before.images.positions)
     blocks, right = np.zeros((coarse.n, 3, 3)), np.zeros((coarse.n, 3))
-    add_curves(curves, blocks, right, positions[vertices], config)
+    add_curves(clusters.constraints.curves, blocks, right, positions[vertices], config)
     terms = blocks, right - np.einsum("nab,nb->na", blocks, positions[vertices])
-    response = displacement_response(coarse, normals, np.arange(len(constrained)), offsets, config, terms)
-    return positions + extrapolate(coarse, *response, graph, config.graph)
+    response = displacement_response(coarse, normals, np.arange(len(offsets)), offsets, config, terms)
+    return positions + extrapolate(coarse, *response, prepared.energy.graph, config.graph)

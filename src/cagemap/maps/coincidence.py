@@ -179,7 +179,7 @@ def _unsmoothed(surface: Surface) -> TriangleSurface:
     if refinement.is_plain:
         return _finest(surface)
     linear = interpolate_linearly(
-        control, control.face_indices, control.n_vertices, refinement.n_levels, refinement.scheme
+        control, control.face_indices, control.n_vertices, refinement.finest_level, refinement.scheme
     )
     return TriangleSurface(surface.scale * (linear.matrix @ control.positions), linear.corners, surface.scale)
 

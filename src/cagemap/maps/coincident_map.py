@@ -44,7 +44,7 @@ def coincident_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
     if missed > SAME:
         moved = linear_update(problem, point_map)
         shifts = moved - point_map.images.at(prepared.vertices).positions
-        shifts = prepared.target.hierarchy.prolong(shifts, prepared.levels[0], prepared.target.finest)
+        shifts = prepared.target.hierarchy.prolong(shifts, prepared.levels[0], prepared.target.finest_level)
         point_map = PointMap(
             target, snap_landmarks(coincidence.images(source, shifts), landmarks, prepared.elastic.projection)
         )

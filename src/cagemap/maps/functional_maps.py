@@ -35,7 +35,7 @@ def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> 
     sampled = point_map.images.at(chosen)
     corners, places = np.unique(sampled.corners, return_inverse=True)
     at_vertices, at_corners = in_threads(
-        lambda side: side[0].basis.rows(side[0].finest, side[1]), [(target, chosen), (source, corners)]
+        lambda side: side[0].basis.rows(side[0].finest_level, side[1]), [(target, chosen), (source, corners)]
     )
     weights = sampled.barycentric
     pulled = np.asarray(sum(weights[:, i, None] * at_corners[places.reshape(-1, 3)[:, i]] for i in range(3)))
@@ -53,7 +53,8 @@ def from_bases(
     """C12 on the bases of a pair, from a functional map on other functions.
 
     pyFM's ``model.FM_12`` with ``model.mesh2.eigenvectors`` as the target's functions and ``mesh1``'s as the source's;
-    geomfum's matrix with those of ``basis_b.vecs`` and ``basis_a.vecs``.
+    geomfum's matrix with those of ``basis_b.vecs`` and ``basis_a.vecs``. ParameterError if functions lack a row for
+    each vertex of their level, or are fewer than the map takes.
 
     Parameters
     ----------
@@ -69,11 +70,6 @@ def from_bases(
     -------
     (k1, k2) array
         k1 = q1 and k2 = q2, or as many functions as a basis has.
-
-    Raises
-    ------
-    ParameterError
-        If functions lack a row for each vertex of their level, or are fewer than the map takes.
     """
     matrix = real_numbers(functional_map, "functional map")
     target, source = _sides(pair, matrix.shape, (target_functions, source_functions), levels)
@@ -94,10 +90,7 @@ def to_bases(
 ) -> FloatArray:
     """(q1, q2) map on functions (n1, q1), (n2, q2) from C12 of a pair: the inverse of `from_bases`.
 
-    Raises
-    ------
-    ParameterError
-        As `from_bases`.
+    Errors as of `from_bases`.
     """
     matrix = real_numbers(functional_map, "functional map")
     given = [real_numbers(values, "functions") for values in (target_functions, source_functions)]
@@ -114,7 +107,7 @@ def _sides(
     """Own basis, given functions and areas at sampled vertices, for target and source."""
     surfaces, sides = (pair.target, pair.source), []
     for i, name in enumerate(("target", "source")):
-        surface, level = surfaces[i], surfaces[i].finest if levels is None else levels[i]
+        surface, level = surfaces[i], surfaces[i].finest_level if levels is None else levels[i]
         triangles, theirs = surface.triangles(level), real_numbers(functions[i], f"{name} functions")
         if len(shape) != 2 or theirs.ndim != 2 or len(theirs) != triangles.n or theirs.shape[1] < shape[i]:
             raise ParameterError(
@@ -123,7 +116,7 @@ def _sides(
                 "target"
             )
         chosen = evenly_spaced_vertices(triangles.n, FIT_SAMPLES)
-        rows = surface.basis.rows(surface.finest, surface.hierarchy.on_finest(level)[chosen])
+        rows = surface.basis.rows(surface.finest_level, surface.hierarchy.on_finest(level)[chosen])
         sides.append((rows, theirs[chosen, : shape[i]], triangles.vertex_areas[chosen]))
     return sides
 
@@ -157,19 +150,24 @@ def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
     return matrix
 
 
-def functional_map_from(pair: Pair, given: MapLike) -> FloatArray:
-    """C12 of a map in any form; a point or vertex map uses all basis functions."""
+def functional_map_from(pair: Pair, given: MapLike, sizes: tuple[int, int] | None = None) -> FloatArray:
+    """C12 of a map in any form; vertex maps are fitted with ``sizes`` functions (k1, k2), by default with all."""
     checked = check_map(pair, given)
     if isinstance(checked, PointMap):
         return functional_map_of(pair.target, pair.source, checked)
     if checked.ndim == 2:
         return np.asarray(checked, dtype=np.float64)
-    levels = pair.target.hierarchy
-    level = [len(mesh.positions) for mesh in levels.levels].index(len(checked))
+    k1, k2 = (None, None) if sizes is None else sizes
     chosen = evenly_spaced_vertices(len(checked), FIT_SAMPLES)
-    vertices, images = levels.on_finest(level)[chosen], checked[chosen].astype(np.int64)
+    vertices = pair.target.hierarchy.on_finest(_level_of(pair, checked))[chosen]
     areas = pair.target.finest_triangles.vertex_areas[vertices]
-    return fit_functional_map(_finest_rows(pair.target, vertices), areas, _finest_rows(pair.source, images))
+    values = _finest_rows(pair.source, checked[chosen].astype(np.int64))
+    return fit_functional_map(_finest_rows(pair.target, vertices)[:, :k1], areas, values[:, :k2])
+
+
+def _level_of(pair: Pair, vertex_map: FloatArray | IndexArray) -> int:
+    """Level of the target that has as many vertices as a vertex map has entries."""
+    return [level.n_vertices for level in pair.target.hierarchy.levels].index(len(vertex_map))
 
 
 def image_positions(pair: Pair, given: MapLike, vertices: IndexArray) -> FloatArray:
@@ -178,8 +176,7 @@ def image_positions(pair: Pair, given: MapLike, vertices: IndexArray) -> FloatAr
     if isinstance(checked, PointMap):
         return checked.images.at(vertices).positions
     if checked.ndim == 1:
-        levels = pair.target.hierarchy
-        rows = levels.on_level([len(mesh.positions) for mesh in levels.levels].index(len(checked)), vertices)
+        rows = pair.target.hierarchy.on_level(_level_of(pair, checked), vertices)
         if (rows >= 0).all():
             return np.asarray(places[checked[rows].astype(np.int64)])
     candidates = evenly_spaced_vertices(len(places), SOURCE_SAMPLES)
@@ -203,4 +200,4 @@ def zoomout_of_map(pair: Pair, given: MapLike, schedule: ZoomOutSchedule) -> Flo
 
 def _finest_rows(surface: Surface, vertices: IndexArray) -> FloatArray:
     """(q, k) basis rows of finest vertices."""
-    return surface.basis.rows(surface.finest, vertices)
+    return surface.basis.rows(surface.finest_level, vertices)

@@ -18,6 +18,7 @@ from cagemap.numerics.arrays import FloatArray, array_of, real_numbers, whole_nu
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.operators.laplacian import stiffness, vertex_areas
+from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 
@@ -37,7 +38,8 @@ def geodesic_error(
     """Geodesic distances on the source between the images of target vertices and their true images.
 
     Distances are those of the heat method on the source's triangles, at least the straight distance. On a sphere of
-    2562 vertices they differ from the exact ones by 0.2 edge lengths on average, and by 2.1 % at most.
+    2562 vertices they differ from the exact ones by 0.2 edge lengths on average, and by 2.1 % at most. ParameterError
+    if the truth does not fit the map, is not known at a vertex to be judged, or distances have another length.
 
     Parameters
     ----------
@@ -59,16 +61,11 @@ def geodesic_error(
     -------
     (s,) float64
         In units of sqrt(source area); the literature prints them x100.
-
-    Raises
-    ------
-    ParameterError
-        If the truth does not fit the map, is not known at a vertex to be judged, or distances have another length.
     """
     true_images, known = _true_images(point_map, truth)
     if vertices is None:
         where = np.flatnonzero(known)
-        chosen = where[np.unique(np.linspace(0, len(where) - 1, min(JUDGED_VERTICES, len(where))).astype(int))]
+        chosen = where[evenly_spaced_vertices(len(where), JUDGED_VERTICES)]
     else:
         chosen = whole_numbers(vertices, "vertices").ravel()
         wrong = chosen[(chosen < 0) | (chosen >= len(known))]
@@ -94,7 +91,7 @@ def geodesic_error(
 
 def _errors_by(distances: Callable[[int], ArrayLike], images: SurfacePoints, true_images: SurfacePoints) -> FloatArray:
     """(s,) distances from the vertices nearest to the true images to the images, by another library."""
-    nearest = true_images.corners[np.arange(len(true_images)), true_images.barycentric.argmax(axis=1)]
+    nearest = true_images.heaviest_corners
     errors = np.empty(len(images))
     for vertex in np.unique(nearest):
         lengths, rows = real_numbers(distances(int(vertex)), "distances"), np.flatnonzero(nearest == vertex)

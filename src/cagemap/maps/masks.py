@@ -59,16 +59,12 @@ class Masks:
         """Masks with target and source exchanged."""
         return Masks(self.source, self.target)
 
-    def at(self, target: IndexArray, source: IndexArray) -> Masks:
-        """Masks of the given vertices of target and source, in their order."""
+    def at(self, target: IndexArray, source: IndexArray | slice = slice(None)) -> Masks:
+        """Masks of the given vertices of target and source, in their order; default: all of the source."""
         target_mask, source_mask = self.target, self.source
         return Masks(
             None if target_mask is None else target_mask[target], None if source_mask is None else source_mask[source]
         )
-
-    def for_vertices(self, vertices: IndexArray) -> Masks:
-        """Masks of the given target vertices, in their order, with the source's mask unchanged."""
-        return self if self.target is None else Masks(self.target[vertices], self.source)
 
     def of_target(self, n: int) -> FloatArray:
         """(n,) weights of all target vertices; 1 without a mask."""
@@ -88,13 +84,22 @@ class Masks:
         """(n1,) target's mask at every vertex times the source's mask at its image."""
         return self.of_target(point_map.target.n) * self.at_source(point_map.images)
 
-    def require_fit(self, n_target: int, n_source: int) -> None:
-        """Refuse masks of the wrong length, values outside [0, 1], and masks that leave nothing.
+    def shares(self, target: TriangleSurface, source: TriangleSurface) -> tuple[float, float]:
+        """Shares of the area of both surfaces that count."""
+        on_target, on_source = self.of_target(target.n), self.of_source(source.n)
+        return float(target.vertex_areas @ on_target), float(source.vertex_areas @ on_source)
 
-        Raises
-        ------
-        ParameterError
-        """
+    def within(self, shared: Masks | None) -> Masks:
+        """Masks of the unmasked area that has a counterpart; unchanged if ``shared`` is None, or no area has one."""
+        if shared is None or shared.target is None or shared.source is None:
+            return self
+        target, source = shared.target, shared.source
+        if not (target.any() and source.any()):
+            return self
+        return Masks(self.of_target(len(target)) * target, self.of_source(len(source)) * source)
+
+    def require_fit(self, n_target: int, n_source: int) -> None:
+        """Raise ParameterError for masks of another length, values outside [0, 1], or masks that leave nothing."""
         for side, mask, n in (("target", self.target, n_target), ("source", self.source, n_source)):
             if mask is None:
                 continue
@@ -115,25 +120,18 @@ WHOLE = Masks()
 def vertex_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
     """(n_f,) mask of the finest vertices, refined from values (n_0,) at control vertices (a vertex group).
 
-    Raises
-    ------
-    ParameterError
-        If there is not one number from 0 to 1 for each control vertex.
+    ParameterError if there is not one number from 0 to 1 for each control vertex.
     """
     given = _checked(values, refinement.control.n_vertices, "control vertex")
-    return np.clip(refinement.prolong(given, 0, refinement.n_levels), 0.0, 1.0)
+    return np.clip(refinement.prolong(given, 0, refinement.finest_level), 0.0, 1.0)
 
 
 @kinds_checked
 def face_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
     """(n_f,) mask of the finest vertices from values (m_0,) at control faces (a face set).
 
-    A vertex between faces takes the least of their values, so that nothing leaks out of a set.
-
-    Raises
-    ------
-    ParameterError
-        If there is not one number from 0 to 1 for each control face.
+    A vertex between faces takes the least of their values, so that nothing leaks out of a set. ParameterError if there
+    is not one number from 0 to 1 for each control face.
     """
     given = _checked(values, refinement.control.n_faces, "control face")
     finest = refinement.finest
@@ -149,6 +147,8 @@ def face_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
 def soft_edge(surface: TriangleSurface, mask: FloatArray, width: float) -> FloatArray:
     """(n,) mask that rises from 0 at its border to its full value at a distance inside.
 
+    ParameterError if the width is negative or infinite, or the mask has not one number from 0 to 1 for each vertex.
+
     Parameters
     ----------
     surface : TriangleSurface
@@ -156,11 +156,6 @@ def soft_edge(surface: TriangleSurface, mask: FloatArray, width: float) -> Float
     mask : (n,) float64
     width : float
         The distance, along edges, in units of sqrt(area); 0 changes nothing.
-
-    Raises
-    ------
-    ParameterError
-        If the width is negative or infinite, or the mask has not one number from 0 to 1 for each vertex.
     """
     if not 0.0 <= width < np.inf:
         raise ParameterError(f"mask edge: expected a finite width of 0 or more, of sqrt(area), got {width}")

@@ -30,17 +30,14 @@ SymmetryPair = tuple[IndexArray, IndexArray]
 class PointPairs:
     """Landmarks on the finest surfaces: p points of the target and their source points.
 
+    ParameterError if the sides have different numbers of points.
+
     Attributes
     ----------
     target, source : SurfacePoints
         Points of the finest surfaces, one of each for every pair.
     curves : tuple of CurvePair
         Curves that correspond as a whole.
-
-    Raises
-    ------
-    ParameterError
-        If the sides have different numbers of points.
     """
 
     target: SurfacePoints
@@ -92,7 +89,7 @@ class Pair:
     landmarks : PointPairs
     symmetries : tuple of ((n_0 target,), (n_0 source,)) arrays
         Self-maps of the control meshes that correspond, each side's as the image of every control vertex, -1 where it
-        is not known (see `cagemap.paper.operators.check_symmetry`).
+        is not known (see `cagemap.paper.symmetries.check_symmetry`).
     """
 
     target: Surface
@@ -168,9 +165,7 @@ def vertices_near(points: SurfacePoints, surface: Surface, level: int) -> IndexA
 
 def vertices_at(points: SurfacePoints) -> IndexArray:
     """(m,) vertices at points, -1 for points between vertices."""
-    corner = points.barycentric.argmax(axis=1)
-    rows = np.arange(len(points))
-    return np.where(points.barycentric[rows, corner] == 1.0, points.corners[rows, corner], -1).astype(np.int64)
+    return np.where(points.barycentric.max(axis=1) == 1.0, points.heaviest_corners, -1).astype(np.int64)
 
 
 def point_pairs(target: Surface, source: Surface, landmarks: Landmarks) -> PointPairs:

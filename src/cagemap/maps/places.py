@@ -161,38 +161,23 @@ def surface_curves(refinement: Refinement, finest: TriangleSurface, curves: Cage
 
 
 def refined_edges(refinement: Refinement, ends: IndexArray, level: int) -> IndexArray:
-    """(e, 2^level + 1) vertices of a level along control edges (e, 2); -1 where two control vertices have no edge."""
-    count = refinement.control.n_vertices
-    edges = mesh_topology(refinement.control).edge_vertices
-    chains = np.where(np.isin(pair_keys(ends, count), pair_keys(edges, count))[:, None], ends, -1)
+    """(e, 2^level + 1) vertices of a level along control edges (e, 2); -1 where two control vertices have no edge.
+
+    Edge k of a level gives vertex n + k of the next, and its two halves are that level's edges 2 k and 2 k + 1
+    (`cagemap.subdivision.topology`).
+    """
+    topology, count = mesh_topology(refinement.control), refinement.control.n_vertices
+    keys, wanted = pair_keys(topology.edge_vertices, count), pair_keys(ends, count)
+    edges = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    reverse = topology.edge_ends[edges, 0] != ends[:, 0]
+    chains = ends
     for number in range(level):
-        joined = np.stack([chains[:, :-1], chains[:, 1:]], axis=2)
-        middle = edge_vertices(refinement, number, joined.reshape(-1, 2)).reshape(joined.shape[:2])
+        middle = refinement.levels[number].n_vertices + 2**number * edges[:, None] + np.arange(2**number)
+        middle[reverse] = middle[reverse, ::-1]
         finer = np.empty((len(chains), 2 * chains.shape[1] - 1), dtype=np.int64)
         finer[:, ::2], finer[:, 1::2] = chains, middle
         chains = finer
-    return chains
-
-
-def edge_vertices(refinement: Refinement, level: int, ends: IndexArray) -> IndexArray:
-    """(e,) next level's vertex in the middle of a level's edges (e, 2); -1 if no edge.
-
-    Rows of S^l are ordered vertices, edges, faces: an edge's vertex is the one of the second kind that is connected
-    with both ends.
-    """
-    coarse, finer = refinement.levels[level], refinement.levels[level + 1]
-    assert finer.faces is not None
-    faces_have_vertices = finer.faces.shape[1] == 4
-    past = finer.n_vertices - (coarse.n_faces if faces_have_vertices else 0)
-    tails, heads = finer.faces.ravel(), np.roll(finer.faces, -1, axis=1).ravel()
-    tails, heads = np.concatenate([tails, heads]), np.concatenate([heads, tails])
-    is_edge = (tails < coarse.n_vertices) & (heads >= coarse.n_vertices) & (heads < past)
-    middle, end = np.divmod(np.unique(heads[is_edge] * coarse.n_vertices + tails[is_edge]), coarse.n_vertices)
-    keys = pair_keys(end.reshape(-1, 2), coarse.n_vertices)  # every edge's vertex is connected with its two ends
-    order, wanted = np.argsort(keys), pair_keys(ends, coarse.n_vertices)
-    place = np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)
-    known = (keys[order][place] == wanted) & (ends >= 0).all(axis=1)
-    return np.where(known, middle[::2][order][place], -1)
+    return np.where((keys[edges] == wanted)[:, None], chains, -1)
 
 
 def curve_miss(pair: CurvePair, point_map: PointMap) -> CurveMiss:

@@ -116,8 +116,7 @@ def _source_normals(images: SurfacePoints) -> FloatArray:
     if not len(at_vertex):
         return images.normals
     normals = images.normals.copy()
-    corner = images.barycentric[at_vertex].argmax(axis=1)
-    normals[at_vertex] = images.surface.vertex_normals[images.corners[at_vertex, corner]]
+    normals[at_vertex] = images.surface.vertex_normals[images.at(at_vertex).heaviest_corners]
     return normals
 
 
@@ -225,6 +224,8 @@ def judge(
 ) -> QualityFigures:
     """Quality figures of a map between finest levels, without ground truth.
 
+    ParameterError if the map is not one of the target's finest level.
+
     Parameters
     ----------
     target : Surface
@@ -235,11 +236,6 @@ def judge(
         Names of the landmarks, for warnings.
     masks : Masks
         Weights of both surfaces' vertices in the figures.
-
-    Raises
-    ------
-    ParameterError
-        If the map is not one of the target's finest level.
     """
     if point_map.target.n != len(target.vertices):
         raise ParameterError(

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from cagemap.deform.problem import PreparedPair
-from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import ParameterError
 from cagemap.maps.functional_maps import functional_map_of
 from cagemap.maps.hypotheses.confidence import Confidence, jump_lengths, jump_warnings
@@ -76,8 +75,8 @@ class MatchResult:
         Input of `update_match` and `match_pair`, for a match of this process ("elastic" only).
     masks : Masks
         Weights of both surfaces in the match and in transfers.
-    shared : SharedArea or None
-        Area that has a counterpart; None if both surfaces are closed.
+    shared : Masks or None
+        Weights of the vertices, 1 where they have a counterpart; None if both surfaces are closed.
     known_spectral : SpectralMap or None
         Value of `spectral`, if it was read or follows from other maps.
     provenance : dict
@@ -95,7 +94,7 @@ class MatchResult:
     confidence: Confidence | None = None
     prepared: PreparedPair | None = None
     masks: Masks = WHOLE
-    shared: SharedArea | None = None
+    shared: Masks | None = None
     known_spectral: SpectralMap | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
 
@@ -123,17 +122,14 @@ class MatchResult:
     def at_level(self, level: int) -> MatchResult:
         """Result with the map of one of the target's levels, to write, bake, draw and judge.
 
+        ParameterError if no map of that level was found.
+
         Parameters
         ----------
         level : int
             Level of the target. Of several maps of this level the last one is used, with the finest source.
-
-        Raises
-        ------
-        ParameterError
-            If no map of that level was found.
         """
-        finest = self.target.refinement.n_levels
+        finest = self.target.refinement.finest_level
         if level == finest:
             return self
         plain = self.target.refinement.is_plain or self.source.refinement.is_plain
@@ -177,6 +173,11 @@ class MatchResult:
             masks=WHOLE,
             known_spectral=spectral,
         )
+
+    @property
+    def shared_shares(self) -> tuple[float, ...]:
+        """Share of the area of target and source that has a counterpart; () if both surfaces are closed."""
+        return () if self.shared is None else self.shared.shares(self.point_map.target, self.point_map.source)
 
     @property
     def has_spectral(self) -> bool:
@@ -277,11 +278,12 @@ class MatchResult:
     @property
     def manifest(self) -> dict[str, Any]:
         """Entries of the manifest: quality, checks, timings, provenance."""
+        shares = self.shared_shares
         return {
             "quality": self.quality.summary(),
             "landmark_check": self.landmark_check.summary(),
             "confidence": None if self.confidence is None else self.confidence.summary(),
-            **({} if self.shared is None else {"shared_area": self.shared.summary()}),
+            **({"shared_area": dict(zip(("target", "source"), shares, strict=True))} if shares else {}),
             "curves": [asdict(miss) for miss in self.curve_misses],
             "timings": dict(self.timings),
             "bases": {"target": asdict(self.target.config), "source": asdict(self.source.config)},
@@ -295,7 +297,7 @@ def result_of_fit(
     landmarks: Landmarks,
     check: LandmarkCheck,
     timings: dict[str, float],
-    shared: SharedArea | None,
+    shared: Masks | None,
     confidence: Confidence | None = None,
     jumps: FloatArray | None = None,
 ) -> MatchResult:
@@ -307,15 +309,14 @@ def result_of_fit(
     target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
     points, masks = point_pairs(target, source, trusted), prepared.masks
     with one_blas_thread():
-        counted = masks if shared is None else shared.within(masks)
         jumps = jump_lengths(prepared, point_map, shared) if jumps is None else jumps
         jumping = jump_warnings(prepared, jumps)
-        quality = judge(target, point_map, points, trusted.names, counted)
-        area_warnings = () if shared is None else unshared_warnings(shared.target_share, shared.source_share)
+        quality = judge(target, point_map, points, trusted.names, masks.within(shared))
+        unshared = () if shared is None else unshared_warnings(*shared.shares(point_map.target, point_map.source))
         foreign = foreign_warnings(quality.flipped_area, len(landmarks), len(check.suspects))
         quality = replace(
             quality,
-            warnings=(*jumping, *quality.warnings, *area_warnings, *foreign),
+            warnings=(*jumping, *quality.warnings, *unshared, *foreign),
             match_warnings=(*jumping, *foreign),
         )
     return MatchResult(

@@ -219,7 +219,7 @@ class Operators:
         return f"Operators({', '.join(str(mass.shape[0]) for mass in self.mass)} vertices, scale {self.scale:.6g})"
 
     @property
-    def finest(self) -> int:
+    def finest_level(self) -> int:
         """Number of the finest level."""
         return len(self.mass) - 1
 
@@ -244,7 +244,7 @@ def build_operators(refinement: Refinement, laplacian: Laplacian = face_terms) -
     if not callable(laplacian):
         raise ParameterError(f"laplacian: expected one of `named_laplacian`, got {laplacian!r}")
     finest = refinement.levels[-1]
-    faces = refinement.faces(refinement.n_levels)
+    faces = refinement.faces(refinement.finest_level)
     weights, areas = laplacian(finest.positions, faces)
     area = float(areas.sum())
     # One complex matrix W + i M: one product restricts both, and they keep the same pattern.

@@ -2,7 +2,7 @@
 
 A filter rho_t maps an eigenvalue to a weight. A landmark descriptor is rho_t(Lambda~) Phi~(v, :)^T, already in
 coefficients. A signature is the diagonal of Phi~ rho_t(Lambda~) Phi~^T, a function to be projected to the basis.
-`paper.constraints` lists the descriptors that the method uses (`DescriptorConfig`).
+`paper.functional_constraints` lists the descriptors that the method uses (`DescriptorConfig`).
 """
 
 from __future__ import annotations

@@ -17,17 +17,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cagemap.errors import ParameterError
-from cagemap.maps.functional_maps import MapLike
+from cagemap.maps.functional_maps import MapLike, functional_map_from
 from cagemap.maps.pair import LevelPair, Pair, Progress, no_progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import facing_points
 from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Brief
-from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.embeddings import functions_at, spectral_rows
 from cagemap.paper.equations import solve_functional_map
-from cagemap.paper.method import FEWEST_FUNCTIONS, finer_level_pairs, search_levels, start_map
+from cagemap.paper.functional_constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
+from cagemap.paper.method import FEWEST_FUNCTIONS, finer_level_pairs, search_levels
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule, evenly_spaced_vertices, fit_functional_map, nearest_rows
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -90,7 +90,7 @@ def hfm_map(
         constraints = gather_constraints(pair, config.descriptors) if constraints is None else constraints
         functional_map = solve_functional_map(constraints.leading(first, first), config.weights)
     else:
-        functional_map = start_map(pair, start, (first, first))
+        functional_map = functional_map_from(pair, start, (first, first))
     functional_map, displacement = zoomout_all_bands(pair, levels, functional_map, config)
     maps = []
     for finer in [levels, *finer_level_pairs(pair, levels)]:
@@ -174,6 +174,4 @@ def closest_map(pair: Pair, levels: LevelPair, functional_map: FloatArray, displ
     target, source = pair.target.triangles(levels[0]), pair.source.triangles(levels[1])
     places = displaced_vertices(pair.target, levels[0], displacement)
     points = facing_points(source, places, vertex_normals(places, target.triangles), FACING_WEIGHTS)
-    rows = np.arange(len(points))
-    match = points.corners[rows, points.barycentric.argmax(axis=1)]
-    return LevelMap(levels, functional_map, match, PointMap(target, points))
+    return LevelMap(levels, functional_map, points.heaviest_corners, PointMap(target, points))

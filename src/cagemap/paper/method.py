@@ -9,13 +9,12 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.errors import ParameterError
-from cagemap.maps.functional_maps import MapLike, check_map, functional_map_from
+from cagemap.maps.functional_maps import MapLike, functional_map_from
 from cagemap.maps.pair import LevelPair, Pair, Progress, no_progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Brief
-from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.embeddings import (
     Rows,
     nearest_candidates,
@@ -25,6 +24,7 @@ from cagemap.paper.embeddings import (
     vertex_to_point,
 )
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
+from cagemap.paper.functional_constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import evenly_spaced_vertices, fit_functional_map, nearest_rows
 
@@ -90,7 +90,7 @@ def _first_level(pair: Pair, constraints: Constraints, config: PaperConfig, star
     if start is None:
         functional_map = solve_functional_map(wanted, config.weights)
     else:
-        functional_map = start_map(pair, start, sizes)[: sizes[0], : sizes[1]]
+        functional_map = functional_map_from(pair, start, sizes)[: sizes[0], : sizes[1]]
         if functional_map.shape != sizes:
             functional_map = extend_functional_map(functional_map, wanted, config.weights)
     return _alternate(pair, (0, 0), functional_map, config.rounds, lambda c: search_full(pair, c, (0, 0)))
@@ -159,32 +159,16 @@ def search_level(pair: Pair, functional_map: FloatArray, levels: LevelPair, coar
     return nearest_candidates(*rows, vertex_blocks(pair.target, levels[0]), parents, children, coarse.match)
 
 
-def refit_map(pair: Pair, levels: LevelPair, match: IndexArray, sizes: tuple[int, int] | None = None) -> FloatArray:
-    """Refit C12 = Phi~1^+ P12 Phi~2 to a match (n,) of two levels, on a sample of vertices (paper, 2.1.2).
-
-    ``sizes`` are the numbers of basis functions (k1, k2); default: those of the levels.
-    """
-    k1, k2 = basis_sizes(pair, levels) if sizes is None else sizes
+def refit_map(pair: Pair, levels: LevelPair, match: IndexArray) -> FloatArray:
+    """Refit C12 = Phi~1^+ P12 Phi~2 to a match (n,) of two levels, on a sample of vertices (paper, 2.1.2)."""
+    k1, k2 = basis_sizes(pair, levels)
     chosen = evenly_spaced_vertices(len(match), SAMPLE_VERTICES)
     rows = spectral_rows(pair.target, levels[0], k1)(chosen).astype(np.float64)
     values = spectral_rows(pair.source, levels[1], k2)(match[chosen]).astype(np.float64)
     operators = pair.target.operators
-    on_level = levels[0] <= operators.finest
+    on_level = levels[0] <= operators.finest_level
     areas = operators.areas(levels[0]) if on_level else pair.target.triangles(levels[0]).vertex_areas
     return fit_functional_map(rows, areas[chosen], values)
-
-
-def start_map(pair: Pair, start: MapLike, sizes: tuple[int, int]) -> FloatArray:
-    """Functional map to start from: as given, or fitted to a point or vertex map.
-
-    A vertex map is fitted with ``sizes`` basis functions; other maps may have any size. ParameterError if the start is
-    no map of the pair.
-    """
-    given = check_map(pair, start)
-    if isinstance(given, PointMap) or given.ndim == 2:
-        return functional_map_from(pair, given)
-    level = [len(level_mesh.positions) for level_mesh in pair.target.hierarchy.levels].index(len(given))
-    return refit_map(pair, (level, pair.source.finest), given.astype(np.int64), sizes)
 
 
 def recover_points(pair: Pair, matched: LevelMap) -> PointMap:
@@ -204,8 +188,7 @@ def _both_rows(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> tup
 
 def _neighbours(surface: Surface, level: int) -> sparse.csr_array:
     """Sparse (n, n) matrix with entries where two vertices of a level share a face."""
-    faces = surface.hierarchy.levels[level].faces
-    corners = surface.triangles(level).triangles if faces is None else faces
+    corners = surface.hierarchy.faces(level)
     faces_of = np.repeat(np.arange(len(corners)), corners.shape[1])
     on = sparse.csr_array(
         (np.ones(corners.size), (faces_of, corners.ravel())), shape=(len(corners), _size(surface, level))
@@ -230,7 +213,7 @@ def search_levels(target: Surface, source: Surface, vertices: int, source_vertic
             for i, level in enumerate(surface.hierarchy.levels)
             if len(level.positions) >= wanted and surface.basis.size(i) >= functions
         )
-        return next(enough, surface.finest)
+        return next(enough, surface.finest_level)
 
     return first(target, vertices), first(source, source_vertices or vertices)
 
@@ -242,9 +225,9 @@ def finer_level_pairs(pair: Pair, start: LevelPair) -> list[LevelPair]:
     """
     steps = []
     l1, l2 = start
-    while (l1, l2) != (pair.target.finest, pair.source.finest):
+    while (l1, l2) != (pair.target.finest_level, pair.source.finest_level):
         n1, n2 = pair.target.triangles(l1).n, pair.source.triangles(l2).n
-        target_may, source_may = l1 < pair.target.finest, l2 < pair.source.finest
+        target_may, source_may = l1 < pair.target.finest_level, l2 < pair.source.finest_level
         move_target = target_may and (not source_may or n1 < COMPARABLE * n2)
         move_source = source_may and (not target_may or n2 < COMPARABLE * n1)
         l1, l2 = l1 + move_target, l2 + move_source

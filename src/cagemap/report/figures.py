@@ -167,7 +167,9 @@ def runner_up_image(result: MatchResult) -> FloatArray | None:
     if result.confidence is None or result.confidence.verdict == SURE or not len(runner_ups):
         return None
     refinement, image = result.target.refinement, result.image()
-    return np.asarray(image + refinement.prolong(runner_ups[0] - image[: runner_ups.shape[1]], 0, refinement.n_levels))
+    return np.asarray(
+        image + refinement.prolong(runner_ups[0] - image[: runner_ups.shape[1]], 0, refinement.finest_level)
+    )
 
 
 def _answer_jobs(result: MatchResult) -> list[_FigureJob]:

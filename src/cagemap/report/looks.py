@@ -93,12 +93,10 @@ def report_models(
         looks.append(Look("Masks", "Dark parts were masked: neither matched nor transferred.", on_source, on_target))
     shared = result.shared
     if shared is not None:
-        legend = (
-            f"Dark parts have no counterpart: {1 - shared.target_share:.0%} of the target, "
-            f"{1 - shared.source_share:.0%} of the source."
-        )
-        on_source = scalar_colors(shared.source[source.vertices], 0.0, 1.0)
-        on_target = scalar_colors(shared.target[target.vertices], 0.0, 1.0)
+        lacking = [1 - share for share in result.shared_shares]
+        legend = f"Dark parts have no counterpart: {lacking[0]:.0%} of the target, {lacking[1]:.0%} of the source."
+        on_source = scalar_colors(shared.of_source(len(result.source.vertices))[source.vertices], 0.0, 1.0)
+        on_target = scalar_colors(shared.of_target(len(result.target.vertices))[target.vertices], 0.0, 1.0)
         looks.append(Look("Shared", legend, on_source, on_target))
     if carried.weights is not None:
         on_source = _prolong(source, joint_colors(carried.weights.source))
@@ -122,13 +120,13 @@ def _source_look(
 ) -> _SourceLook | None:
     """The texture or the material colours; None if the source has neither."""
     map_triangles, barycentric = result.triangle[target.vertices], result.barycentric[target.vertices]
-    finest_level = result.source.refinement.finest
-    if texture is not None and finest_level.uv_indices is not None:
+    finest = result.source.refinement.finest
+    if texture is not None and finest.uv_indices is not None:
         legend = "Left the source as it came, right what the target received."
         keys, values = dict[str, IndexArray](), dict[str, FloatArray]()
         colors: dict[str, FloatArray | str] = {}
         pixels = display_image(texture)
-        corner_uvs = TexturedSurface.from_level(finest_level).corner_uvs()
+        corner_uvs = TexturedSurface.from_level(finest).corner_uvs()
         if source.corner_uvs is None:
             colors[SOURCE] = _vertex_texture(source, corner_uvs, pixels)
         else:
@@ -150,7 +148,7 @@ def _source_look(
     palette, index = np.unique(source_colors, axis=0, return_inverse=True)
     corners = np.repeat(index.ravel()[source.control_faces][:, None], 3, axis=1)
     per_face = len(result.source_triangles) // len(result.source.faces)
-    received = source_colors[finest_level.face_parents[map_triangles // per_face]]
+    received = source_colors[finest.face_parents[map_triangles // per_face]]
     look = Look("Materials", "Left the source's materials, right the same on the target.", None, received)
     return _SourceLook(look, {SOURCE: corners}, {SOURCE: palette})
 
@@ -177,7 +175,7 @@ def _index_uvs(corner_uvs: FloatArray) -> tuple[IndexArray, FloatArray]:
 def _prolong(display: DisplaySurface, values: FloatArray) -> FloatArray:
     """Values of the control vertices, subdivided to the displayed vertices."""
     refinement = display.surface.refinement
-    return np.asarray(refinement.prolong(values, 0, refinement.n_levels)[display.vertices])
+    return np.asarray(refinement.prolong(values, 0, refinement.finest_level)[display.vertices])
 
 
 def _shapes(

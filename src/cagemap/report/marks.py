@@ -66,7 +66,7 @@ def find_marks(
             (TARGET, pairs.target_points.nearest_vertices[suspect.pair]),
             (SOURCE, pairs.source_points.nearest_vertices[suspect.pair]),
         )
-    counted = result.masks if result.shared is None else result.shared.within(result.masks)
+    counted = result.masks.within(result.shared)
     is_doubtful = (result.trust < MAX_MARKED_TRUST) & (counted.joint(result.point_map) > 0)
     is_folded = np.zeros(len(is_doubtful), dtype=np.bool_)
     triangles = result.point_map.target.triangles

@@ -256,7 +256,7 @@ def _weights_panel(result: MatchResult, weights: Weights, viewpoints: Viewpoints
     jobs: list[_PictureJob] = []
     for view in (FRONT, BACK):
         for refinement, values, turn, side in _both_sides(result, viewpoints, weights.source, weights.target):
-            colors = refinement.prolong(joint_colors(values), 0, refinement.n_levels).clip(0.0, 1.0)
+            colors = refinement.prolong(joint_colors(values), 0, refinement.finest_level).clip(0.0, 1.0)
             caption = f"{refinement.control.name} ({side}), {view.name}"
             jobs.append((_finest_model(refinement, turn), Skin(vertex_colors=colors), view, None, caption))
     lead = "A colour for every joint, mixed where several joints hold a vertex. Borders should lie at equal places."
@@ -271,7 +271,7 @@ def _shapes_panel(
     jobs: list[_PictureJob] = []
     for shape in sorted(largest[:MAX_PANEL_SHAPES], key=lambda shape: shape.name):
         for refinement, offsets, turn, side in _both_sides(result, viewpoints, shape.source, shape.target):
-            finest_offsets = refinement.prolong(offsets, 0, refinement.n_levels)
+            finest_offsets = refinement.prolong(offsets, 0, refinement.finest_level)
             length = np.linalg.norm(finest_offsets, axis=1)
             share = (length / (float(np.quantile(length, OFFSET_QUANTILE)) or 1.0)).clip(0.0, 1.0)[:, None]
             colors = (1.0 - share) * CLAY + share * np.array([0.80, 0.36, 0.22])
@@ -308,7 +308,7 @@ def _poses_panel(result: MatchResult, poses: Sequence[Pose], viewpoints: Viewpoi
     jobs: list[_PictureJob] = []
     for pose in poses[:MAX_PANEL_POSES]:
         for refinement, positions, turn, side in _both_sides(result, viewpoints, pose.source, pose.target):
-            offsets = refinement.prolong(positions - refinement.control.positions, 0, refinement.n_levels)
+            offsets = refinement.prolong(positions - refinement.control.positions, 0, refinement.finest_level)
             model = _finest_model(refinement, turn, offsets)
             jobs.append((model, _clay_skin(model), FRONT, None, f"{pose.name}, {side}"))
     lead = "The same poses on both. Joints should bend at equal places, without dents."
@@ -363,18 +363,18 @@ def _clay_skin(model: Model) -> Skin:
 def _finest_model(refinement: Refinement, turn: FloatArray, offsets: FloatArray | float = 0.0) -> Model:
     """The finest level, with offsets of its vertices, rotated."""
     positions = (refinement.finest.positions + offsets) @ turn
-    return Model(positions, level_triangles(refinement, refinement.n_levels))
+    return Model(positions, level_triangles(refinement, refinement.finest_level))
 
 
 def refined_wrap(target: Refinement, cage: ControlMesh) -> Refinement:
     """The wrapped cage refined to the target's finest level."""
-    level = next(level for level in range(target.n_levels) if target.levels[level].n_vertices == cage.n_vertices)
-    return refine(cage, target.n_levels - level, target.scheme)
+    level = next(level for level in range(target.finest_level) if target.levels[level].n_vertices == cage.n_vertices)
+    return refine(cage, target.finest_level - level, target.scheme)
 
 
 def control_edges(refinement: Refinement) -> FloatArray:
     """(e, 2, 3) edges of the finest level that lie on edges of the control mesh."""
-    chains = refined_edges(refinement, mesh_topology(refinement.control).edge_vertices, refinement.n_levels)
+    chains = refined_edges(refinement, mesh_topology(refinement.control).edge_vertices, refinement.finest_level)
     ends = np.stack([chains[:, :-1], chains[:, 1:]], axis=2).reshape(-1, 2)
     return np.asarray(refinement.finest.positions[ends])
 

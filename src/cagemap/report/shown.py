@@ -64,7 +64,7 @@ def display_surface(surface: Surface, turn: FloatArray, max_vertices: int = MAX_
         k for k, level in enumerate(refinement.levels) if level.n_vertices <= max_vertices and level.faces is not None
     ]
     uvs, parents = None, None
-    if level_numbers and (not refinement.is_plain or level_numbers[-1] == refinement.n_levels):
+    if level_numbers and (not refinement.is_plain or level_numbers[-1] == refinement.finest_level):
         level = refinement.levels[level_numbers[-1]]
         textured = TexturedSurface.from_level(level, refinement.holes(level_numbers[-1]))
         rows = slice(None) if textured.holes is None else ~textured.holes

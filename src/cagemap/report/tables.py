@@ -102,7 +102,7 @@ def provenance_table(result: MatchResult) -> str:
     for side_name, side in (("source", result.source), ("target", result.target)):
         entries[side_name] = (
             f"{side.control.name}: {side.control.n_vertices} control vertices, {side.control.n_faces} faces, "
-            f"{side.refinement.scheme} to level {side.refinement.n_levels}"
+            f"{side.refinement.scheme} to level {side.refinement.finest_level}"
         )
     for group in ("parameters", "versions", "inputs"):
         entries |= flatten_entries(group, manifest.get(group) or {})

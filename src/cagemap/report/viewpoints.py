@@ -39,5 +39,5 @@ def choose_viewpoints(result: MatchResult, upright: FloatArray | None = None, re
     """
     refinement = result.target.refinement
     positions = np.asarray(refinement.finest.positions)
-    target = find_orientation(positions, level_triangles(refinement, refinement.n_levels), upright, reason)
+    target = find_orientation(positions, level_triangles(refinement, refinement.finest_level), upright, reason)
     return Viewpoints(target, matching_turn(result.image(), positions, target.turn))

@@ -29,7 +29,7 @@ class HierarchicalBasis:
 
     Attributes
     ----------
-    refinement : Refinement
+    hierarchy : Refinement
     operators : Operators
         Mass and stiffness of all levels, or of the first ones.
     bands : tuple of (n_l, k_l) arrays
@@ -44,7 +44,7 @@ class HierarchicalBasis:
         Phi~^T M Phi~, the same at every level that has all the bands (Lemma 5).
     """
 
-    refinement: Refinement
+    hierarchy: Refinement
     operators: Operators
     bands: tuple[FloatArray, ...]
     eigenvalues: FloatArray
@@ -54,13 +54,13 @@ class HierarchicalBasis:
 
     def __post_init__(self) -> None:
         """Check that the bands match the levels; make all arrays read-only."""
-        sizes = [level.n_vertices for level in self.refinement.levels]
+        sizes = [level.n_vertices for level in self.hierarchy.levels]
         found = [band.shape[0] for band in self.bands]
         known = [mass.shape[0] for mass in self.operators.mass]
         if found != sizes[: len(found)] or known != sizes[: len(known)] or len(found) > len(known):
             raise ParameterError(
                 f"expected bands and operators of levels with {sizes} vertices, got bands with {found} rows; give the "
-                "refinement and the operators that the basis was computed from"
+                "hierarchy and the operators that the basis was computed from"
             )
         object.__setattr__(self, "bands", tuple(read_only(band) for band in self.bands))
         for name in ("eigenvalues", "residuals", "indices", "gram"):
@@ -99,10 +99,10 @@ class HierarchicalBasis:
     def at(self, level: int) -> FloatArray:
         """Dense matrix Phi~^level (n_level, k~_level) of the bands up to a level (eq. 8), else ParameterError."""
         self._check_level(level)
-        values = np.zeros((self.refinement.levels[0].n_vertices, 0))
+        values = np.zeros((self.hierarchy.levels[0].n_vertices, 0))
         for finer in range(level + 1):
             if finer > 0:
-                values = multiply(self.refinement.matrices[finer - 1], values)
+                values = multiply(self.hierarchy.matrices[finer - 1], values)
             if finer <= self.last_level:
                 values = np.hstack([values, self.bands[finer]])
         return values
@@ -111,13 +111,13 @@ class HierarchicalBasis:
         """Rows (q, k~_level) of Phi~^level at vertices (q,), in time linear in q; ParameterError for missing ones."""
         self._check_level(level)
         bands = [(coarser, band) for coarser, band in enumerate(self.bands[: level + 1]) if band.shape[1]]
-        rows = [multiply(self.refinement.rows(vertices, level, coarser), band) for coarser, band in bands]
+        rows = [multiply(self.hierarchy.rows(vertices, level, coarser), band) for coarser, band in bands]
         return np.hstack([np.zeros((len(vertices), 0)), *rows])
 
     def row_blocks(self, level: int) -> Iterator[tuple[slice, FloatArray]]:
         """Yield blocks of vertices and rows of Phi~^level, for levels with too many rows for memory."""
         self._check_level(level)
-        for part in row_slices(self.refinement.levels[level].n_vertices, ROW_BLOCK):
+        for part in row_slices(self.hierarchy.levels[level].n_vertices, ROW_BLOCK):
             yield part, self.rows(level, np.arange(part.start, part.stop))
 
     def project(self, values: FloatArray, level: int, *, count: int | None = None) -> FloatArray:
@@ -130,30 +130,30 @@ class HierarchicalBasis:
         size = self.count if count is None else count
         if not 1 <= size <= self.count:
             raise ParameterError(f"expected 1 to {self.count} basis functions, got {size}")
-        n = self.refinement.levels[level].n_vertices
+        n = self.hierarchy.levels[level].n_vertices
         functions = real_numbers(values, "functions")
         if functions.shape[0] != n:
             raise ParameterError(
                 f"expected functions with {n} rows, one for each vertex of level {level}, got {functions.shape}"
             )
-        if level > self.operators.finest:
+        if level > self.operators.finest_level:
             raise ParameterError(
-                f"expected functions of a level up to {self.operators.finest}, the last with operators, got level "
-                f"{level}; prepare the surface with a basis without `vertices`"
+                f"expected functions of a level up to {self.operators.finest_level}, the last with operators, got "
+                f"level {level}; prepare the surface with a basis without `vertices`"
             )
         columns = functions.reshape(n, -1)
         needed = int(self.band_levels[:size].max())
         if level < needed:
-            columns, level = self.refinement.prolong(columns, level, needed), needed
+            columns, level = self.hierarchy.prolong(columns, level, needed), needed
         dual = multiply(self.operators.mass[level], columns)
-        moments = products_with_bands(self.bands[: needed + 1], self.refinement, dual, level)[:size]
+        moments = products_with_bands(self.bands[: needed + 1], self.hierarchy, dual, level)[:size]
         coefficients = linalg.cho_solve(linalg.cho_factor(self.gram[:size, :size]), moments)
         return coefficients.reshape(size, *functions.shape[1:])
 
     def _check_level(self, level: int) -> None:
-        if not 0 <= level <= self.refinement.n_levels:
+        if not 0 <= level <= self.hierarchy.finest_level:
             raise ParameterError(
-                f"expected a level from 0 to {self.refinement.n_levels}, got {level}; refine further to have it"
+                f"expected a level from 0 to {self.hierarchy.finest_level}, got {level}; refine further to have it"
             )
 
     def __repr__(self) -> str:
@@ -162,7 +162,7 @@ class HierarchicalBasis:
 
 
 def products_with_bands(
-    bands: tuple[FloatArray, ...], refinement: Refinement, dual: FloatArray, level: int
+    bands: tuple[FloatArray, ...], hierarchy: Refinement, dual: FloatArray, level: int
 ) -> FloatArray:
     """Phi~^T y (k, q) for functionals y = M^level f (n_level, q), restricted level by level (Lemma 5)."""
     products: list[FloatArray] = []
@@ -170,19 +170,19 @@ def products_with_bands(
         if coarser < len(bands):
             products.append(bands[coarser].T @ dual)
         if coarser > 0:
-            dual = refinement.matrices[coarser - 1].T @ dual
+            dual = hierarchy.matrices[coarser - 1].T @ dual
     return np.concatenate(products[::-1]) if products else np.zeros((0, dual.shape[1]))
 
 
 def hierarchical_basis(
-    refinement: Refinement, operators: Operators, config: BasisConfig = BasisConfig()
+    hierarchy: Refinement, operators: Operators, config: BasisConfig = BasisConfig()
 ) -> HierarchicalBasis:
     """Compute a basis: ``config.count`` functions of one level, or ``config.schedule[l]`` of each level.
 
     Logs a warning if functions of different levels are nearly dependent (``condition``). ParameterError if more
     functions are asked for than a level has vertices.
     """
-    counts, sizes = config.bands(refinement, operators.finest), [mass.shape[0] for mass in operators.mass]
+    counts, sizes = config.bands(hierarchy, operators.finest_level), [mass.shape[0] for mass in operators.mass]
     if config.schedule is None:
         size = sizes[len(counts) - 1]
         if config.count > size and config.count != BasisConfig.count:
@@ -199,7 +199,7 @@ def hierarchical_basis(
     while not counts[-1]:
         counts = counts[:-1]
     none = np.zeros(0)
-    basis = HierarchicalBasis(refinement, operators, (), none, none, none.astype(np.int64), np.zeros((0, 0)))
+    basis = HierarchicalBasis(hierarchy, operators, (), none, none, none.astype(np.int64), np.zeros((0, 0)))
     for level, count in enumerate(counts):
         basis = _with_band(basis, level, *_new_band(basis, level, count, config))
     if basis.condition > SOLVER.ill_conditioned:
@@ -231,7 +231,7 @@ def _new_band(basis: HierarchicalBasis, level: int, count: int, config: BasisCon
     vectors = _orthonormal(pairs.vectors, mass)
     if not basis.count:
         return vectors, np.arange(count)
-    overlap = products_with_bands(basis.bands, basis.refinement, multiply(mass, vectors), level)
+    overlap = products_with_bands(basis.bands, basis.hierarchy, multiply(mass, vectors), level)
     rotation, positions = new_directions(pairs.values, overlap, basis.gram, basis.count - first)
     return np.ascontiguousarray(vectors @ rotation), first + positions
 
@@ -242,9 +242,9 @@ def _with_band(basis: HierarchicalBasis, level: int, band: FloatArray, indices: 
     dual, energy = multiply(mass, band), multiply(stiffness, band)
     values = np.einsum("ij,ij->j", band, energy)
     residuals = residual_norms(values, energy, dual, lumped_areas(mass))
-    cross = products_with_bands(basis.bands, basis.refinement, dual, level)
+    cross = products_with_bands(basis.bands, basis.hierarchy, dual, level)
     return HierarchicalBasis(
-        basis.refinement,
+        basis.hierarchy,
         basis.operators,
         (*basis.bands, band),
         np.concatenate([basis.eigenvalues, values]),

@@ -115,8 +115,8 @@ def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
 
     ParameterError if level or count is out of range.
     """
-    if not 0 <= level <= operators.finest:
-        raise ParameterError(f"expected a level from 0 to {operators.finest}, got {level}")
+    if not 0 <= level <= operators.finest_level:
+        raise ParameterError(f"expected a level from 0 to {operators.finest_level}, got {level}")
     return band_pairs(operators.stiffness[level], operators.mass[level], 0, count, accuracy=1e-10)
 
 

@@ -9,7 +9,7 @@ from cagemap.errors import InvalidMeshError, ParameterError, SolverError
 from cagemap.mesh.faces import cage_triangles, faces_of_one_size
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.structure_checks import require_structure
-from cagemap.numerics.arrays import FloatArray, grouped_sums
+from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.products import multiply
@@ -19,6 +19,7 @@ from cagemap.spectral.config import SOLVER
 from cagemap.spectral.eigenpairs import EigenPairs, band_pairs, residual_norms, shifted_matrix
 from cagemap.spectral.surface import Surface
 from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import corner_sums, normalize_rows
 
 # Number of columns that are solved and multiplied at a time.
 COLUMN_BLOCK = 64
@@ -168,8 +169,7 @@ def _tangent_axes(triangles: TriangleSurface) -> tuple[FloatArray, FloatArray]:
     """(n, 3) X and Y axes of tangent planes, normal to the mean of adjacent faces' normals."""
     doubled = 2.0 * triangles.areas[:, None]
     of_faces = triangles.normals * doubled / (doubled + ADDED_TO_NORMS)
-    normals = sum(grouped_sums(corner, of_faces, triangles.n) for corner in triangles.triangles.T)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    normals = normalize_rows(corner_sums(triangles.triangles, of_faces, triangles.n))
     axis = np.where(np.abs(normals[:, :1]) < MAX_COSINE, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     x = axis - normals * np.einsum("nd,nd->n", axis, normals)[:, None]
     x /= np.linalg.norm(x, axis=1, keepdims=True) + ADDED_TO_NORMS

@@ -68,7 +68,7 @@ class Surface:
             return build_operators(levels, laplacian)
         level = levels.coarsest_level(config.vertices)
         if config.schedule is not None:
-            level = min(max(level, len(config.schedule) - 1), levels.n_levels)
+            level = min(max(level, len(config.schedule) - 1), levels.finest_level)
         return build_operators(levels.up_to(level), laplacian)
 
     @kept
@@ -86,7 +86,7 @@ class Surface:
     def scale(self) -> float:
         """Factor from the file's lengths to lengths at unit area; if possible the operators' scale."""
         operators: Operators | None = vars(self).get("operators")
-        if operators is not None and operators.finest == self.finest:
+        if operators is not None and operators.finest_level == self.finest_level:
             return operators.scale
         return 1.0 / float(np.sqrt(surface_area(self.vertices, self.faces)))
 
@@ -96,9 +96,9 @@ class Surface:
         return self.refinement.control
 
     @property
-    def finest(self) -> int:
+    def finest_level(self) -> int:
         """Number of the finest level of the hierarchy."""
-        return self.hierarchy.n_levels
+        return self.hierarchy.finest_level
 
     @property
     def vertices(self) -> FloatArray:
@@ -108,7 +108,7 @@ class Surface:
     @property
     def faces(self) -> IndexArray:
         """(m, 4) or (m, 3) faces of the finest level; mixed faces of an unrefined mesh are triangulated."""
-        return read_only(self.refinement.faces(self.refinement.n_levels))
+        return read_only(self.refinement.faces(self.refinement.finest_level))
 
     def triangles(self, level: int) -> TriangleSurface:
         """Triangles of a level, with its vertices at their finest positions, at unit area.
@@ -116,9 +116,9 @@ class Surface:
         n-gons of the control mesh are split into fans, quads by `cagemap.subdivision.triangles`. ParameterError if
         there is no such level.
         """
-        if not 0 <= level <= self.finest:
-            raise ParameterError(f"level: expected 0 to {self.finest}, got {level}")
-        if level == self.finest:
+        if not 0 <= level <= self.finest_level:
+            raise ParameterError(f"level: expected 0 to {self.finest_level}, got {level}")
+        if level == self.finest_level:
             return self.finest_triangles
         known, levels = self._coarse_triangles, self.hierarchy
         if level not in known:
@@ -129,7 +129,7 @@ class Surface:
     @kept
     def finest_triangles(self) -> TriangleSurface:
         """Triangles of the finest level, see `triangles`; does not compute coarse levels."""
-        triangles = level_triangles(self.refinement, self.refinement.n_levels)
+        triangles = level_triangles(self.refinement, self.refinement.finest_level)
         return TriangleSurface(self.scale * self.vertices, triangles, self.scale)
 
     @kept
@@ -139,20 +139,20 @@ class Surface:
 
     def with_control(self, control: ControlMesh) -> Surface:
         """The same surface from a control mesh with other UVs or materials."""
-        return replace(self, refinement=refine(control, self.refinement.n_levels, self.refinement.scheme))
+        return replace(self, refinement=refine(control, self.refinement.finest_level, self.refinement.scheme))
 
     def require_operators(self, level: int, method: str) -> None:
         """Raise ParameterError unless there are operators up to ``level``."""
-        if self.operators.finest < level:
+        if self.operators.finest_level < level:
             raise ParameterError(
                 f"{self.control.name}: the method {method} needs operators up to level {level}, got a basis whose "
-                f"operators end at level {self.operators.finest}, {self.config}; prepare the surface with "
+                f"operators end at level {self.operators.finest_level}, {self.config}; prepare the surface with "
                 f"cagemap.default_basis({method!r}), more `vertices` or `vertices=None`"
             )
 
     def __repr__(self) -> str:
         basis = self.basis if self.is_prepared else "not prepared"
-        return f"Surface({self.control.name}, levels 0 to {self.refinement.n_levels}, {basis})"
+        return f"Surface({self.control.name}, levels 0 to {self.refinement.finest_level}, {basis})"
 
 
 Progress = Callable[[str], None]

@@ -136,7 +136,7 @@ def refined_shape(
     refinement: Refinement, original: OriginalMesh | None = None, rotation: FloatArray | None = None
 ) -> Shape:
     """Shape of a refinement's finest level; without a rotation the file's y axis is up."""
-    level, finest = refinement.n_levels, refinement.finest
+    level, finest = refinement.finest_level, refinement.finest
     finest_triangles = level_triangles(refinement, level)
     per_face = len(finest_triangles) // len(finest.face_parents)
     return Shape(

@@ -71,14 +71,16 @@ def _level_with_rings(refinement: Refinement, level: int) -> int:
     """The level, but level 1, whose faces are all quads, for level 0 of a mesh with others under Catmull-Clark."""
     if level or not isinstance(refinement.scheme, CatmullClark) or np.all(refinement.control.face_sizes == 4):
         return level
-    if refinement.n_levels == 0:
+    if refinement.finest_level == 0:
         raise ParameterError("level: limits of a control mesh with n-gons need one refinement step; refine once")
     return 1
 
 
 def _state_with_rings(refinement: Refinement, level: int) -> MeshState:
-    if not 0 <= level <= refinement.n_levels:
-        raise ParameterError(f"level: expected 0 to {refinement.n_levels}, got {level}; refine further to have more")
+    if not 0 <= level <= refinement.finest_level:
+        raise ParameterError(
+            f"level: expected 0 to {refinement.finest_level}, got {level}; refine further to have more"
+        )
     if _level_with_rings(refinement, level) != level:
         raise ParameterError("level: expected quads only, got level 0 of a mesh with other faces; use level 1")
     return state_of(refinement, level)

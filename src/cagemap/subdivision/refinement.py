@@ -104,18 +104,18 @@ class Refinement:
         return self.levels[-1]
 
     @property
-    def n_levels(self) -> int:
+    def finest_level(self) -> int:
         """Number of refinement steps L; levels are numbered 0 to L."""
         return len(self.matrices)
 
     def coarsest_level(self, vertices: int) -> int:
         """Number of the coarsest level with at least ``vertices``; the finest one if none has."""
         enough = (number for number, level in enumerate(self.levels) if level.n_vertices >= vertices)
-        return next(enough, self.n_levels)
+        return next(enough, self.finest_level)
 
     def up_to(self, level: int) -> Refinement:
         """The refinement with levels 0 to ``level`` only."""
-        known = self.coarse_vertices if level == self.n_levels else None
+        known = self.coarse_vertices if level == self.finest_level else None
         return replace(self, matrices=self.matrices[:level], levels=self.levels[: level + 1], coarse_vertices=known)
 
     def without_coarse_levels(self) -> Refinement:
@@ -131,19 +131,19 @@ class Refinement:
 
     def on_finest(self, level: int) -> IndexArray:
         """(n_level,) finest vertex of every vertex of a level."""
-        return self.vertices_on(self.n_levels, level)
+        return self.vertices_on(self.finest_level, level)
 
     def vertices_on(self, fine: int, coarse: int) -> IndexArray:
         """(n_coarse,) vertex of the fine level for every vertex of the coarse level."""
         self._check_order(fine, coarse)
         n = self.levels[coarse].n_vertices
-        if self.coarse_vertices is None or fine < self.n_levels or coarse == self.n_levels:
+        if self.coarse_vertices is None or fine < self.finest_level or coarse == self.finest_level:
             return np.arange(n)
         return self.coarse_vertices[:n]
 
     def on_level(self, level: int, vertices: IndexArray) -> IndexArray:
         """(m,) vertices of a level for given finest vertices; -1 if the level lacks them, or for -1."""
-        if self.coarse_vertices is not None and level < self.n_levels:
+        if self.coarse_vertices is not None and level < self.finest_level:
             vertices = np.where(vertices < 0, -1, self._coarse_numbers[vertices])
         return np.where(vertices < self.levels[level].n_vertices, vertices, -1)
 
@@ -195,9 +195,9 @@ class Refinement:
         return values
 
     def _check_order(self, fine: int, coarse: int) -> None:
-        if not 0 <= coarse <= fine <= self.n_levels:
+        if not 0 <= coarse <= fine <= self.finest_level:
             raise ParameterError(
-                f"levels: expected 0 <= coarse <= fine <= {self.n_levels}, got coarse {coarse} and fine {fine}; "
+                f"levels: expected 0 <= coarse <= fine <= {self.finest_level}, got coarse {coarse} and fine {fine}; "
                 "level 0 is the control mesh, and the finest level is the number of refinement steps"
             )
 
@@ -205,7 +205,7 @@ class Refinement:
         head = f"{self.control.name}: {self.scheme}"
         lines = [head, f"{'level':>5} {'vertices':>10} {'faces':>10} {'nonzeros of S':>14}"]
         for number, level in enumerate(self.levels):
-            nonzeros = str(self.matrices[number].nnz) if number < self.n_levels else "-"
+            nonzeros = str(self.matrices[number].nnz) if number < self.finest_level else "-"
             lines.append(f"{number:>5} {level.n_vertices:>10} {level.n_faces:>10} {nonzeros:>14}")
         return "\n".join(lines)
 
@@ -343,10 +343,12 @@ def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterato
 def finest_mesh(refinement: Refinement) -> ControlMesh:
     """Finest level as a mesh with all UV sets, colours and labels, without creases and holes."""
     finest, control = refinement.finest, refinement.control
-    if finest.faces is None or refinement.n_levels == 0:
+    if finest.faces is None or refinement.finest_level == 0:
         return control
     colors = control.vertex_colors
-    colors = None if colors is None or not np.isfinite(colors).all() else colors  # some vertices have none
+    if colors is not None:
+        known = np.isfinite(colors).all()  # else some vertices have none
+        colors = np.clip(refinement.prolong(colors, 0, refinement.finest_level), 0.0, 1.0) if known else None
     mesh = replace(
         control.without_sharpness(),
         positions=finest.positions,
@@ -356,21 +358,21 @@ def finest_mesh(refinement: Refinement) -> ControlMesh:
         uv_indices=None if finest.uv_indices is None else finest.uv_indices.ravel(),
         **labels_of(control, finest.face_parents),
         uv_sets=tuple(_refined_uvs(refinement, uv_set) for uv_set in control.uv_sets),
-        vertex_colors=None if colors is None else np.clip(refinement.prolong(colors, 0, refinement.n_levels), 0.0, 1.0),
+        vertex_colors=colors,
         hole_faces=None,
         file_vertices=None,
         file_faces=None,
         file_copies=None,
         scheme=None,
     )
-    holes = refinement.holes(refinement.n_levels)
+    holes = refinement.holes(refinement.finest_level)
     return keep_faces(mesh, np.flatnonzero(~holes)) if holes.any() else mesh
 
 
 def _refined_uvs(refinement: Refinement, uv_set: UvSet) -> UvSet:
     """Refine a UV set that is not in use."""
     alone = replace(refinement.control, uvs=uv_set.uvs, uv_indices=uv_set.uv_indices, uv_sets=())
-    finest = refine(alone, refinement.n_levels, refinement.scheme).finest
+    finest = refine(alone, refinement.finest_level, refinement.scheme).finest
     assert finest.uvs is not None
     assert finest.uv_indices is not None
     return UvSet(uv_set.name, finest.uvs, finest.uv_indices.ravel())

@@ -22,6 +22,8 @@ TOLERANCE = 1e-4
 class SurfacePoints:
     """Points on one surface.
 
+    ParameterError if the arrays are not points of this surface.
+
     Attributes
     ----------
     surface : TriangleSurface
@@ -29,11 +31,6 @@ class SurfacePoints:
         Triangle of each point.
     barycentric : (m, 3) float64
         Weights of its corners, not negative, rows sum to 1.
-
-    Raises
-    ------
-    ParameterError
-        If the arrays are not points of this surface.
     """
 
     surface: TriangleSurface
@@ -156,6 +153,11 @@ class SurfacePoints:
     def corners(self) -> IndexArray:
         """(m, 3) vertices of every point's triangle."""
         return self.surface.triangles.take(self.triangle, axis=0)
+
+    @property
+    def heaviest_corners(self) -> IndexArray:
+        """(m,) vertex of largest weight."""
+        return np.take_along_axis(self.corners, self.barycentric.argmax(axis=1)[:, None], axis=1)[:, 0]
 
     @kept
     def positions(self) -> FloatArray:

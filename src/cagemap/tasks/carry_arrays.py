@@ -83,7 +83,7 @@ def carry_values(
             raise ParameterError(
                 f"{name} has {rows} rows; expected one for each of the source's {counts[0]} control vertices, "
                 f"{counts[1]} control faces, {counts[2]} face corners, or {counts[3]} vertices of level "
-                f"{result.source.refinement.n_levels}{f', and at={at!r} was asked for' if at else ''}"
+                f"{result.source.refinement.finest_level}{f', and at={at!r} was asked for' if at else ''}"
             )
         if place == "vertices":
             return combine(at_vertices, array)

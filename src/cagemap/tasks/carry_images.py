@@ -243,7 +243,7 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
         detail, colors = Detail(prepared.transfer.point_map.source), None
         if "colors" in kinds:
             refinement = result.source.refinement
-            colors = refinement.prolong(vertex_colors(refinement.control), 0, refinement.n_levels).clip(0.0, 1.0)
+            colors = refinement.prolong(vertex_colors(refinement.control), 0, refinement.finest_level).clip(0.0, 1.0)
     lines = bake_detail(
         bakes,
         prepared.transfer,

@@ -278,7 +278,7 @@ def bake_wrapped(
     if mesh is None:
         transfer, detail, fine = missing_detail(wrapped, target, source)
         if "colors" in bakes.images:
-            colors = fine.prolong(vertex_colors(source.control), 0, fine.n_levels).clip(0.0, 1.0)
+            colors = fine.prolong(vertex_colors(source.control), 0, fine.finest_level).clip(0.0, 1.0)
     else:
         transfer, follow = wrapped_transfer(wrapped, target)
         if request.detail_texture is not None:

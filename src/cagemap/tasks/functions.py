@@ -44,7 +44,7 @@ def run_functions(request: FunctionsRequest, stages: Stages) -> Said:
     level = choose_level(control, FUNCTION_VERTICES) if request.level is None else request.level
     require_size(control, level)
     surface = prepare_surface(control, level, basis, progress=stages)
-    finest = surface.refinement.n_levels
+    finest = surface.refinement.finest_level
     at = finest if request.at is None else request.at
     if at > finest:
         raise ParameterError(f"--at: expected a level from 0 to {finest}, got {at}")
@@ -76,7 +76,7 @@ def functions_at(
         ``-``; ``eigenvalues`` (k,), ``vertex_areas`` (n,); with signatures and kernels ``heat_times``,
         ``wave_energies``; with kernels ``points``. Kernel j of point i is column ``i q + j``.
     """
-    on = surface.finest if surface.refinement.is_plain else level
+    on = surface.finest_level if surface.refinement.is_plain else level
     rows, eigenvalues = research.eigenfunctions(surface, on)
     arrays = {"eigenvalues": eigenvalues, "vertex_areas": surface.triangles(on).vertex_areas}
     heat, wave = filters

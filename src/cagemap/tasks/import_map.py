@@ -42,7 +42,7 @@ def run_map(request: MapRequest, stages: Stages) -> Said:
     welded = [weld_asked(mesh, word) for mesh, word in zip(filed, words, strict=True)]
     target, source = (_surface(joined.mesh, request.level) for joined in welded)
     level = None if request.level is not None else source_level(request.map, source.refinement)
-    if level is not None and level != source.refinement.n_levels:
+    if level is not None and level != source.refinement.finest_level:
         source = Surface(source.refinement.up_to(level))
     places = target.finest_triangles, source.finest_triangles
     # A map may have the vertices of any level: they are the first vertices of every finer level.

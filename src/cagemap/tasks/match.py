@@ -318,8 +318,8 @@ def _shared_summary(result: MatchResult) -> list[str]:
     """Line with the shared share of each surface; none without unshared parts."""
     if result.shared is None:
         return []
-    shares = 100 * result.shared.target_share, 100 * result.shared.source_share
-    return [f"  shared: {shares[0]:.0f} % of the target's area, {shares[1]:.0f} % of the source's"]
+    target, source = result.shared_shares
+    return [f"  shared: {100 * target:.0f} % of the target's area, {100 * source:.0f} % of the source's"]
 
 
 def landmark_summary(result: MatchResult) -> str:

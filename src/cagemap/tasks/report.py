@@ -63,7 +63,7 @@ def run_report(request: ReportRequest, stages: Stages) -> Said:
     pixels = shown_texture.pixels if isinstance(shown_texture, Image) else None  # tiles are not shown
     baked, baked_entry = None, None
     for entry in known:
-        shown = entry.get("level", whole.target.refinement.n_levels) == result.target.refinement.n_levels
+        shown = entry.get("level", whole.target.refinement.finest_level) == result.target.refinement.finest_level
         if shown and texture is not None and _same(folder / entry["image"], texture):
             try:
                 result, baked = _baked(folder, result, entry)
@@ -136,7 +136,7 @@ def _baked_image(folder: Path, result: MatchResult, entry: dict[str, Any]) -> Ba
 def _wrapped(carried: CarriedData, folder: Path, entry: dict[str, Any], result: MatchResult) -> CarriedData:
     cage = read_mesh(folder / entry["output"])
     level = int(entry.get("fit_level", 0))
-    if level > result.target.refinement.n_levels:
+    if level > result.target.refinement.finest_level:
         raise FormatError(f"{entry['output']}: is a wrapped net of level {level}, finer than the map that is shown")
     rows = file_rows(folder, result, "target")
     if rows is not None and level == 0 and cage.n_vertices == rows.whole.n_vertices:

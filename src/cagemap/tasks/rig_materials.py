@@ -104,7 +104,7 @@ def _transfer(result: MatchResult, source: ControlMesh, uvs: FloatArray | None =
     if uvs is not None and source.uv_indices is not None:
         layout = uvs, source.uv_indices.reshape(level.n_faces, -1)
         level = replace(level, lay=lambda: layout)
-    return prepare_transfer(target.finest, level, result.point_map, result.masks, target.holes(target.n_levels))
+    return prepare_transfer(target.finest, level, result.point_map, result.masks, target.holes(target.finest_level))
 
 
 def _carried_materials(result: MatchResult, transfer: Transfer, mesh: ControlMesh) -> IndexArray:

@@ -102,7 +102,7 @@ def carry_one(request: TransferRequest, stages: Stages) -> Said:
     if request.bases and not (masked.masks.any or of_part or request.only is not None):
         warnings = [*warnings, "--base is not used, for no mask is given. Give --target-mask or --source-mask"]
     if result.shared is not None and request.target_mask is None:
-        warnings = [*warnings, *unshared_warnings(result.shared.target_share, 1.0)]
+        warnings = [*warnings, *unshared_warnings(result.shared_shares[0], 1.0)]
     return summary, warnings
 
 

@@ -242,7 +242,7 @@ def _masked_follow(result: MatchResult, follow: FloatArray | None) -> FloatArray
     weights, refinement = result.masks.joint(result.point_map), result.target.refinement
     if follow is None or len(follow) == len(weights):
         return weights if follow is None else weights * follow
-    return np.asarray(weights * np.clip(refinement.prolong(follow, 0, refinement.n_levels), 0.0, 1.0))
+    return np.asarray(weights * np.clip(refinement.prolong(follow, 0, refinement.finest_level), 0.0, 1.0))
 
 
 def _follow(path: Path, result: MatchResult, folder: Path) -> FloatArray:

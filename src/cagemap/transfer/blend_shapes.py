@@ -66,7 +66,7 @@ class ShapeCarrier:
 
 def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) -> ShapeCarrier:
     """Linear system that carries shapes from a source to a target, both refined up to the levels of the map."""
-    level = min(max(target.coarsest_level(_SAMPLES), 1), target.n_levels)
+    level = min(max(target.coarsest_level(_SAMPLES), 1), target.finest_level)
     triangles = level_triangles(target, level)
     count = target.levels[level].n_vertices
     places, images = point_map.target.positions[:count], point_map.images.positions[:count]
@@ -77,11 +77,11 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
     source_normals = normalize_rows(triangle_normals(source_surface.positions, deforming))
     rotations = _rotations(gradient, places, images, triangles, source_normals)
     around = corner_sums(triangles, (areas[:, None, None] * rotations).reshape(-1, 9), count).reshape(-1, 3, 3)
-    samples = target.rows(slice(count), target.n_levels, 0)
+    samples = target.rows(slice(count), target.finest_level, 0)
     weighted = gradient.T @ sparse.diags_array(np.repeat(areas, 3)) @ gradient
     n = target.control.n_vertices
     control = source.control
-    linear = interpolate_linearly(control, control.face_indices, control.n_vertices, source.n_levels, source.scheme)
+    linear = interpolate_linearly(control, control.face_indices, control.n_vertices, source.finest_level, source.scheme)
     ridge = sparse.diags_array(_SHAPE_RIDGE * _ANCHOR * (samples.T @ masses))
     matrix = samples.T @ (weighted + _ANCHOR * sparse.diags_array(masses)) @ samples + ridge
     return ShapeCarrier(
@@ -156,7 +156,7 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
             f"shape {np.shape(displacement)}"
         )
     source_surface, maps = carrier.point_map.source, carrier.point_map
-    moved = source_surface.scale * carrier.source.prolong(np.asarray(displacement), 0, carrier.source.n_levels)
+    moved = source_surface.scale * carrier.source.prolong(np.asarray(displacement), 0, carrier.source.finest_level)
     deformation = _deformation(source_surface.positions, source_surface.positions + moved, carrier.deforming)
     change = deformation - np.eye(3)
     wanted = np.einsum("tba,tbc,tcd->tad", carrier.rotations, change, carrier.rotations)  # Q^T (F - I) Q

@@ -37,7 +37,7 @@ def control_weights(transfer: Transfer, target: Refinement, source: Refinement) 
     sum to 1, and have at most as many entries as a source face has corners.
     """
     control = source.control
-    linear = interpolate_linearly(control, control.face_indices, control.n_vertices, source.n_levels, source.scheme)
+    linear = interpolate_linearly(control, control.face_indices, control.n_vertices, source.finest_level, source.scheme)
     rows = target.control.n_vertices
     return linear.at(transfer.point_map.triangle[:rows], transfer.point_map.barycentric[:rows])
 
@@ -69,9 +69,9 @@ def corner_weights(
     centre of the refined triangle at the corner to the image of its vertex does not cross seams.
     """
     control = target.control
-    linear = interpolate_linearly(source.control, nodes, count, source.n_levels, source.scheme)
+    linear = interpolate_linearly(source.control, nodes, count, source.finest_level, source.scheme)
     sides = triangle_neighbors(linear.corners)
-    tips = corner_triangles(control, target.n_levels, target.scheme)
+    tips = corner_triangles(control, target.finest_level, target.scheme)
     centres = locate_centers(transfer.mapped)
     points = transfer.mapped.mapped[control.face_indices]
     triangle, barycentric = walk_from(transfer.mapped.frames, sides, centres[tips], points)

@@ -16,7 +16,7 @@ from cagemap.transfer.texture import Pixels
 def transfer_of(result: MatchResult) -> Transfer:
     """Prepare a match for bakes; one `Transfer` serves several images."""
     target = result.target.refinement
-    holes = target.holes(target.n_levels)
+    holes = target.holes(target.finest_level)
     return prepare_transfer(target.finest, result.source.refinement.finest, result.point_map, result.masks, holes)
 
 

@@ -51,9 +51,8 @@ class WrapConfig:
     smoothing: float = 0.01  #: epsilon of the energy, see `cagemap.deform.config.Stage`
     levels_below: int = 2  #: samples are vertices this many levels finer: about 16 for each point of the net
     max_samples: int = 60_000  #: most samples, unless the net's next level has more
-    max_slide: float = (
-        2.0  #: distance from the image, in edges of the net, beyond which a closest point is on another part
-    )
+    #: distance from the image, in edges of the net, beyond which a closest point is on another part
+    max_slide: float = 2.0
     normal_weight: float = 0.03  #: weight of normals in closest points, of sqrt(area)
     accuracy: float = 3e-2  #: relative residual of a round's solution; the terms change more between rounds
     max_steps: int = 200  #: most conjugate gradient steps of a round
@@ -64,9 +63,8 @@ class WrapConfig:
     #: area ratio (source to target) below which a part has no counterpart; measured 0.01 or less
     squeezed: float = 0.03
     whole: float = 0.1  #: area ratio above which a part has a counterpart; measured 0.2 or more
-    overlap_distance: float = (
-        0.01  #: distance within which images of the area behind such a part are on images of the rest
-    )
+    #: distance within which images of the area behind such a part are on images of the rest
+    overlap_distance: float = 0.01
     min_area: float = 0.002  #: share of the target's area below which such a part is ignored
     min_follow: float = 0.5  #: weight below which a vertex has no counterpart, and its distance is no error
     mending: MendConfig = MendConfig()

@@ -54,7 +54,7 @@ class ControlNet:
 
     def surface(self, positions: FloatArray) -> FloatArray:
         """(n_f, 3) finest vertices of the surface over a net (n_l, 3)."""
-        return self.refinement.prolong(positions, self.level, self.refinement.n_levels)
+        return self.refinement.prolong(positions, self.level, self.refinement.finest_level)
 
 
 def level_mesh(refinement: Refinement, level: int) -> ControlMesh:
@@ -73,17 +73,16 @@ def control_net(refinement: Refinement, level: int, scale: float, config: WrapCo
     """Prepare a level of the target for fitting."""
     mesh = level_mesh(refinement, level)
     net = TriangleSurface(scale * mesh.positions, level_triangles(refinement, level), scale)
-    faces = refinement.levels[level].faces
-    graph = mesh_graph(net, net.triangles if faces is None else faces)
+    graph = mesh_graph(net, refinement.faces(level))
     lengths2 = np.einsum("ed,ed->e", graph.edges, graph.edges)
     graph = replace(
         graph, weights=graph.weights * (lengths2 / lengths2.mean()) ** config.weight_power * lengths2.mean()
     )
     energy = ElasticEnergy.build(graph, config.smoothing)
     finest = refinement.finest
-    steps = refinement.n_levels - level
+    steps = refinement.finest_level - level
     face = finest.face_parents if level == 0 else np.arange(finest.n_faces) // 4**steps
-    per_face = len(level_triangles(refinement, refinement.n_levels)) // finest.n_faces
+    per_face = len(level_triangles(refinement, refinement.finest_level)) // finest.n_faces
     first = per_face * np.searchsorted(face, np.arange(mesh.n_faces))
     return ControlNet(refinement, level, mesh, graph, energy, first)
 
@@ -91,7 +90,7 @@ def control_net(refinement: Refinement, level: int, scale: float, config: WrapCo
 def folded_faces(net: ControlNet, positions: FloatArray) -> NDArray[np.bool_]:
     """(m,) faces of the net whose mean normal is turned against the refined surface that they control."""
     refinement, corner = net.refinement, positions[net.mesh.face_indices]
-    fine = triangle_normals(net.surface(positions), level_triangles(refinement, refinement.n_levels))
+    fine = triangle_normals(net.surface(positions), level_triangles(refinement, refinement.finest_level))
     sums = np.add.reduceat(fine, net.first_triangles, axis=0)
     normals = np.add.reduceat(np.cross(corner, corner[net.mesh.next_corners]), net.mesh.face_offsets[:-1], axis=0)
     return np.asarray(np.einsum("md,md->m", normals, sums) <= 0)
@@ -121,16 +120,15 @@ class Samples:
     ) -> Samples:
         """Sample vertices of a level finer than the net; images, follow and pinned (n_f,) are of finest vertices."""
         refinement, graph = net.refinement, net.graph
-        level = min(net.level + 1, refinement.n_levels)
-        while level < min(net.level + config.levels_below, refinement.n_levels):
+        level = min(net.level + 1, refinement.finest_level)
+        while level < min(net.level + config.levels_below, refinement.finest_level):
             if refinement.levels[level + 1].n_vertices > config.max_samples:
                 break
             level += 1
         sampled = refinement.levels[level]
         count = sampled.n_vertices
-        rows = refinement.rows(slice(count), refinement.n_levels, net.level)
-        faces = level_triangles(refinement, level) if sampled.faces is None else sampled.faces
-        areas = vertex_areas(sampled.positions, faces)
+        rows = refinement.rows(slice(count), refinement.finest_level, net.level)
+        areas = vertex_areas(sampled.positions, refinement.faces(level))
         lengths = np.linalg.norm(graph.edges, axis=1)
         around = np.bincount(graph.heads, lengths, graph.n) / np.maximum(np.bincount(graph.heads, minlength=graph.n), 1)
         weights = follow[:count] * areas / areas.sum()

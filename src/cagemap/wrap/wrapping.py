@@ -84,7 +84,7 @@ def wrap(
     image of every point of the net; it keeps the net symmetric. ParameterError if the map does not fit the levels, the
     net is as fine as the surface, or ``follow`` has another length.
     """
-    finest = target.n_levels
+    finest = target.finest_level
     if target.is_plain:
         raise ParameterError(f"{target.control.name}: {NO_CAGE}")
     if config.level >= finest:
@@ -172,7 +172,7 @@ def _follow(target: Refinement, follow: FloatArray | None) -> FloatArray:
             f"weight map: expected {n} numbers from 0 to 1, one a control vertex of the target (or {count}, one a "
             f"vertex of its finest level), got shape {values.shape} from {values.min():g} to {values.max():g}"
         )
-    return values if len(values) == count else np.clip(target.prolong(values, 0, target.n_levels), 0.0, 1.0)
+    return values if len(values) == count else np.clip(target.prolong(values, 0, target.finest_level), 0.0, 1.0)
 
 
 def missing_detail(wrapped: Wrapped, target: Refinement, source: Refinement) -> tuple[Transfer, Detail, Refinement]:
@@ -181,26 +181,26 @@ def missing_detail(wrapped: Wrapped, target: Refinement, source: Refinement) -> 
     Both are refined past the levels of the match. Detail is weighted by ``follow``.
     """
     transfer, follow = wrapped_transfer(wrapped, target)
-    refined_source = _refined(source, max(source.n_levels, _RENDERED))
-    triangles = level_triangles(refined_source, refined_source.n_levels)
+    refined_source = _refined(source, max(source.finest_level, _RENDERED))
+    triangles = level_triangles(refined_source, refined_source.finest_level)
     detail = detail_over(transfer.point_map.source, refined_source.finest.positions, triangles)
     return transfer, replace(detail, follow=follow), refined_source
 
 
 def wrapped_transfer(wrapped: Wrapped, target: Refinement) -> tuple[Transfer, FloatArray]:
     """Wrapped surface at render level, to bake into its UV layout, and its follow weights (n,)."""
-    fine = _refined(target, max(target.n_levels, _RENDERED))
+    fine = _refined(target, max(target.finest_level, _RENDERED))
     # `refine` works on the control mesh; positions of the net are refined from their own level.
-    positions = fine.prolong(wrapped.mesh.positions, wrapped.level, fine.n_levels)
-    follow = np.clip(fine.prolong(wrapped.follow, target.n_levels, fine.n_levels), 0.0, 1.0)
-    return own_transfer(replace(fine.finest, positions=positions), fine.holes(fine.n_levels)), follow
+    positions = fine.prolong(wrapped.mesh.positions, wrapped.level, fine.finest_level)
+    follow = np.clip(fine.prolong(wrapped.follow, target.finest_level, fine.finest_level), 0.0, 1.0)
+    return own_transfer(replace(fine.finest, positions=positions), fine.holes(fine.finest_level)), follow
 
 
 def _refined(refinement: Refinement, level: int) -> Refinement:
     """The refinement up to a level, or up to the last level of allowed size."""
     size = refinement.finest.n_vertices
-    while level > refinement.n_levels and size * 4 ** (level - refinement.n_levels) > _MOST_BAKED_VERTICES:
+    while level > refinement.finest_level and size * 4 ** (level - refinement.finest_level) > _MOST_BAKED_VERTICES:
         level -= 1
-    if level == refinement.n_levels or refinement.is_plain:
+    if level == refinement.finest_level or refinement.is_plain:
         return refinement
     return refine(refinement.control, level, refinement.scheme)

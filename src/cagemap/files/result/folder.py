@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_folder, require_own_folder
 from cagemap.files.meshes.arrays import (
@@ -51,7 +50,6 @@ from cagemap.numerics.threads import in_threads
 from cagemap.spectral import Surface
 from cagemap.subdivision import Scheme, refine
 from cagemap.subdivision.refinement import vertex_counts
-from cagemap.surface.triangle_surface import TriangleSurface
 
 ARRAYS = "map.npz"
 
@@ -192,16 +190,16 @@ def read_result(folder: str | Path) -> MatchResult:
         read_level_maps(root / ARRAYS, stored, record.level_maps, (target, source), point_map, functional_map, REMEDY),
         stored_confidence(record.confidence, point_map, counts[0], other_answers),
         masks=Masks(sides[0].mask, sides[1].mask),
-        shared=_shared(finest, arrays),
+        shared=_shared(arrays),
         known_spectral=_spectral(functional_map, *(side.eigenvalues for side in sides)),
         provenance={name: value for name, value in manifest.items() if name not in _TYPED},
     )
 
 
-def _shared(finest: tuple[TriangleSurface, TriangleSurface], arrays: dict[str, Any]) -> SharedArea | None:
+def _shared(arrays: dict[str, Any]) -> Masks | None:
     """The stored shared area; None if the match did not compute it."""
     target, source = arrays.get("target_shared"), arrays.get("source_shared")
-    return None if target is None or source is None else SharedArea.of_vertices(finest, (target, source))
+    return None if target is None or source is None else Masks(target, source)
 
 
 def _spectral(
@@ -305,7 +303,7 @@ def _manifest(result: MatchResult) -> dict[str, Any]:
         prefix: {
             "name": side.control.name,
             "scheme": scheme_to_entry(side.refinement.scheme),
-            "level": side.refinement.n_levels,
+            "level": side.refinement.finest_level,
             "control_vertices": side.control.n_vertices,
             "control_faces": side.control.n_faces,
             "vertices": len(side.vertices),

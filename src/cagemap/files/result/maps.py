@@ -94,7 +94,7 @@ def source_level(path: str | Path, source: Refinement) -> int | None:
     suffix = file.suffix.lower()
     if suffix not in (".npz", ".mtx") or not file.is_file():
         return None
-    levels = range(1, source.n_levels + 1)
+    levels = range(1, source.finest_level + 1)
     arrays = {} if suffix == ".mtx" else read_npz(file, _REMEDY)
     numbers, n = arrays.get("triangle"), _last(arrays.get(SOURCE_SIZE))
     if n is None and numbers is not None and numbers.dtype.kind in "iu" and numbers.size:
@@ -224,7 +224,7 @@ def dense_map(images: SurfacePoints, target: Refinement, surface: TriangleSurfac
             f"{len(images)}; is it the map from source to target, or one of other meshes?"
         )
     level = sizes.index(len(images))
-    places = target.prolong(images.positions, level, target.n_levels)
+    places = target.prolong(images.positions, level, target.finest_level)
     fine = SurfacePoints.nearest(images.surface, places)
     known = np.arange(len(images))
     return PointMap(surface, fine.replaced(known, images))
@@ -293,7 +293,7 @@ def read_level_maps(
         return ()
     target, source = surfaces
     levels = [(entry.target, entry.source) for entry in entries]
-    finest = target.refinement.n_levels, source.refinement.n_levels
+    finest = target.refinement.finest_level, source.refinement.finest_level
     if levels[-1] != finest or any(
         target_level > finest[0] or source_level > finest[1] for target_level, source_level in levels
     ):

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from cagemap.deform.shared_area import SharedArea
 from cagemap.errors import ParameterError
 from cagemap.maps.hypotheses.confidence import Confidence
 from cagemap.maps.landmarks.check import LandmarkCheck
@@ -27,7 +26,6 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.spectral import Surface
 from cagemap.subdivision import Loop, refine
 from cagemap.subdivision.topology import control_topology
-from cagemap.surface.triangle_surface import TriangleSurface
 
 # Verdicts on maps found without landmarks, surest first.
 _DOUBT = ("sure", "look at it", "two answers")
@@ -68,10 +66,11 @@ def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> M
         _merged_mask([part.masks.target for part in parts], target_numbers),
         _merged_mask([part.masks.source for part in parts], source_numbers),
     )
-    shared = _merged_shared(parts, (target_surface, source_surface), (target_numbers, source_numbers))
-    counted = masks if shared is None else shared.within(masks)
-    quality = measure_quality(point_map, point_pairs(target, source, trusted), trusted.names, masks=counted)
-    apart = () if shared is None else unshared_warnings(shared.target_share, shared.source_share)
+    shared = _merged_shared(parts, (target_numbers, source_numbers))
+    quality = measure_quality(
+        point_map, point_pairs(target, source, trusted), trusted.names, masks=masks.within(shared)
+    )
+    apart = () if shared is None else unshared_warnings(*shared.shares(target_surface, source_surface))
     kept = [text for part in parts for text in part.quality.match_warnings]
     trust = np.empty(target_surface.n)
     for part, target_rows in zip(parts, target_numbers, strict=True):
@@ -113,15 +112,13 @@ def _merged_mask(masks: Sequence[FloatArray | None], numbers: Sequence[_Numbers]
 
 
 def _merged_shared(
-    parts: Sequence[MatchResult],
-    surfaces: tuple[TriangleSurface, TriangleSurface],
-    numbers: tuple[Sequence[_Numbers], Sequence[_Numbers]],
-) -> SharedArea | None:
+    parts: Sequence[MatchResult], numbers: tuple[Sequence[_Numbers], Sequence[_Numbers]]
+) -> Masks | None:
     """Shared area of all parts; 1 on closed parts, which have none."""
     known = [part.shared for part in parts]
     target = _merged_mask([None if area is None else area.target for area in known], numbers[0])
     source = _merged_mask([None if area is None else area.source for area in known], numbers[1])
-    return None if target is None or source is None else SharedArea.of_vertices(surfaces, (target, source))
+    return None if target is None or source is None else Masks(target, source)
 
 
 def _merged_landmarks(parts: Sequence[MatchResult]) -> Landmarks:
@@ -189,8 +186,8 @@ def _merged_checks(parts: Sequence[MatchResult]) -> LandmarkCheck:
 
 def _merge_sides(sides: Sequence[Surface]) -> tuple[Surface, list[_Numbers]]:
     refinements = [side.refinement for side in sides]
-    level, scheme = refinements[0].n_levels, refinements[0].scheme
-    if any((refinement.n_levels, refinement.scheme) != (level, scheme) for refinement in refinements):
+    level, scheme = refinements[0].finest_level, refinements[0].scheme
+    if any((refinement.finest_level, refinement.scheme) != (level, scheme) for refinement in refinements):
         raise ParameterError(
             "parts: expected all to have the same level and scheme, got different ones; match one by one"
         )

@@ -83,7 +83,7 @@ def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> 
         "name": control.name,
         "material_names": list(control.material_names),
         "scheme": scheme_to_entry(surface.refinement.scheme),
-        "level": surface.finest,
+        "level": surface.finest_level,
         "scale": operators.scale,
         "bands": len(basis.bands),
         "operators": len(operators.mass),
@@ -91,7 +91,7 @@ def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> 
     arrays: dict[str, Any] = {"header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)}
     arrays |= control_to_arrays(control, "control_")
     for level, (mass, stiffness) in enumerate(zip(operators.mass, operators.stiffness, strict=True)):
-        arrays |= _operator_arrays(level, mass, stiffness, diagonal=level == operators.finest)
+        arrays |= _operator_arrays(level, mass, stiffness, diagonal=level == operators.finest_level)
     arrays |= {f"band_{level}": band for level, band in enumerate(basis.bands)}
     arrays |= {name: getattr(basis, name) for name in _BASIS_ARRAYS}
     with atomic_path(path, force=force) as temporary:
@@ -149,8 +149,10 @@ def load_surface(path: str | Path, control: ControlMesh | None = None, config: B
         raise FormatError(f"{path}: has bands or operators of more levels than there are. {_REMEDY}")
     # Numbers of vertices: those of a subdivision follow from its scheme, those below a plain mesh must be computed.
     below = build_levels(control, 0, scheme) if isinstance(scheme, Plain) else None
-    if below is not None and below.n_levels != header.level:
-        raise FormatError(f"{path}: its plain mesh has {below.n_levels} coarse levels, not {header.level}. {_REMEDY}")
+    if below is not None and below.finest_level != header.level:
+        raise FormatError(
+            f"{path}: its plain mesh has {below.finest_level} coarse levels, not {header.level}. {_REMEDY}"
+        )
     counts = vertex_counts(control, scheme) if below is None else (mesh.n_vertices for mesh in below.levels)
     sizes = dict(zip(_level_sizes(header.level), counts, strict=False))
     sizes["n_finest"] = sizes[f"n{header.operators - 1}"]
@@ -234,7 +236,7 @@ def _operators(arrays: dict[str, Any], refinement: Refinement, scale: float) -> 
         pattern = arrays[f"indices_{level}"], arrays[f"indptr_{level}"]
         stiffnesses.append(sparse.csr_array((arrays[f"stiffness_{level}"], *pattern), shape=(n, n)))
         mass = arrays[f"mass_{level}"]
-        if level == refinement.n_levels:
+        if level == refinement.finest_level:
             masses.append(sparse.csr_array(sparse.diags_array(mass)))
         else:
             masses.append(sparse.csr_array((mass, *pattern), shape=(n, n)))

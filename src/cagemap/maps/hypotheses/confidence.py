@@ -1,6 +1,6 @@
 """Confidence in a map that its landmarks do not determine: signs of a wrong map, verdict, other alignments.
 
-Signs are measured without ground truth; each has a bound (`SIGNS`).
+Signs are measured without ground truth; each has a bound (`WARNING_SIGNS`).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from cagemap.deform.constraints import PlacementConstraints
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.placement import Placement, distinct_placements
 from cagemap.deform.problem import PreparedPair, Problem
-from cagemap.deform.shared_area import SharedArea
 from cagemap.maps.hypotheses.rigid_starts import rigid_starts
+from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import distortion, stretches, weighted_percentiles
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -29,7 +29,7 @@ from cagemap.surface.triangles import vertex_normals
 
 
 @dataclass(frozen=True)
-class Sign:
+class WarningSign:
     """One sign of a wrong map."""
 
     bound: float  # largest value for the verdict "sure"
@@ -37,25 +37,25 @@ class Sign:
 
 
 # In the order of a message. How each bound was chosen and judged: docs/lab/judge.md.
-SIGNS: dict[str, Sign] = {
+WARNING_SIGNS: dict[str, WarningSign] = {
     # Cost of the fit to the source, divided by the cost of a fit to the source's mirror image.
-    "mirrored": Sign(
+    "mirrored": WarningSign(
         1.2,
         "it fits the source's mirror image {value:.1f} times as well: a left part on a right one, or poses with left "
         "and right exchanged. If so, mirror one of the files",
     ),
     # Share of the target's area at which the map jumps.
-    "jumps": Sign(0.04, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
+    "jumps": WarningSign(0.04, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
     # Median `distortion`, by the target's area.
-    "stretched": Sign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
+    "stretched": WarningSign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
     # Share of the target's area that another map of nearly equal cost turns by `TURNED_DEGREES` degrees or more.
-    "limb_turned": Sign(0.08, "a map that rotates {percent:.0f} % of the target otherwise fits almost as well"),
+    "limb_turned": WarningSign(0.08, "a map that rotates {percent:.0f} % of the target otherwise fits almost as well"),
     # Cost x 1e4 of an alignment that turns the files' axes; 0 for other alignments.
-    "turned": Sign(1.0, "files seldom stand in different directions, and the shapes differ"),
+    "turned": WarningSign(1.0, "files seldom stand in different directions, and the shapes differ"),
     # Cost x 1e4: mean squared distances both ways, and the elastic energy, at unit area.
-    "cost": Sign(7.0, "the shapes differ much"),
+    "cost": WarningSign(7.0, "the shapes differ much"),
     # Cost divided by that of the best different alignment; 0 if there is none.
-    "runner_up": Sign(1 / 1.3, "another alignment fits almost as well"),
+    "runner_up": WarningSign(1 / 1.3, "another alignment fits almost as well"),
 }
 # Least `runner_up` for the verdict of two answers.
 TIE = 1 / 1.12
@@ -87,7 +87,7 @@ class Confidence:
     #: The answer, then different ones, by cost and doubt: placements of the deformed level's vertices; in a result, of
     #: all vertices of a plain target
     answers: tuple[Placement, ...]
-    signs: Mapping[str, float] = field(default_factory=dict)  #: measured values of `SIGNS`
+    signs: Mapping[str, float] = field(default_factory=dict)  #: measured values of `WARNING_SIGNS`
     deciding: int | None = None  #: control vertex of the target where a landmark would decide
     file_vertex: int | None = None  #: number of this vertex in the target's file, if the target is a part of it
     part: str = ""  #: name of the part, if a result has several
@@ -158,20 +158,20 @@ class Confidence:
 
 
 def answer_confidence(
-    problem: Problem, point_map: PointMap, answers: tuple[Placement, ...], shared: SharedArea | None, jumps: FloatArray
+    problem: Problem, point_map: PointMap, answers: tuple[Placement, ...], shared: Masks | None, jumps: FloatArray
 ) -> Confidence:
-    """Confidence in the map of the first of several answers, from the `SIGNS` of a wrong map.
+    """Confidence in the map of the first of several answers, from the `WARNING_SIGNS` of a wrong map.
 
     ``jumps`` are the map's `jump_lengths` (n,). Area that is not shared tells nothing about the map.
     """
     prepared, controls = problem.prepared, problem.prepared.target.control.n_vertices
-    weights = None if shared is None else shared.within(prepared.masks).of_target(point_map.target.n)
+    weights = None if shared is None else prepared.masks.within(shared).of_target(point_map.target.n)
     signs = {"jumps": jump_share(prepared, jumps), "stretched": median_distortion(point_map, weights)}
     confidence = Confidence.of(answers, controls, signs)
     if confidence.verdict == SURE:  # takes as long as all other signs
         signs["mirrored"] = mirrored_gain(problem, answers[0].positions)
         confidence = Confidence.of(answers, controls, signs)
-    if signs["jumps"] > SIGNS["jumps"].bound:  # a landmark at the jump decides, not where answers differ
+    if signs["jumps"] > WARNING_SIGNS["jumps"].bound:  # a landmark at the jump decides, not where answers differ
         places = prepared.mesh.positions
         confidence = replace(confidence, deciding=int(cKDTree(places[:controls]).query(places[jumps.argmax()])[1]))
     if confidence.deciding is not None:
@@ -181,10 +181,10 @@ def answer_confidence(
 
 def turned_limb_answers(ranked: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
     """Confidence 'look at it' with both placements that differ in a turned limb; None if there is none."""
-    best = ranked[0]
+    best, max_share = ranked[0], WARNING_SIGNS["limb_turned"].bound
     for other in ranked[1:]:
         share = turned_share(prepared.mesh, best.positions, other.positions)
-        if other.cost <= prepared.elastic.search.max_equal_cost * best.cost and share > SIGNS["limb_turned"].bound:
+        if other.cost <= prepared.elastic.search.max_equal_cost * best.cost and share > max_share:
             answers = (
                 Placement(best.map_positions, best.cost, name=AS_GIVEN),
                 Placement(other.positions, other.cost, name="with a limb turned otherwise about its axis"),
@@ -212,7 +212,7 @@ def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidenc
         return confidence
 
     def prolonged(answer: Placement) -> Placement:
-        places = np.array(target.hierarchy.prolong(answer.positions, prepared.levels[0], target.finest))
+        places = np.array(target.hierarchy.prolong(answer.positions, prepared.levels[0], target.finest_level))
         places[prepared.vertices] = answer.positions  # prolongation would smooth the known positions
         return replace(answer, positions=places)
 
@@ -221,7 +221,7 @@ def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidenc
 
 def describe_signs(signs: Mapping[str, float]) -> list[str]:
     """Messages to the user about the signs above their bounds."""
-    beyond = [(sign, signs[name]) for name, sign in SIGNS.items() if signs.get(name, 0.0) > sign.bound]
+    beyond = [(sign, signs[name]) for name, sign in WARNING_SIGNS.items() if signs.get(name, 0.0) > sign.bound]
     return [sign.finding.format(value=value, percent=100 * value) for sign, value in beyond]
 
 
@@ -233,7 +233,7 @@ def median_distortion(found: PointMap, weights: FloatArray | None = None) -> flo
     return float(weighted_percentiles(distortion(sigma), areas, [50.0])[0])
 
 
-def jump_lengths(prepared: PreparedPair, found: PointMap, shared: SharedArea | None = None) -> FloatArray:
+def jump_lengths(prepared: PreparedPair, found: PointMap, shared: Masks | None = None) -> FloatArray:
     """(n,) lengths of a map's jumps at the vertices of the deformed level, of sqrt(area); else 0.
 
     A map jumps where neighbours on one surface are far apart along the other. No cost shows this where parts touch.
@@ -247,7 +247,7 @@ def jump_lengths(prepared: PreparedPair, found: PointMap, shared: SharedArea | N
     tree = cKDTree(np.hstack([source.positions, NORMAL_WEIGHT * source.normals]))
     at = tree.query(np.hstack([places, NORMAL_WEIGHT * normals]))[1]
     pairs = np.concatenate([edges, image_pairs(places, normals)])
-    masks = prepared.masks if shared is None else shared.within(prepared.masks)
+    masks = prepared.masks.within(shared)
     pairs = pairs[(masks.of_target(found.target.n)[prepared.vertices] > 0)[pairs].all(axis=1)]
     on_target = distances_apart(target.station_distances, pairs)
     on_source = distances_apart(source.station_distances[:, at], pairs)
@@ -265,7 +265,7 @@ def jump_share(prepared: PreparedPair, jumps: FloatArray) -> float:
 def jump_warnings(prepared: PreparedPair, jumps: FloatArray) -> tuple[str, ...]:
     """A warning if `jump_lengths` (n,) are not 0 on more area than the bound allows."""
     share = jump_share(prepared, jumps)
-    if share <= SIGNS["jumps"].bound:
+    if share <= WARNING_SIGNS["jumps"].bound:
         return ()
     mesh = prepared.mesh
     place = ", ".join(f"{x:.4g}" for x in mesh.positions[jumps.argmax()] / mesh.scale)
@@ -307,7 +307,7 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
     A left shoe on a right one folds no map and costs little more. Several starts are needed: from one alone, similar
     bodies seem mirrored.
     """
-    small, source = problem.small_shape, problem.prepared.source_surface
+    small, source = problem.small_clusters, problem.prepared.source_surface
     graph, constraints = small.energy.graph, small.constraints
     config = problem.prepared.elastic.search
     mirrored = TriangleSurface(source.positions * MIRROR_X, source.triangles[:, ::-1])
@@ -315,14 +315,14 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
     def least_cost(surface: TriangleSurface, constraints: PlacementConstraints, *known: FloatArray) -> float:
         """Least cost of fits to a surface from the nearest rigid starts, and from known ones."""
         onto = replace(problem, prepared=replace(problem.prepared, source_surface=surface))
-        shape = replace(small, constraints=constraints)
+        clusters = replace(small, constraints=constraints)
 
         def squared_distance(start: Placement) -> float:
             return float(graph.areas @ closest_points(surface.tree, start.positions)[2] ** 2)
 
         def cost(start: FloatArray) -> float:
             with thread_limit(1):
-                return coarse_fit(onto, start, shape).cost
+                return coarse_fit(onto, start, clusters).cost
 
         nearest = sorted(rigid_starts(graph.positions, graph.areas, surface), key=squared_distance)
         tried = distinct_placements(nearest, graph.areas, config.min_start_distance)[: config.mirrored_starts]

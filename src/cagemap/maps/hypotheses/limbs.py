@@ -88,9 +88,9 @@ def refit_to_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
     pairs = pair_tips(placed.positions[tips[0]], prepared.graphs[1].positions[tips[1]], config)
     if not len(pairs):
         return placed
-    shape = problem.coarse_shape_with((tips[0][pairs[:, 0]], tips[1][pairs[:, 1]]), prepared.elastic.stiff_coarse)
+    clusters = problem.clusters_with((tips[0][pairs[:, 0]], tips[1][pairs[:, 1]]), prepared.elastic.stiff_coarse)
     with thread_limit(1):
-        coarse = coarse_fit(problem, placed.positions[shape.vertices], shape, prepared.source_samples)
+        coarse = coarse_fit(problem, placed.positions[clusters.vertices], clusters, prepared.source_samples)
     refitted = evaluate_placement(prepared, fine_fit(problem, coarse)).with_start_of(placed)
     return refitted if refitted.cost <= config.max_equal_cost * placed.cost else placed
 

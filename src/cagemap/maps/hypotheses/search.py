@@ -19,10 +19,10 @@ from cagemap.deform.multi_start import (
     fit_from_two_starts,
     refine_cheapest,
     spectral_starts,
-    start_map,
+    zoomout_start,
 )
 from cagemap.deform.placement import Placement, distinct_placements, mean_distance, rank_placements, sort_by_cost
-from cagemap.deform.problem import CoarseShape, PreparedPair, Problem, Tips, fitted_surface
+from cagemap.deform.problem import Clusters, PreparedPair, Problem, Tips, fitted_surface
 from cagemap.deform.refit import common_rotation, finish_placement, inverse_positions
 from cagemap.maps.hypotheses.limbs import assigned_limbs, refit_distinct_to_tips
 from cagemap.maps.hypotheses.rigid_starts import (
@@ -63,13 +63,13 @@ def fit_small_graph(
     rotated starts are tried unless an assignment is plausible, and their fits get a penalty. ``show`` gets the best fit
     of the starts in the files' axes, then the best of all.
     """
-    small, config = problem.small_shape, problem.prepared.elastic.search
+    small, config = problem.small_clusters, problem.prepared.elastic.search
     graph = small.energy.graph
 
-    def fit_start(start: FloatArray, shape: CoarseShape) -> Placement:
+    def fit_start(start: FloatArray, clusters: Clusters) -> Placement:
         with thread_limit(1):  # one thread for each start: its steps are too short to be split
-            placed = coarse_fit(problem, start, shape)
-        rotation = axis_rotation(shape.energy.graph.areas, placed.maps)
+            placed = coarse_fit(problem, start, clusters)
+        rotation = axis_rotation(clusters.energy.graph.areas, placed.maps)
         penalty = rotation_penalty(rotation, config) if with_rotations else 1.0
         return replace(placed, name=rotation_name(rotation), penalty=penalty)
 
@@ -77,8 +77,8 @@ def fit_small_graph(
         return in_threads(lambda start: fit_start(start.positions, small), starts)
 
     def fit_limbs(tips: Tips) -> tuple[Tips, Placement]:
-        shape = problem.coarse_shape_with(tips, config.small_graph_stage, config.small_graph_vertices)
-        return tips, fit_start(start_map(problem, shape), shape)
+        clusters = problem.clusters_with(tips, config.small_graph_stage, config.small_graph_vertices)
+        return tips, fit_start(zoomout_start(problem, clusters), clusters)
 
     unmoved = unmoved_start(problem.prepared, graph.positions)
     starts = [*unmoved, *rigid_starts(graph.positions, graph.areas, problem.prepared.source_surface)]
@@ -114,7 +114,7 @@ def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[
     """Fine placements from fits of the small graph and their spectral starts: the best of each, if they differ."""
     if not small_fits:
         return []
-    graph, starts = problem.coarse_shape.energy.graph, spectral_starts(problem, problem.coarse_shape)
+    graph, starts = problem.coarse_clusters.energy.graph, spectral_starts(problem, problem.coarse_clusters)
     config = problem.prepared.elastic.search
 
     def fit_coarse(small_fit: Placement) -> list[Placement]:
@@ -145,7 +145,7 @@ def inverse_placement(problem: Problem, reverse: Placement) -> Placement:
     return Placement(positions, reverse.cost, name=rotation_name(rotation), penalty=reverse.penalty)
 
 
-def search(
+def search_placements(
     problem: Problem,
     progress: Progress = no_progress,
     start: FloatArray | None = None,
@@ -161,31 +161,31 @@ def search(
        each other as constraints.
     6. Finish the best placement (`deform.refit`), but not below that cost without landmarks.
 
-    Positions ``start`` (k, 3) of the coarse shape's vertices replace the start by ZoomOut; steps 2 and 3 are left out
+    Positions ``start`` (k, 3) of the coarse clusters replace the start by ZoomOut; steps 2 and 3 are left out
     then. ``show`` is called with placements of the small graph.
     """
     has_given_start = start is not None or len(problem.landmarks) >= FEWEST_LANDMARKS
-    # Fits with point constraints: the coarse shape, fine placements, and soft coarse ones if its two starts disagree
-    constrained, placements = list[tuple[CoarseShape, list[Placement], list[Placement]]](), list[Placement]()
+    # Fits with point constraints: the clusters, fine placements, and soft coarse ones if its two starts disagree
+    constrained, placements = list[tuple[Clusters, list[Placement], list[Placement]]](), list[Placement]()
     if has_given_start:
         progress("first alignment")
-        fine, soft = fit_from_two_starts(problem, problem.coarse_shape, start)
+        fine, soft = fit_from_two_starts(problem, problem.coarse_clusters, start)
         if not soft:
             return fine
-        constrained.append((problem.coarse_shape, fine, soft))
+        constrained.append((problem.coarse_clusters, fine, soft))
     if start is None:
         progress("possible alignments")
         limb_fits, small_fits = fit_small_graph(problem, not has_given_start, show)
         progress("rough alignment")
         for tips, small_fit in limb_fits:
-            shape = problem.coarse_shape_with(tips)
-            fine, soft = fit_from_two_starts(problem, shape)
-            constrained.append((shape, [placed.with_start_of(small_fit) for placed in fine], soft))
+            clusters = problem.clusters_with(tips)
+            fine, soft = fit_from_two_starts(problem, clusters)
+            constrained.append((clusters, [placed.with_start_of(small_fit) for placed in fine], soft))
         placements = fit_without_tips(problem, small_fits)
     progress("elastic alignment")
     if constrained:
-        (shape, fine, soft), *others = sorted(constrained, key=lambda fits: fits[1][0].penalised_cost)
-        best = fit_from_spectral_starts(problem, shape, fine, soft) if soft else fine
+        (clusters, fine, soft), *others = sorted(constrained, key=lambda fits: fits[1][0].penalised_cost)
+        best = fit_from_spectral_starts(problem, clusters, fine, soft) if soft else fine
         placements += [*best[: None if has_given_start else 1], *(fine[0] for _, fine, _ in others)]
     floor = cost_floor(problem.prepared)
     ranked = rank_placements(placements, floor)
@@ -199,7 +199,7 @@ def search(
 def search_from_source(
     problem: Problem, placements: list[Placement], progress: Progress = no_progress
 ) -> list[Placement]:
-    """Placements of `search`; for some pairs with those of the reverse problem, which deforms the source.
+    """Placements of `search_placements`; for some pairs with those of the reverse problem, which deforms the source.
 
     If one surface is open and the other closed (a part and a whole, docs/lab/parts.md), the inverses of all reverse
     placements are ranked with the others. Otherwise the reverse problem is searched only if the best placement costs
@@ -211,7 +211,7 @@ def search_from_source(
     is_part = prepared.mesh.is_open != prepared.source_surface.is_open
     if not is_part and best.cost <= config.max_one_way_cost:
         return placements
-    reverse = search(problem.reverse_problem, progress)
+    reverse = search_placements(problem.reverse_problem, progress)
     if is_part:
         return rank_placements([*placements, *(inverse_placement(problem, placed) for placed in reverse)])
     inverse = inverse_placement(problem, reverse[0])
@@ -223,11 +223,11 @@ def search_from_source(
 
 @kinds_checked
 def fit(prepared: PreparedPair, pair: Pair, progress: Progress = no_progress) -> FloatArray:
-    """(n, 3) fitted positions of the target's deformed level near the source: the first of `search`.
+    """(n, 3) fitted positions of the target's deformed level near the source: the first of `search_placements`.
 
     The source has area 1 in their unit.
     """
-    return search(Problem(prepared, pair.landmarks), progress)[0].map_positions
+    return search_placements(Problem(prepared, pair.landmarks), progress)[0].map_positions
 
 
 def distinct_answers(prepared: PreparedPair, placements: Sequence[Placement]) -> tuple[Placement, ...]:

@@ -15,12 +15,12 @@ import numpy as np
 
 from cagemap.deform.config import LandmarkConfig
 from cagemap.deform.fit import coarse_fit
-from cagemap.deform.multi_start import FEWEST_LANDMARKS, start_map
+from cagemap.deform.multi_start import FEWEST_LANDMARKS, zoomout_start
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, TWO, Confidence, cost_signs
 from cagemap.maps.hypotheses.limbs import mutually_nearest
-from cagemap.maps.hypotheses.search import search
+from cagemap.maps.hypotheses.search import search_placements
 from cagemap.maps.landmarks.outliers import (
     Marks,
     exchanged_sides,
@@ -190,7 +190,7 @@ def suspected_pairs(problem: Problem) -> dict[int, str] | None:
 
 def coarse_map_cost(problem: Problem) -> float:
     """Cost of the best coarse fit that meets the landmarks."""
-    return min(coarse_fit(problem, start).cost for start in (start_map(problem, problem.coarse_shape), None))
+    return min(coarse_fit(problem, start).cost for start in (zoomout_start(problem, problem.coarse_clusters), None))
 
 
 def has_merged_parts(problem: Problem) -> bool:
@@ -297,7 +297,7 @@ def check_mirrored(
         return None, check
     if orientation_agreement(*_marks(problem.without(outliers)), config) > config.mirrored_agreement:
         return None, check
-    best = search(problem.without(range(len(landmarks))), progress)[0]
+    best = search_placements(problem.without(range(len(landmarks))), progress)[0]
     if given.cost < config.min_mirrored_cost * best.cost:
         return None, check
     check = replace(check, notes=(*check.notes, MIRRORED))

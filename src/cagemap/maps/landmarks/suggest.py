@@ -21,12 +21,8 @@ def suggested_vertices(
     The score of a vertex is the distance of its image in other answers, less near landmarks, plus its distance to the
     nearest landmark times its doubt. Each suggestion counts as a landmark for the next. At unit area: places and images
     (n_0, 3) of the control vertices on target and source, and images (r, n_0, 3) by other answers or by the reverse
-    map.
-
-    Raises
-    ------
-    ParameterError
-        If there are fewer control vertices without a landmark than ``count``; those with one are ``known`` (p,).
+    map. ParameterError if there are fewer control vertices without a landmark than ``count``; those with one are
+    ``known`` (p,).
     """
     if not 1 <= count <= len(places) - len(known):
         raise ParameterError(f"count: expected 1 to {len(places) - len(known)} further landmarks, got {count}")

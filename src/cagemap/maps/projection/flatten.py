@@ -28,7 +28,7 @@ from cagemap.maps.projection.relax import (
     touched_triangles,
 )
 from cagemap.maps.quality import flipped_triangles
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, mask_of, places_of
 from cagemap.numerics.factorization import factor_general
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -47,9 +47,7 @@ class Disc:
     @property
     def inside(self) -> BoolArray:
         """(n,) which vertices are not on the rim."""
-        inside = np.ones(len(self.vertices), dtype=bool)
-        inside[self.rim] = False
-        return inside
+        return ~mask_of(self.rim, len(self.vertices))
 
 
 def flatten_folded_parts(
@@ -123,9 +121,7 @@ def _flatten_part(
     below = _disc_in(around_it, source.triangles, needed[:1], config.max_disc, whole=True)
     if below is None:
         return None
-    number = np.full(len(source.triangles), -1)
-    number[below.chosen] = np.arange(len(below.chosen))
-    at = number[now.triangle]
+    at = places_of(below.chosen, len(source.triangles))[now.triangle]
     if np.any(at < 0):
         return None
     plane = flat_disc(below)

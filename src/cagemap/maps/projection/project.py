@@ -23,6 +23,8 @@ from cagemap.surface.triangles import vertex_normals
 def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -> PointMap:
     """Point map of the finest levels: closest points to the subdivision surface through fitted points.
 
+    ParameterError if there is not one finite position for each vertex of that level.
+
     Parameters
     ----------
     prepared : PreparedPair
@@ -35,11 +37,6 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
     -------
     PointMap
         Of the finest levels; it may fold.
-
-    Raises
-    ------
-    ParameterError
-        If there is not one finite position for each vertex of that level.
     """
     count = prepared.mesh.n
     fitted = real_numbers(fitted, "fitted")
@@ -102,17 +99,14 @@ def map_of_places(problem: Problem, places: FloatArray) -> PointMap:
 def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = ElasticConfig()) -> PointMap:
     """Remove most folds of a map: relax small ones, flatten large ones.
 
+    ParameterError if a held vertex is not a vertex of the target.
+
     Parameters
     ----------
     point_map : PointMap
     held : (p,) int64
         Target vertices whose images stay (landmarks).
     config : ElasticConfig
-
-    Raises
-    ------
-    ParameterError
-        If a held vertex is not a vertex of the target.
     """
     held = whole_numbers(held, "held")
     if held.size and not 0 <= held.min() <= held.max() < point_map.target.n:
@@ -135,11 +129,11 @@ def carried_to_finest(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
         chosen = sparse.csr_array(sparse.eye_array(len(fitted), refinement.finest.n_vertices, format="csr"))
         for matrix in reversed(refinement.matrices[level:]):
             chosen = sparse.csr_array(chosen @ matrix)
-        return refinement.prolong(control_points(chosen, fitted), level, refinement.n_levels)
+        return refinement.prolong(control_points(chosen, fitted), level, refinement.finest_level)
     maps, _ = prepared.energy.differentials(fitted)
     rest = prepared.target.finest_triangles.positions
     shifts = fitted - np.einsum("nab,nb->na", maps, rest[prepared.vertices])
-    blended = refinement.prolong(np.hstack([shifts, maps.reshape(-1, 9)]), level, refinement.n_levels)
+    blended = refinement.prolong(np.hstack([shifts, maps.reshape(-1, 9)]), level, refinement.finest_level)
     return np.asarray(blended[:, :3] + np.einsum("nab,nb->na", blended[:, 3:].reshape(-1, 3, 3), rest))
 
 

@@ -13,7 +13,7 @@ from scipy import sparse
 
 from cagemap.deform.config import ProjectionConfig
 from cagemap.maps.quality import flipped_triangles, inverted_triangles
-from cagemap.numerics.arrays import FloatArray, IndexArray, label_components, read_only
+from cagemap.numerics.arrays import FloatArray, IndexArray, label_components, mask_of, read_only
 from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -71,8 +71,7 @@ def relax_folds(
 
 def _renumbered(triangles: IndexArray, n: int) -> tuple[IndexArray, IndexArray]:
     """Vertices (v,) of some triangles (t, 3) of a mesh of n, ascending, and the triangles in their numbers."""
-    used = np.zeros(n, dtype=bool)
-    used[triangles] = True
+    used = mask_of(triangles, n)
     return np.flatnonzero(used), (np.cumsum(used) - 1)[triangles]
 
 
@@ -97,8 +96,7 @@ def _relaxed(
 
 def flipped_rings(triangles: IndexArray, flipped: BoolArray, rings: int, n: int) -> NDArray[np.bool_]:
     """(n,) which vertices are in flipped triangles or in the rings around them."""
-    inside = np.zeros(n, dtype=bool)
-    inside[triangles[flipped].ravel()] = True
+    inside = mask_of(triangles[flipped], n)
     for _ in range(rings):
         grown = inside.copy()
         _grow(read_only(triangles), inside, grown)

@@ -81,7 +81,7 @@ def symmetry_operator(basis: HierarchicalBasis, symmetry: IndexArray) -> FloatAr
     level, columns = basis.last_level, []
     for i, band in enumerate(basis.bands):
         for start in range(0, band.shape[1], OPERATOR_COLUMNS):
-            values = basis.refinement.prolong(band[:, start : start + OPERATOR_COLUMNS], i, level)
+            values = basis.hierarchy.prolong(band[:, start : start + OPERATOR_COLUMNS], i, level)
             columns.append(basis.project(np.where(symmetry[:, None] == UNKNOWN, 0.0, values[symmetry]), level))
     return np.triu(np.tril(np.hstack(columns), 1), -1)
 

@@ -15,7 +15,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers
 from cagemap.numerics.kinds import Brief
 from cagemap.numerics.threads import in_threads
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors, normalise_columns, signatures
-from cagemap.paper.operators import check_symmetry, symmetry_at, symmetry_operator
+from cagemap.paper.symmetries import check_symmetry, symmetry_at, symmetry_operator
 from cagemap.spectral.surface import Surface
 
 # Mean distance of neighbouring eigenvalues at unit area (Weyl's law). In this unit, eigenvalues are approximately their
@@ -163,7 +163,7 @@ def curve_rows(surface: Surface, curves: Sequence[SurfaceCurve]) -> FloatArray:
     curves need not correspond.
     """
     corners, places = np.unique(np.vstack([curve.points.corners for curve in curves]), return_inverse=True)
-    rows = surface.basis.rows(surface.finest, corners)
+    rows = surface.basis.rows(surface.finest_level, corners)
     weights = np.vstack([curve.shares[:, None] * curve.points.barycentric for curve in curves])
     curve_of = np.repeat(np.arange(len(curves)), [3 * len(curve.points) for curve in curves])
     gather = sparse.csr_array((weights.ravel(), (curve_of, places.ravel())), shape=(len(curves), len(corners)))
