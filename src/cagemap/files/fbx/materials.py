@@ -46,7 +46,8 @@ class Materials:
     def number(self, material: Any, uv_sets: Sequence[str]) -> int:
         """Number in the document of a material of a mesh with UV sets of these names."""
         textures = [get(material, "pbr", source, "texture") for source in _SLOTS]
-        stated = [None if texture is None else get(texture, "uv_set") for texture in textures]
+        shown = [None if texture is None else self._with_image(texture) for texture in textures]
+        stated = ["" if texture is None else get(texture, "uv_set") for texture in shown]
         coordinates = tuple(uv_sets.index(name) if name in uv_sets else 0 for name in stated)
         known = get(material, "typed_id"), coordinates
         if known not in self._known:
@@ -97,23 +98,28 @@ class Materials:
         return 1.0
 
     def _texture(self, texture: Any, where: str) -> dict[str, Any] | None:
-        files = [texture, *items(texture, "file_textures")]
-        for file in files:
-            number = self._image(file)
-            if number is not None:
-                self.lists["textures"].append({"source": number, "sampler": self._sampler(file)})
-                transform = _transform(file, where) if get(file, "has_uv_transform") else {}
-                if transform is None:
-                    self._note(f"{where}: is turned and stretched as no glTF texture can be, and taken as it is")
-                elif transform:
-                    self._binary.extensions.add("KHR_texture_transform")
-                return {"index": len(self.lists["textures"]) - 1} | (transform or {})
+        file = self._with_image(texture)
+        if file is not None:
+            images = {self._image(one) for one in _layers(texture)} - {None}
+            if len(images) > 1:
+                self._note(f"{where}: has {len(images)} layers, the first is used")
+            self.lists["textures"].append({"source": self._image(file), "sampler": self._sampler(file)})
+            transform = _transform(file, where) if get(file, "has_uv_transform") else {}
+            if transform is None:
+                self._note(f"{where}: is turned and stretched as no glTF texture can be, and taken as it is")
+            elif transform:
+                self._binary.extensions.add("KHR_texture_transform")
+            return {"index": len(self.lists["textures"]) - 1} | (transform or {})
         stated = get(texture, "relative_filename") or get(texture, "filename") or get(texture, "name")
-        if any(self._content(file) for file in files):
+        if any(self._content(one) for one in _layers(texture)):
             self._note(f"{where}: {stated!r} cannot be read as an image and is left out; save it as a PNG")
         else:
             self._note(f"{where}: {stated!r} is not found and left out; put it beside the FBX file")
         return None
+
+    def _with_image(self, texture: Any) -> Any:
+        """The texture itself, or its first layer, with a readable image; None without one."""
+        return next((one for one in _layers(texture) if self._image(one) is not None), None)
 
     def _sampler(self, texture: Any) -> int:
         """Number of the sampler with a texture's wrap modes."""
@@ -142,6 +148,10 @@ class Materials:
         """Content of a texture's image: in the FBX, or in its folder; b"" if missing."""
         file = texture_file(self._path, _stated(texture))
         return bytes(get(texture, "content")) or (b"" if file is None else held(file.read_bytes()))
+
+
+def _layers(texture: Any) -> list[Any]:
+    return [texture, *items(texture, "file_textures")]
 
 
 def _stated(texture: Any) -> str:
