@@ -36,7 +36,7 @@ class TransferRequest:
     ]
     texture: Annotated[
         Path | None,
-        Option(help="Source image, or glTF, FBX or USD with one; repeat with NAME=IMAGE."),
+        Option(help="Source image, or model file with one; repeat with NAME=IMAGE."),
     ] = None
     maps: tuple[tuple[str, Path], ...] = ()  # images of --texture with names
     usd: Annotated[Path | None, Option(help="Also write a USD layer over the target.")] = None
