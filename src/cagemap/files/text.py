@@ -7,7 +7,7 @@ import os
 import stat
 import unicodedata
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from cagemap.errors import FormatError, MissingFileError
 
@@ -92,6 +92,17 @@ def file_in(folder: Path, name: str) -> Path:
     forms = (name, unicodedata.normalize("NFC", name), unicodedata.normalize("NFD", name))
     # Unlike `Path.is_file`, false for names that are too long.
     return next((folder / form for form in forms if os.path.isfile(folder / form)), folder / name)
+
+
+def named_image(path: Path, stated: str) -> Path | None:
+    """The image that a file names, searched in the file's folder and below; None if missing."""
+    name = PurePosixPath(stated.replace("\\", "/").replace("\0", ""))
+    folder = path.parent
+    for place in (name, name.name, f"textures/{name.name}", f"{path.stem}.fbm/{name.name}"):
+        file = file_in(folder, str(place)).resolve()
+        if name.name and file.is_relative_to(folder.resolve()) and os.path.isfile(file):
+            return file
+    return None
 
 
 def text_name(path: Path) -> str:

@@ -39,7 +39,7 @@ class TransferRequest:
     output: Annotated[Path, Option("Image, values or mesh to write.", OUTPUT, ("-o",))]
     texture: Annotated[
         Path | None,
-        Option("Source image, or glTF, FBX or USD with one; repeat with NAME=IMAGE.", CARRIED, metavar="IMAGE"),
+        Option("Source image, or model file with one; repeat with NAME=IMAGE.", CARRIED, metavar="IMAGE"),
     ] = None
     maps: Annotated[
         tuple[tuple[str, Path], ...], PythonOnly("Images of a material, instead of --texture, with their names.")
