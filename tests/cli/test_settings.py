@@ -130,6 +130,10 @@ def test_a_file_of_settings_that_cannot_be_read_is_named(tmp_path: Path) -> None
     with pytest.raises(FormatError, match=r"x\.toml"):
         read_settings(MatchRequest, [str(file)])
     file.write_text("k = = 3")
+    file.write_text("a = " + "[" * 20_000)
+    with pytest.raises(FormatError, match=r"x\.toml: expected a TOML file, got brackets within brackets"):
+        read_settings(MatchRequest, [str(file)])
+    file.write_text("a = = b")
     with pytest.raises(FormatError, match=r"x\.toml: expected a TOML file, got a mistake in it"):
         read_settings(MatchRequest, [str(file)])
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_origin
 
-from cagemap.errors import FormatError, ParameterError, wrong_values
-from cagemap.files.text import require_file
+from cagemap.errors import ParameterError, wrong_values
+from cagemap.files.text import read_toml
 from cagemap.tasks.requests.options import Option, options_in
 
 _SIDES = ("target", "source")
@@ -99,17 +98,10 @@ def _pairs(words: Sequence[str]) -> Iterator[tuple[str, Any, Path]]:
         if equals and name and value:
             yield name.strip(), value, Path()
         elif not equals and word.endswith(".toml"):
-            yield from ((name, value, Path(word).parent) for name, value in _flat(_table(Path(word))))
+            table = read_toml(Path(word), "a file of settings")[1]
+            yield from ((name, value, Path(word).parent) for name, value in _flat(table))
         else:
             raise ParameterError(f"--set: expected NAME=VALUE or a .toml file, got '{word}'.")
-
-
-def _table(path: Path) -> dict[str, Any]:
-    try:
-        require_file(path, "a file of settings")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise FormatError(f"{path}: expected a TOML file, got a mistake in it: {error}.") from None
 
 
 def _flat(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
