@@ -152,7 +152,7 @@ def test_an_option_that_moved_is_refused_with_its_new_spelling(old: str, asked: 
 
 def test_job_files_keep_the_names_of_research_options() -> None:
     names = {field.name for field in fields(MatchRequest)}
-    assert {setting.field for setting in settings_of(MatchRequest).values()} | {"parameter"} <= names
+    assert {field for field, _, _ in settings_of(MatchRequest).values()} | {"parameter"} <= names
     assert len(moved_options(MatchRequest)) == 21
 
 
