@@ -5,9 +5,11 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import tomllib
 import unicodedata
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from cagemap.errors import FormatError, MissingFileError
 
@@ -71,6 +73,20 @@ def decoded(content: bytes, path: Path, what: str) -> str:
 def whole_characters(text: str) -> str:
     """A text without lone surrogates, which JSON and file names may have but nothing can write."""
     return text.encode("utf-8", "replace").decode()
+
+
+def read_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
+    """Text and table of a TOML file; errors name the file."""
+    require_file(path, what)
+    try:
+        text = path.read_bytes().decode("utf-8")
+        return text, tomllib.loads(text)
+    except RecursionError:
+        raise FormatError(
+            f"{path}: expected a TOML file, got brackets within brackets without end. Write it again."
+        ) from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise FormatError(f"{path}: expected a TOML file, got a mistake in it: {error}. Correct it.") from None
 
 
 def distinct(names: Sequence[str]) -> tuple[str, ...]:
