@@ -232,10 +232,10 @@ class Problem:
     @kept
     def landmark_distances(self) -> tuple[FloatArray, FloatArray]:
         """Geodesic distances (p, m) on both surfaces, from landmarks to vertices of a coarse graph, landmarks first."""
-        count = self.prepared.elastic.landmarks.distance_vertices
+        config = self.prepared.elastic
 
         def measured(side: tuple[ElasticGraph, IndexArray]) -> FloatArray:
-            coarse, _ = cluster_graph(side[0], count, side[1])
+            coarse, _ = cluster_graph(side[0], config.landmarks.distance_vertices, side[1], config.graph)
             return coarse.distances(np.arange(len(side[1])))
 
         target, source = in_threads(measured, list(zip(self.prepared.graphs, self.landmark_vertices, strict=True)))

@@ -133,25 +133,20 @@ class MatchResult:
         if level == finest:
             return self
         plain = self.target.refinement.is_plain or self.source.refinement.is_plain
-        known = (
-            {}
-            if plain
-            else {level_map.levels[0]: level_map for level_map in self.level_maps if level_map.points is not None}
-        )
+        known = {one.levels[0]: one for one in self.level_maps if one.points is not None and not plain}
         if level not in known:
             has = ", ".join(map(str, sorted({*known, finest})))
             raise ParameterError(
                 f"level {level}: expected one of the target's levels with a map, {has}. The methods hfm and paper find "
                 "one for each level that they go through, of surfaces that are subdivided"
             )
-        level_map = known[level]
-        assert level_map.points is not None
+        level_map, points = known[level], known[level].points
+        assert points is not None
         sides = zip((self.target, self.source), level_map.levels, strict=True)
         target, source = (Surface(truncate_refinement(side.refinement, on), side.config) for side, on in sides)
         point_map = PointMap.from_arrays(
-            target.finest_triangles, source.finest_triangles, level_map.points.triangle,
-            level_map.points.barycentric,
-        )  # fmt: skip
+            target.finest_triangles, source.finest_triangles, points.triangle, points.barycentric
+        )
         trusted = self.trusted
         quality = measure_quality(point_map, point_pairs(target, source, trusted), trusted.names)
         spectral = None
@@ -165,9 +160,7 @@ class MatchResult:
             source=source,
             point_map=point_map,
             quality=quality,
-            level_maps=tuple(
-                candidate for candidate in self.level_maps if all(np.less_equal(candidate.levels, level_map.levels))
-            ),
+            level_maps=tuple(one for one in self.level_maps if all(np.less_equal(one.levels, level_map.levels))),
             confidence=None,
             prepared=None,
             masks=WHOLE,
