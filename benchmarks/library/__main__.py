@@ -86,7 +86,7 @@ def all_pairs(folder: Path, vertices: int) -> list[str]:
             result = folder / "single" / f"{source}__{target}"
             result.parent.mkdir(exist_ok=True)
             start = time.perf_counter()
-            run_match(MatchRequest(*files, None, result, vertices=vertices, cache=folder / "cache"), Stages())
+            run_match(MatchRequest(*files, result, vertices=vertices, cache=folder / "cache"), Stages())
             single += time.perf_counter() - start
             one, many = read_result(result), read_result(folder / "night" / f"{source}__{target}" / "RESULT")
             worst = max(worst, float(np.abs(one.image() - many.image()).max() / np.ptp(one.image())))

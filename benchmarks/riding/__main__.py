@@ -86,7 +86,7 @@ def identity() -> Iterator[Row]:
         names = tuple(f"p{k}" for k in range(len(picked)))
         write_landmarks(root / "marks.json", Landmarks(names, picked, picked, "body.obj", "body.obj"))
         run_match(
-            MatchRequest(root / "body.obj", root / "body.obj", root / "marks.json", root / "R", vertices=90_000),
+            MatchRequest(root / "body.obj", root / "body.obj", root / "R", root / "marks.json", vertices=90_000),
             Stages(),
         )
 
@@ -197,7 +197,7 @@ def _there_and_back(
     for target, source, given, output in steps:
         marks, result = root / f"{output}.json", root / f"R_{output}"
         write_landmarks(marks, Landmarks(names, picked, picked, f"{target}.obj", f"{source}.obj"))
-        run_match(MatchRequest(root / f"{target}.obj", root / f"{source}.obj", marks, result), Stages())
+        run_match(MatchRequest(root / f"{target}.obj", root / f"{source}.obj", result, marks), Stages())
         request = TransferRequest(result, root / f"{output}.png", normal_map=root / f"{given}.png", size=size)
         run_transfer(request, Stages())
     return cagemap.read_result(root / "R_returned"), read_image(root / "returned.png").pixels

@@ -112,7 +112,7 @@ def back(data: Path, size: int, name: str, kind: str, grain: float, lookup: Filt
             ("one.obj", "other.obj", "back", "between.png", "returned.png"),
         )
         for target, source, word, image, output in steps:
-            run_match(MatchRequest(root / target, root / source, root / f"{word}.json", root / word), Stages())
+            run_match(MatchRequest(root / target, root / source, root / word, root / f"{word}.json"), Stages())
             texels = (between or size) if word == "there" else size
             request = TransferRequest(root / word, root / output, texture=root / image, size=texels, filter=lookup)
             run_transfer(request, Stages())

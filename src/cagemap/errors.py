@@ -1,11 +1,13 @@
 """Exception classes, one for each kind of cause.
 
-Every message says what was expected, what was found, where, and what to do about it.
+Every message reads "PLACE: expected this, got that. What to do.", where what was expected may say what to do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 
@@ -19,6 +21,21 @@ class CagemapError(Exception):
     """
 
     code = "error"
+
+    @property
+    def place(self) -> str:
+        """The file, option or element that the message begins with; empty if it names none."""
+        text = str(self)
+        place, found, _ = text.partition(": expected ")
+        if not found:
+            place, found, _ = text.partition(": ")
+        return place if found and not re.search(r"expected |[.,] [A-Z]", place) else ""
+
+    @property
+    def remedy(self) -> str:
+        """The sentences after the first, which say what to do; empty if that is what was expected."""
+        sentences = re.split(r"\. (?=[A-Z`])", str(self)[len(self.place) :], maxsplit=1)
+        return "" if len(sentences) == 1 else sentences[1]
 
 
 class InvalidMeshError(CagemapError, ValueError):
@@ -90,6 +107,15 @@ def use_option_names(text: str) -> str:
     return text
 
 
+@contextmanager
+def values_of(place: object) -> Iterator[None]:
+    """Name a file or another place before the messages of parameters that are refused."""
+    try:
+        yield
+    except ParameterError as error:
+        raise ParameterError(f"{place}: {error}") from None
+
+
 # What a value should be, by the start of the type of pydantic's error.
 _EXPECTED = {
     "int": "a whole number",
@@ -110,12 +136,19 @@ _EXPECTED = {
 }
 
 
-def expected_value(problem: Mapping[str, Any]) -> str:
-    """What pydantic expected of a value, from an item of its error's list, in the words of our messages."""
-    for kind, text in _EXPECTED.items():
-        if problem["type"].startswith(kind):
-            return text.format(**problem.get("ctx", {}))
-    return str(problem["msg"])
+def wrong_values(error: Any) -> list[tuple[tuple[str | int, ...], str]]:
+    """Path to each entry that a pydantic `ValidationError` is about, with what is wrong and what to do."""
+    return [(item["loc"], _wrong_value(item)) for item in error.errors(include_url=False)]
+
+
+def _wrong_value(item: Mapping[str, Any]) -> str:
+    if item["type"] == "extra_forbidden":
+        return "there is no such entry. Check its spelling, or remove it."
+    if item["type"] == "missing":
+        return "is missing. Add it."
+    known = (text.format(**item.get("ctx", {})) for kind, text in _EXPECTED.items() if item["type"].startswith(kind))
+    got = repr(item["input"])
+    return f"expected {next(known, item['msg'])}, got {got if len(got) <= 60 else f'{got[:57]}...'}. Correct it."
 
 
 def explain_error(error: Exception) -> str:

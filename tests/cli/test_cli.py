@@ -70,6 +70,8 @@ def test_check_reports_and_judges(run: Run, tmp_path: Path) -> None:
     assert "duplicate faces" in [problem["kind"] for problem in bad["problems"]]
     assert fine["n_faces"] == 6
     assert "missing.obj" in gone["error"]
+    assert (gone["code"], gone["place"]) == ("missing-file", "missing.obj")
+    assert gone["error"].endswith(f". {gone['remedy']}")
     assert run("-q check good.obj").out == ""
     assert json.loads(run("-q check --json good.obj").out)[0]["usable"]
     assert "duplicate faces" in run("-q check bad.obj").out

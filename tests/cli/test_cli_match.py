@@ -112,7 +112,7 @@ def test_exchanged_meshes_are_refused_and_other_names_noted(run: Run, pair_files
     )
     assert not (pair_files / "R").exists()
     (pair_files / "deer.obj").rename(pair_files / "stag.obj")
-    request = MatchRequest(*(pair_files / name for name in ("stag.obj", "pony.obj", "landmarks.json", "R")))
+    request = MatchRequest(*(pair_files / name for name in ("stag.obj", "pony.obj", "R", "landmarks.json")))
     (note,) = read_inputs(request).notes
     assert "stag.obj" in note
 

@@ -44,7 +44,7 @@ def folder(pair_files: Path) -> Path:
 def requests(folder: Path) -> tuple[MatchRequest, TransferRequest]:
     result = folder / "RESULT"
     match = MatchRequest(
-        folder / "deer.obj", folder / "pony.obj", folder / "landmarks.json", result, vertices=700, k=40
+        folder / "deer.obj", folder / "pony.obj", result, folder / "landmarks.json", vertices=700, k=40
     )
     return match, TransferRequest(result, folder / "deer.png", texture=folder / "pony.png", size=32)
 

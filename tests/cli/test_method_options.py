@@ -57,7 +57,7 @@ def test_each_side_has_its_own_level_and_schedule(tmp_path):
     """The paper's Table 1, and the manifest says what was used."""
     paths, _ = files_of(tmp_path)
     request = MatchRequest(
-        *paths, tmp_path / "R", method="paper", target_level=2, source_level=1, target_schedule="12,6,4",
+        *paths[:2], tmp_path / "R", paths[2], method="paper", target_level=2, source_level=1, target_schedule="12,6,4",
         source_schedule="10,8", parameter=("rounds=0", "laplacian=0.01", "heat=4"),
         target_symmetry=(tmp_path / "s.json",), source_symmetry=(tmp_path / "s.npy",),
     )  # fmt: skip
@@ -103,7 +103,7 @@ def test_each_side_has_its_own_laplacian_accuracy_and_definition(tmp_path):
     """What is computed follows, and the manifest says it: eigenvalues differ from those of the usual Laplacian."""
     paths, _ = files_of(tmp_path)
     request = MatchRequest(
-        *paths, tmp_path / "R", method="paper", level=1, schedule="12,6", laplacian="alexa-wardetzky:2",
+        *paths[:2], tmp_path / "R", paths[2], method="paper", level=1, schedule="12,6", laplacian="alexa-wardetzky:2",
         source_laplacian="mean", accuracy=1e-8, target_accuracy=1e-10, source_literal=True, symmetry=False,
         parameter=("rounds=0",),
     )  # fmt: skip
@@ -156,7 +156,7 @@ def test_wrong_options_of_bases_are_refused(tmp_path, words, said):
     ],
 )
 def test_a_level_that_a_mesh_cannot_have_is_refused_by_its_option(tmp_path, options, levels, said):
-    request = MatchRequest(tmp_path, tmp_path, None, tmp_path, **options)
+    request = MatchRequest(tmp_path, tmp_path, tmp_path, **options)
     with pytest.raises(ParameterError, match=said):
         require_levels(request, (shapes.cube(), shapes.cube()), levels)
 
@@ -164,7 +164,7 @@ def test_a_level_that_a_mesh_cannot_have_is_refused_by_its_option(tmp_path, opti
 def test_options_of_landmarks_and_symmetries_that_nothing_reads_are_named(tmp_path):
     (target, *_), _ = files_of(tmp_path)
     words = {"exchange_landmarks": True, "trust_landmarks": True, "symmetry": False}
-    notes = read_inputs(MatchRequest(target, target, None, tmp_path / "R", **words)).notes
+    notes = read_inputs(MatchRequest(target, target, tmp_path / "R", **words)).notes
     assert [note.partition(" is not used")[0] for note in notes] == [
         "--exchange-landmarks",
         "--trust-landmarks",

@@ -53,13 +53,38 @@ def test_every_option_has_a_short_line_of_its_own_and_shows_its_default(command:
         assert words.endswith((".", "...")), (option.opts, words)
         assert 0 < len(words.split()) <= 12, (option.opts, words)
         assert ("[default: " in shown) or ("required]" in shown), (option.opts, shown)
+    for argument in set(COMMANDS[command].params) - set(options(command)):
+        assert 0 < len(argument.help.split()) <= 12, argument.name
 
 
-def test_help_of_match_is_in_groups() -> None:
-    text = CliRunner().invoke(app, ["match", "--help"]).output
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name not in ("", "run")])
+def test_help_is_in_groups(command: str) -> None:
+    """Only what all commands have is in the last group; that of `run`, which has few options, is the only one."""
+    for option in options(command):
+        common = option.name in ("help", "verbose", "quiet")
+        assert (getattr(option, "rich_help_panel", None) is None) == common, (command, option.opts)
+
+
+@pytest.mark.parametrize(
+    ("command", "titles", "words"),
+    [
+        (
+            "match",
+            ["Input:", "Landmarks:", "Output:", "Research:", "Options:"],
+            ["--target FILE", "--trust-landmarks", "--output FILE", "--set NAME=VALUE"],
+        ),
+        (
+            "transfer",
+            ["Arguments:", "What to carry, one of these:", "Input:", "Images:", "Weights and passengers:", "Output:"],
+            ["RESULT  Folder", "--texture IMAGE", "--target-mask TEXT", "--rays NUMBER", "--only TEXT", "--usd FILE"],
+        ),
+    ],
+)
+def test_groups_are_in_an_order_with_their_options(command: str, titles: list[str], words: list[str]) -> None:
+    text = CliRunner().invoke(app, [command, "--help"]).output
     heads = [line for line in text.splitlines() if line.endswith(":") and not line.startswith(" ")]
-    assert heads == ["Input:", "Landmarks:", "Output:", "Research:", "Options:"]
-    places = [text.index(word) for word in ("--target <", "--trust-landmarks", "--output <", "--set NAME=VALUE")]
+    assert heads[: len(titles)] == titles
+    places = [text.index(f"{part}") for pair in zip(titles, words, strict=False) for part in pair]
     assert places == sorted(places)
 
 
@@ -78,7 +103,7 @@ def test_settings_reach_the_request_and_the_last_of_one_name_counts(tmp_path: Pa
     assert request.parameter == ("rounds=3", "heat=6")
     assert request.source_symmetry == (tmp_path / "own.npy", Path("a.npy"), Path("b.npy"))
     typed("--set", "source.k=12")
-    assert asked[1] == MatchRequest(Path("t.obj"), Path("s.obj"), None, Path("R"), source_k=12)
+    assert asked[1] == MatchRequest(Path("t.obj"), Path("s.obj"), Path("R"), source_k=12)
 
 
 @pytest.mark.parametrize(

@@ -57,7 +57,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_mesh(place / "hero.obj", scene)
     _own_landmarks(place / "landmarks.json", scene)
     hero = place / "hero.obj"
-    run_match(MatchRequest(hero, hero, place / "landmarks.json", place / "R", level=2, k=30, part="body"), Stages())
+    run_match(MatchRequest(hero, hero, place / "R", place / "landmarks.json", level=2, k=30, part="body"), Stages())
     return place
 
 
@@ -199,7 +199,7 @@ def test_suggested_landmarks_can_be_matched_again(folder: Path) -> None:
     assert landmarks.target.min() >= first
     np.testing.assert_array_equal(landmarks.target[:9], landmarks.source[:9])
     hero = folder / "hero.obj"
-    request = MatchRequest(hero, hero, folder / "more.json", folder / "R2", level=1, k=30, part="body")
+    request = MatchRequest(hero, hero, folder / "R2", folder / "more.json", level=1, k=30, part="body")
     _, warnings = run_match(request, Stages())
     assert not any("left out" in text for text in warnings)
 
@@ -212,7 +212,7 @@ def test_parts_matched_one_by_one_keep_the_order_of_the_file(folder: Path) -> No
     names = tuple(f"point {number}" for number in range(len(picked)))
     write_landmarks(folder / "both.json", Landmarks(names, picked, picked, "hero", "hero"))
     hero = folder / "hero.obj"
-    run_match(MatchRequest(hero, hero, folder / "both.json", folder / "E", level=1, k=6, part="each"), Stages())
+    run_match(MatchRequest(hero, hero, folder / "E", folder / "both.json", level=1, k=6, part="each"), Stages())
     np.savez(folder / "numbers.npz", a=scene.positions)
     run_transfer(TransferRequest(folder / "E", folder / "numbers_out.npz", attribute=folder / "numbers.npz"), Stages())
     # The larger part comes first in the result.
@@ -241,7 +241,7 @@ def test_the_source_s_uvs_are_written_into_the_whole_file(tmp_path: Path, own: b
     target = scene if own else scene.with_uvs(None, None)
     write_mesh(tmp_path / "target.obj", target)
     files = tmp_path / "target.obj", tmp_path / "source.obj"
-    run_match(MatchRequest(*files, None, tmp_path / "R", level=2, part="two"), Stages())
+    run_match(MatchRequest(*files, tmp_path / "R", level=2, part="two"), Stages())
     summary, _ = run_transfer(TransferRequest(tmp_path / "R", tmp_path / "laid.obj", source_uvs=True), Stages())
     laid = read_mesh(tmp_path / "laid.obj")
     np.testing.assert_array_equal(laid.face_indices, scene.face_indices)

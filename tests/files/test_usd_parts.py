@@ -65,7 +65,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     picked = first + np.linspace(0, creature().n_vertices - 1, 9).astype(int)
     names = tuple(f"point {number}" for number in range(9))
     write_landmarks(place / "landmarks.json", Landmarks(names, picked, picked, "hero", "hero"))
-    request = MatchRequest(hero, hero, place / "landmarks.json", place / "R", level=1, k=30, part="component:1")
+    request = MatchRequest(hero, hero, place / "R", place / "landmarks.json", level=1, k=30, part="component:1")
     run_match(request, Stages())
     return place
 

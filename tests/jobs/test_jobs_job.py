@@ -125,6 +125,16 @@ output = "../elsewhere.html"
             f"{HEAD}{ASSETS}{PAIRS}[[outputs]]\ncommand = 'transfer'\ntexture = '{'n' * 300}'\n",
             r"outputs\.0\.texture: n+ does not exist",
         ),
+        (
+            HEAD.replace('"out"', f"'out/{'n' * 300}'") + ASSETS + PAIRS,
+            "line 1: output: .* is too long. Give a shorter",
+        ),
+        (f"{HEAD}{ASSETS}{PAIRS}[carry]\nsource = 'a'\nfolder = 'a.obj'\n", r"carry\.folder: .* got the file a\.obj"),
+        (f"{HEAD}{ASSETS}{PAIRS}[carry]\nsource = 'a'\nfolder = '{'ä' * 130}'\n", r"carry\.folder: .* is too long"),
+        (
+            f"{HEAD}{ASSETS}{PAIRS}[[outputs]]\ncommand = 'report'\noutput = '{'n' * 240}{{target}}.html'\n",
+            r"outputs\.0\.output: .* is too long",
+        ),
     ],
 )
 def test_files_of_another_form_are_refused(folder: Path, text: str, words: str) -> None:

@@ -258,6 +258,16 @@ def test_what_waits_on_a_worker_that_dies_is_not_blamed_for_it(tmp_path: Path) -
 
 
 @pytest.mark.slow
+def test_a_worker_that_nobody_starts_again_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cagemap.jobs.run.LOST_WORKER_SECONDS", 1)
+    with open_client(workers=1) as connect:
+        client = connect()
+        client.sync(client.cluster.workers[0].close)
+        outcomes = run_plan(Plan(tmp_path, (task(tmp_path, "one"),), ()), write_name, connect)
+    assert outcomes["one"].state == "done"
+
+
+@pytest.mark.slow
 def test_a_scheduler_elsewhere_is_reached_by_its_address(tmp_path: Path) -> None:
     from distributed import LocalCluster
 

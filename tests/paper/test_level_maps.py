@@ -40,7 +40,7 @@ def matched(tmp_path_factory):
     write_landmarks(paths[2], example.landmarks)
     write_image(folder / "pony.png", example.texture)
     request = MatchRequest(
-        *paths, folder / "R", method="paper", target_level=1, source_level=2, target_schedule="40,20",
+        *paths[:2], folder / "R", paths[2], method="paper", target_level=1, source_level=2, target_schedule="40,20",
         source_schedule="40,20,10",
     )  # fmt: skip
     run_match(request, Stages())

@@ -67,7 +67,7 @@ def test_a_mesh_that_is_saved_anew_while_it_is_read_is_not_taken_for_the_one_tha
     monkeypatch.setattr(match, "read_inputs", replacing(match.read_inputs, b))
     monkeypatch.setattr(match, "match_inputs", stop)
     with pytest.raises(StoppedError):
-        match.run_match(MatchRequest(a, b, None, place / "M", level=1), Stages())
+        match.run_match(MatchRequest(a, b, place / "M", level=1), Stages())
     assert stated["source"]["sha256"] == match.stated_inputs({"source": Path(before)}, place)["source"]["sha256"]
 
 

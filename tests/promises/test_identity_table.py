@@ -164,7 +164,6 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     np.savetxt(folder / "mask.csv", target.mesh.positions[:, 0] > 0.5, fmt="%.1f")
     request = MatchRequest(
         *files,
-        None,
         folder / "R",
         scheme=kind.scheme,
         level=None if kind.scheme == "none" else 1,

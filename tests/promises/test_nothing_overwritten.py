@@ -143,7 +143,7 @@ def test_match_refuses_a_foreign_folder_before_it_works(tmp_path: Path, monkeypa
     mesh, pairs = tmp_path / "a.obj", tmp_path / "l.json"
     for output, words in ((tmp_path, "not overwritten"), (tmp_path / "none" / "R", "does not exist")):
         with pytest.raises(FormatError, match=words):
-            run_match(MatchRequest(mesh, mesh, pairs, output), Stages())
+            run_match(MatchRequest(mesh, mesh, output, pairs), Stages())
 
 
 def test_unwrapping_leaves_the_model_beside_the_image_alone(place: Path) -> None:
@@ -255,7 +255,7 @@ def test_outputs_are_no_inputs(place: Path, force: bool) -> None:
     for attempt in attempts:
         with pytest.raises(FormatError, match=r"is an input too|expected the name of a page"):
             attempt()
-    mesh = MatchRequest(place / "box.obj", place / "box.obj", place / "R" / MANIFEST, place / "R", force=force)
+    mesh = MatchRequest(place / "box.obj", place / "box.obj", place / "R", place / "R" / MANIFEST, force=force)
     with pytest.raises(FormatError, match="is an input too"):
         run_match(mesh, Stages())
     assert contents(place) == before

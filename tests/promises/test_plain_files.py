@@ -27,7 +27,6 @@ from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.wrap import WrapRequest
-from cagemap.tasks.subdivision import SchemeName
 from cagemap.tasks.wrap import run_wrap
 
 from plain_meshes import animal, ball, far_apart, soup
@@ -98,7 +97,6 @@ def test_files_to_result_and_back(tmp_path: Path) -> None:
     request = MatchRequest(
         target=tmp_path / "cage.obj",
         source=tmp_path / "scan.ply",
-        landmarks=None,
         output=tmp_path / "RESULT",
         vertices=2000,
         source_scheme="none",
@@ -144,7 +142,7 @@ def test_a_cage_is_wrapped_onto_a_scan_with_its_colours_and_texture(tmp_path: Pa
         tmp_path / "wrapped.obj",
         tmp_path / "cage.obj",
         tmp_path / "scan.obj",
-        source_scheme=SchemeName.NONE,
+        source_scheme="none",
         colors=tmp_path / "colors.png",
         texture=tmp_path / "scan.png",
         baked=tmp_path / "baked.png",

@@ -180,7 +180,7 @@ def test_names_that_are_no_text_are_refused_where_a_library_needs_text(tmp_path:
 
 def test_a_match_of_a_name_that_is_no_text_has_no_job_file(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "R").mkdir()
-    note_match(MatchRequest(tmp_path / "a\udc80.obj", tmp_path / "b.obj", None, tmp_path / "R"))
+    note_match(MatchRequest(tmp_path / "a\udc80.obj", tmp_path / "b.obj", tmp_path / "R"))
     assert "no text" in caplog.text
     assert list((tmp_path / "R").iterdir()) == []
 

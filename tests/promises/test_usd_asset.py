@@ -101,7 +101,7 @@ def test_every_command_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
         pixels = np.full((64, 64, 3), 40 if tile == 1001 else 220, dtype=np.uint8)
         write_image(udim_path(tmp_path / "skin.<UDIM>.png", tile), pixels)
     request = MatchRequest(
-        *(tmp_path / name for name in ("target.usda", "source.usda", "landmarks.json", "RESULT")),
+        *(tmp_path / name for name in ("target.usda", "source.usda", "RESULT", "landmarks.json")),
         level=2,
         k=40,
         part="mesh",
@@ -148,7 +148,7 @@ def test_a_uv_set_is_chosen_by_name(tmp_path: Path) -> None:
 
     _write_asset(tmp_path / "asset.usda", 1.0)
     path = tmp_path / "asset.usda"
-    request = MatchRequest(path, path, None, tmp_path / "R", part="mesh", target_uv_set="square")
+    request = MatchRequest(path, path, tmp_path / "R", part="mesh", target_uv_set="square")
     (part,) = read_inputs(request).parts
     assert (part.target.uv_name, part.source.uv_name) == ("square", "st")
     assert part.target.uvs.max() <= 1 < part.source.uvs.max()

@@ -92,7 +92,7 @@ def test_an_option_that_is_new_to_a_request_is_on_the_page(monkeypatch: pytest.M
     todo = finish_commands(options, files, FinishOptions(option_values={key: 2.0}), use_landmarks=False)
     assert todo[1].request.grain == 2.0
     for outside in (0.0, 5.0):
-        with pytest.raises(ParameterError, match="--grain: expected"):
+        with pytest.raises(ParameterError, match="grain: expected"):
             finish_commands(options, files, FinishOptions(option_values={key: outside}), use_landmarks=False)
 
 

@@ -43,7 +43,7 @@ def test_every_request_says_how_it_ended_and_what_it_wrote(tmp_path: Path) -> No
     stages: list[str] = []
     worker = Worker(stages.append, serve)
     made = [
-        worker.run(MatchRequest(target, target, None, result, vertices=300)),
+        worker.run(MatchRequest(target, target, result, vertices=300)),
         worker.run(TransferRequest(tmp_path / "none", tmp_path / "uvs.obj", source_uvs=True)),
         worker.run(TransferRequest(result, tmp_path / "map.npz", write_map=True)),
     ]
@@ -81,12 +81,12 @@ def test_a_request_that_is_stopped_leaves_nothing_half_written(tmp_path: Path) -
     before = sorted(os.listdir(tmp_path))
     stages: list[str] = []
     worker = Worker(lambda stage: (stages.append(stage), worker.end() if len(stages) == 2 else None), serve)
-    stopped = worker.run(MatchRequest(target, source, None, tmp_path / "R", vertices=30_000))
+    stopped = worker.run(MatchRequest(target, source, tmp_path / "R", vertices=30_000))
     assert isinstance(stopped, Failure)
     assert stopped.kind == STOPPED_KIND
     assert "exit code 0" in stopped.message  # by itself, not by force once patience is over
     assert sorted(os.listdir(tmp_path)) == before
-    made = worker.run(MatchRequest(target, target, None, tmp_path / "R", vertices=300))  # by another process
+    made = worker.run(MatchRequest(target, target, tmp_path / "R", vertices=300))  # by another process
     assert made.failure == ""
     worker.end()
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 from examples.shapes import voxels
+from pydantic import TypeAdapter
 
 from cagemap import tasks
 from cagemap.cli.app import app
-from cagemap.errors import CagemapError, FormatError, MissingFileError, ParameterError
+from cagemap.errors import CagemapError, FormatError, MissingFileError, ParameterError, values_of
 from cagemap.files.meshes.formats import write_mesh
 
 
@@ -22,7 +24,7 @@ def box(tmp_path: Path) -> Path:
 
 def test_a_match_and_a_transfer_by_texts_and_a_function(box: Path) -> None:
     result, said = box.parent / "R", list[str]()
-    outcome = tasks.run(tasks.MatchRequest(str(box), str(box), None, str(result), level=1), said.append)
+    outcome = tasks.run(tasks.MatchRequest(str(box), str(box), str(result), level=1), said.append)
     assert said[0].startswith("read")
     assert outcome.succeeded
     assert result / "map.npz" in outcome.files
@@ -47,10 +49,23 @@ def test_every_command_of_the_command_line_but_the_studio_has_a_request() -> Non
         assert callable(tasks.runner_of(object.__new__(getattr(tasks, name))))
 
 
+@pytest.mark.parametrize("name", tasks._TASKS)
+def test_every_field_has_its_help_text_in_python_and_in_the_json_schema(name: str) -> None:
+    request = getattr(tasks, name)
+    described = TypeAdapter(request).json_schema()["properties"]
+    assert list(described) == [field.name for field in fields(request)]
+    for field, entry in described.items():
+        assert f"{field}\n    {entry['description']}\n" in f"{request.__init__.__doc__}\n"
+
+
 def test_what_is_no_request_or_no_value_of_its_field_is_refused_before_any_work(box: Path) -> None:
-    request = tasks.MatchRequest(box, box, None, box.parent / "R", level="two")
+    request = tasks.MatchRequest(box, box, box.parent / "R", level="two")
     with pytest.raises(ParameterError, match="level: expected a whole number, got 'two'"):
         tasks.run(request)
+    with pytest.raises(ParameterError, match="level: expected 1 or more, got 0"):
+        tasks.run(tasks.MatchRequest(box, box, box.parent / "R", level=0))
+    with pytest.raises(ParameterError, match="space: expected 'tangent' or 'object', got 'world'"):
+        tasks.run(tasks.TransferRequest(box.parent, box.parent / "a.png", normal_map=box, space="world"))
     with pytest.raises(ParameterError, match=r"request: expected one of DemoRequest, .* got str"):
         tasks.run("match")
     with pytest.raises(ParameterError, match="progress: expected a function of a text, got 3"):
@@ -63,11 +78,37 @@ def test_what_is_no_request_or_no_value_of_its_field_is_refused_before_any_work(
 @pytest.mark.parametrize("name", ["a.obj", "a.ply", "a.glb", "a.usda", "a.stl"])
 def test_errors_have_a_code_for_programs(tmp_path: Path, name: str) -> None:
     with pytest.raises(MissingFileError) as found:
-        tasks.run(tasks.MatchRequest(tmp_path / name, tmp_path / name, None, tmp_path / "R"))
+        tasks.run(tasks.MatchRequest(tmp_path / name, tmp_path / name, tmp_path / "R"))
     assert found.value.code == "missing-file"
     codes = [kind.code for kind in (CagemapError, *_below(CagemapError))]
     assert len(codes) == len(set(codes)) == 9
     assert issubclass(MissingFileError, FormatError)
+
+
+@pytest.mark.parametrize(
+    ("message", "place", "remedy"),
+    [
+        (
+            "a b/v1.2: final.obj: expected an OBJ file, got none. Check the name.",
+            "a b/v1.2: final.obj",
+            "Check the name.",
+        ),
+        ("--rays: expected with --bake only, got --texture. Leave it out.", "--rays", "Leave it out."),
+        ("--amount: expected 0 to 1, got 1.5", "--amount", ""),
+        ("expected one RESULT, got 2: a. Give one. Or several with --blend-shapes.", "", None),
+        ("a.png: only 3 % are directions. Give it as: --texture.", "a.png", "Give it as: --texture."),
+        ("not enough memory. Use fewer workers: 2.", "", "Use fewer workers: 2."),
+    ],
+)
+def test_errors_have_a_place_and_a_remedy(message: str, place: str, remedy: str | None) -> None:
+    error = ParameterError(message)
+    assert (error.place, error.remedy) == (place, message.partition(". ")[2] if remedy is None else remedy)
+
+
+def test_a_place_is_added_before_the_messages_of_values() -> None:
+    with pytest.raises(ParameterError, match=r"^w\.csv: weights: expected numbers") as found, values_of("w.csv"):
+        raise ParameterError("weights: expected numbers, got texts")
+    assert found.value.place == "w.csv: weights"
 
 
 def _below(kind: type) -> list[type]:

@@ -130,7 +130,7 @@ REFUSED = {
                 WrapRequest((result(place),), output=place / "n.obj", **{option: value}), Stages()
             ),
             f"--{option}: expected with --",
-            "which bake an image. Leave it out.",
+            f"only, got none of them. Leave --{option} out.",
         )
         for option, value in {"size": 32, "rays": 3, "green": "down", "space": "object"}.items()
     },

@@ -220,7 +220,7 @@ def test_a_target_whose_texture_coordinates_are_one_point_is_refused_with_what_t
 def test_match_says_the_next_command_with_the_file_that_has_the_texture(tmp_path: Path) -> None:
     write_textured_scene(tmp_path)
     result = identity_result()
-    request = MatchRequest(tmp_path / "a.obj", tmp_path / "my.obj", None, output=tmp_path / "RESULT")
+    request = MatchRequest(tmp_path / "a.obj", tmp_path / "my.obj", output=tmp_path / "RESULT")
     assert f"transfer {tmp_path}/RESULT --texture IMG -o OUT.png, or" in next_commands(result, request)
     bare = replace(result, target=result.target.with_control(result.target.control.with_uvs(None, None)))
     text = next_commands(bare, replace(request, source=tmp_path / "box.gltf"))

@@ -35,7 +35,7 @@ def _read_transfer(
     """The transfer request from values as typed: named images and comma-separated kinds of bakes."""
     image, maps = texture_and_maps(texture)
     base, named_bases = texture_and_maps(bases, "--base")
-    bakes = tuple(name.strip() for name in bake.split(",")) if bake else ()
+    bakes: Any = tuple(name.strip() for name in bake.split(",")) if bake else ()
     all_bases = named_bases if base is None else (("", base),)
     return TransferRequest(texture=image, maps=maps, bases=all_bases, bake=bakes, **others)
 
@@ -104,6 +104,7 @@ def _root(
         int | None,
         typer.Option(
             min=1,
+            metavar="NUMBER",
             help="Largest number of threads; CAGEMAP_THREADS does the same.  [default: all cores]",
         ),
     ] = None,

@@ -5,17 +5,19 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields
+from enum import Enum, StrEnum
 from importlib.util import LazyLoader, find_spec, module_from_spec
 from inspect import Parameter, Signature
-from types import MappingProxyType
-from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from pathlib import Path
+from types import MappingProxyType, NoneType
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperCommand
 
 from cagemap.cli.console import set_verbosity
 from cagemap.errors import ParameterError
-from cagemap.tasks.requests.options import INPUT, LANDMARKS, OUTPUT, RESEARCH, Argument, Option
+from cagemap.tasks.requests.options import HEADINGS, RESEARCH, Argument, Option, PythonOnly, without_none
 from cagemap.tasks.requests.settings import moved_options, read_settings
 
 Request = TypeVar("Request")
@@ -49,7 +51,9 @@ QUIET = Annotated[
     ),
 ]
 # Sections of `--help`, in this order.
-_SECTIONS = ("Arguments", INPUT, LANDMARKS, OUTPUT, RESEARCH, "Options")
+_SECTIONS = ("Arguments", *HEADINGS, "Options")
+# Names of values in `--help`, by their type.
+_METAVARS = {Path: "FILE", int: "NUMBER", float: "NUMBER", str: "TEXT"}
 
 # Modules that SciPy imports and no command uses.
 LAZY_MODULES = ("numpy.f2py", "numpy.testing")
@@ -70,7 +74,6 @@ def command_of(
     """
     hints = get_type_hints(kind, include_extras=True)
     replacements = moved_options(kind)
-    grouped = bool(replacements)  # such requests have many options: group them
     parameters = [
         Parameter(
             field.name,
@@ -78,14 +81,14 @@ def command_of(
             default=default,
             annotation=Annotated[
                 _typer_type(word_type),
-                *(typer_parameter(option, default, grouped=grouped) for option in options),
+                *(typer_parameter(field.name, option, word_type, default) for option in options),
             ],
         )
         for field in fields(kind)  # type: ignore[arg-type]
         if get_origin(hints[field.name]) is Annotated
         for field_type, *options in [get_args(hints[field.name])]
         for word_type in [word_types.get(field.name, field_type)]
-        if not any(isinstance(option, Option) and option.setting for option in options)
+        if not any(isinstance(option, PythonOnly) or getattr(option, "setting", False) for option in options)
         for default in [_typer_default(MISSING if field.name in word_types else field.default, word_type, options)]
     ]
     if replacements:
@@ -98,7 +101,7 @@ def command_of(
     def command(*, verbose: int, quiet: bool, **given: Any) -> None:
         if verbose or quiet:
             set_verbosity(verbose, quiet)
-        values = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+        values = {name: _field_value(value) for name, value in given.items()}
         settings = read_settings(kind, values.pop(_SETTINGS, ()))
         run((make_request or kind)(**values, **settings))
 
@@ -122,22 +125,24 @@ def load_lazily(names: Sequence[str]) -> None:
         setattr(sys.modules[package], attribute, module)
 
 
-def typer_parameter(option: Any, default: Any, *, grouped: bool = False) -> Any:
-    """A request's option for typer; its help names the default where typer does not."""
+def typer_parameter(field: str, option: Any, word_type: Any, default: Any) -> Any:
+    """A field's option for typer; its help names the default where typer does not."""
     if not isinstance(option, Option):
         return option
-    kind: Any = typer.Argument if isinstance(option, Argument) else typer.Option
-    hides_default = kind is typer.Option and (default is None or default is False or default == [])
+    if isinstance(option, Argument):
+        return typer.Argument(help=option.help, metavar=str(option.metavar).strip("[]"))
+    hides_default = default is None or default is False or default == []
     help_text = option.help
     if hides_default and "[default:" not in help_text:
         help_text += f"  [default: {'off' if default is False else 'none'}]"
-    return kind(
-        *option.names,
+    value_type = without_none(get_args(word_type)[0] if _is_list(word_type) else word_type)
+    return typer.Option(
+        *option.named(field),
         help=help_text,
         min=option.min,
         max=option.max,
-        metavar=option.metavar,
-        rich_help_panel=option.group if grouped else None,
+        metavar=option.metavar or _METAVARS.get(value_type),
+        rich_help_panel=option.group,
         show_default=not hides_default,
     )
 
@@ -157,9 +162,12 @@ def command_class(replacements: Mapping[str, str]) -> type[TyperCommand]:
             sections: dict[str, list[tuple[str, str]]] = {}
             for parameter in self.get_params(ctx):
                 record = parameter.get_help_record(ctx)
-                if record is not None:
-                    section = "Arguments" if parameter.param_type_name == "argument" else "Options"
-                    sections.setdefault(getattr(parameter, "rich_help_panel", None) or section, []).append(record)
+                if record is None:
+                    continue
+                section = getattr(parameter, "rich_help_panel", None) or "Options"
+                if parameter.param_type_name == "argument":
+                    section, record = "Arguments", (record[0].partition(" ")[0], record[1])  # without its type
+                sections.setdefault(section, []).append(record)
             for title in sorted(sections, key=lambda title: _SECTIONS.index(title)):
                 with formatter.section(title):
                     formatter.write_dl(sections[title])
@@ -170,15 +178,30 @@ def command_class(replacements: Mapping[str, str]) -> type[TyperCommand]:
 def _typer_default(default: Any, kind: Any, options: Sequence[Any]) -> Any:
     """The default of a parameter for typer; a metavar in brackets says that an argument may be left out."""
     if default is MISSING:
-        if _is_list(kind) and not any((getattr(option, "metavar", None) or "[")[0] != "[" for option in options):
+        required = any(isinstance(option, Argument) and str(option.metavar)[0] != "[" for option in options)
+        if _is_list(kind) and not required:
             return []
         return None if type(None) in get_args(kind) else Parameter.empty
     return list(default) if isinstance(default, tuple) else default
 
 
 def _typer_type(kind: Any) -> Any:
-    """A type for typer: tuples of any length become lists."""
-    return list[get_args(kind)[0]] if _is_list(kind) else kind  # type: ignore[misc]
+    """A type for typer: tuples of any length become lists, and choices an enumeration."""
+    if _is_list(kind):
+        return list[get_args(kind)[0]]  # type: ignore[misc]
+    choices = get_args(without_none(kind))
+    if get_origin(without_none(kind)) is not Literal:
+        return kind
+    are_texts = isinstance(choices[0], str)
+    one: Any = StrEnum("Choice", {text: text for text in choices}) if are_texts else type(choices[0])
+    return one | None if NoneType in get_args(kind) else one
+
+
+def _field_value(value: Any) -> Any:
+    """A value of typer for a request."""
+    if isinstance(value, list):
+        return tuple(value)
+    return value.value if isinstance(value, Enum) else value
 
 
 def _is_list(kind: Any) -> bool:

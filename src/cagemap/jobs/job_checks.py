@@ -12,7 +12,7 @@ from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from cagemap.errors import expected_value
+from cagemap.errors import wrong_values
 from cagemap.files import INVERT_PREFIX
 from cagemap.files.images.image import texture_files
 from cagemap.jobs.job_schema import (
@@ -26,6 +26,8 @@ from cagemap.jobs.job_schema import (
 )
 
 KeyPath = tuple[str | int, ...]
+# Of a file's or folder's name: 255 on most file systems, less what temporary names add.
+MAX_NAME_BYTES = 240
 
 
 def find_line(text: str, key_path: KeyPath) -> int:
@@ -61,8 +63,8 @@ def parse_job(data: Any) -> tuple[JobFile | None, list[JobProblem]]:
     try:
         return JobFile.model_validate(data), []
     except ValidationError as error:
-        problems = list(_validation_problems(error, ()))
-        key_paths = [item["loc"] for item in error.errors()]
+        problems = wrong_values(error)
+    key_paths = [key_path for key_path, _ in problems]
     # An output without its command is invalid: then everything else is checked without outputs.
     for removed in (key_paths, [key_path[:1] if key_path[:1] == ("outputs",) else key_path for key_path in key_paths]):
         with suppress(ValidationError):
@@ -87,18 +89,6 @@ def _remove_entries(data: Any, key_paths: Iterable[KeyPath]) -> Any:
     return copy
 
 
-def _validation_problems(error: ValidationError, key_path: KeyPath) -> Iterator[JobProblem]:
-    for item in error.errors(include_url=False):
-        entry, value = (*key_path, *item["loc"]), repr(item["input"])
-        if item["type"] == "extra_forbidden":
-            yield entry, "there is no such entry. Check its spelling, or remove it."
-        elif item["type"] == "missing":
-            yield entry, "is missing. Add it."
-        else:
-            excerpt = value if len(value) <= 60 else value[:57] + "..."
-            yield entry, f"expected {expected_value(item)}, got {excerpt}. Correct it."
-
-
 def find_problems(
     job: JobFile,
     folder: Path,
@@ -108,8 +98,7 @@ def find_problems(
 ) -> Iterator[JobProblem]:
     """Problems of a file that passes the schema: names, files, options."""
     names = [asset.name for asset in job.assets]
-    if os.path.isfile(folder / job.output):
-        yield ("output",), f"expected a folder for all results, got the file {job.output}. Give another name."
+    yield from _folder_problems(("output",), folder, job.output)
     for i, asset in enumerate(job.assets):
         if asset.name in names[:i]:
             yield ("assets", i, "name"), f"{asset.name!r} is taken. Give another name."
@@ -128,6 +117,8 @@ def find_problems(
         yield ("carry", "source"), f"no asset is called {job.carry.source!r}. Check the name, or add it."
     elif sources and sources[0].landmarks is None:
         yield ("carry", "source"), f"{sources[0].name!r} has no landmarks. Give it a file: landmarks = ..."
+    if job.carry is not None:
+        yield from _folder_problems(("carry", "folder"), folder, job.carry.folder)
     file_names = {key for asset in job.assets for key in asset.files}
     for i, output in enumerate(job.outputs):
         options = {"output": output.output or "", **(output.model_extra or {})}
@@ -145,6 +136,21 @@ def find_problems(
             if isinstance(value, str) and (Path(value).is_absolute() or ".." in Path(value).parts):
                 message = f"expected a name inside the pair's folder, got {value!r}. Give a name without '..'."
                 yield ("outputs", i, name), message
+            elif isinstance(value, str):
+                yield from _too_long(("outputs", i, name), Path(PLACEHOLDER.sub(max(names, key=len), value)))
+
+
+def _folder_problems(entry: KeyPath, folder: Path, path: Path) -> Iterator[JobProblem]:
+    """Problems of a folder that is written."""
+    yield from _too_long(entry, path)
+    if os.path.isfile(folder / path):
+        yield entry, f"expected a folder, got the file {path}. Give another name."
+
+
+def _too_long(entry: KeyPath, path: Path) -> Iterator[JobProblem]:
+    """A problem if no file system has room for a name of a path that is written."""
+    if max(len(os.fsencode(part)) for part in path.parts or ("",)) > MAX_NAME_BYTES:
+        yield entry, f"{max(path.parts, key=len)!r} is too long. Give a shorter name."
 
 
 def _pair_problems(pair: PairRule, i: int, names: list[str], folder: Path) -> Iterator[JobProblem]:
@@ -202,7 +208,7 @@ def _option_problems(
     try:
         schemas[command].model_validate(options)
     except ValidationError as error:
-        yield from _validation_problems(error, key_path)
+        yield from (((*key_path, *entry), text) for entry, text in wrong_values(error))
     for name, value in options.items():
         kind = kinds[command].get(name)
         for text, resolved in zip(_texts(value), _texts(resolve_files(value, kind, folder)), strict=True):

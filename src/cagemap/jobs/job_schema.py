@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
@@ -78,21 +78,9 @@ class JobFile(_StrictModel):
 
 def options_schema(request: type, excluded: Iterable[str] = ()) -> type[BaseModel]:
     """Schema of a command's options from its request, without ``excluded``: all optional, no others allowed."""
-    fields: dict[str, Any] = {}
-    for name, kind in get_type_hints(request, include_extras=True).items():
-        if name in excluded:
-            continue
-        value_type, *annotations = get_args(kind) if get_origin(kind) is Annotated else (kind,)
-        choices = _bound(annotations, "choices")
-        value_type = value_type if choices is None else Literal[choices]
-        fields[name] = (value_type | None, Field(None, ge=_bound(annotations, "min"), le=_bound(annotations, "max")))
+    kinds = get_type_hints(request, include_extras=True)
+    fields: dict[str, Any] = {name: (kind | None, None) for name, kind in kinds.items() if name not in excluded}
     return create_model(f"{request.__name__}Options", __config__=ConfigDict(extra="forbid"), **fields)
-
-
-def _bound(annotations: list[Any], name: str) -> Any:
-    return next(
-        (getattr(annotation, name) for annotation in annotations if getattr(annotation, name, None) is not None), None
-    )
 
 
 def fill_placeholders(value: Any, source: Asset, target: Asset) -> Any:

@@ -11,7 +11,7 @@ import shutil
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,8 +27,8 @@ from cagemap.numerics.threads import core_count
 if TYPE_CHECKING:
     from distributed import Client
 
-# Of a task whose worker was lost.
-MAX_RETRIES = 2
+MAX_RETRIES = 2  # of a task whose worker was lost
+LOST_WORKER_SECONDS = 15  # until a worker that Dask does not start again is replaced
 _REMEDY = "Run the same command again: what is done is kept."
 
 Runner = Callable[[Task], dict[str, Any]]
@@ -162,8 +162,6 @@ def _run_tasks(
     kept_outcomes: dict[str, TaskOutcome],
     report: Report,
 ) -> dict[str, TaskOutcome]:
-    from distributed import as_completed, wait
-
     run = uuid.uuid4().hex[:8]
 
     def submit(task: Task, earlier_outcomes: Iterable[Any], trial: int) -> Any:
@@ -177,23 +175,43 @@ def _run_tasks(
     names = {future.key: name for name, future in futures.items()}
     outcomes: dict[str, TaskOutcome] = {}
     lost = set()
-    for future in as_completed(futures.values()):
+    for future, outcome in _as_completed(client, futures.values()):
         name = names[future.key]
         # A lost worker may have finished the task: the second try finds the stored result.
-        if future.status != "finished":
+        if outcome is None:
             lost.add(name)
             continue
-        outcomes[name] = _count_as_done(future.result())
+        outcomes[name] = _count_as_done(outcome)
         report(outcomes[name], len(outcomes), len(missing))
     # Dask blames every task of a dead worker: rerun them one by one.
     for task in missing:
         if task.name in lost:
             future = submit(task, [outcomes.get(name, kept_outcomes.get(name)) for name in _earlier_tasks(task)], 2)
-            wait(future)
-            is_finished = future.status == "finished"
-            outcomes[task.name] = _count_as_done(future.result()) if is_finished else _lost_outcome(task, outcomes)
+            ((_, outcome),) = _as_completed(client, [future])
+            outcomes[task.name] = _count_as_done(outcome) if outcome else _lost_outcome(task, outcomes)
             report(outcomes[task.name], len(outcomes), len(missing))
     return outcomes
+
+
+def _as_completed(client: Client, futures: Iterable[Any]) -> Iterator[tuple[Any, TaskOutcome | None]]:
+    """Futures as they end, with outcomes, None of lost workers; workers lost on this machine are replaced."""
+    from distributed import KilledWorker, wait
+
+    waiting = set(futures)
+    while waiting:
+        try:
+            for future in wait(waiting, LOST_WORKER_SECONDS, "FIRST_COMPLETED").done:
+                outcome = None
+                if future.status == "finished":
+                    # An outcome is lost with its worker: Dask then runs the task again.
+                    with suppress(KilledWorker):
+                        outcome = future.result(LOST_WORKER_SECONDS)
+                waiting.remove(future)
+                yield future, outcome
+        except TimeoutError:
+            # Dask does not start a worker again that died while it was being started.
+            if client.cluster is not None:
+                client.cluster.scale(len(client.cluster.worker_spec))
 
 
 def _earlier_tasks(task: Task) -> tuple[str, ...]:
@@ -263,6 +281,7 @@ def _local(stack: ExitStack, workers: int) -> Client:
     environment = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "CAGEMAP_THREADS")}
     settings = {
         "distributed.scheduler.allowed-failures": MAX_RETRIES,
+        "distributed.deploy.lost-worker-timeout": LOST_WORKER_SECONDS,
         "distributed.nanny.pre-spawn-environ": environment,
     }
     stack.enter_context(dask.config.set(settings))

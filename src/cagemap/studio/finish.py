@@ -233,7 +233,7 @@ class _CommandBuilder:
         }
         if values["level"] is None and values["vertices"] is None:
             values["vertices"] = DEFAULT_VERTICES
-        return Command("match", request_of(self.options, "match", values), MAP_TITLE)
+        return Command("match", request_of("match", values), MAP_TITLE)
 
     def transfer(self, transfer: Transfer, used_outputs: list[Path]) -> Command | None:
         """A transfer, or None if it is not requested."""
@@ -253,7 +253,7 @@ class _CommandBuilder:
         common = (name for command, name in self.options if command == "transfer" and name not in _TRANSFER_FIELDS)
         values = {name: self._option_value(transfer, name, output) for name in (*transfer.option_fields, *common)}
         values |= {**data, "result": self.files.result, "output": output}
-        return Command(transfer.title, request_of(self.options, "transfer", values))
+        return Command(transfer.title, request_of("transfer", values))
 
     def _texture_values(self) -> dict[str, Value]:
         """The open texture, alone or among the maps of its material."""
@@ -343,14 +343,14 @@ class _CommandBuilder:
             values |= self.values("wrap", ("detail",))
         mesh = folder / f"{stem}{_mesh_suffix(files.target)}"
         values |= {"results": (files.result,), "output": mesh, "force": self.value("wrap", "force")}
-        return Command("wrap", request_of(self.options, "wrap", values))
+        return Command("wrap", request_of("wrap", values))
 
     def report(self) -> Command:
         """The report about the map."""
         result = self.files.result
         values = {"up": self.files.ups[0], "force": self.value("report", "force")}
         values |= {"result": result, "output": result.with_name(f"{result.name}.html")}
-        return Command("report", request_of(self.options, "report", values))
+        return Command("report", request_of("report", values))
 
 
 def _as_names(value: Value) -> tuple[str, ...]:

@@ -8,8 +8,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cagemap.errors import ParameterError, expected_value
+from cagemap.errors import ParameterError
 from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.options import document_fields, validated
 
 if TYPE_CHECKING:
     from cagemap.tasks.requests.demo import DemoRequest as DemoRequest
@@ -70,7 +71,7 @@ class Outcome:
 def run(request: Any, progress: Callable[[str], None] | None = None) -> Outcome:
     """Run the task of a request, as the command of that name does.
 
-    For example ``run(MatchRequest("deer.obj", "pony.obj", None, "RESULT"), print)``. What the task refuses is a
+    For example ``run(MatchRequest("deer.obj", "pony.obj", "RESULT"), print)``. What the task refuses is a
     `cagemap.CagemapError`.
 
     Parameters
@@ -87,7 +88,8 @@ def run(request: Any, progress: Callable[[str], None] | None = None) -> Outcome:
     """
     from cagemap.files.atomic import files_written  # here, since `cagemap --help` needs no files
 
-    task, checked = runner_of(request), _checked(request)
+    task = runner_of(request)
+    checked = validated(type(request), {field.name: getattr(request, field.name) for field in fields(request)})
     stages = progress if isinstance(progress, Stages) else Stages(progress)
     with files_written() as files, stages:
         summary, said = task(checked, stages)
@@ -105,24 +107,12 @@ def runner_of(request: object) -> Callable[[Any, Stages], tuple[str, Any]]:
     return runner
 
 
-def _checked(request: Any) -> Any:
-    """The request with values of the kinds of its fields."""
-    from pydantic import TypeAdapter, ValidationError  # here, since commands do not need it
-
-    values = {field.name: getattr(request, field.name) for field in fields(request)}
-    try:
-        return TypeAdapter(type(request)).validate_python(values)
-    except ValidationError as error:
-        problem = error.errors(include_url=False)[0]
-        raise ParameterError(
-            f"{'.'.join(map(str, problem['loc']))}: expected {expected_value(problem)}, got {problem['input']!r}"
-        ) from None
-
-
 def __getattr__(name: str) -> object:
     if name not in _TASKS:
         raise AttributeError(f"module 'cagemap.tasks' has no attribute {name!r}")
-    return getattr(import_module(f"cagemap.tasks.requests.{_TASKS[name][0]}"), name)
+    request = getattr(import_module(f"cagemap.tasks.requests.{_TASKS[name][0]}"), name)
+    document_fields(request)
+    return request
 
 
 def __dir__() -> list[str]:

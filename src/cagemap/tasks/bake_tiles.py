@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -44,7 +44,7 @@ from cagemap.transfer.baking import to_dtype, unit
 from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.masks import bake_mask, blend, with_alpha
 from cagemap.transfer.overlapping_uvs import has_layout, overlapping_materials, overlapping_share
-from cagemap.transfer.texture import Filter, Pixels
+from cagemap.transfer.texture import Pixels
 
 # Default width and height of an image, if no source or base image gives a size.
 DEFAULT_SIZE = 2048
@@ -192,7 +192,7 @@ def bake_tiles(
     return write_tiles(
         request.output,
         prepared.tiles,
-        lambda options: bake(options=replace(options, filter=cast(Filter, request.filter))),
+        lambda options: bake(options=replace(options, filter=request.filter)),
         stages,
         masking(request, prepared, name),
         force=request.force,
@@ -238,8 +238,7 @@ def masking(request: TransferRequest, prepared: Prepared, name: str = "") -> Cal
     base, transfer = base_of(request, name), prepared.transfer
     if not transfer.masks.any:
         return lambda image, _: image
-    kind = cast(Filter, request.filter)
-    return lambda image, options: _masked(image, transfer, base, replace(options, filter=kind))
+    return lambda image, options: _masked(image, transfer, base, replace(options, filter=request.filter))
 
 
 def _masked(image: Image, transfer: Transfer, base: Path | None, options: BakeOptions) -> Image:

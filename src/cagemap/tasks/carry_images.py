@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from cagemap.errors import ParameterError
 from cagemap.files.gltf.material_images import MaterialImage, png_bytes, write_numbered
@@ -34,7 +34,6 @@ from cagemap.tasks.detail_bakes import (
     KINDS,
     OFFSETS,
     DetailBakes,
-    Kind,
     bake_detail,
     detail_texture,
     mesh_detail,
@@ -42,15 +41,13 @@ from cagemap.tasks.detail_bakes import (
 )
 from cagemap.tasks.material_atlas import material_atlas
 from cagemap.tasks.progress import Said, Stages
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.transfer import BakeKind, TransferRequest
 from cagemap.tasks.usd_output import texture_reference, write_usd_results
 from cagemap.transfer import BakeOptions, bake_displacement, bake_face_colors, bake_texture, face_colors
 from cagemap.transfer.detail import Detail
 from cagemap.transfer.displacement import Displacement
-from cagemap.transfer.texture import Filter, Pixels
+from cagemap.transfer.texture import Pixels
 from cagemap.transfer.vectors import (
-    Green,
-    Space,
     bake_normal_map,
     bake_vector_displacement,
     looks_like_normal_map,
@@ -148,7 +145,7 @@ def _bake_map(
             f"{request.output} has the numbers of {path}, and programs read colours of integers as sRGB, of floats as "
             f"linear: choose the colour space of {path.name} for it there"
         )
-    carry = partial(bake_normal_map, green=cast(Green, request.green)) if is_normal_map else bake_texture
+    carry = partial(bake_normal_map, green=request.green) if is_normal_map else bake_texture
 
     def bake(options: BakeOptions) -> Image:
         pixels = carry(transfer, texture, size=source_image.size, dtype=source_image.dtype, options=options)
@@ -165,7 +162,7 @@ def _entry(kind: str, path: Path, given: SourceImage) -> dict[str, Any]:
 
 def carry_normal_map(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Carry a normal map, in tangent or object space."""
-    bake = partial(bake_normal_map, space=cast(Space, request.space), green=cast(Green, request.green))
+    bake = partial(bake_normal_map, space=request.space, green=request.green)
     return _carry("normal-map", request.normal_map, 3, bake, {"space": request.space}, request, result, stages)
 
 
@@ -177,8 +174,7 @@ def carry_displacement(request: TransferRequest, result: MatchResult, stages: St
 
 def carry_vector_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Carry vector displacement, in tangent or object space."""
-    space = cast(Space, request.space)
-    bake = partial(bake_vector_displacement, space=space, midlevel=request.midlevel, scale=request.scale)
+    bake = partial(bake_vector_displacement, space=request.space, midlevel=request.midlevel, scale=request.scale)
     more = {"space": request.space}
     return _carry("vector-displacement", request.vector_displacement, 3, bake, more, request, result, stages)
 
@@ -233,7 +229,7 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     bakes = DetailBakes(images, request.size or base_size(request, kinds[0]) or DEFAULT_SIZE, request.bits, request)
     mesh = None if request.detail is None else read_mesh(request.detail)
     if mesh is not None and request.detail_texture is not None:
-        bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture, cast(Filter, request.filter)))
+        bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture, request.filter))
     channels = {kind: bakes.channels(kind) for kind in kinds}
     bakes.check({kind: written_channels(request, result, channels[kind], kind) - channels[kind] for kind in kinds})
     prepared = prepare_bake(request, result, stages, {kind.removesuffix("s"): path for kind, path in images.items()})
@@ -267,13 +263,12 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     return "\n".join(lines), warnings
 
 
-def _kinds(request: TransferRequest) -> list[Kind]:
+def _kinds(request: TransferRequest) -> list[BakeKind]:
     """Checked kinds of images to bake."""
-    names = list(dict.fromkeys(request.bake))
-    unknown = [name for name in names if name not in KINDS]
+    kinds = list(dict.fromkeys(request.bake))
+    unknown = [kind for kind in kinds if kind not in KINDS]
     if unknown:
         raise ParameterError(f"--bake: expected some of {', '.join(KINDS)}, got {', '.join(unknown)}")
-    kinds = [cast(Kind, name) for name in names]
     if ("texture" in kinds) != (request.detail_texture is not None):
         raise ParameterError("--bake texture and --detail-texture: expected both or neither, got one of them")
     if request.detail_texture is not None and request.detail is None:

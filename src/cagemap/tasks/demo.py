@@ -48,7 +48,7 @@ def run_demo(request: DemoRequest, stages: Stages) -> Said:
     write_mesh(source, pair.source, force=force)
     write_landmarks(landmarks, pair.landmarks, force=force)
     write_image(texture, pair.texture, force=force)
-    run_match(MatchRequest(target, source, landmarks, result, vertices=VERTICES, force=force), stages)
+    run_match(MatchRequest(target, source, result, landmarks, vertices=VERTICES, force=force), stages)
     run_transfer(TransferRequest(result, baked, texture=texture, force=force), stages)
     run_report(ReportRequest(result, report, force=force), stages)
     quoted = [shlex.quote(str(path)) for path in (target, source, landmarks, result, texture, baked, report)]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, cast, get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.bake_tiles import DEFAULT_SIZE, doubled_target, layout_tiles, write_tiles
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import WRITTEN
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.transfer import BakeKind, TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.transfer import BakeOptions, Transfer
 from cagemap.transfer.detail import (
@@ -50,14 +50,12 @@ from cagemap.transfer.detail import (
 from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.rays import ambient_occlusion
 from cagemap.transfer.texture import Filter, Pixels
-from cagemap.transfer.vectors import Green, Space
 from cagemap.wrap import Wrapped, missing_detail, wrapped_transfer
 
-Kind = Literal["normal", "displacement", "vector-displacement", "ao", "colors", "texture"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
+KINDS: tuple[BakeKind, ...] = get_args(BakeKind)
 # Kinds of the detail's offset or direction: empty for a surface over itself.
-OFFSETS: tuple[Kind, ...] = ("normal", "displacement", "vector-displacement")
-_CHANNELS: dict[Kind, int] = {
+OFFSETS: tuple[BakeKind, ...] = ("normal", "displacement", "vector-displacement")
+_CHANNELS: dict[BakeKind, int] = {
     "normal": 3,
     "displacement": 1,
     "vector-displacement": 3,
@@ -86,19 +84,19 @@ class DetailTexture:
 class DetailBakes:
     """Images to bake from a detailed mesh, with their files."""
 
-    images: dict[Kind, Path]
+    images: dict[BakeKind, Path]
     size: int
     bits: int | None  # by default floats in EXR; elsewhere 16 for directions and offsets, 8 for colours and occlusion
     request: TransferRequest | WrapRequest  # gives space, green, rays and force
     texture: DetailTexture | None = None  # of the detailed mesh, for the kind "texture"
 
-    def channels(self, kind: Kind) -> int:
+    def channels(self, kind: BakeKind) -> int:
         """Channels of an image."""
         if kind == "texture" and self.texture is not None:
             return int(np.atleast_3d(self.texture.first.pixels).shape[2])
         return _CHANNELS[kind]
 
-    def dtype(self, kind: Kind) -> np.dtype[Any]:
+    def dtype(self, kind: BakeKind) -> np.dtype[Any]:
         """Number type of an image."""
         if kind == "texture" and self.texture is not None and self.bits is None:
             return self.texture.first.pixels.dtype
@@ -106,7 +104,7 @@ class DetailBakes:
         default = 32 if suffix == ".exr" else 16 if suffix in _DEEP and kind in OFFSETS else 8
         return pixel_type(self.bits or default, suffix)
 
-    def check(self, more: Mapping[Kind, int] = MappingProxyType({})) -> None:
+    def check(self, more: Mapping[BakeKind, int] = MappingProxyType({})) -> None:
         """Refuse file formats that cannot hold their images, with ``more`` channels (alpha)."""
         for kind, path in self.images.items():
             check_writable(path, self.dtype(kind), self.channels(kind) + more.get(kind, 0))
@@ -157,7 +155,7 @@ def bake_detail(
     tiles: list[int],
     stages: Stages,
     units: str,
-    finished: Callable[[Kind], Callable[[Image, BakeOptions], Image]] = lambda _: lambda image, _: image,
+    finished: Callable[[BakeKind], Callable[[Image, BakeOptions], Image]] = lambda _: lambda image, _: image,
 ) -> list[str]:
     """Bake and write all images; returns one line about each.
 
@@ -166,10 +164,10 @@ def bake_detail(
     ``finished``: kind -> function from a baked image to the image to write.
     """
     lines, request, image = [], bakes.request, bakes.texture
-    space, green = cast(Space, request.space), cast(Green, request.green)
+    space, green = request.space, request.green
 
     def bake(
-        kind: Kind, values: FloatArray | None, dtype: np.dtype[Any], scale: float, *, options: BakeOptions
+        kind: BakeKind, values: FloatArray | None, dtype: np.dtype[Any], scale: float, *, options: BakeOptions
     ) -> Pixels | Image | Displacement:
         given: dict[str, Any] = {"size": bakes.size, "dtype": dtype, "options": options}
         if kind == "texture" and image is not None:
@@ -198,7 +196,7 @@ def bake_detail(
         bake_kind = partial(bake, kind, values, dtype, scale)
         write_tiles(path, tiles, bake_kind, stages, finished(kind), force=request.force, name=kind)
         meaning = f"(value - {0.5 if dtype.kind == 'u' else 0.0:g}) * {scale:.6g} in {units} units"
-        descriptions: dict[Kind, str] = {
+        descriptions: dict[BakeKind, str] = {
             "normal": f"normals in {request.space} space, green {request.green}",
             "displacement": f"height along the normal = {meaning}",
             "vector-displacement": f"offset in {request.space} space = {meaning}",
@@ -223,7 +221,7 @@ def _range(bake: Callable[..., Pixels | Image | Displacement], tiles: list[int])
 
 def wrap_bakes(request: WrapRequest) -> DetailBakes:
     """Images to bake onto the wrapped cage."""
-    images: dict[Kind, Path | None] = {
+    images: dict[BakeKind, Path | None] = {
         "normal": request.normal_map,
         "displacement": request.displacement,
         "vector-displacement": request.vector_displacement,

@@ -135,7 +135,7 @@ def _size(job: Job, name: str, side: str, plan: Plan, read: Callable[[str], Cont
     """Size of an asset as target or source, with the options of its first task."""
     tasks = (task for task in plan.tasks if task.kind in ("prepare", "match") and (name, side) in _models(task))
     options: dict[str, Any] = next((task.request.get("options", task.request) for task in tasks), {})
-    request = MatchRequest(Path(), Path(), None, Path())
+    request = MatchRequest(Path(), Path(), Path())
     request = replace(request, **{key: value for key, value in options.items() if key in _SIZE_OPTIONS})
     try:
         scheme = getattr(request, f"{side}_scheme") or job.assets[name].scheme or request.scheme

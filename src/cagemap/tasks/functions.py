@@ -21,6 +21,7 @@ from cagemap.tasks.mesh_commands import require_size
 from cagemap.tasks.method import parse_schedule, with_laplacian
 from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.functions import FunctionsRequest
+from cagemap.tasks.requests.options import refuse_unread
 from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
 
 FUNCTION_VERTICES = 50_000
@@ -111,9 +112,11 @@ def _kinds(request: FunctionsRequest) -> tuple[str, ...]:
         raise ParameterError(f"--kinds: expected one kind for {suffix}, got {len(kinds)}. Write an .npz.")
     if request.column is not None and suffix != ".ply":
         raise ParameterError("--column: expected a .ply with it, which shows one function in colours.")
-    for option, word in (("heat", "heat"), ("wave", "wave"), ("points", "kernels")):
-        if getattr(request, option) != getattr(FunctionsRequest, option) and not any(word in kind for kind in kinds):
-            raise ParameterError(f"--{option}: expected with --kinds that have {word} in their names. Leave it out.")
+    read_by = {
+        option: [f"--kinds {kind}" for kind in KINDS if word in kind]
+        for option, word in (("heat", "heat"), ("wave", "wave"), ("points", "kernels"))
+    }
+    refuse_unread(request, read_by, [f"--kinds {kind}" for kind in kinds])
     return kinds
 
 

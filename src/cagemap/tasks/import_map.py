@@ -19,7 +19,7 @@ from cagemap.subdivision import refine
 from cagemap.tasks.job_file import note_match
 from cagemap.tasks.masks import mask_inputs, masks_on, read_masks
 from cagemap.tasks.mesh_commands import require_size
-from cagemap.tasks.progress import Stages
+from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.options import said
 from cagemap.tasks.subdivision import weld_asked
@@ -27,7 +27,7 @@ from cagemap.tasks.subdivision import weld_asked
 MAP_VERTICES = 50_000
 
 
-def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
+def run_map(request: MapRequest, stages: Stages) -> Said:
     """Measure a map's quality and write it as a RESULT folder; returns a summary and warnings."""
     files = {"target": request.target, "source": request.source, "map": request.map}
     files.update(mask_inputs(request))

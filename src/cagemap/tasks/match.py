@@ -45,7 +45,7 @@ from cagemap.tasks.method import (
     used_parameters,
     with_parameters,
 )
-from cagemap.tasks.progress import Stages
+from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.match import MatchRequest as MatchRequest
 from cagemap.tasks.requests.options import said
 from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
@@ -79,7 +79,7 @@ class MatchSettings:
     before: MatchResult | None = None  # match of the source's last frame, from which the match starts
 
 
-def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
+def run_match(request: MatchRequest, stages: Stages) -> Said:
     """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
     started = time.perf_counter()
     result = match_files(request, stages)

@@ -7,7 +7,7 @@ from dataclasses import is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cagemap.errors import CagemapError, ParameterError
+from cagemap.errors import ParameterError, values_of
 from cagemap.files.landmarks.points import read_symmetry
 from cagemap.maps.pair import SymmetryPair
 from cagemap.mesh import ControlMesh, Plain
@@ -39,10 +39,8 @@ def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig
         except ValueError:
             form = "a whole number" if kind is int else "a number"
             raise ParameterError(f"--set method.{name}: expected {form}, got {text!r}.") from None
-    try:
+    with values_of("--set method"):
         return replace(config, **{_OWN[config.method]: _filled(method_config, values)})
-    except CagemapError as error:
-        raise ParameterError(f"--set method: {error}") from None
 
 
 def used_parameters(config: MatchConfig) -> dict[str, Any]:

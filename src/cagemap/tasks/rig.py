@@ -10,7 +10,7 @@ import numpy as np
 
 from cagemap.character.bones import mirrored_joints
 from cagemap.character.joints import Skeleton
-from cagemap.errors import ParameterError
+from cagemap.errors import ParameterError, values_of
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.read import gltf_skeleton
@@ -50,10 +50,8 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     if JOINT_WEIGHTS in arrays:  # a USD or glTF file: other primvars are no weights
         arrays = {JOINT_WEIGHTS: arrays[JOINT_WEIGHTS]}
     _require_rows(arrays, result.source.control, rows, request)
-    try:
+    with values_of(request.weights):
         skin, scaled = normalised_skin(_table(arrays))
-    except ParameterError as error:
-        raise ParameterError(f"{request.weights}: {error}") from None
     skeleton = None
     if request.joints is not None:
         skeleton = read_skeleton(request.joints, result.source.control)
@@ -63,10 +61,8 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     elif request.weights.suffix.lower() in SCENE_SUFFIXES:
         skeleton = gltf_skeleton(request.weights)
     stages("weights")
-    try:
+    with values_of(request.weights):
         carried = carry_weights(result, skin, influences=request.influences or None)
-    except ParameterError as error:
-        raise ParameterError(f"{request.weights}: {error}") from None
     target_rows = file_rows(request.result, result, "target")
     named = all(array.ndim == 1 for array in arrays.values())
     names = tuple(arrays) if named else () if skeleton is None else skeleton.names

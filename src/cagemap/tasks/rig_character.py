@@ -12,7 +12,7 @@ from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.poses import pose_at
 from cagemap.character.roles import find_body, joined_to
 from cagemap.character.values import Character, Part, skinned_positions
-from cagemap.errors import FormatError, ParameterError
+from cagemap.errors import FormatError, ParameterError, values_of
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.character import character_of, read_animations
 from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document, write_document
@@ -152,10 +152,8 @@ def read_body(path: Path) -> tuple[Document | None, Character]:
 
 def body_in(character: Character, name: str | None, path: Path) -> Part:
     """The body of a file's character; errors name the file."""
-    try:
+    with values_of(path):
         return find_body(character.parts, name)
-    except ParameterError as error:
-        raise ParameterError(f"{path}: {error}") from None
 
 
 def _split_body(path: Path, character: Character, body: Part) -> list[str]:

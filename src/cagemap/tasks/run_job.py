@@ -6,11 +6,8 @@ import json
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
-
-from pydantic import TypeAdapter
 
 from cagemap.errors import CagemapError, FormatError, ParameterError, use_option_names
 from cagemap.files.images.image import write_image
@@ -40,6 +37,7 @@ from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
+from cagemap.tasks.requests.options import validated
 from cagemap.tasks.requests.run import RunRequest
 from cagemap.tasks.transfer import check_transfer
 from cagemap.tasks.wrap import check_wrap
@@ -55,8 +53,10 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     _require_sound(job, plan)
     if request.dry_run:
         return dry_run(job, plan, request.workers or core_count()), True
-    if request.export is not None:
-        return exported(request.export, job.path, plan), True
+    if request.export == "slurm":
+        return slurm_script(job.path, farm_steps(plan)), True
+    if request.export == "openjd":
+        return json.dumps(openjd_template(job.path, farm_steps(plan)), indent=2), True
     if request.task is not None:
         return run_numbered(request.task, job.path.stem, plan, version, stages)
     started, slowest = time.perf_counter(), TaskOutcome("", "done")
@@ -80,15 +80,6 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     outcomes |= {name: matched[name] for name, now in outcomes.items() if now.state == "kept" and name in matched}
     stages("page")
     return _concluded(job.path.stem, plan, outcomes, verdict, started)
-
-
-def exported(kind: str, job: Path, plan: Plan) -> str:
-    """A template or script for a render farm or cluster: "openjd" or "slurm"."""
-    if kind == "slurm":
-        return slurm_script(job, farm_steps(plan))
-    if kind == "openjd":
-        return json.dumps(openjd_template(job, farm_steps(plan)), indent=2)
-    raise ParameterError(f"--export: expected openjd or slurm, got '{kind}'.")
 
 
 def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stages) -> tuple[str, bool]:
@@ -151,17 +142,7 @@ def _request_of(task: Task) -> Any:
     arguments = dict(task.request)
     if task.kind == "wrap":
         arguments["results"] = [arguments.pop("result")]
-    if task.kind != "match":
-        return _adapter(COMMANDS[task.kind]).validate_python(arguments)
-    if "map" in arguments:
-        return _adapter(MapRequest).validate_python(arguments)
-    return _adapter(MatchRequest).validate_python({"landmarks": None, **arguments})
-
-
-@cache
-def _adapter(kind: type) -> TypeAdapter[Any]:
-    """Validation of a request, which takes 0.03 s to prepare: a job has thousands of tasks."""
-    return TypeAdapter(kind)
+    return validated(MapRequest if task.kind == "match" and "map" in arguments else COMMANDS[task.kind], arguments)
 
 
 def _done_alone(name: str, plan: Plan) -> TaskOutcome:
@@ -299,8 +280,8 @@ def _match(task: Task, stages: Stages) -> dict[str, Any]:
 def _prepare(task: Task) -> dict[str, Any]:
     """Prepare one surface as a match would do for that side, and keep it in the store."""
     file, side = Path(task.request["file"]), SIDES.index(task.request["side"])
-    arguments = {"target": file, "source": file, "landmarks": None, "output": file, **task.request["options"]}
-    request: MatchRequest = TypeAdapter(MatchRequest).validate_python(arguments)
+    arguments = {"target": file, "source": file, "output": file, **task.request["options"]}
+    request: MatchRequest = validated(MatchRequest, arguments)
     control = weld_control(read_control(file, request, task.request["side"]), request, task.request["side"]).mesh
     if isinstance(control.scheme, Plain):
         control = plain_mesh(control).mesh

@@ -4,49 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from enum import StrEnum
-from typing import TYPE_CHECKING
 
 from cagemap.errors import ParameterError
-
-if TYPE_CHECKING:  # the command line starts without the numerics
-    from cagemap.mesh import ControlMesh
-    from cagemap.mesh.weld import Welded
-
-
-class SchemeName(StrEnum):
-    """Subdivision schemes."""
-
-    CATMULL_CLARK = "catmull-clark"
-    LOOP = "loop"
-    BILINEAR = "bilinear"
-    NONE = "none"
-
-
-class BoundaryName(StrEnum):
-    """Boundary rules."""
-
-    EDGE_AND_CORNER = "edge-and-corner"
-    EDGE_ONLY = "edge-only"
-    NONE = "none"
-
-
-class UvName(StrEnum):
-    """Rules for linear interpolation of UVs."""
-
-    NONE = "none"
-    CORNERS_ONLY = "corners-only"
-    CORNERS_PLUS1 = "corners-plus1"
-    CORNERS_PLUS2 = "corners-plus2"
-    BOUNDARIES = "boundaries"
-    ALL = "all"
-
-
-class CreasingName(StrEnum):
-    """Rules for semi-sharp creases."""
-
-    UNIFORM = "uniform"
-    CHAIKIN = "chaikin"
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.weld import Welded, keep_unwelded, weld_mesh
+from cagemap.subdivision import with_options
 
 
 @dataclass(frozen=True)
@@ -60,8 +22,6 @@ class SubdivisionRequest:
 
     def applied(self, control: ControlMesh) -> ControlMesh:
         """The mesh with these subdivision options."""
-        from cagemap.subdivision import with_options
-
         words = (self.boundary, self.uv_interpolation, self.creasing)
         boundary, uvs, creasing = (None if word is None else word.replace("-", "_") for word in words)
         if (self.scheme, boundary, uvs, creasing) == (None,) * 4:
@@ -80,8 +40,6 @@ AUTO = "auto"
 
 def weld_asked(control: ControlMesh, word: str | None) -> Welded:
     """The mesh welded by ``--weld`` (``auto`` or a tolerance); not welded for None."""
-    from cagemap.mesh.weld import keep_unwelded, weld_mesh
-
     return keep_unwelded(control) if word is None else weld_mesh(control, _tolerance(word))
 
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import cast
 
-from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.passengers import carry_passenger
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import (
@@ -42,40 +40,38 @@ from cagemap.tasks.detail_bakes import require_green
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import in_file, keep_base, with_masks
 from cagemap.tasks.progress import Said, Stages
+from cagemap.tasks.requests.options import refuse_unread
 from cagemap.tasks.requests.transfer import TransferRequest, require_map_names
 from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
 from cagemap.tasks.usd_output import missing_file_warnings, texture_reference, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
-from cagemap.transfer.texture import FILTERS
 
 Carrier = Callable[[TransferRequest, MatchResult, Stages], Said]
-# Data that is carried whole: masks are refused with it.
-_WHOLE = ("--source-uvs", "--joints", "--passenger", "--write-map")
-
 # Kinds of data whose transfer reads an option; with other kinds the option is refused.
-_PICTURES = ("--texture", "--displacement", "--normal-map", "--vector-displacement", "--bake")
+_PICTURES = ("texture", "displacement", "normal_map", "vector_displacement", "bake", "material_colors")
+_MASKED = (*_PICTURES, "attribute", "weights", "blend_shapes")
 _READ_BY = {
-    "usd": ("--texture", "--attribute", "--weights", "--blend-shapes"),
-    "space": ("--normal-map", "--vector-displacement", "--bake"),
-    "green": ("--texture", "--normal-map", "--bake"),
-    "as_color": ("--texture",),
-    "filter": (*_PICTURES, "--material-colors"),
-    "detail": ("--bake",),
-    "detail_texture": ("--bake",),
-    "rays": ("--bake",),
-    "influences": ("--weights",),
-    "only": ("--weights",),
-    "mirror": ("--weights",),
-    "kind": ("--passenger",),
-    "size": (*_PICTURES, "--material-colors"),
-    "bits": (*_PICTURES, "--material-colors"),
-    "scale": ("--displacement", "--vector-displacement"),
-    "midlevel": ("--displacement", "--vector-displacement"),
-    "unwrap": (*_PICTURES, "--material-colors"),
-    "bases": (*_PICTURES, "--material-colors", "--attribute", "--weights"),
+    "usd": ("texture", "attribute", "weights", "blend_shapes"),
+    "space": ("normal_map", "vector_displacement", "bake"),
+    "green": ("texture", "normal_map", "bake"),
+    "as_color": ("texture",),
+    "filter": _PICTURES,
+    "detail": ("bake",),
+    "detail_texture": ("bake",),
+    "rays": ("bake",),
+    "influences": ("weights",),
+    "only": ("weights",),
+    "mirror": ("weights",),
+    "kind": ("passenger",),
+    "size": _PICTURES,
+    "bits": _PICTURES,
+    "scale": ("displacement", "vector_displacement"),
+    "midlevel": ("displacement", "vector_displacement"),
+    "unwrap": _PICTURES,
+    "bases": (*_PICTURES, "attribute", "weights"),
+    "target_mask": _MASKED,
+    "source_mask": _MASKED,
 }
-
-_SAID_AS = {"kind": "as", "bases": "base"}  # options whose field has another name
 
 
 def run_transfer(request: TransferRequest, stages: Stages) -> Said:
@@ -124,58 +120,38 @@ def check_transfer(request: TransferRequest) -> Carrier:
     for option, value in (("--scale", request.scale), ("--midlevel", request.midlevel)):
         if value is not None and not math.isfinite(value):
             raise ParameterError(f"{option}: expected a finite number, got {value}.")
-    if request.filter not in FILTERS:
-        raise ParameterError(f"--filter: expected {', '.join(FILTERS)}, got {request.filter}.")
     return carry
 
 
 def _carrier(request: TransferRequest) -> Carrier:
     """Function that carries the requested kind of data; refuses none or several kinds."""
     carriers: dict[str, Carrier] = {
-        "--texture": carry_texture,
-        "--displacement": carry_displacement,
-        "--normal-map": carry_normal_map,
-        "--vector-displacement": carry_vector_displacement,
-        "--attribute": _carry_attribute,
-        "--material-colors": carry_material_colors,
-        "--bake": carry_detail,
-        "--source-uvs": _carry_uvs,
-        "--weights": transfer_weights,
-        "--joints": transfer_skeleton,
-        "--blend-shapes": transfer_shapes,
-        "--passenger": transfer_passenger,
-        "--write-map": write_point_map,
+        "texture": carry_texture,
+        "displacement": carry_displacement,
+        "normal_map": carry_normal_map,
+        "vector_displacement": carry_vector_displacement,
+        "attribute": _carry_attribute,
+        "material_colors": carry_material_colors,
+        "bake": carry_detail,
+        "source_uvs": _carry_uvs,
+        "weights": transfer_weights,
+        "joints": transfer_skeleton,
+        "blend_shapes": transfer_shapes,
+        "passenger": transfer_passenger,
+        "write_map": write_point_map,
     }
-    chosen = [option for option in carriers if getattr(request, option[2:].replace("-", "_"))]
-    if request.maps:
-        chosen.insert(0, "--texture")
-    if "--weights" in chosen and "--joints" in chosen:  # the joints name the weights' columns
-        chosen.remove("--joints")
+    chosen = [name for name in carriers if getattr(request, name) or (name == "texture" and request.maps)]
+    if "weights" in chosen and "joints" in chosen:  # the joints name the weights' columns
+        chosen.remove("joints")
     if len(chosen) != 1:
+        listed, got = ([f"--{name.replace('_', '-')}" for name in names] for names in (carriers, chosen))
         raise ParameterError(
-            f"expected one of {', '.join(carriers)}, got {' and '.join(chosen) or 'none'}. Run the command once for "
-            "each kind of data."
+            f"expected one of {', '.join(listed)}, got {' and '.join(got) or 'none'}. Run the command once for each "
+            "kind of data."
         )
-    masks = {"--target-mask": request.target_mask, "--source-mask": request.source_mask}
-    given_masks = [option for option, mask in masks.items() if mask is not None]
-    if given_masks and chosen[0] in _WHOLE:
-        raise ParameterError(
-            f"{' and '.join(given_masks)}: masks apply to images, values, weights and blend shapes only; "
-            f"{chosen[0]} is carried whole. Leave the mask out."
-        )
-    _require_read(request, chosen[0])
-    return carriers[chosen[0]]
-
-
-def _require_read(request: TransferRequest, carried: str) -> None:
-    """Refuse options that the requested transfer does not read."""
     require_green(request)
-    for option, readers in _READ_BY.items():
-        if getattr(request, option) != getattr(TransferRequest, option) and carried not in readers:
-            flag = _SAID_AS.get(option, option.replace("_", "-"))
-            raise ParameterError(
-                f"--{flag}: expected with {' or '.join(readers)} only, got {carried}. Leave --{flag} out."
-            )
+    refuse_unread(request, _READ_BY, chosen)
+    return carriers[chosen[0]]
 
 
 def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
@@ -257,7 +233,7 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     stages("passenger")
     target, source = (input_file(request.result, result.manifest, side) for side in ("target", "source"))
     worn = mesh.with_positions(moved(mesh.positions, between_spaces(source, request.passenger)))
-    carried = carry_passenger(result, worn, kind=cast(PassengerKind | None, request.kind))
+    carried = carry_passenger(result, worn, kind=request.kind)
     places, like = carried.positions, request.passenger
     if states_units(request.passenger) and states_units(request.output):  # in the passenger's own units and axes
         places = moved(places, between_spaces(request.passenger, target))

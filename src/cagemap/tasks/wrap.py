@@ -45,7 +45,7 @@ from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.catalogue import WRAP_IMAGES_OF, WRITTEN
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
-from cagemap.tasks.requests.options import given_files, said
+from cagemap.tasks.requests.options import given_files, refuse_unread, said
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.transfer import carry_one
@@ -96,12 +96,12 @@ def _found(
         return results, run_map(MapRequest(request.map, target, sources[0], results[0], **options), stages)[1]
     options, warnings = _of_both(request, "scheme", "weld"), list[str]()
     if len(sources) == 1:
-        result = match_files(MatchRequest(target, sources[0], request.landmarks, results[0], **options), stages)
+        result = match_files(MatchRequest(target, sources[0], results[0], request.landmarks, **options), stages)
         return results, list(dict.fromkeys(result_warnings(result)))
     before: MatchResult | None = None
     for frame, (source, output) in enumerate(zip(sources, results, strict=True)):
         landmarks = None if frame else request.landmarks
-        result = match_files(MatchRequest(target, source, landmarks, output, **options), stages, before)
+        result = match_files(MatchRequest(target, source, output, landmarks, **options), stages, before)
         stages.note(f"frame {frame + 1} of {len(sources)}, {source.name}: {_frame_text(result, before)}")
         warnings += [f"{source.name}: {message}" for message in result_warnings(result)]
         before = replace(result, prepared=None)
@@ -144,10 +144,9 @@ def check_wrap(request: WrapRequest) -> None:
         raise ParameterError(
             "--texture (or --detail-texture) and --baked: expected an image and the one to write, got one of them"
         )
-    if not request.target and any(_of_both(request, "scheme", "weld").values()):
-        raise ParameterError(
-            "--scheme, --weld: expected with --target and --source; a RESULT has its schemes and welded meshes already"
-        )
+    # A RESULT has its schemes and welded meshes already.
+    matched = dict.fromkeys(_of_both(request, "scheme", "weld"), ("target",))
+    refuse_unread(request, matched, () if request.target is None else ("target",))
     if (request.target_scheme or request.scheme) == "none":
         raise ParameterError(f"{request.target}: {NO_CAGE}")
     if request.map is not None and (request.landmarks is not None or any(_of_both(request, "scheme").values())):
@@ -169,10 +168,7 @@ def check_wrap(request: WrapRequest) -> None:
         )
     if request.detail is not None and not bakes.images:
         raise ParameterError("--detail: expected an image to bake from it, such as --normal-map")
-    for option, readers in WRAP_IMAGES_OF.items():
-        if getattr(request, option) != getattr(WrapRequest, option) and not any(map(request.__getattribute__, readers)):
-            words = " or ".join(f"--{reader.replace('_', '-')}" for reader in readers)
-            raise ParameterError(f"--{option}: expected with {words} only, which bake an image. Leave it out.")
+    refuse_unread(request, WRAP_IMAGES_OF, [name for name in WRITTEN["wrap"] if getattr(request, name) is not None])
     if not request.blend_shapes:
         check_mesh_path(request.output)
 

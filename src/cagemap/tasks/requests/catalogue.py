@@ -4,17 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass
-from enum import StrEnum
 from functools import cache
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, Literal, Union, cast, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
-from pydantic import TypeAdapter
-
-from cagemap.errors import ParameterError
 from cagemap.tasks.requests.match import MatchRequest
-from cagemap.tasks.requests.options import NameOrFile, OneOf, Option, SomeOf, options_in
+from cagemap.tasks.requests.options import Option, options_in, validated, without_none
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
@@ -72,14 +67,6 @@ class CommandOption:
         """Command and field name."""
         return self.command, self.name
 
-    def require(self, value: Value) -> None:
-        """Refuse a number outside its range."""
-        if not isinstance(value, int | float):
-            return
-        if (self.least is not None and value < self.least) or (self.most is not None and value > self.most):
-            most = "or more" if self.most is None else f"to {self.most}"
-            raise ParameterError(f"{self.flag}: expected {self.least} {most}, got {value}. Correct it.")
-
     def placed(self, value: Value, require: Callable[[Path], Path]) -> Value:
         """The value with paths passed through ``require``, which also checks links in folders."""
         if isinstance(value, Path):
@@ -107,70 +94,46 @@ def all_options() -> Options:
     return catalogue(option for command, request in COMMANDS.items() for option in options_of(command, request))
 
 
-def request_of(options: Options, command: str, values: Mapping[str, Value]) -> Request:
+def request_of(command: str, values: Mapping[str, Value]) -> Request:
     """The request of a command with some values of its fields."""
-    for name, value in values.items():
-        if (command, name) in options:
-            options[command, name].require(value)
-    request: Request = _validator(COMMANDS[command]).validate_python(dict(values))
+    request: Request = validated(COMMANDS[command], values)
     return request
-
-
-@cache
-def _validator(request: type) -> TypeAdapter[Any]:
-    return TypeAdapter(request)  # cached: building it takes longer than the rest of a request
 
 
 @cache
 def options_of(command: str, request: type) -> tuple[CommandOption, ...]:
     """Options of one command; fields that are no options are left out."""
     return tuple(
-        _option(command, field.name, kind, info, annotations, None if field.default is MISSING else field.default)
-        for field, kind, annotations, info in options_in(request)
+        _option(command, field.name, kind, option, None if field.default is MISSING else field.default)
+        for field, kind, option in options_in(request)
     )
 
 
-def _option(command: str, name: str, kind: Any, info: Option, said: list[Any], default: Any) -> CommandOption:
-    plain = _without_none(kind)
-    one_of = next((note for note in said if isinstance(note, OneOf)), None)
-    some_of = next((note for note in said if isinstance(note, SomeOf)), None)
-    file_too = next((note for note in said if isinstance(note, NameOrFile)), None)
-    choices: tuple[object, ...] = ()
-    if one_of is not None:
-        choices = one_of.choices
-    elif isinstance(plain, type) and issubclass(plain, StrEnum):
-        choices = tuple(plain)
+def _option(command: str, name: str, kind: Any, option: Option, default: Any) -> CommandOption:
+    plain = without_none(kind)
+    several = get_origin(plain) is tuple
+    one = get_args(plain)[0] if several else plain
+    choices = get_args(one) if get_origin(one) is Literal else ()
     option_kind: Kind
     if name in WRITTEN.get(command, ()):
         option_kind = "output"
-    elif some_of is not None:
-        option_kind, choices = "several", some_of.parts
     elif choices:
-        option_kind = "choice"
+        option_kind = "several" if several else "choice"
     else:
-        option_kind = "name or file" if file_too is not None else _KINDS[plain]
-    flags = info.names or ("--" + name.replace("_", "-"),)
-    flag = next((note for note in flags if note.startswith("--")), flags[0])
-    on, _, off = flag.partition("/")
+        option_kind = "name or file" if option.suffixes else _KINDS[plain]
+    off = option.named(name)[0].partition("/")[2]
     return CommandOption(
         command,
         name,
-        off if off and default else on,
-        info.help,
+        off if default and off else option.flag(name),
+        option.help,
         option_kind,
-        cast(Value, str(default) if option_kind == "choice" and default is not None else default),
+        default,
         tuple(map(str, choices)),
-        () if file_too is None else file_too.suffixes,
-        info.min,
-        info.max,
+        option.suffixes,
+        option.min,
+        option.max,
     )
-
-
-def _without_none(kind: Any) -> Any:
-    if get_origin(kind) in (Union, UnionType):
-        kinds = [member for member in get_args(kind) if member is not NoneType]
-        return kinds[0] if len(kinds) == 1 else kind
-    return kind
 
 
 _KINDS: dict[Any, Kind] = {

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from cagemap.tasks.requests.options import Force, Option
+from cagemap.tasks.requests.options import OUTPUT, Force, Option
 
 
 @dataclass(frozen=True)
@@ -17,5 +17,5 @@ class DemoRequest:
     the meshes, landmarks and texture, so that you can repeat every step by hand.
     """
 
-    output: Annotated[Path, Option(("-o", "--output"), help="Folder to write everything to.")] = Path("cagemap-demo")
+    output: Annotated[Path, Option("Folder to write everything to.", OUTPUT, ("-o",))] = Path("cagemap-demo")
     force: Force = False

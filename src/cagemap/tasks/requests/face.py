@@ -18,20 +18,14 @@ class FaceRequest:
     taken.
     """
 
-    head: Annotated[Path, Argument(metavar="HEAD", help="Head, or rigged body: .glb, .vrm, .fbx, .obj, .ply or USD.")]
-    output: Annotated[Path, Option(("-o", "--output"), group=OUTPUT, help="File to write: .glb, .gltf, .vrm or USD.")]
-    part: Annotated[str | None, Option(group=INPUT, help="Part of HEAD that has the face.  [default: the largest]")] = (
-        None
-    )
+    head: Annotated[Path, Argument("Head, or rigged body: .glb, .vrm, .fbx, .obj, .ply or USD.", metavar="HEAD")]
+    output: Annotated[Path, Option("File to write: .glb, .gltf, .vrm or USD.", OUTPUT, ("-o",))]
+    part: Annotated[str | None, Option("Part of HEAD that has the face.  [default: the largest]", INPUT)] = None
     only: Annotated[
-        str | None, Option(group=INPUT, help="Shapes to make, by ARKit's names: jawOpen,eyeBlinkLeft.  [default: all]")
+        str | None, Option("Shapes to make, by ARKit's names: jawOpen,eyeBlinkLeft.  [default: all]", INPUT)
     ] = None
     landmarks: Annotated[
-        Path | None,
-        Option(
-            group=LANDMARKS,
-            help="Points file of HEAD: nose_tip, chin, mouth_left and others.",
-        ),
+        Path | None, Option("Points file of HEAD: nose_tip, chin, mouth_left and others.", LANDMARKS)
     ] = None
-    sheet: Annotated[Path | None, Option(group=OUTPUT, help="Image to write, with pictures of all shapes.")] = None
+    sheet: Annotated[Path | None, Option("Image to write, with pictures of all shapes.", OUTPUT)] = None
     force: Force = False

@@ -7,6 +7,10 @@ from pathlib import Path
 from typing import Annotated
 
 from cagemap.tasks.requests.options import (
+    FUNCTIONS,
+    INPUT,
+    OUTPUT,
+    RESEARCH,
     BoundaryOption,
     CreasingOption,
     Force,
@@ -26,37 +30,37 @@ class FunctionsRequest:
     """
 
     mesh: MeshFile
-    output: Annotated[
-        Path, Option(("-o", "--output"), help="Arrays, .npz, .npy or .csv; or the mesh in colours, .ply.")
-    ]
+    output: Annotated[Path, Option("Arrays, .npz, .npy or .csv; or the mesh in colours, .ply.", OUTPUT, ("-o",))]
     kinds: Annotated[
         str,
         Option(
-            help="eigenfunctions, heat-signatures, wave-signatures, heat-kernels, wave-kernels; several with commas."
+            "eigenfunctions, heat-signatures, wave-signatures, heat-kernels, wave-kernels; several with commas.",
+            FUNCTIONS,
         ),
     ] = "eigenfunctions"
     level: Annotated[
-        int | None,
-        Option(("--level", "-l"), min=1, help="Finest level of the surface.  [default: about 50000 vertices]"),
+        int | None, Option("Finest level of the surface.  [default: about 50000 vertices]", INPUT, ("-l",), min=1)
     ] = None
     at: Annotated[
-        int | None, Option(min=0, help="Level at whose vertices the functions are given.  [default: the finest]")
+        int | None, Option("Level at whose vertices the functions are given.  [default: the finest]", FUNCTIONS, min=0)
     ] = None
-    k: Annotated[int, Option(("-k",), min=1, help="Basis functions.")] = 100
-    schedule: Annotated[str | None, Option(help="Basis functions per level, such as 100,50,50,50; replaces -k.")] = None
-    laplacian: Annotated[str, Option(help="mean, alexa-wardetzky[:LAMBDA] or de-goes-butts-desbrun[:LAMBDA].")] = "mean"
-    accuracy: Annotated[float, Option(help="Convergence of the eigensolver.")] = 1e-5
-    literal: Annotated[
-        bool, Option(("--literal",), help="With --schedule: the paper's Definition 2 exactly as printed.")
-    ] = False
-    heat: Annotated[int, Option(min=1, help="Heat signatures or kernels: diffusion times.")] = 10
-    wave: Annotated[int, Option(min=1, help="Wave signatures or kernels: energies.")] = 20
-    points: Annotated[str | None, Option(help="Kernels: control vertices that they start from, such as 0,12,40.")] = (
-        None
+    k: Annotated[int, Option("Basis functions.", RESEARCH, min=1)] = 100
+    schedule: Annotated[
+        str | None, Option("Basis functions per level, such as 100,50,50,50; replaces -k.", RESEARCH)
+    ] = None
+    laplacian: Annotated[str, Option("mean, alexa-wardetzky[:LAMBDA] or de-goes-butts-desbrun[:LAMBDA].", RESEARCH)] = (
+        "mean"
     )
+    accuracy: Annotated[float, Option("Convergence of the eigensolver.", RESEARCH)] = 1e-5
+    literal: Annotated[bool, Option("With --schedule: the paper's Definition 2 exactly as printed.", RESEARCH)] = False
+    heat: Annotated[int, Option("Heat signatures or kernels: diffusion times.", FUNCTIONS, min=1)] = 10
+    wave: Annotated[int, Option("Wave signatures or kernels: energies.", FUNCTIONS, min=1)] = 20
+    points: Annotated[
+        str | None, Option("Kernels: control vertices that they start from, such as 0,12,40.", FUNCTIONS)
+    ] = None
     column: Annotated[
         int | None,
-        Option(min=0, help="Function that a .ply shows as colours.  [default: the first that is not constant]"),
+        Option("Function that a .ply shows as colours.  [default: the first that is not constant]", OUTPUT, min=0),
     ] = None
     scheme: SchemeOption = None
     weld: WeldOption = None

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 from cagemap.tasks.requests.options import (
+    INPUT,
+    OUTPUT,
     Argument,
     Force,
     MaskEdgeOption,
@@ -29,11 +31,13 @@ class MapRequest:
     writes.
     """
 
-    map: Annotated[Path, Argument(metavar="MAP", help="Point map: .npy, .npz, .mtx or .vts.")]
-    target: Annotated[Path, Option(("--target", "-t"), help="Mesh that receives; the map starts from it.")]
-    source: Annotated[Path, Option(("--source", "-s"), help="Mesh that gives; the map goes to it.")]
-    output: Annotated[Path, Option(("-o", "--output"), help="RESULT folder to write.")]
-    level: Annotated[int | None, Option(min=1, help="Level of both surfaces.  [default: about 50000 vertices]")] = None
+    map: Annotated[Path, Argument("Point map: .npy, .npz, .mtx or .vts.", metavar="MAP")]
+    target: Annotated[Path, Option("Mesh that receives; the map starts from it.", INPUT, ("-t",))]
+    source: Annotated[Path, Option("Mesh that gives; the map goes to it.", INPUT, ("-s",))]
+    output: Annotated[Path, Option("RESULT folder to write.", OUTPUT, ("-o",))]
+    level: Annotated[int | None, Option("Level of both surfaces.  [default: about 50000 vertices]", INPUT, min=1)] = (
+        None
+    )
     weld: WeldOption = None
     target_weld: TargetWeldOption = None
     source_weld: SourceWeldOption = None

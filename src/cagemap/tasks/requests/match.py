@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cagemap.tasks.requests.options import (
     INPUT,
@@ -15,7 +15,6 @@ from cagemap.tasks.requests.options import (
     CreasingOption,
     Force,
     MaskEdgeOption,
-    Method,
     Option,
     SchemeOption,
     SourceMaskOption,
@@ -42,28 +41,18 @@ class MatchRequest:
     """
 
     target: Annotated[
-        Path,
-        Option(
-            ("--target", "-t"), group=INPUT, help="Mesh that receives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."
-        ),
+        Path, Option("Mesh that receives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD.", INPUT, ("-t",))
     ]
-    source: Annotated[
-        Path,
-        Option(("--source", "-s"), group=INPUT, help="Mesh that gives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."),
-    ]
-    landmarks: Annotated[Path | None, Option(group=LANDMARKS, help="JSON file of pairs of corresponding points.")]
-    output: Annotated[Path, Option(("-o", "--output"), group=OUTPUT, help="RESULT folder to write.")]
+    source: Annotated[Path, Option("Mesh that gives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD.", INPUT, ("-s",))]
+    output: Annotated[Path, Option("RESULT folder to write.", OUTPUT, ("-o",))]
+    landmarks: Annotated[Path | None, Option("JSON file of pairs of corresponding points.", LANDMARKS)] = None
     level: Annotated[
-        int | None,
-        Option(group=INPUT, min=1, help="Subdivision level of both surfaces.  [default: chosen by --vertices]"),
+        int | None, Option("Subdivision level of both surfaces.  [default: chosen by --vertices]", INPUT, min=1)
     ] = None
     vertices: Annotated[
-        int | None,
-        Option(group=INPUT, min=1, help="Instead of --level: 0.75 to 3 times this many vertices.  [default: 200000]"),
+        int | None, Option("Instead of --level: 0.75 to 3 times this many vertices.  [default: 200000]", INPUT, min=1)
     ] = None
-    k: Annotated[
-        int | None, Option(("-k",), group=RESEARCH, min=3, help="Basis functions of each surface.  [default: 100]")
-    ] = None
+    k: Annotated[int | None, Option("Basis functions of each surface.  [default: 100]", RESEARCH, min=3)] = None
     schedule: Annotated[
         str | None, setting("Basis functions per level, such as 100,50,50,50 (the paper's); replaces -k.")
     ] = None
@@ -76,22 +65,20 @@ class MatchRequest:
     source_k: Annotated[int | None, setting("k of the source alone.", min=3)] = None
     source_schedule: Annotated[str | None, setting("schedule of the source alone.")] = None
     laplacian: Annotated[
-        str | None,
-        setting("Of quads: mean, alexa-wardetzky or de-goes-butts-desbrun, with :LAMBDA.  [default: mean]"),
+        str | None, setting("Of quads: mean, alexa-wardetzky or de-goes-butts-desbrun, with :LAMBDA.  [default: mean]")
     ] = None
     accuracy: Annotated[float | None, setting("Convergence of the eigensolver.  [default: 1e-3; paper: 1e-5]")] = None
-    literal: Annotated[bool, setting("With schedule: the paper's Definition 2 exactly as printed.", "--literal")] = (
-        False
-    )
+    literal: Annotated[bool, setting("With schedule: the paper's Definition 2 exactly as printed.")] = False
     target_laplacian: Annotated[str | None, setting("laplacian of the target alone.")] = None
     target_accuracy: Annotated[float | None, setting("accuracy of the target alone.")] = None
-    target_literal: Annotated[bool, setting("literal of the target alone.", "--target-literal")] = False
+    target_literal: Annotated[bool, setting("literal of the target alone.")] = False
     source_laplacian: Annotated[str | None, setting("laplacian of the source alone.")] = None
     source_accuracy: Annotated[float | None, setting("accuracy of the source alone.")] = None
-    source_literal: Annotated[bool, setting("literal of the source alone.", "--source-literal")] = False
+    source_literal: Annotated[bool, setting("literal of the source alone.")] = False
     method: Annotated[
-        Method, Option(group=RESEARCH, help="elastic maps landmarks exactly; hfm and paper compute functional maps.")
-    ] = Method.ELASTIC
+        Literal["elastic", "hfm", "paper"],
+        Option("elastic maps landmarks exactly; hfm and paper are functional maps.", RESEARCH),
+    ] = "elastic"
     parameter: Annotated[
         tuple[str, ...],
         setting("A parameter of the method, such as search_vertices=6000; repeat it for more.", metavar="NAME=VALUE"),
@@ -99,33 +86,25 @@ class MatchRequest:
     symmetry: Annotated[
         bool,
         Option(
-            ("--symmetry/--no-symmetry",),
-            group=RESEARCH,
-            help="--method paper: use mirror symmetry where both meshes have it.",
+            "--method paper: use mirror symmetry where both meshes have it.", RESEARCH, ("--symmetry/--no-symmetry",)
         ),
     ] = True
     target_symmetry: Annotated[
         tuple[Path, ...], setting("--method paper or hfm: image of every control vertex of the target.")
     ] = ()
     source_symmetry: Annotated[tuple[Path, ...], setting("The same symmetry of the source; repeat both for more.")] = ()
-    exchange_landmarks: Annotated[
-        bool,
-        Option(("--exchange-landmarks",), group=LANDMARKS, help="The landmark file was made for the other direction."),
-    ] = False
-    trust_landmarks: Annotated[
-        bool,
-        Option(("--trust-landmarks",), group=LANDMARKS, help="Keep every landmark; by default, outliers are left out."),
-    ] = False
-    answer: Annotated[
-        int, Option(group=OUTPUT, min=0, help="Which reported alignment to use: 0 the best, 1 the second.")
-    ] = 0
+    exchange_landmarks: Annotated[bool, Option("The landmark file was made for the other direction.", LANDMARKS)] = (
+        False
+    )
+    trust_landmarks: Annotated[bool, Option("Keep every landmark; by default, outliers are left out.", LANDMARKS)] = (
+        False
+    )
+    answer: Annotated[int, Option("Which reported alignment to use: 0 the best, 1 the second.", OUTPUT, min=0)] = 0
     target_points: Annotated[
-        Path | None, Option(group=LANDMARKS, help="Named points of the target; equal names on both are landmarks.")
+        Path | None, Option("Named points of the target; equal names on both are landmarks.", LANDMARKS)
     ] = None
-    source_points: Annotated[Path | None, Option(group=LANDMARKS, help="Named points of the source.")] = None
-    curves: Annotated[
-        Path | None, Option(group=LANDMARKS, help="JSON file of corresponding curves: eyelids, lips, hems.")
-    ] = None
+    source_points: Annotated[Path | None, Option("Named points of the source.", LANDMARKS)] = None
+    curves: Annotated[Path | None, Option("JSON file of corresponding curves: eyelids, lips, hems.", LANDMARKS)] = None
     scheme: SchemeOption = None
     target_scheme: TargetSchemeOption = None
     source_scheme: SourceSchemeOption = None
@@ -137,23 +116,20 @@ class MatchRequest:
     source_weld: SourceWeldOption = None
     part: Annotated[
         str | None,
-        Option(
-            group=INPUT,
-            help="An object, group, material or component by name; largest, each or material.  [default: whole file]",
-        ),
+        Option("Object, group, material or component by name; largest, each or material.  [default: all]", INPUT),
     ] = None
     target_part: TargetPartOption = None
     source_part: SourcePartOption = None
     target_uv_set: Annotated[
-        str | None, Option(group=INPUT, help="UV set of the target to bake into, by name.  [default: first]")
+        str | None, Option("UV set of the target to bake into, by name.  [default: first]", INPUT)
     ] = None
     source_uv_set: Annotated[
-        str | None, Option(group=INPUT, help="UV set of the source that its images belong to.  [default: first]")
+        str | None, Option("UV set of the source that its images belong to.  [default: first]", INPUT)
     ] = None
     target_mask: TargetMaskOption = None
     source_mask: SourceMaskOption = None
     mask_edge: MaskEdgeOption = None
     cache: Annotated[
-        Path | None, Option(group=INPUT, help="Folder that keeps prepared surfaces, so that each is prepared once.")
+        Path | None, Option("Folder that keeps prepared surfaces, so that each is prepared once.", INPUT)
     ] = None
     force: Force = False

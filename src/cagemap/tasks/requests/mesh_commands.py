@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 from cagemap.tasks.requests.options import (
+    INPUT,
+    OUTPUT,
     Argument,
     BoundaryOption,
     CreasingOption,
@@ -28,10 +30,9 @@ class CheckRequest:
     """
 
     meshes: Annotated[
-        tuple[Path, ...],
-        Argument(metavar="MESH", help="Control meshes, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD."),
+        tuple[Path, ...], Argument("Control meshes, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD.", metavar="MESH")
     ]
-    for_scripts: Annotated[bool, Option(("--json",), help="Print JSON, for scripts.")] = False
+    for_scripts: Annotated[bool, Option("Print JSON, for scripts.", OUTPUT, ("--json",))] = False
     scheme: SchemeOption = None
     weld: WeldOption = None
 
@@ -46,12 +47,12 @@ class RefineRequest:
     """
 
     mesh: MeshFile
-    level: Annotated[int, Option(("--level", "-l"), min=0, help="Subdivision steps; each has about 4 times the faces.")]
-    output: Annotated[Path, Option(("-o", "--output"), help="Mesh to write, .obj, .ply, .off, .glb or USD.")]
+    level: Annotated[int, Option("Subdivision steps; each has about 4 times the faces.", INPUT, ("-l",), min=0)]
+    output: Annotated[Path, Option("Mesh to write, .obj, .ply, .off, .glb or USD.", OUTPUT, ("-o",))]
     scheme: SchemeOption = None
     boundary: BoundaryOption = None
     uv_interpolation: UvOption = None
     creasing: CreasingOption = None
     weld: WeldOption = None
-    quads: Annotated[bool, Option(("--quads",), help="Join triangles to the quads that an exporter split.")] = False
+    quads: Annotated[bool, Option("Join triangles to the quads that an exporter split.", INPUT)] = False
     force: Force = False

@@ -2,31 +2,84 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import Field, dataclass, fields
-from enum import StrEnum
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from types import NoneType
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
+from cagemap.errors import ParameterError, wrong_values
 from cagemap.files import MASK_SUFFIXES
-from cagemap.tasks.subdivision import BoundaryName, CreasingName, SchemeName, UvName
 
-# Headings of `--help`.
-INPUT, LANDMARKS, OUTPUT, RESEARCH = "Input", "Landmarks", "Output", "Research"
+# Headings of `--help`, in their order.
+CARRIED, INPUT, LANDMARKS = "What to carry, one of these", "Input", "Landmarks"
+FIT, IMAGES, CHARACTER, FUNCTIONS = "Fit", "Images", "Weights and passengers", "Functions"
+OUTPUT, RESEARCH, PAGE = "Output", "Research", "Page"
+HEADINGS = (CARRIED, INPUT, LANDMARKS, FIT, IMAGES, CHARACTER, FUNCTIONS, OUTPUT, RESEARCH, PAGE)
+
+SchemeName = Literal["catmull-clark", "loop", "bilinear", "none"]
+UvName = Literal["none", "corners-only", "corners-plus1", "corners-plus2", "boundaries", "all"]
 
 
 @dataclass(frozen=True)
 class Option:
     """Option of the command line for a field of a request."""
 
-    names: tuple[str, ...] = ()  # as typed; a switch may have ``--on/--off``. Default: ``--`` and the field's name
-    help: str = ""
+    help: str
+    group: str | None = None  # heading in `--help`
+    names: tuple[str, ...] = ()  # as typed, see `named`; a switch may have ``--on/--off``
     min: float | None = None  # least and largest value
     max: float | None = None
     metavar: str | None = None  # name of the value in help
-    group: str | None = None  # heading in `--help`
-    # Typed as ``--set NAME=VALUE``, see `cagemap.tasks.requests.settings`; ``names`` are its former flags.
-    setting: bool = False
+    suffixes: tuple[str, ...] = ()  # a text that ends in one of them is the name of a file
+    setting: bool = False  # typed as ``--set NAME=VALUE``, see `cagemap.tasks.requests.settings`
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """Validation and JSON schema of the field: its bounds, and the help text as its description."""
+        from pydantic import Field  # here, since `cagemap --help` does not need it
+
+        return handler(Annotated[source, Field(ge=self.min, le=self.max, description=self.help)])
+
+    def named(self, field: str) -> tuple[str, ...]:
+        """What is typed for a field, the long name first: by default the field's name, beside a short one."""
+        if any(name.startswith("--") for name in self.names):
+            return self.names
+        return (f"--{field.replace('_', '-')}" if len(field) > 1 else f"-{field}", *self.names)
+
+    def flag(self, field: str) -> str:
+        """The long name of a field's option; of a switch without its ``/--off``."""
+        return self.named(field)[0].partition("/")[0]
+
+
+def validated(request: type, values: Mapping[str, Any]) -> Any:
+    """A request from values of its fields, which may be of similar kinds, such as texts for paths."""
+    from pydantic import ValidationError  # here, since `cagemap --help` does not need it
+
+    try:
+        return _validator(request).validate_python(dict(values))
+    except ValidationError as error:
+        field, problem = wrong_values(error)[0]
+        raise ParameterError(f"{'.'.join(map(str, field))}: {problem}") from None
+
+
+@cache
+def _validator(request: type) -> Any:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(request)  # cached: making it takes 0.03 s, and a job has thousands of requests
+
+
+def document_fields(request: Any) -> None:
+    """Make ``help(request)`` show the help text of every option."""
+    hints = get_type_hints(request, include_extras=True)
+    lines = (
+        f"{field.name}\n    {option.help}"
+        for field in fields(request)
+        for option in get_args(hints[field.name])
+        if isinstance(option, Option)
+    )
+    request.__init__.__doc__ = "\n".join(["Parameters", "----------", *lines])
 
 
 def said(request: Any, *names: str) -> dict[str, Any]:
@@ -53,141 +106,125 @@ def comma_words(text: str) -> list[str]:
     return [word.strip() for word in text.split(",") if word.strip()]
 
 
-def setting(help: str, *names: str, min: float | None = None, metavar: str | None = None) -> Option:
+def setting(help: str, *, min: float | None = None, metavar: str | None = None) -> Option:
     """A research option, typed as ``--set NAME=VALUE``."""
-    return Option(names, help, min=min, metavar=metavar, group=RESEARCH, setting=True)
+    return Option(help, RESEARCH, min=min, metavar=metavar, setting=True)
 
 
 class Argument(Option):
     """Positional argument of the command line."""
 
 
-def options_in(request: type) -> Iterator[tuple[Field[Any], Any, list[Any], Option]]:
-    """Option fields of a request: field, type, all annotations, and the option among them."""
+class PythonOnly(Option):
+    """Field that the command line fills from another option."""
+
+
+def options_in(request: type) -> Iterator[tuple[Field[Any], Any, Option]]:
+    """Option fields of a request, their types and options."""
     hints = get_type_hints(request, include_extras=True)
     for field in fields(request):
-        if get_origin(hints[field.name]) is Annotated:
-            kind, *annotations = get_args(hints[field.name])
-            yield from (
-                (field, kind, annotations, annotation) for annotation in annotations if type(annotation) is Option
-            )
+        kind, *annotations = get_args(hints[field.name]) or (None,)
+        yield from ((field, kind, option) for option in annotations if type(option) is Option)
 
 
-@dataclass(frozen=True)
-class OneOf:
-    """Allowed values of an option, for the check of job files."""
-
-    choices: tuple[object, ...]
-
-
-@dataclass(frozen=True)
-class SomeOf:
-    """Words that a comma-separated option may list."""
-
-    parts: tuple[str, ...]
+def without_none(kind: Any) -> Any:
+    """A type without None; a union of several others stays."""
+    kinds = [member for member in get_args(kind) if member is not NoneType]
+    return kinds[0] if NoneType in get_args(kind) and len(kinds) == 1 else kind
 
 
-@dataclass(frozen=True)
-class NameOrFile:
-    """An option that is a file if it ends in one of ``suffixes``, and a name otherwise."""
+def refuse_unread(request: Any, readers: Mapping[str, Sequence[str]], given: Collection[str]) -> None:
+    """Refuse options that nothing given reads.
 
-    suffixes: tuple[str, ...]
+    ``readers``: fields or other words that read an option, by its field.
+    """
+    unread = (
+        (name, words)
+        for name, words in readers.items()
+        if getattr(request, name) != getattr(type(request), name) and not set(words) & set(given)
+    )
+    for name, words in unread:
+        flags = {field.name: option.flag(field.name) for field, _, option in options_in(type(request))}
+        expected, got = (" or ".join(flags.get(word, word) for word in listed) for listed in (words, given))
+        raise ParameterError(
+            f"{flags[name]}: expected with {expected} only, got {got or 'none of them'}. Leave {flags[name]} out."
+        )
 
 
 Space = Annotated[
-    str, Option(help="Space of normals and vectors: tangent (MikkTSpace) or object."), OneOf(("tangent", "object"))
+    Literal["tangent", "object"], Option("Space of normals and vectors: tangent (MikkTSpace) or object.", IMAGES)
 ]
-Green = Annotated[str, Option(help="Normal map: green up (OpenGL) or down (DirectX)."), OneOf(("up", "down"))]
-MeshFile = Annotated[
-    Path, Argument(metavar="MESH", help="Control mesh, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD.")
-]
-Force = Annotated[
-    bool,
-    Option(("--force",), group=OUTPUT, help="Also overwrite files that cagemap did not write, or that were edited."),
-]
-ResultFolder = Annotated[Path, Argument(metavar="RESULT", help="Folder that `cagemap match` wrote.")]
+Green = Annotated[Literal["up", "down"], Option("Normal map: green up (OpenGL) or down (DirectX).", IMAGES)]
+MeshFile = Annotated[Path, Argument("Control mesh, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD.", metavar="MESH")]
+Force = Annotated[bool, Option("Also overwrite files that cagemap did not write, or that were edited.", OUTPUT)]
+ResultFolder = Annotated[Path, Argument("Folder that `cagemap match` wrote.", metavar="RESULT")]
 
 SchemeOption = Annotated[
     SchemeName | None,
     Option(
-        group=INPUT,
-        help="Subdivision scheme; none uses the mesh without subdivision.  "
-        "[default: as the file says; glTF, FBX: none; else triangles: loop, others: catmull-clark]",
+        "Subdivision scheme; none uses the mesh without subdivision.  "
+        "[default: the file's, else none (glTF, FBX), loop (triangles), catmull-clark]",
+        INPUT,
     ),
 ]
 TargetSchemeOption = Annotated[
-    SchemeName | None, Option(group=INPUT, help="The target's own scheme, where it differs.  [default: --scheme]")
+    SchemeName | None, Option("The target's own scheme, where it differs.  [default: --scheme]", INPUT)
 ]
 SourceSchemeOption = Annotated[
-    SchemeName | None,
-    Option(group=INPUT, help="The source's own scheme, such as none for a scan.  [default: --scheme]"),
+    SchemeName | None, Option("The source's own scheme, such as none for a scan.  [default: --scheme]", INPUT)
 ]
 WeldOption = Annotated[
     str | None,
     Option(
-        group=INPUT,
+        "Join vertices that the file repeats along seams, within TOLERANCE.  [default: off; glTF and FBX: always]",
+        INPUT,
         metavar="auto|TOLERANCE",
-        help="Join vertices that the file repeats along seams, within TOLERANCE.  [default: off; glTF and FBX: always]",
     ),
 ]
 TargetWeldOption = Annotated[
-    str | None, Option(group=INPUT, metavar="auto|TOLERANCE", help="--weld of the target alone.  [default: --weld]")
+    str | None, Option("--weld of the target alone.  [default: --weld]", INPUT, metavar="auto|TOLERANCE")
 ]
 SourceWeldOption = Annotated[
-    str | None, Option(group=INPUT, metavar="auto|TOLERANCE", help="--weld of the source alone.  [default: --weld]")
+    str | None, Option("--weld of the source alone.  [default: --weld]", INPUT, metavar="auto|TOLERANCE")
 ]
-TargetPartOption = Annotated[str | None, Option(group=INPUT, help="--part of the target alone.  [default: --part]")]
-SourcePartOption = Annotated[str | None, Option(group=INPUT, help="--part of the source alone.  [default: --part]")]
+TargetPartOption = Annotated[str | None, Option("--part of the target alone.  [default: --part]", INPUT)]
+SourcePartOption = Annotated[str | None, Option("--part of the source alone.  [default: --part]", INPUT)]
 BoundaryOption = Annotated[
-    BoundaryName | None,
+    Literal["edge-and-corner", "edge-only", "none"] | None,
     Option(
-        group=INPUT,
-        help="Boundary corners: edge-and-corner keeps them sharp, edge-only rounds them.  "
-        "[default: as the file says, else edge-and-corner]",
+        "Boundary corners: edge-and-corner keeps them sharp, edge-only rounds them.  "
+        "[default: the file's, else edge-and-corner]",
+        INPUT,
     ),
 ]
 UvOption = Annotated[
     UvName | None,
-    Option(
-        group=INPUT,
-        help="Where UVs are interpolated linearly, as in OpenSubdiv.  [default: as the file says, else all]",
-    ),
+    Option("Where UVs are interpolated linearly, as in OpenSubdiv.  [default: the file's, else all]", INPUT),
 ]
 CreasingOption = Annotated[
-    CreasingName | None,
-    Option(
-        group=INPUT, help="Rule for semi-sharp creases, as in OpenSubdiv.  [default: as the file says, else uniform]"
-    ),
+    Literal["uniform", "chaikin"] | None,
+    Option("Rule for semi-sharp creases, as in OpenSubdiv.  [default: the file's, else uniform]", INPUT),
 ]
 
 
 TargetMaskOption = Annotated[
     str | None,
     Option(
-        group=INPUT,
-        help="Only this part of the target: name, values or image; not:... inverts.  [default: all]",
+        "Only this part of the target: name, values or image; not:... inverts.  [default: all]",
+        INPUT,
+        suffixes=MASK_SUFFIXES,
     ),
-    NameOrFile(MASK_SUFFIXES),
 ]
 SourceMaskOption = Annotated[
     str | None,
-    Option(group=INPUT, help="Only this part of the source, see --target-mask.  [default: all]"),
-    NameOrFile(MASK_SUFFIXES),
+    Option("Only this part of the source, see --target-mask.  [default: all]", INPUT, suffixes=MASK_SUFFIXES),
 ]
 MaskEdgeOption = Annotated[
     float | None,
     Option(
-        group=INPUT,
+        "Distance over which masks fade in, relative to the model's size.  "
+        "[default: 0.02 for parts and face values, else 0]",
+        INPUT,
         min=0.0,
-        help="Distance over which masks fade in, relative to the model's size.  [default: 0.02 for parts by name and "
-        "values at faces, else 0]",
     ),
 ]
-
-
-class Method(StrEnum):
-    """Matching methods."""
-
-    ELASTIC = "elastic"
-    HFM = "hfm"
-    PAPER = "paper"

@@ -3,18 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-from cagemap.tasks.requests.options import Force, Option, ResultFolder
-
-
-class UpAxis(StrEnum):
-    """Axis of the target's file that points up in the pictures."""
-
-    Y = "y"
-    Z = "z"
+from cagemap.tasks.requests.options import INPUT, OUTPUT, Force, Option, ResultFolder
 
 
 @dataclass(frozen=True)
@@ -26,17 +18,18 @@ class ReportRequest:
     """
 
     result: ResultFolder
-    output: Annotated[Path, Option(("-o", "--output"), help="HTML file to write.")] = Path("report.html")
-    texture: Annotated[Path | None, Option(help="Source texture to show.  [default: that of the last transfer]")] = None
+    output: Annotated[Path, Option("HTML file to write.", OUTPUT, ("-o",))] = Path("report.html")
+    texture: Annotated[Path | None, Option("Source texture to show.  [default: that of the last transfer]", INPUT)] = (
+        None
+    )
     force: Force = False
     level: Annotated[
-        int | None,
-        Option(min=0, help="Map of this level of the target (methods hfm, paper).  [default: the finest]"),
+        int | None, Option("Map of this level of the target (methods hfm, paper).  [default: the finest]", INPUT, min=0)
     ] = None
     up: Annotated[
-        UpAxis | None,
+        Literal["y", "z"] | None,
         Option(
-            help="Axis of the target that is up in the pictures.  "
-            "[default: from the USD file, or guessed from the shape]"
+            "Axis of the target that is up in the pictures.  [default: the USD file's, or guessed from the shape]",
+            OUTPUT,
         ),
     ] = None

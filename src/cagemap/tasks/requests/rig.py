@@ -17,39 +17,23 @@ class RigRequest:
     file. The body's mesh stays as it is; what it has of its own, such as eyes, stays and follows it.
     """
 
-    body: Annotated[
-        Path, Argument(metavar="BODY", help="Mesh of the body: .obj, .ply, .off, .stl, .glb, .gltf, .vrm, .fbx or USD.")
-    ]
-    like: Annotated[
-        Path, Option(("--like",), group=INPUT, help="Character to transfer from: .glb, .gltf, .vrm, .fbx or USD.")
-    ]
-    output: Annotated[Path, Option(("-o", "--output"), group=OUTPUT, help="File to write: .glb, .gltf, .vrm or USD.")]
-    landmarks: Annotated[
-        Path | None, Option(group=LANDMARKS, help="JSON file of corresponding points of the two bodies.")
-    ] = None
-    body_part: Annotated[
-        str | None, Option(group=INPUT, help="Part of BODY that is the body.  [default: the largest]")
-    ] = None
+    body: Annotated[Path, Argument("Body: .obj, .ply, .off, .stl, .glb, .gltf, .vrm, .fbx or USD.", metavar="BODY")]
+    like: Annotated[Path, Option("Character to transfer from: .glb, .gltf, .vrm, .fbx or USD.", INPUT)]
+    output: Annotated[Path, Option("File to write: .glb, .gltf, .vrm or USD.", OUTPUT, ("-o",))]
+    landmarks: Annotated[Path | None, Option("JSON file of corresponding points of the two bodies.", LANDMARKS)] = None
+    body_part: Annotated[str | None, Option("Part of BODY that is the body.  [default: the largest]", INPUT)] = None
     like_part: Annotated[
-        str | None, Option(group=INPUT, help="Part of the character that is its body.  [default: the largest]")
+        str | None, Option("Part of the character that is its body.  [default: the largest]", INPUT)
     ] = None
     passengers: Annotated[
-        str | None,
-        Option(group=INPUT, help="Clothes, eyes and hair to transfer, by name: eyes,shirt or none.  [default: all]"),
+        str | None, Option("Clothes, eyes and hair to transfer, by name: eyes,shirt or none.  [default: all]", INPUT)
     ] = None
-    rigid: Annotated[str | None, Option(group=INPUT, help="Passengers whose pieces keep their shape: hat,glasses.")] = (
-        None
-    )
-    cloth: Annotated[str | None, Option(group=INPUT, help="Passengers that follow the skin: mask,belt.")] = None
-    influences: Annotated[int, Option(group=OUTPUT, min=0, help="Most joints per vertex; 0 for all.")] = 4
-    keep_textures: Annotated[
-        bool, Option(("--keep-textures",), group=OUTPUT, help="BODY keeps its own materials and textures.")
-    ] = False
+    rigid: Annotated[str | None, Option("Passengers whose pieces keep their shape: hat,glasses.", INPUT)] = None
+    cloth: Annotated[str | None, Option("Passengers that follow the skin: mask,belt.", INPUT)] = None
+    influences: Annotated[int, Option("Most joints per vertex; 0 for all.", OUTPUT, min=0)] = 4
+    keep_textures: Annotated[bool, Option("BODY keeps its own materials and textures.", OUTPUT)] = False
     size: Annotated[
-        int | None,
-        Option(group=OUTPUT, min=1, help="Width and height of baked textures.  [default: as the character's]"),
+        int | None, Option("Width and height of baked textures.  [default: as the character's]", OUTPUT, min=1)
     ] = None
-    report: Annotated[
-        Path | None, Option(group=OUTPUT, help="HTML page to write, which shows the animated result.")
-    ] = None
+    report: Annotated[Path | None, Option("HTML page to write, which shows the animated result.", OUTPUT)] = None
     force: Force = False

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-from cagemap.tasks.requests.options import Argument, OneOf, Option
+from cagemap.tasks.requests.options import Argument, Option
 
 
 @dataclass(frozen=True)
@@ -17,25 +17,18 @@ class RunRequest:
     kept: after a failure or a change, run it again and only missing tasks are done. Exit code 1 if anything failed.
     """
 
-    job: Annotated[Path, Argument(help="Job file, .toml.")]
+    job: Annotated[Path, Argument("Job file, .toml.", metavar="JOB")]
     scheduler: Annotated[
         str | None,
-        Option(
-            help="Address of a running Dask scheduler, such as tcp://host:8786.  [default: processes on this machine]"
-        ),
+        Option("Address of a running Dask scheduler, such as tcp://host:8786.  [default: processes on this machine]"),
     ] = None
-    workers: Annotated[int | None, Option(min=1, help="Processes on this machine.  [default: one for each core]")] = (
-        None
-    )
-    dry_run: Annotated[bool, Option(("--dry-run",), help="Only list tasks; estimate time and disk space.")] = False
+    workers: Annotated[int | None, Option("Processes on this machine.  [default: one for each core]", min=1)] = None
+    dry_run: Annotated[bool, Option("Only list tasks; estimate time and disk space.")] = False
     task: Annotated[
-        str | None,
-        Option(metavar="N|A-B", help="Only tasks of these numbers, without Dask; --dry-run lists them."),
+        str | None, Option("Only tasks of these numbers, without Dask; --dry-run lists them.", metavar="N|A-B")
     ] = None
     export: Annotated[
-        str | None,
-        Option(metavar="openjd|slurm", help="Print a template or script that runs each task by its number."),
-        OneOf(("openjd", "slurm")),
+        Literal["openjd", "slurm"] | None, Option("Print a template or script that runs each task by its number.")
     ] = None
 
     @property

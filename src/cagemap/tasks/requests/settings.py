@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_origin
 
-from cagemap.errors import FormatError, ParameterError, expected_value
+from cagemap.errors import FormatError, ParameterError, wrong_values
 from cagemap.files.text import require_file
 from cagemap.tasks.requests.options import Option, options_in
 
@@ -24,14 +24,14 @@ class Setting:
     name: str  # as typed after ``--set``, such as "target.schedule"
     field: str  # of the request
     kind: Any  # type without the bounds, which the option has
-    option: Option  # its names are its former flags
+    option: Option
 
 
 def settings_of(request: type) -> dict[str, Setting]:
     """Research options of a request, by name; parameters of the method are not listed."""
     return {
         (name := setting_name(field.name)): Setting(name, field.name, kind, option)
-        for field, kind, _, option in options_in(request)
+        for field, kind, option in options_in(request)
         if option.setting and field.name != _PARAMETERS
     }
 
@@ -47,7 +47,7 @@ def moved_options(request: type) -> dict[str, str]:
     moved: dict[str, str] = {}
     for name, setting in settings_of(request).items():
         new = f"--set {name}={'yes' if setting.kind is bool else 'VALUE'}"
-        moved |= dict.fromkeys(setting.option.names or (f"--{setting.field.replace('_', '-')}",), new)
+        moved[setting.option.flag(setting.field)] = new
     return moved | ({f"--{_PARAMETERS}": f"--set {_METHOD}.NAME=VALUE"} if moved else {})
 
 
@@ -59,7 +59,7 @@ def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
     """
     if not words:
         return {}
-    from pydantic import Field, TypeAdapter, ValidationError  # here, since it takes 0.05 s and few commands need it
+    from pydantic import TypeAdapter, ValidationError  # here, since it takes 0.05 s and few commands need it
 
     known = settings_of(request)
     values: dict[str, Any] = {}
@@ -75,14 +75,12 @@ def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
             )
         setting = known[name]
         several = get_origin(setting.kind) is tuple
-        kind: Any = Annotated[setting.kind, Field(ge=setting.option.min)]
+        kind: Any = Annotated[setting.kind, setting.option]
         try:
             given = (value,) if several and isinstance(value, str) else value
             checked = TypeAdapter(kind, config={"allow_inf_nan": False}).validate_python(given)
         except ValidationError as error:
-            raise ParameterError(
-                f"--set {name}: expected {expected_value(error.errors()[0])}, got '{value}'."
-            ) from None
+            raise ParameterError(f"--set {name}: {wrong_values(error)[0][1]}") from None
         checked = tuple(_in_folder(folder, item) for item in checked) if several else _in_folder(folder, checked)
         values[setting.field] = (*values.get(setting.field, ()), *checked) if several else checked
     stated = tuple(f"{name}={value}" for name, value in parameters.items())

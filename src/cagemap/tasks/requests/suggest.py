@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from cagemap.tasks.requests.options import Force, Option, ResultFolder
+from cagemap.tasks.requests.options import OUTPUT, Force, Option, ResultFolder
 
 
 @dataclass(frozen=True)
@@ -18,6 +18,6 @@ class SuggestRequest:
     """
 
     result: ResultFolder
-    output: Annotated[Path, Option(("-o", "--output"), help="Landmark file to write, .json.")] = Path("landmarks.json")
-    count: Annotated[int, Option(min=1, help="How many more landmarks.")] = 3
+    output: Annotated[Path, Option("Landmark file to write, .json.", OUTPUT, ("-o",))] = Path("landmarks.json")
+    count: Annotated[int, Option("How many more landmarks.", OUTPUT, min=1)] = 3
     force: Force = False

@@ -5,21 +5,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cagemap.errors import ParameterError
 from cagemap.tasks.requests.options import (
+    CARRIED,
+    CHARACTER,
+    IMAGES,
+    INPUT,
+    OUTPUT,
     Force,
     Green,
     MaskEdgeOption,
-    OneOf,
     Option,
+    PythonOnly,
     ResultFolder,
-    SomeOf,
     SourceMaskOption,
     Space,
     TargetMaskOption,
 )
+
+BakeKind = Literal["normal", "displacement", "vector-displacement", "ao", "colors", "texture"]
 
 
 @dataclass(frozen=True)
@@ -30,111 +36,102 @@ class TransferRequest:
     """
 
     result: ResultFolder
-    output: Annotated[
-        Path,
-        Option(("-o", "--output"), help="Image, values or mesh to write."),
-    ]
+    output: Annotated[Path, Option("Image, values or mesh to write.", OUTPUT, ("-o",))]
     texture: Annotated[
         Path | None,
-        Option(help="Source image, or glTF, FBX or USD with one; repeat with NAME=IMAGE."),
+        Option("Source image, or glTF, FBX or USD with one; repeat with NAME=IMAGE.", CARRIED, metavar="IMAGE"),
     ] = None
-    maps: tuple[tuple[str, Path], ...] = ()  # images of --texture with names
-    usd: Annotated[Path | None, Option(help="Also write a USD layer over the target.")] = None
-    displacement: Annotated[Path | None, Option(help="Source displacement along the normal.")] = None
+    maps: Annotated[
+        tuple[tuple[str, Path], ...], PythonOnly("Images of a material, instead of --texture, with their names.")
+    ] = ()
+    usd: Annotated[Path | None, Option("Also write a USD layer over the target.", OUTPUT)] = None
+    displacement: Annotated[Path | None, Option("Source displacement map: heights along the normal.", CARRIED)] = None
     normal_map: Annotated[
-        Path | None, Option(help="Source normal map; its directions are converted for the target.")
+        Path | None, Option("Source normal map; its directions are converted for the target.", CARRIED)
     ] = None
-    vector_displacement: Annotated[Path | None, Option(help="Source vector displacement.")] = None
+    vector_displacement: Annotated[Path | None, Option("Source vector displacement map.", CARRIED)] = None
     space: Space = "tangent"
     green: Green = "up"
-    as_color: Annotated[
-        bool, Option(("--as-color",), help="Texture: treat an image that looks like a normal map as colours.")
-    ] = False
+    as_color: Annotated[bool, Option("Texture: treat an image that looks like a normal map as colours.", IMAGES)] = (
+        False
+    )
     filter: Annotated[
-        str,
-        Option(help="Sampling of enlarged images: smooth, linear, or nearest for labels."),
-        OneOf(("smooth", "linear", "nearest")),
+        Literal["smooth", "linear", "nearest"],
+        Option("Sampling of enlarged images: smooth, linear, or nearest for labels.", IMAGES),
     ] = "smooth"
-    attribute: Annotated[
-        Path | None,
-        Option(help="Values at the source's control vertices, faces or corners."),
-    ] = None
-    material_colors: Annotated[bool, Option(("--material-colors",), help="Bake the source's material colours.")] = False
+    attribute: Annotated[Path | None, Option("Values at the source's control vertices, faces or corners.", CARRIED)] = (
+        None
+    )
+    material_colors: Annotated[bool, Option("Bake the source's material colours.", CARRIED)] = False
     bake: Annotated[
-        tuple[str, ...],
-        Option(help="Bake from a detailed mesh: normal, displacement, vector-displacement, ao, colors, texture."),
-        SomeOf(("normal", "displacement", "vector-displacement", "ao", "colors", "texture")),
+        tuple[BakeKind, ...],
+        Option("Bake from a detailed mesh: normal, displacement, vector-displacement, ao, colors, texture.", CARRIED),
     ] = ()
     detail: Annotated[
         Path | None,
         Option(
-            help="Detailed mesh for --bake, at the same place as the source.  [default: the source, for ao and colors]"
+            "Detailed mesh for --bake, at the same place as the source.  [default: the source, for ao and colors]",
+            IMAGES,
         ),
     ] = None
-    detail_texture: Annotated[Path | None, Option(help="Image of the detailed mesh, for --bake texture.")] = None
-    rays: Annotated[int, Option(min=1, help="Rays per vertex, for --bake ao.")] = 128
-    source_uvs: Annotated[
-        bool, Option(("--source-uvs",), help="Give the target the source's UVs; -o is the mesh to write.")
-    ] = False
+    detail_texture: Annotated[Path | None, Option("Image of the detailed mesh, for --bake texture.", IMAGES)] = None
+    rays: Annotated[int, Option("Rays per vertex, for --bake ao.", IMAGES, min=1)] = 128
+    source_uvs: Annotated[bool, Option("Give the target the source's UVs; -o is the mesh to write.", CARRIED)] = False
     weights: Annotated[
-        Path | None, Option(help="Skinning weights: .csv, .npz, .npy, .json groups, glTF, FBX or USD.")
+        Path | None, Option("Skinning weights: .csv, .npz, .npy, .json groups, glTF, FBX or USD.", CARRIED)
     ] = None
-    influences: Annotated[int, Option(min=0, help="Weights: most joints per vertex; 0 for all.")] = 4
-    only: Annotated[str | None, Option(help="Weights: only these joints, with commas; --base has the others.")] = None
-    mirror: Annotated[
-        bool, Option(("--mirror",), help="Weights: make left and right symmetric, by the joints' names.")
-    ] = False
+    influences: Annotated[int, Option("Weights: most joints per vertex; 0 for all.", CHARACTER, min=0)] = 4
+    only: Annotated[
+        str | None, Option("Weights: only these joints, with commas; --base has the others.", CHARACTER)
+    ] = None
+    mirror: Annotated[bool, Option("Weights: make left and right symmetric, by the joints' names.", CHARACTER)] = False
     joints: Annotated[
-        Path | None, Option(help="Skeleton: .json, glTF, FBX, USD; with --weights, names the columns.")
+        Path | None, Option("Skeleton: .json, glTF, FBX, USD; with --weights, names the columns.", CARRIED)
     ] = None
     blend_shapes: Annotated[
-        tuple[Path, ...], Option(help="Source's shapes: mesh, .npz, glTF, FBX, USD or folder; repeat it.")
+        tuple[Path, ...], Option("Source's shapes: mesh, .npz, glTF, FBX, USD or folder; repeat it.", CARRIED)
     ] = ()
-    passenger: Annotated[Path | None, Option(help="Mesh on the source to transfer: clothes, eyes, hair, prop.")] = None
+    passenger: Annotated[Path | None, Option("Mesh on the source to transfer: clothes, eyes, hair, prop.", CARRIED)] = (
+        None
+    )
     kind: Annotated[
-        str | None,
+        Literal["cloth", "rigid", "similarity"] | None,
         Option(
+            "Passenger: cloth, rigid or similarity (rigid, locally scaled).  [default: chosen for each piece]",
+            CHARACTER,
             ("--as",),
-            help="Passenger: cloth, rigid or similarity (rigid, locally scaled).  [default: chosen for each piece]",
         ),
-        OneOf(("cloth", "rigid", "similarity")),
     ] = None
-    write_map: Annotated[
-        bool,
-        Option(("--write-map",), help="Write the map itself, for other programs."),
-    ] = False
+    write_map: Annotated[bool, Option("Write the map itself, for other programs.", CARRIED)] = False
     level: Annotated[
-        int | None,
-        Option(min=0, help="Map of this level of the target (methods hfm, paper).  [default: the finest]"),
+        int | None, Option("Map of this level of the target (methods hfm, paper).  [default: the finest]", INPUT, min=0)
     ] = None
     size: Annotated[
         int | None,
-        Option(min=1, max=65_536, help="Width and height in texels.  [default: the source image's, or 2048]"),
+        Option("Width and height in texels.  [default: the source image's, or 2048]", IMAGES, min=1, max=65536),
     ] = None
     bits: Annotated[
-        int | None,
-        Option(help="Bits per channel: 8, 16 or 32 (float).  [default: as the source image]"),
-        OneOf((8, 16, 32)),
+        Literal[8, 16, 32] | None,
+        Option("Bits per channel: 8, 16 or 32 (float).  [default: as the source image]", IMAGES, metavar="8|16|32"),
     ] = None
-    scale: Annotated[float, Option(help="Displacement: source height between the values 0 and 1.")] = 1.0
+    scale: Annotated[float, Option("Displacement: height that the values 0 to 1 span.", IMAGES)] = 1.0
     midlevel: Annotated[
         float | None,
-        Option(help="Displacement: value of zero displacement.  [default: 0.5 for integers, 0 for floats]"),
+        Option("Displacement: value that means no displacement.  [default: 0.5 for integers, 0 for floats]", IMAGES),
     ] = None
     bases: Annotated[
         tuple[tuple[str, Path], ...],
         Option(
+            "The target's own image or values outside the masks.  [default: transparent]",
+            INPUT,
             ("--base",),
-            help="The target's own image or values outside the masks; [NAME=]IMAGE.  [default: transparent]",
+            metavar="[NAME=]IMAGE",
         ),
     ] = ()
     target_mask: TargetMaskOption = None
     source_mask: SourceMaskOption = None
     mask_edge: MaskEdgeOption = None
-    unwrap: Annotated[
-        bool,
-        Option(("--unwrap",), help="Make UVs where the target has none; writes that mesh too."),
-    ] = False
+    unwrap: Annotated[bool, Option("Make UVs where the target has none; writes that mesh too.", IMAGES)] = False
     force: Force = False
 
 

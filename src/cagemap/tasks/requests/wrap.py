@@ -7,6 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 from cagemap.tasks.requests.options import (
+    FIT,
+    IMAGES,
+    INPUT,
+    LANDMARKS,
+    OUTPUT,
     Argument,
     Force,
     Green,
@@ -33,59 +38,54 @@ class WrapRequest:
 
     results: Annotated[
         tuple[Path, ...],
-        Argument(
-            metavar="[RESULT]...",
-            help="Folder that `cagemap match` wrote; with --target, meshes: the frames of a motion, in order.",
-        ),
+        Argument("Folders of `cagemap match`; with --target, meshes: frames of a motion.", metavar="[RESULT]"),
     ]
     output: Annotated[
-        Path, Option(("-o", "--output"), help="Mesh to write: .obj, .ply, .off, .glb, USD; folder with --blend-shapes.")
+        Path, Option("Mesh to write: .obj, .ply, .off, .glb, USD; folder with --blend-shapes.", OUTPUT, ("-o",))
     ]
-    target: Annotated[
-        Path | None, Option(("--target", "-t"), help="Instead of RESULT: cage to match first, then to wrap.")
-    ] = None
-    source: Annotated[Path | None, Option(("--source", "-s"), help="With --target: mesh to wrap it onto.")] = None
-    landmarks: Annotated[Path | None, Option(help="JSON file of pairs of corresponding points.")] = None
-    map: Annotated[
-        Path | None,
-        Option(help="Point map of any method, instead of a match."),
-    ] = None
+    target: Annotated[Path | None, Option("Instead of RESULT: cage to match first, then to wrap.", INPUT, ("-t",))] = (
+        None
+    )
+    source: Annotated[Path | None, Option("With --target: mesh to wrap it onto.", INPUT, ("-s",))] = None
+    landmarks: Annotated[Path | None, Option("JSON file of pairs of corresponding points.", LANDMARKS)] = None
+    map: Annotated[Path | None, Option("Point map of any method, instead of a match.", INPUT)] = None
     scheme: SchemeOption = None
     target_scheme: TargetSchemeOption = None
     source_scheme: SourceSchemeOption = None
     weld: WeldOption = None
     target_weld: TargetWeldOption = None
     source_weld: SourceWeldOption = None
-    fit_level: Annotated[int, Option(min=0, help="Level whose vertices are fitted; 0 moves the control points.")] = 0
-    amount: Annotated[float, Option(help="From 0, the target, to 1, the source's shape.")] = 1.0
-    fairness: Annotated[float, Option(help="Larger: smoother edge flow; smaller: closer to the source.")] = 1e-4
+    fit_level: Annotated[int, Option("Level whose vertices are fitted; 0 moves the control points.", FIT, min=0)] = 0
+    amount: Annotated[float, Option("From 0, the target, to 1, the source's shape.", FIT)] = 1.0
+    fairness: Annotated[float, Option("Larger: smoother edge flow; smaller: closer to the source.", FIT)] = 1e-4
     weights: Annotated[
-        Path | None, Option(help="Weight of each control vertex: 1 follows the source, 0 its surroundings.")
+        Path | None, Option("Weight of each control vertex: 1 follows the source, 0 its surroundings.", FIT)
     ] = None
     target_mask: TargetMaskOption = None
     source_mask: SourceMaskOption = None
     mask_edge: MaskEdgeOption = None
-    symmetric: Annotated[bool, Option(("--symmetric",), help="Keep a mirror symmetric cage symmetric.")] = False
-    blend_shapes: Annotated[
-        bool, Option(("--blend-shapes",), help="Write a folder: the cage at rest, then every RESULT or frame.")
-    ] = False
+    symmetric: Annotated[bool, Option("Keep a mirror symmetric cage symmetric.", FIT)] = False
+    blend_shapes: Annotated[bool, Option("Write a folder: the cage at rest, then every RESULT or frame.", OUTPUT)] = (
+        False
+    )
     displacement: Annotated[
-        Path | None, Option(help="Image to write: missing detail, as heights along the normal.")
+        Path | None, Option("Image to write: missing detail, as heights along the normal.", IMAGES)
     ] = None
-    vector_displacement: Annotated[Path | None, Option(help="Image to write: missing detail, as vectors.")] = None
-    normal_map: Annotated[Path | None, Option(help="Image to write: the source's normals on the wrapped cage.")] = None
-    occlusion: Annotated[Path | None, Option(help="Image to write: the source's ambient occlusion.")] = None
-    colors: Annotated[Path | None, Option(help="Image to write: the source's vertex colours.")] = None
-    texture: Annotated[Path | None, Option(help="The source's texture, to bake into the target's layout.")] = None
-    baked: Annotated[Path | None, Option(help="Image to write: the baked texture.")] = None
-    detail: Annotated[Path | None, Option(help="More detailed mesh to bake from, instead of the source.")] = None
-    detail_texture: Annotated[Path | None, Option(help="Image of the detailed mesh, baked into --baked.")] = None
+    vector_displacement: Annotated[Path | None, Option("Image to write: missing detail, as vectors.", IMAGES)] = None
+    normal_map: Annotated[Path | None, Option("Image to write: the source's normals on the wrapped cage.", IMAGES)] = (
+        None
+    )
+    occlusion: Annotated[Path | None, Option("Image to write: the source's ambient occlusion.", IMAGES)] = None
+    colors: Annotated[Path | None, Option("Image to write: the source's vertex colours.", IMAGES)] = None
+    texture: Annotated[Path | None, Option("The source's texture, to bake into the target's layout.", IMAGES)] = None
+    baked: Annotated[Path | None, Option("Image to write: the baked texture.", IMAGES)] = None
+    detail: Annotated[Path | None, Option("More detailed mesh to bake from, instead of the source.", IMAGES)] = None
+    detail_texture: Annotated[Path | None, Option("Image of the detailed mesh, baked into --baked.", IMAGES)] = None
     space: Space = "tangent"
     green: Green = "up"
-    rays: Annotated[int, Option(min=1, help="Occlusion: rays per vertex.")] = 128
-    size: Annotated[int | None, Option(min=1, help="Width and height of the images.  [default: 2048]")] = None
-    mhclo: Annotated[
-        Path | None,
-        Option(help="Clothes file to write for MakeHuman and MPFB: .mhclo, .proxy."),
-    ] = None
+    rays: Annotated[int, Option("Occlusion: rays per vertex.", IMAGES, min=1)] = 128
+    size: Annotated[int | None, Option("Width and height of the images.  [default: 2048]", IMAGES, min=1)] = None
+    mhclo: Annotated[Path | None, Option("Clothes file to write for MakeHuman and MPFB: .mhclo, .proxy.", OUTPUT)] = (
+        None
+    )
     force: Force = False
