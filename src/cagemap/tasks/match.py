@@ -27,7 +27,7 @@ from cagemap.files.result.surface_store import prepared
 from cagemap.files.usd.space import unit_notes
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
-from cagemap.mesh.weld import Welded
+from cagemap.mesh.repairs import RepairedMesh
 from cagemap.pipeline import MatchConfig, MatchResult, match, match_next, prepare_surfaces
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.surface import DEFAULT_VERTICES, prepare_checked
@@ -244,7 +244,7 @@ def read_control(path: Path, request: MatchRequest, side: str) -> ControlMesh:
     return control if uv_set is None else control.with_uv_set(uv_set)
 
 
-def weld_control(control: ControlMesh, request: MatchRequest, side: str) -> Welded:
+def weld_control(control: ControlMesh, request: MatchRequest, side: str) -> RepairedMesh:
     """Weld the mesh of one side as requested."""
     side_weld = getattr(request, f"{side}_weld")
     return weld_asked(control, request.weld if side_weld is None else side_weld)

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.weld import Welded, keep_unwelded, weld_mesh
+from cagemap.mesh.repairs import RepairedMesh, unrepaired
+from cagemap.mesh.weld import weld_mesh
 from cagemap.subdivision import with_options
 
 
@@ -38,9 +39,9 @@ class SubdivisionRequest:
 AUTO = "auto"
 
 
-def weld_asked(control: ControlMesh, word: str | None) -> Welded:
+def weld_asked(control: ControlMesh, word: str | None) -> RepairedMesh:
     """The mesh welded by ``--weld`` (``auto`` or a tolerance); not welded for None."""
-    return keep_unwelded(control) if word is None else weld_mesh(control, _tolerance(word))
+    return unrepaired(control) if word is None else weld_mesh(control, _tolerance(word))
 
 
 def _tolerance(word: str) -> float | None:
