@@ -15,7 +15,6 @@ from itertools import chain, count
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.multi_start import (
     FEWEST_LANDMARKS,
-    fit_from_spectral_starts,
     fit_from_two_starts,
     refine_cheapest,
     spectral_starts,
@@ -185,8 +184,12 @@ def search_placements(
     progress("elastic alignment")
     if constrained:
         (clusters, fine, soft), *others = sorted(constrained, key=lambda fits: fits[1][0].penalised_cost)
-        best = fit_from_spectral_starts(problem, clusters, fine, soft) if soft else fine
-        placements += [*best[: None if has_given_start else 1], *(fine[0] for _, fine, _ in others)]
+        if soft:
+            starts = spectral_starts(problem, clusters)(soft[0])
+            more = in_threads(lambda chosen: coarse_fit(problem, chosen, clusters), starts)
+            refined = refine_cheapest(problem, [*soft, *more], fine=fine)
+            fine = [placed.with_start_of(fine[0]) for placed in refined]
+        placements += [*fine[: None if has_given_start else 1], *(fine[0] for _, fine, _ in others)]
     floor = cost_floor(problem.prepared)
     ranked = rank_placements(placements, floor)
     if min(placed.cost for placed in ranked) > problem.prepared.elastic.search.same_kind_cost:
