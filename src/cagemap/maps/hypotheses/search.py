@@ -239,5 +239,5 @@ def distinct_answers(prepared: PreparedPair, placements: Sequence[Placement]) ->
     for placed in distinct_placements(placements, prepared.energy.graph.areas, min_distance):
         names = chain([placed.name, placed.name + ANOTHER_WAY], (f"{placed.name}{ANOTHER_WAY} {k}" for k in count(2)))
         name = next(name for name in names if name not in answers)
-        answers[name] = Placement(placed.map_positions, placed.cost, name=name, penalty=placed.penalty)
+        answers[name] = placed.as_answer(name)
     return tuple(answers.values())

@@ -306,11 +306,8 @@ def check_mirrored(
     if len(exchange) < FEWEST_LANDMARKS:
         return None, check
     pairs = tuple(map(tuple, exchange.tolist()))
-    exchanged = "with left and right of the landmarks exchanged"
-    answers = (
-        Placement(given.map_positions, given.cost, name=AS_GIVEN),
-        Placement(best.map_positions, best.cost, name=exchanged, exchange=pairs),
-    )
+    exchanged = replace(best.as_answer("with left and right of the landmarks exchanged"), exchange=pairs)
+    answers = given.as_answer(AS_GIVEN), exchanged
     return Confidence(TWO, answers, cost_signs(answers)), check
 
 
