@@ -60,7 +60,7 @@ def test_the_command_writes_a_landmark_file(tmp_path: Path, monkeypatch: pytest.
         main()
     assert not ended.value.code
     found = read_landmarks(tmp_path / "more.json", "large.obj", "small.obj")[0]
-    assert found.names == (*result.landmark_names, "suggested 1", "suggested 2")
+    assert found.names == (*result.landmarks.names, "suggested 1", "suggested 2")
     assert len(set(found.target.tolist())) == len(found)
     np.testing.assert_array_equal(found.target, found.source)  # the map is the identity
 

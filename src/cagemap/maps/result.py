@@ -18,7 +18,6 @@ from cagemap.maps.pair import LevelPair, point_pairs
 from cagemap.maps.places import CurveMiss, curve_miss, curve_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures, judge, measure_quality, unshared_warnings
-from cagemap.mesh.curves import Curves
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, kept, one_blas_thread
@@ -192,21 +191,11 @@ class MatchResult:
         """The landmarks without the suspects; the map meets them."""
         return self.landmark_check.trusted(self.landmarks)
 
-    @property
-    def curves(self) -> Curves:
-        """Corresponding curves."""
-        return self.landmarks.curves
-
     @kept
     def curve_misses(self) -> tuple[CurveMiss, ...]:
         """Distances between the image of every curve and its counterpart."""
-        pairs = curve_pairs(self.target, self.source, self.curves)
+        pairs = curve_pairs(self.target, self.source, self.landmarks.curves)
         return tuple(curve_miss(pair, self.point_map) for pair in pairs)
-
-    @property
-    def landmark_names(self) -> tuple[str, ...]:
-        """Names of the landmark pairs."""
-        return self.landmarks.names
 
     @property
     def landmark_errors(self) -> FloatArray:
@@ -265,8 +254,7 @@ class MatchResult:
 
     def image(self) -> FloatArray:
         """(n1, 3) image of every target vertex, in source file units."""
-        corners = self.source.vertices[self.source_triangles[self.triangle]]
-        return np.einsum("nc,ncd->nd", self.barycentric, corners)
+        return self.point_map.images.interpolate(self.source.vertices)
 
     @property
     def manifest(self) -> dict[str, Any]:

@@ -158,7 +158,7 @@ def pack_models(models: Models, result: MatchResult) -> tuple[str, str]:
         "looks": looks,
         "shapes": shapes,
         "marks": [_mark(models, mark) for mark in models.marks],
-        "landmarks": list(result.landmark_names),
+        "landmarks": list(result.landmarks.names),
         "landmark_colors": np.round(255 * distinct_colors(len(result.landmarks))).astype(int).tolist(),
         "cells": (CHECKER_CELLS * span / span.max()).tolist(),
         "ramp": scalar_colors(np.linspace(0.0, 1.0, 6), 0.0, 1.0, TRUST_SCALE).tolist(),

@@ -56,10 +56,10 @@ def suggested_landmarks(result: MatchResult, count: int) -> Landmarks:
     chosen = suggested_vertices(target.positions[:vertices], images, others, trust, np.unique(known), count)
     places = source.positions[: result.source.control.n_vertices]
     partners = nearest_free_vertices(places, images[chosen], partnered)
-    taken = set(result.landmark_names)
+    taken = set(result.landmarks.names)
     free = [name for i in range(1, count + len(taken) + 1) if (name := f"suggested {i}") not in taken]
     more = Landmarks.of_points(
-        (*result.landmark_names, *free[:count]),
+        (*result.landmarks.names, *free[:count]),
         CagePoints.joined((pairs.target_points, CagePoints.of_vertices(chosen))),
         CagePoints.joined((pairs.source_points, CagePoints.of_vertices(partners))),
         result.target.control.name,

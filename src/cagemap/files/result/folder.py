@@ -114,7 +114,7 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
         if mask is not None:
             arrays[f"{prefix}_mask"] = mask
         arrays |= control_to_arrays(side.control, f"{prefix}_control_")
-    arrays |= curves_to_arrays(result.curves)
+    arrays |= curves_to_arrays(result.landmarks.curves)
     with atomic_folder(folder, (ARRAYS, MANIFEST), force=force, owned=_is_own) as temporary:
         names = _SPECTRAL_ARRAYS if result.has_spectral else ()
         write_npz(temporary / ARRAYS, arrays, lambda: {name: getattr(result.spectral, name) for name in names})
@@ -312,7 +312,7 @@ def _manifest(result: MatchResult) -> dict[str, Any]:
         }
         for prefix, side in (("target", result.target), ("source", result.source))
     }
-    fixed = {**written_with(), **sides, "landmark_names": list(result.landmark_names)}
+    fixed = {**written_with(), **sides, "landmark_names": list(result.landmarks.names)}
     fixed["level_maps"] = level_entries(result)
     return fixed | {name: value for name, value in result.manifest.items() if name not in {*fixed, "files"}}
 
