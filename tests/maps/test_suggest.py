@@ -75,5 +75,5 @@ def test_points_between_vertices_and_curves_are_kept() -> None:
     more = suggested_landmarks(replace(result, landmarks=given), 1)
     np.testing.assert_array_equal(more.target_points.weights[0], between.weights[0])
     np.testing.assert_array_equal(more.source_points.corners[0], between.corners[0])
-    assert more.target[1] not in (-1, between.nearest_vertices[0])
+    assert more.target[1] not in (-1, between.heaviest_corners[0])
     assert more.curves.names == ("rim",)

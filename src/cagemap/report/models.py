@@ -197,7 +197,7 @@ def _landmark_places(display: DisplaySurface, result: MatchResult, side: str) ->
     """Positions of the landmarks and surface normals there."""
     pairs = result.landmarks
     points = pairs.target_points if side == TARGET else pairs.source_points
-    return [_place(display, int(vertex)) for vertex in points.nearest_vertices]
+    return [_place(display, int(vertex)) for vertex in points.heaviest_corners]
 
 
 def _place(display: DisplaySurface, vertex: int) -> list[float]:

@@ -89,7 +89,7 @@ def _each(
     pairs, *unpaired = pair_parts(
         target,
         source,
-        np.column_stack([landmarks.target_points.nearest_vertices, landmarks.source_points.nearest_vertices]),
+        np.column_stack([landmarks.target_points.heaviest_corners, landmarks.source_points.heaviest_corners]),
         (target_pieces, source_pieces),
     )
     left = {side: _titled(parts) for side, parts in zip(("target", "source"), unpaired, strict=True) if parts}

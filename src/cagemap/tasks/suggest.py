@@ -49,7 +49,7 @@ def suggested_landmarks(result: MatchResult, count: int) -> Landmarks:
     target, source = result.point_map.target, result.point_map.source
     vertices = result.target.control.n_vertices
     pairs = result.landmarks
-    known, partnered = pairs.target_points.nearest_vertices, pairs.source_points.nearest_vertices
+    known, partnered = pairs.target_points.heaviest_corners, pairs.source_points.heaviest_corners
     images = result.point_map.images.positions[:vertices]
     others = result.runner_up_images.reshape(-1, vertices, 3) * source.scale
     trust = result.trust[:vertices]

@@ -107,7 +107,7 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
         ("source", result.source, result.landmarks.source_points, result.masks.source),
     ):
         arrays[f"{prefix}_vertices"], arrays[f"{prefix}_faces"] = side.vertices, _numbers(side.faces)
-        arrays[f"{prefix}_landmarks"] = points.nearest_vertices
+        arrays[f"{prefix}_landmarks"] = points.heaviest_corners
         if np.any(points.vertices < 0):
             arrays[f"{prefix}_landmark_corners"] = points.corners
             arrays[f"{prefix}_landmark_weights"] = points.weights
