@@ -22,11 +22,11 @@ from cagemap.deform.multi_start import (
 )
 from cagemap.deform.placement import Placement, distinct_placements, mean_distance, rank_placements, sort_by_cost
 from cagemap.deform.problem import Clusters, PreparedPair, Problem, Tips, fitted_surface
-from cagemap.deform.refit import common_rotation, finish_placement, inverse_positions
+from cagemap.deform.refit import finish_placement, inverse_positions
 from cagemap.maps.hypotheses.limbs import assigned_limbs, refit_distinct_to_tips
 from cagemap.maps.hypotheses.rigid_starts import (
     AS_FILED_STARTS,
-    nearest_axis_rotation,
+    axis_rotation,
     rigid_starts,
     rotation_name,
     rotation_penalty,
@@ -34,7 +34,7 @@ from cagemap.maps.hypotheses.rigid_starts import (
 )
 from cagemap.maps.masks import WHOLE
 from cagemap.maps.pair import Pair, Progress, no_progress
-from cagemap.numerics.arrays import FloatArray, nearest_rotations
+from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, thread_limit
 
@@ -102,11 +102,6 @@ def fit_small_graph(
     max_cost = config.max_cost * limb_fits[0][1].penalised_cost
     limb_fits = [(tips, placed) for tips, placed in limb_fits if placed.penalised_cost <= max_cost]
     return limb_fits, [*(placed for _, placed in limb_fits), *as_filed]
-
-
-def axis_rotation(areas: FloatArray, maps: FloatArray) -> FloatArray:
-    """(3, 3) rotation of axes to axes nearest to the differentials (n, 3, 3) of a placement."""
-    return nearest_axis_rotation(common_rotation(areas, nearest_rotations(maps)))
 
 
 def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[Placement]:

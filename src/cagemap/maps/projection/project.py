@@ -126,10 +126,8 @@ def carried_to_finest(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
     """
     refinement, level = prepared.target.hierarchy, prepared.levels[0]
     if not refinement.is_plain:
-        chosen = sparse.csr_array(sparse.eye_array(len(fitted), refinement.finest.n_vertices, format="csr"))
-        for matrix in reversed(refinement.matrices[level:]):
-            chosen = sparse.csr_array(chosen @ matrix)
-        return refinement.prolong(control_points(chosen, fitted), level, refinement.finest_level)
+        sampling = refinement.rows(slice(len(fitted)), refinement.finest_level, level)
+        return refinement.prolong(control_points(sampling, fitted), level, refinement.finest_level)
     maps, _ = prepared.energy.differentials(fitted)
     rest = prepared.target.finest_triangles.positions
     shifts = fitted - np.einsum("nab,nb->na", maps, rest[prepared.vertices])
