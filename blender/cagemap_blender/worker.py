@@ -28,10 +28,9 @@ from cagemap.errors import CagemapError, ParameterError
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.landmarks import Landmarks, NamedPoints, pair_by_name
 from cagemap.mesh.parts import extract_faces, find_part, numbers_on_part
-from cagemap.mesh.plain import PlainMesh
+from cagemap.mesh.repairs import RepairedMesh
 from cagemap.mesh.schemes import SCHEMES
 from cagemap.mesh.udim import FIRST_TILE
-from cagemap.mesh.weld import Welded
 from cagemap.numerics.process import set_up_process
 from cagemap.pipeline import choose_level, match, prepare_surfaces, update_match
 from cagemap.surface.closest_points import closest_points
@@ -75,7 +74,7 @@ def control_mesh(mesh: Mapping[str, Any]) -> ControlMesh:
     return made.with_corners(*mesh["sharp_corners"]) if len(mesh["sharp_corners"][0]) else made
 
 
-def largest_piece(mesh: ControlMesh) -> PlainMesh | Welded:
+def largest_piece(mesh: ControlMesh) -> RepairedMesh:
     """What of a mesh is matched: its largest piece, of a plain mesh repaired."""
     part = find_part(mesh, "largest") if mesh.n_faces else None
     whole = part is None or (len(part.faces), len(np.unique(mesh.face_indices))) == (mesh.n_faces, mesh.n_vertices)
@@ -105,7 +104,7 @@ class Session:
         surfaces = prepare_surfaces(ready[0].mesh, ready[1].mesh, levels, progress=self._stages)
         found = match(*surfaces, landmarks, progress=self._stages)
         self._keep(Bodies((parts[0], parts[1]), (ready[0], ready[1]), found))
-        repairs = [f"{one.mesh.name}: {text}" for one in ready if isinstance(one, PlainMesh) for text in _repairs(one)]
+        repairs = [f"{one.mesh.name}: {text}" for one in ready for text in _repairs(one)]
         return self._answer([*notes, *repairs])
 
     def update(self, target_points: Points, source_points: Points) -> Values:
@@ -301,8 +300,8 @@ def _covered(transfer: Transfer, size: tuple[int, int], options: BakeOptions) ->
     return np.asarray(bake_texture(transfer, white, size=size, options=options)[..., 0] > 0)
 
 
-def _repairs(ready: PlainMesh) -> tuple[str, ...]:
-    """What was done to a plain mesh, but for pieces that are carried one by one."""
+def _repairs(ready: RepairedMesh) -> tuple[str, ...]:
+    """What was done to a mesh, but for pieces that are carried one by one."""
     return replace(ready.repairs, pieces=0).sentences()
 
 
@@ -313,7 +312,7 @@ def _laid_out(mesh: ControlMesh, uvs: Array) -> ControlMesh:
 
 
 def _landmarks(
-    parts: Iterable[Part], ready: Iterable[PlainMesh | Welded], target_points: Points, source_points: Points
+    parts: Iterable[Part], ready: Iterable[RepairedMesh], target_points: Points, source_points: Points
 ) -> tuple[Landmarks, tuple[str, ...]]:
     """Landmarks of the names that both meshes have, in the numbers of what is matched."""
     if not (target_points and source_points):

@@ -44,9 +44,8 @@ if TYPE_CHECKING:
     from cagemap.mesh import Plain as Plain
     from cagemap.mesh.checks import check_mesh as check_mesh
     from cagemap.mesh.landmarks import Landmarks as Landmarks
-    from cagemap.mesh.plain import PlainMesh as PlainMesh
     from cagemap.mesh.plain import plain_mesh as plain_mesh
-    from cagemap.mesh.weld import Welded as Welded
+    from cagemap.mesh.repairs import RepairedMesh as RepairedMesh
     from cagemap.mesh.weld import weld_mesh as weld_mesh
     from cagemap.numerics.threads import thread_limit as thread_limit
     from cagemap.operators import Operators as Operators
@@ -115,8 +114,9 @@ _PACKAGES = {
     "mesh": ("ControlMesh", "Plain"),
     "mesh.checks": ("check_mesh",),
     "mesh.landmarks": ("Landmarks",),
-    "mesh.plain": ("PlainMesh", "plain_mesh"),
-    "mesh.weld": ("Welded", "weld_mesh"),
+    "mesh.plain": ("plain_mesh",),
+    "mesh.repairs": ("RepairedMesh",),
+    "mesh.weld": ("weld_mesh",),
     "numerics.threads": ("thread_limit",),
     "operators": ("Operators", "build_operators"),
     "pipeline": (

@@ -27,7 +27,7 @@ from cagemap.maps.functional_maps import (
 )
 from cagemap.maps.functional_maps import functional_map_from as functional_map_of
 from cagemap.maps.hypotheses.search import search_placements
-from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, vertices_at
+from cagemap.maps.pair import LevelPair, Pair, SymmetryPair
 from cagemap.maps.places import cage_points_of, choose_points
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import held_vertices, map_of_places
@@ -364,7 +364,7 @@ def tensors(*values: Any, dtype: Any = None, device: Any = None) -> Any:
 
 def _cage_points(surface: Surface, points: SurfacePoints) -> CagePoints:
     """Points of the control mesh for points of the finest surface."""
-    vertices = vertices_at(points)
+    vertices = points.vertices
     exact = (vertices >= 0) & (vertices < surface.control.n_vertices)
     at_vertices = CagePoints.of_vertices(np.where(exact, vertices, 0))
     return choose_points(exact, at_vertices, cage_points_of(surface, points))

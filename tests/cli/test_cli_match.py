@@ -57,7 +57,7 @@ def test_landmarks_come_from_one_file_for_each_mesh(run: Run, pair_files: Path, 
     outcome = run.done("match", *MATCH[:4], *files, *COARSE, "-o", "R")
     assert "only deer" in outcome.err
     found = read_result(pair_files / "R")
-    assert found.landmark_names == landmarks.names
+    assert found.landmarks.names == landmarks.names
     np.testing.assert_array_equal(found.landmarks.target, landmarks.target)
     assert run("match", *MATCH, *files, "-o", "S").code == 2
     assert run("match", *MATCH[:4], *files[:2], "-o", "S").code == 2

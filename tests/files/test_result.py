@@ -69,7 +69,7 @@ def test_everything_comes_back_bit_for_bit(result: MatchResult, folder: Path) ->
         assert ours.config == theirs.config
         for name in ("vertices", "faces"):
             np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
-    assert back.landmark_names == result.landmark_names
+    assert back.landmarks.names == result.landmarks.names
     np.testing.assert_array_equal(back.landmarks.source, result.landmarks.source)
     for name in ("target_eigenvalues", "source_eigenvalues"):
         np.testing.assert_array_equal(getattr(back.spectral, name), getattr(result.spectral, name))

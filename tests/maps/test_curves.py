@@ -102,9 +102,9 @@ def test_a_result_keeps_its_curves(with_curves: MatchResult, tmp_path: Path) -> 
     write_result(tmp_path / "RESULT", with_curves)
     stored = read_result(tmp_path / "RESULT")
     curves = with_curves.landmarks.curves
-    assert stored.curves.names == curves.names
+    assert stored.landmarks.curves.names == curves.names
     for side in ("target", "source"):
-        kept, given_ = getattr(stored.curves, side), getattr(curves, side)
+        kept, given_ = getattr(stored.landmarks.curves, side), getattr(curves, side)
         np.testing.assert_array_equal(kept.points.corners, given_.points.corners)
         np.testing.assert_array_equal(kept.starts, given_.starts)
         np.testing.assert_array_equal(kept.closed, given_.closed)

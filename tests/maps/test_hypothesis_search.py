@@ -39,7 +39,8 @@ def found(
         return [], []
 
     monkeypatch.setattr(search, "fit_from_two_starts", lambda *given: ([beside], [] if agree else [beside]))
-    monkeypatch.setattr(search, "fit_from_spectral_starts", lambda problem, shape, fine, soft: fine)
+    monkeypatch.setattr(search, "spectral_starts", lambda problem, clusters: lambda placed: [])
+    monkeypatch.setattr(search, "refine_cheapest", lambda problem, coarse, fine: fine)
     monkeypatch.setattr(search, "fit_small_graph", fit_small_graph)
     monkeypatch.setattr(search, "fit_without_tips", lambda problem, small_fits: [evaluate_placement(prepared, places)])
     monkeypatch.setattr(search, "refit_distinct_to_tips", lambda problem, ranked: ranked)

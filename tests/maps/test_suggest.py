@@ -60,7 +60,7 @@ def test_the_command_writes_a_landmark_file(tmp_path: Path, monkeypatch: pytest.
         main()
     assert not ended.value.code
     found = read_landmarks(tmp_path / "more.json", "large.obj", "small.obj")[0]
-    assert found.names == (*result.landmark_names, "suggested 1", "suggested 2")
+    assert found.names == (*result.landmarks.names, "suggested 1", "suggested 2")
     assert len(set(found.target.tolist())) == len(found)
     np.testing.assert_array_equal(found.target, found.source)  # the map is the identity
 
@@ -75,5 +75,5 @@ def test_points_between_vertices_and_curves_are_kept() -> None:
     more = suggested_landmarks(replace(result, landmarks=given), 1)
     np.testing.assert_array_equal(more.target_points.weights[0], between.weights[0])
     np.testing.assert_array_equal(more.source_points.corners[0], between.corners[0])
-    assert more.target[1] not in (-1, between.nearest_vertices[0])
+    assert more.target[1] not in (-1, between.heaviest_corners[0])
     assert more.curves.names == ("rim",)

@@ -17,7 +17,7 @@ from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps.hypotheses.confidence import Confidence, prolong_answers
 from cagemap.maps.masks import Masks
-from cagemap.maps.pair import vertices_near
+from cagemap.maps.pair import near_vertices
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks
@@ -212,7 +212,7 @@ def test_landmarks_of_a_plain_mesh_are_found_on_coarse_levels_by_place(scan: Sur
     for vertices in (levels.on_finest(0)[:5], np.arange(0, 900, 100)):
         points = SurfacePoints.from_vertices(finest, vertices)
         for level in range(levels.finest_level + 1):
-            near = vertices_near(points, surface, level)
+            near = near_vertices(points, surface, level)
             assert len(np.unique(near)) == len(vertices)
             places = surface.triangles(level).positions[near]
             apart = np.linalg.norm(places - points.positions, axis=1)

@@ -103,7 +103,7 @@ def test_a_folder_with_a_foreign_manifest_is_left_alone(place: Path) -> None:
     assert contents(work) == before
     write_result(work, identity_result(), force=True)
     assert (work / "sub" / "photo.raw").exists()
-    assert read_result(work).landmark_names
+    assert read_result(work).landmarks.names
 
 
 def test_a_rerun_keeps_the_users_files_in_the_result_folder(place: Path) -> None:
@@ -112,8 +112,8 @@ def test_a_rerun_keeps_the_users_files_in_the_result_folder(place: Path) -> None
     result = identity_result()
     renamed = replace(result.landmarks, names=("new", "c", "d", "e"))
     write_result(place / "R", replace(result, landmarks=renamed))
-    assert read_result(place / "R").landmark_names[0] == "new"
-    assert read_result(place / "R" / "older").landmark_names[0] == "a <b>"
+    assert read_result(place / "R").landmarks.names[0] == "new"
+    assert read_result(place / "R" / "older").landmarks.names[0] == "a <b>"
     assert (place / "R" / "notes.tex").read_text() == "years"
 
 

@@ -25,7 +25,7 @@ from cagemap.errors import OPTION_NAMES, ParameterError, use_option_names
 from cagemap.files import MASK_SUFFIXES
 from cagemap.files.result.folder import write_result
 from cagemap.maps.result import MatchResult
-from cagemap.mesh.plain import Repairs
+from cagemap.mesh.repairs import Repairs
 from cagemap.studio.agreement import map_difference_notes
 from cagemap.studio.downloads import ARCHIVE_NAME, output_content
 from cagemap.studio.finish import MAP_TITLE, SHARED_OPTIONS, Command, FinishOptions, finish_commands, plan_commands

@@ -23,14 +23,14 @@ from cagemap.subdivision import (
 )
 from cagemap.subdivision.matrices import polygon_matrix, regular_matrix
 from cagemap.subdivision.refinement import state_of
-from cagemap.subdivision.topology import boundary_corners, control_topology
+from cagemap.subdivision.topology import control_topology, fixed_boundary_vertices
 
 
 def test_quad_masks_are_the_general_rule_written_out() -> None:
     for mesh in (cube(), creature(), poles(3), poles(8), torus(3, 3), grid(3, 2), disk(5)):
         for boundary in ("edge_and_corner", "edge_only"):
             topology, scheme = control_topology(mesh), CatmullClark(boundary)
-            corner = boundary_corners(topology, scheme)
+            corner = fixed_boundary_vertices(topology, scheme)
             general, written_out = (rule(topology, scheme, corner) for rule in (polygon_matrix, regular_matrix))
             assert abs(general - written_out).max() < 1e-15
             assert general.nnz == written_out.nnz
@@ -44,7 +44,7 @@ def test_interior_vertex_of_valence_2() -> None:
     np.testing.assert_allclose(refinement.matrices[0][[1]].toarray(), [[3 / 8, 1 / 8, 3 / 8, 1 / 16, 1 / 16]])
     assert all(matrix.has_canonical_format for matrix in refinement.matrices)  # the ring meets some vertices twice
     topology = state_of(refinement, 1).topology
-    again = polygon_matrix(topology, CatmullClark(), boundary_corners(topology, CatmullClark()))
+    again = polygon_matrix(topology, CatmullClark(), fixed_boundary_vertices(topology, CatmullClark()))
     assert abs(again - refinement.matrices[1]).max() < 1e-15
 
 

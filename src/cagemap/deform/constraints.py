@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.deform.config import DataConfig, ElasticConfig
-from cagemap.maps.pair import vertices_at
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.spectral.surface import Surface
@@ -20,7 +19,7 @@ def points_on_level(
     surface: Surface, level: int, points: SurfacePoints, config: ElasticConfig = ElasticConfig()
 ) -> CagePoints:
     """Points of the finest surface as points of a coarser level's mesh; vertices of both stay vertices."""
-    vertices = surface.hierarchy.on_level(level, vertices_at(points))
+    vertices = surface.hierarchy.on_level(level, points.vertices)
     on_level = CagePoints.of_vertices(vertices)
     between = np.flatnonzero(vertices < 0)
     if len(between):
@@ -77,7 +76,7 @@ class CurveConstraint:
     def thinned(self, count: int) -> CurveConstraint:
         """The curve with at most ``count`` of its points, each moved to its nearest vertex."""
         chosen = self.rest.spread(count)
-        vertices = self.anchors.at(chosen).nearest_vertices
+        vertices = self.anchors.at(chosen).heaviest_corners
         rows = np.sort(np.unique(vertices, return_index=True)[1])
         rest = Polyline(self.rest.positions[chosen][rows], self.rest.closed)
         return CurveConstraint(CagePoints.of_vertices(vertices[rows]), rest, self.source)

@@ -118,23 +118,13 @@ class ElasticGraph:
     def _block_pattern(self) -> tuple[sparse.csc_array, IndexArray]:
         """L for three coordinates with zeros at all entries of (3, 3) diagonal blocks, and where these are stored."""
         n = self.n
-        ones = sparse.bsr_array((np.ones((n, 3, 3)), np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n)).tocsc()
-        elastic = sparse.csc_array(sparse.kron(self.laplacian, sparse.eye_array(3)))
-        pattern = sparse.csc_array(abs(elastic) + ones)
-        pattern.sort_indices()
-        # Find the entries of both parts in the common pattern: number them, and read the numbers back.
-        numbered = sparse.csc_array((np.arange(1.0, pattern.nnz + 1), pattern.indices, pattern.indptr), pattern.shape)
-
-        def places(rows: IndexArray, columns: IndexArray) -> IndexArray:
-            return np.asarray(numbered[rows, columns]).ravel().astype(np.int64) - 1
-
-        elastic.sort_indices()
-        rows = elastic.indices.astype(np.int64)
-        values, every = np.zeros(pattern.nnz), np.arange(3 * n)
-        values[places(rows, np.repeat(every, np.diff(elastic.indptr)))] = elastic.data
-        columns = np.repeat(every.reshape(n, 1, 3), 3, axis=1).ravel()
-        padded = sparse.csc_array((values, pattern.indices, pattern.indptr), shape=pattern.shape)
-        return padded, places(np.repeat(every, 3), columns)
+        ones = sparse.bsr_array((np.ones((n, 3, 3)), np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n))
+        # One complex matrix L + i blocks has the entries of both: a sum of real ones would drop zeros.
+        both = sparse.csc_array(sparse.kron(self.laplacian, sparse.eye_array(3)) + 1j * ones)
+        both.sort_indices()
+        by_column = np.flatnonzero(both.data.imag).reshape(n, 3, 3)
+        padded = sparse.csc_array((both.data.real.copy(), both.indices, both.indptr), shape=both.shape)
+        return padded, by_column.transpose(0, 2, 1).ravel()
 
     def block_matrix(self, alpha: float, blocks: FloatArray) -> sparse.csc_array:
         """(3 n, 3 n) matrix alpha L + block diagonal (n, 3, 3); its pattern is the same for all alpha and blocks."""

@@ -114,8 +114,8 @@ def fit_from_two_starts(
     The starts are ZoomOut from landmark coordinates (`zoomout_start`), or positions ``start`` (k, 3), and the
     constrained points alone (`landmark_start`). From each, clusters are fitted by the soft and by the stiff coarse
     stage. The stiff one spreads strain more evenly, so its placements are refined. The soft ones disagree if they are
-    far apart or a limb is in another pose; `fit_from_spectral_starts` goes on from them. With a start and fewer than
-    three constrained points, the start is the only one.
+    far apart or a limb is in another pose; spectral starts go on from them. With a start and fewer than three
+    constrained points, the start is the only one.
     """
     prepared, elastic = problem.prepared, problem.prepared.elastic
     both = clusters, clusters.with_stage(elastic.stiff_coarse)
@@ -136,15 +136,6 @@ def fit_from_two_starts(
     distance = mean_distance(soft[0].positions, soft[1].positions, clusters.energy.graph.areas)
     agree = distance <= elastic.search.max_start_distance and rotation <= elastic.search.max_limb_rotation
     return fine, [] if agree else list(soft)
-
-
-def fit_from_spectral_starts(
-    problem: Problem, clusters: Clusters, fine: Sequence[Placement], soft: Sequence[Placement]
-) -> list[Placement]:
-    """Fine placements, those of `fit_from_two_starts` and others from spectral starts of its first soft one."""
-    starts = spectral_starts(problem, clusters)(soft[0])
-    more = in_threads(lambda start: coarse_fit(problem, start, clusters), starts)
-    return [placed.with_start_of(fine[0]) for placed in refine_cheapest(problem, [*soft, *more], fine=fine)]
 
 
 def refine_cheapest(

@@ -49,6 +49,10 @@ class Placement:
         """The placement with the name and the penalty of another one, from which it was fitted."""
         return replace(self, name=other.name, penalty=other.penalty)
 
+    def as_answer(self, name: str) -> Placement:
+        """The positions for the map, with their cost and penalty, under a name for a user."""
+        return Placement(self.map_positions, self.cost, name=name, penalty=self.penalty)
+
     def extrapolate_to(self, graph: ElasticGraph, config: GraphConfig) -> FloatArray:
         """(n, 3) positions of another graph of the same shape, extrapolated from this placement."""
         assert self.graph is not None

@@ -16,7 +16,7 @@ from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
 from cagemap.errors import ParameterError
 from cagemap.maps.coincidence import Coincidence
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.maps.pair import PointPairs, point_pairs, vertices_near
+from cagemap.maps.pair import PointPairs, near_vertices, point_pairs
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -200,8 +200,8 @@ class Problem:
     def landmark_vertices(self) -> tuple[IndexArray, IndexArray]:
         """(p,) vertices of target and source at or near landmarks, on the searched levels."""
         prepared, landmarks = self.prepared, self.landmarks
-        target = vertices_near(landmarks.target, prepared.target, prepared.levels[0])
-        return target, vertices_near(landmarks.source, prepared.source, prepared.levels[1])
+        target = near_vertices(landmarks.target, prepared.target, prepared.levels[0])
+        return target, near_vertices(landmarks.source, prepared.source, prepared.levels[1])
 
     @kept
     def coarse_clusters(self) -> Clusters:
@@ -232,10 +232,10 @@ class Problem:
     @kept
     def landmark_distances(self) -> tuple[FloatArray, FloatArray]:
         """Geodesic distances (p, m) on both surfaces, from landmarks to vertices of a coarse graph, landmarks first."""
-        count = self.prepared.elastic.landmarks.distance_vertices
+        config = self.prepared.elastic
 
         def measured(side: tuple[ElasticGraph, IndexArray]) -> FloatArray:
-            coarse, _ = cluster_graph(side[0], count, side[1])
+            coarse, _ = cluster_graph(side[0], config.landmarks.distance_vertices, side[1], config.graph)
             return coarse.distances(np.arange(len(side[1])))
 
         target, source = in_threads(measured, list(zip(self.prepared.graphs, self.landmark_vertices, strict=True)))

@@ -125,27 +125,25 @@ class Pair:
         return near_vertices(self.landmarks.source, self.source)
 
 
-def near_vertices(points: SurfacePoints, surface: Surface, finest: int | None = None) -> IndexArray:
-    """(m,) distinct finest vertices at or near points, for steps that need vertices.
+def near_vertices(points: SurfacePoints, surface: Surface, level: int | None = None) -> IndexArray:
+    """(m,) distinct vertices of a level, by default the finest, at or near points, for steps that need vertices.
 
-    All are vertices of the level ``finest`` too. Points between vertices get a free vertex of a level that basis and
-    search have in common.
+    Points between vertices get a free vertex of a level that basis, search and ``level`` have in common.
     """
-    vertices, levels = vertices_at(points), surface.hierarchy
-    if (levels.on_level(0, vertices) >= 0).all():
-        return vertices
-    common = min(surface.basis.last_level, levels.coarsest_level(NEAR_VERTICES))
-    common = common if finest is None else min(common, finest)
-    on_common = levels.on_level(common, vertices)
-    between, positions = np.flatnonzero(on_common < 0), surface.triangles(common).positions
-    if len(points) > len(positions):
-        raise ParameterError(
-            f"landmarks: expected at most {len(positions)} on a level of as many vertices, got {len(points)}. "
-            "Give fewer, or refine once more."
-        )
-    free = nearest_free_vertices(positions, points.positions[between], on_common[on_common >= 0])
-    vertices[between] = levels.on_finest(common)[free]
-    return vertices
+    vertices, levels = points.vertices, surface.hierarchy
+    level = levels.finest_level if level is None else level
+    if (levels.on_level(0, vertices) < 0).any():
+        common = min(surface.basis.last_level, levels.coarsest_level(NEAR_VERTICES), level)
+        on_common = levels.on_level(common, vertices)
+        between, positions = np.flatnonzero(on_common < 0), surface.triangles(common).positions
+        if len(points) > len(positions):
+            raise ParameterError(
+                f"landmarks: expected at most {len(positions)} on a level of as many vertices, got {len(points)}. "
+                "Give fewer, or refine once more."
+            )
+        free = nearest_free_vertices(positions, points.positions[between], on_common[on_common >= 0])
+        vertices[between] = levels.on_finest(common)[free]
+    return levels.on_level(level, vertices)
 
 
 def nearest_free_vertices(positions: FloatArray, places: FloatArray, taken: IndexArray) -> IndexArray:
@@ -156,16 +154,6 @@ def nearest_free_vertices(positions: FloatArray, places: FloatArray, taken: Inde
         chosen[left[first]] = free[near]
         free = np.delete(free, near)
     return chosen
-
-
-def vertices_near(points: SurfacePoints, surface: Surface, level: int) -> IndexArray:
-    """(m,) distinct vertices of a level at or near points of the finest surface, see `near_vertices`."""
-    return surface.hierarchy.on_level(level, near_vertices(points, surface, level))
-
-
-def vertices_at(points: SurfacePoints) -> IndexArray:
-    """(m,) vertices at points, -1 for points between vertices."""
-    return np.where(points.barycentric.max(axis=1) == 1.0, points.heaviest_corners, -1).astype(np.int64)
 
 
 def point_pairs(target: Surface, source: Surface, landmarks: Landmarks) -> PointPairs:

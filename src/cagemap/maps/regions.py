@@ -61,7 +61,7 @@ def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
     if not len(landmarks):
         raise ParameterError("region_figures: expected a result with landmarks, which name the regions; it has none")
     target, (largest, smallest) = result.point_map.target, _stretches(result)
-    places = landmarks.target_points.nearest_vertices
+    places = landmarks.target_points.heaviest_corners
     _, nearest = distances_along_edges(target, np.unique(places))
     areas = target.areas * result.masks.joint(result.point_map)[target.triangles].mean(axis=1)
     folded = flipped_triangles(result.point_map.images, target.triangles)

@@ -18,7 +18,6 @@ from cagemap.maps.pair import LevelPair, point_pairs
 from cagemap.maps.places import CurveMiss, curve_miss, curve_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures, judge, measure_quality, unshared_warnings
-from cagemap.mesh.curves import Curves
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, kept, one_blas_thread
@@ -133,25 +132,20 @@ class MatchResult:
         if level == finest:
             return self
         plain = self.target.refinement.is_plain or self.source.refinement.is_plain
-        known = (
-            {}
-            if plain
-            else {level_map.levels[0]: level_map for level_map in self.level_maps if level_map.points is not None}
-        )
+        known = {one.levels[0]: one for one in self.level_maps if one.points is not None and not plain}
         if level not in known:
             has = ", ".join(map(str, sorted({*known, finest})))
             raise ParameterError(
                 f"level {level}: expected one of the target's levels with a map, {has}. The methods hfm and paper find "
                 "one for each level that they go through, of surfaces that are subdivided"
             )
-        level_map = known[level]
-        assert level_map.points is not None
+        level_map, points = known[level], known[level].points
+        assert points is not None
         sides = zip((self.target, self.source), level_map.levels, strict=True)
         target, source = (Surface(truncate_refinement(side.refinement, on), side.config) for side, on in sides)
         point_map = PointMap.from_arrays(
-            target.finest_triangles, source.finest_triangles, level_map.points.triangle,
-            level_map.points.barycentric,
-        )  # fmt: skip
+            target.finest_triangles, source.finest_triangles, points.triangle, points.barycentric
+        )
         trusted = self.trusted
         quality = measure_quality(point_map, point_pairs(target, source, trusted), trusted.names)
         spectral = None
@@ -165,9 +159,7 @@ class MatchResult:
             source=source,
             point_map=point_map,
             quality=quality,
-            level_maps=tuple(
-                candidate for candidate in self.level_maps if all(np.less_equal(candidate.levels, level_map.levels))
-            ),
+            level_maps=tuple(one for one in self.level_maps if all(np.less_equal(one.levels, level_map.levels))),
             confidence=None,
             prepared=None,
             masks=WHOLE,
@@ -199,21 +191,11 @@ class MatchResult:
         """The landmarks without the suspects; the map meets them."""
         return self.landmark_check.trusted(self.landmarks)
 
-    @property
-    def curves(self) -> Curves:
-        """Corresponding curves."""
-        return self.landmarks.curves
-
     @kept
     def curve_misses(self) -> tuple[CurveMiss, ...]:
         """Distances between the image of every curve and its counterpart."""
-        pairs = curve_pairs(self.target, self.source, self.curves)
+        pairs = curve_pairs(self.target, self.source, self.landmarks.curves)
         return tuple(curve_miss(pair, self.point_map) for pair in pairs)
-
-    @property
-    def landmark_names(self) -> tuple[str, ...]:
-        """Names of the landmark pairs."""
-        return self.landmarks.names
 
     @property
     def landmark_errors(self) -> FloatArray:
@@ -272,8 +254,7 @@ class MatchResult:
 
     def image(self) -> FloatArray:
         """(n1, 3) image of every target vertex, in source file units."""
-        corners = self.source.vertices[self.source_triangles[self.triangle]]
-        return np.einsum("nc,ncd->nd", self.barycentric, corners)
+        return self.point_map.images.interpolate(self.source.vertices)
 
     @property
     def manifest(self) -> dict[str, Any]:

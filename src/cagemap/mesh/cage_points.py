@@ -65,7 +65,7 @@ class CagePoints:
     @property
     def vertices(self) -> IndexArray:
         """(q,) control vertex of every point, -1 for points between vertices."""
-        return np.where(self.weights.max(axis=1) >= AT_VERTEX, self.nearest_vertices, -1).astype(np.int64)
+        return np.where(self.weights.max(axis=1) >= AT_VERTEX, self.heaviest_corners, -1).astype(np.int64)
 
     @property
     def keys(self) -> list[bytes]:
@@ -77,8 +77,8 @@ class CagePoints:
         ]
 
     @property
-    def nearest_vertices(self) -> IndexArray:
-        """(q,) corner of largest weight."""
+    def heaviest_corners(self) -> IndexArray:
+        """(q,) vertex of largest weight."""
         return np.take_along_axis(self.corners, self.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
 
     def of(self, values: FloatArray) -> FloatArray:
@@ -133,7 +133,7 @@ def outside_fault(points: CagePoints, names: Sequence[str], mesh: ControlMesh, w
     outside = np.flatnonzero(((points.corners < 0) | (points.corners >= mesh.n_vertices)).any(axis=1))
     if not len(outside):
         return ""
-    listed = first_few(f"{names[i]} ({points.nearest_vertices[i]})" for i in outside.tolist())
+    listed = first_few(f"{names[i]} ({points.heaviest_corners[i]})" for i in outside.tolist())
     return (
         f"expected {what} from 0 to {mesh.n_vertices - 1}, those of {mesh.name}, got {listed}. Numbers are "
         "0-based; check that target and source are not exchanged and that the mesh was not renumbered."

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -13,6 +13,7 @@ from cagemap.mesh.faces import with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.mesh_report import count_noun
 from cagemap.mesh.parts import extract_faces, renumbered_copies
+from cagemap.mesh.repairs import RepairedMesh
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import face_components, face_pieces, mesh_topology, used_vertices
 from cagemap.numerics.arrays import (
@@ -32,36 +33,8 @@ TOLERANCES = (0.0, 1e-6, 1e-5)
 COLOR_STEP = 0.5 / 255
 
 
-@dataclass(frozen=True, eq=False)
-class Welded:
-    """A mesh with coincident border vertices joined.
-
-    Attributes
-    ----------
-    mesh : ControlMesh
-        ``file_vertices`` and ``file_copies`` are the vertices of the file that became each of its vertices. Corners
-        keep their UVs.
-    vertex_of : (n_given,) int64
-        Vertex of ``mesh`` for every vertex of the mesh given, -1 for one without a face.
-    tolerance : float
-        In units of the bounding-box diagonal.
-    notes : tuple of str
-        Sentences about the joined vertices and dropped faces.
-    """
-
-    mesh: ControlMesh
-    vertex_of: IndexArray = field(repr=False)
-    tolerance: float
-    notes: tuple[str, ...]
-
-
-def keep_unwelded(mesh: ControlMesh) -> Welded:
-    """The mesh unchanged, as a `Welded`."""
-    return Welded(mesh, np.arange(mesh.n_vertices), 0.0, ())
-
-
 @arrays_accepted
-def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatArray | None = None) -> Welded:
+def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatArray | None = None) -> RepairedMesh:
     """Join border vertices at the same position; the lowest number stays.
 
     Inner vertices are not joined, so that surfaces in contact stay separate. Repeated corners of a face are merged, and
@@ -89,7 +62,7 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
     first = coincident_vertices(mesh, used, offsets=offsets)
     joined = np.flatnonzero(first != np.arange(mesh.n_vertices))
     if not len(joined):
-        return Welded(mesh, first, used, (f"{mesh.name}: no border vertices {within} to weld",))
+        return RepairedMesh(mesh, first, (f"{mesh.name}: no border vertices {within} to weld",))
     colors, color_notes = _mean_colors(mesh, first)
     work = _relabelled(replace(mesh, vertex_colors=colors), first)
     work, collapsed = _without_repeats(work)
@@ -110,7 +83,7 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
     loose = mesh.n_vertices - int(used_vertices(mesh).sum())
     if loose:
         notes.append(f"{mesh.name}: {loose} vertices of no face are left out")
-    return Welded(ready, vertex_of, used, tuple(notes))
+    return RepairedMesh(ready, vertex_of, tuple(notes))
 
 
 def file_copies(mesh: ControlMesh, joined: IndexArray, vertex_of: IndexArray) -> IndexArray | None:

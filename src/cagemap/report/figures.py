@@ -339,4 +339,4 @@ def _make_overlay(models: _ModelPair, *, is_source: bool) -> _Overlay:
     finest = surface.finest_triangles
     lines_on_surface = surface_curves(surface.refinement, finest, cage_curves) if len(cage_curves) else ()
     curves = tuple(Polyline(curve.line.positions @ turn / finest.scale, curve.closed) for curve in lines_on_surface)
-    return _Overlay(surface.vertices[points.nearest_vertices] @ turn, curves)
+    return _Overlay(surface.vertices[points.heaviest_corners] @ turn, curves)

@@ -63,8 +63,8 @@ def find_marks(
     for suspect in result.suspects:
         add(
             f"landmark '{suspect.name}' was left out",
-            (TARGET, pairs.target_points.nearest_vertices[suspect.pair]),
-            (SOURCE, pairs.source_points.nearest_vertices[suspect.pair]),
+            (TARGET, pairs.target_points.heaviest_corners[suspect.pair]),
+            (SOURCE, pairs.source_points.heaviest_corners[suspect.pair]),
         )
     counted = result.masks.within(result.shared)
     is_doubtful = (result.trust < MAX_MARKED_TRUST) & (counted.joint(result.point_map) > 0)

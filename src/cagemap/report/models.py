@@ -158,7 +158,7 @@ def pack_models(models: Models, result: MatchResult) -> tuple[str, str]:
         "looks": looks,
         "shapes": shapes,
         "marks": [_mark(models, mark) for mark in models.marks],
-        "landmarks": list(result.landmark_names),
+        "landmarks": list(result.landmarks.names),
         "landmark_colors": np.round(255 * distinct_colors(len(result.landmarks))).astype(int).tolist(),
         "cells": (CHECKER_CELLS * span / span.max()).tolist(),
         "ramp": scalar_colors(np.linspace(0.0, 1.0, 6), 0.0, 1.0, TRUST_SCALE).tolist(),
@@ -197,7 +197,7 @@ def _landmark_places(display: DisplaySurface, result: MatchResult, side: str) ->
     """Positions of the landmarks and surface normals there."""
     pairs = result.landmarks
     points = pairs.target_points if side == TARGET else pairs.source_points
-    return [_place(display, int(vertex)) for vertex in points.nearest_vertices]
+    return [_place(display, int(vertex)) for vertex in points.heaviest_corners]
 
 
 def _place(display: DisplaySurface, vertex: int) -> list[float]:

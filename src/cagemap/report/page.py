@@ -106,7 +106,7 @@ def build_page(
         if len(result.landmarks)
         else "",
         _details("Curves", "distance between a curve and its counterpart, both ways", curve_table(result))
-        if len(result.curves)
+        if len(result.landmarks.curves)
         else "",
         _details(
             "How it was made",
@@ -187,7 +187,7 @@ def _viewer_section(result: MatchResult, models: Models) -> str:
 def _still_pictures(result: MatchResult, gallery: Gallery) -> str:
     """Still pictures, for browsers without WebGL and for print."""
     landmark_note = " Dots are landmarks: equal dots should sit on equal places." if len(result.landmarks) else ""
-    curve_note = " Lines are curves: equal lines should lie on equal places." if len(result.curves) else ""
+    curve_note = " Lines are curves: equal lines should lie on equal places." if len(result.landmarks.curves) else ""
     sections = [
         _section(
             f"The {escape(gallery.appearance)}, transferred",

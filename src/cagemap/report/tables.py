@@ -28,7 +28,7 @@ def rating_cards(ratings: list[Rating]) -> str:
 
 def landmark_table(result: MatchResult) -> str:
     """Miss of every landmark, and size of the target around it."""
-    names = result.landmark_names
+    names = result.landmarks.names
     left_out = {suspect.pair for suspect in result.suspects}
     regions = {region.landmark: region for region in region_figures(result)} if len(result.trusted) else {}
     rows = []
@@ -65,7 +65,9 @@ def _size_text(region: RegionFigures | None) -> str:
 def curve_table(result: MatchResult) -> str:
     """Mean and largest miss of every curve."""
     rows = []
-    for entry, color in zip(result.manifest.get("curves") or [], distinct_colors(len(result.curves)), strict=True):
+    for entry, color in zip(
+        result.manifest.get("curves") or [], distinct_colors(len(result.landmarks.curves)), strict=True
+    ):
         rows.append(
             f"<tr><td>{_dot(color)}{escape(entry['name'])}</td>"
             f"<td>{100 * entry['mean']:.2f} %</td><td>{100 * entry['worst']:.2f} %</td></tr>"

@@ -320,7 +320,7 @@ def _suggested_vertex(cache: PreviewCache, result: MatchResult) -> int | None:
     """Control vertex where `cagemap suggest` asks for a landmark; None if all have one."""
     finest = result.point_map.target
     count = result.target.control.n_vertices
-    landmark_vertices = np.unique(result.landmarks.target_points.nearest_vertices)
+    landmark_vertices = np.unique(result.landmarks.target_points.heaviest_corners)
     if len(landmark_vertices) == count:
         return None
     confidence = None if cache.free_match is None else cache.free_match.confidence

@@ -20,10 +20,11 @@ from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.mesh.parts import connected_parts
 from cagemap.mesh.plain import plain_mesh
+from cagemap.mesh.repairs import RepairedMesh, unrepaired
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.udim import udim_origin
-from cagemap.mesh.weld import Welded, keep_unwelded, weld_mesh, weld_tolerance
+from cagemap.mesh.weld import weld_mesh, weld_tolerance
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import encode_srgb
 from cagemap.pictures import UP_AXES, Y_UP
@@ -149,7 +150,7 @@ def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, pa
     if scheme is not None:
         file_mesh = replace(with_options(file_mesh, scheme), object_schemes=())
     tolerance = weld_tolerance(file_mesh)
-    welded = keep_unwelded(file_mesh) if tolerance is None else weld_mesh(file_mesh, tolerance)
+    welded = unrepaired(file_mesh) if tolerance is None else weld_mesh(file_mesh, tolerance)
     model = _open_welded(welded, file_mesh, scheme, part, vertices, rotation)
     weld = None if tolerance is None else f"{tolerance:g}"
     return replace(model, notes=(*welded.notes, *model.notes), weld=weld, path=path)
@@ -164,7 +165,12 @@ def converted_model(path: Path, folder: Path) -> tuple[Path, tuple[str, ...]]:
 
 
 def _open_welded(
-    welded: Welded, file_mesh: ControlMesh, scheme: str | None, part: str | None, vertices: int, rotation: FloatArray
+    welded: RepairedMesh,
+    file_mesh: ControlMesh,
+    scheme: str | None,
+    part: str | None,
+    vertices: int,
+    rotation: FloatArray,
 ) -> OpenedModel:
     """Select a part, check and refine it; invalid triangle meshes are repaired and not refined."""
     whole = welded.mesh
@@ -193,7 +199,7 @@ def _open_welded(
     return OpenedModel(level, shape, look, mirror, part_choices=selected.part_choices, scheme=scheme, dense=dense)
 
 
-def _with_file_vertices(selected: SelectedPart, welded: Welded) -> SelectedPart:
+def _with_file_vertices(selected: SelectedPart, welded: RepairedMesh) -> SelectedPart:
     """A part of a welded mesh, with its vertices for those of the file."""
     return replace(selected, vertex_of=np.where(welded.vertex_of < 0, -1, selected.vertex_of[welded.vertex_of]))
 

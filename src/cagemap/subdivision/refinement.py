@@ -372,10 +372,8 @@ def finest_mesh(refinement: Refinement) -> ControlMesh:
 def _refined_uvs(refinement: Refinement, uv_set: UvSet) -> UvSet:
     """Refine a UV set that is not in use."""
     alone = replace(refinement.control, uvs=uv_set.uvs, uv_indices=uv_set.uv_indices, uv_sets=())
-    finest = refine(alone, refinement.finest_level, refinement.scheme).finest
-    assert finest.uvs is not None
-    assert finest.uv_indices is not None
-    return UvSet(uv_set.name, finest.uvs, finest.uv_indices.ravel())
+    uvs, uv_indices = refined_layout(alone, refinement.finest_level, refinement.scheme)
+    return UvSet(uv_set.name, uvs, uv_indices.ravel())
 
 
 def truncate_refinement(refinement: Refinement, level: int) -> Refinement:

@@ -195,7 +195,7 @@ class MeshState:
     follows: IndexArray | None = None
 
 
-def boundary_corners(topology: Topology, scheme: Scheme) -> BoolArray:
+def fixed_boundary_vertices(topology: Topology, scheme: Scheme) -> BoolArray:
     """(n,) fixed boundary vertices: those with a single face, under ``edge_and_corner``."""
     if scheme.boundary != "edge_and_corner":
         return np.zeros(topology.n_vertices, dtype=bool)
@@ -205,7 +205,7 @@ def boundary_corners(topology: Topology, scheme: Scheme) -> BoolArray:
 def control_state(control: ControlMesh, scheme: Scheme) -> MeshState:
     """State of level 0."""
     topology = control_topology(control)
-    corner = boundary_corners(topology, scheme)
+    corner = fixed_boundary_vertices(topology, scheme)
     edges, vertices = np.zeros(topology.n_edges), np.zeros(control.n_vertices)
     if control.crease_edges is not None and control.crease_sharpness is not None:
         keys, creases = (pair_keys(ends, control.n_vertices) for ends in (topology.edge_ends, control.crease_edges))

@@ -159,6 +159,11 @@ class SurfacePoints:
         """(m,) vertex of largest weight."""
         return np.take_along_axis(self.corners, self.barycentric.argmax(axis=1)[:, None], axis=1)[:, 0]
 
+    @property
+    def vertices(self) -> IndexArray:
+        """(m,) vertex of every point, -1 for points between vertices."""
+        return np.where(self.barycentric.max(axis=1) == 1.0, self.heaviest_corners, -1).astype(np.int64)
+
     @kept
     def positions(self) -> FloatArray:
         """(m, 3) positions in space, at unit area."""

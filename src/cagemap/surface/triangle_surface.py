@@ -132,10 +132,9 @@ class TriangleSurface:
     @kept
     def vertex_triangles(self) -> IndexArray:
         """(n,) the last triangle around every vertex; -1 without triangles."""
-        last, numbers = np.full((3, self.n), -1, dtype=np.int64), np.arange(len(self.triangles))
-        for corner in range(3):
-            last[corner, self.triangles[:, corner]] = numbers
-        return read_only(last.max(axis=0))
+        last = np.full(self.n, -1, dtype=np.int64)
+        last[self.triangles.ravel()] = np.arange(self.triangles.size) // 3  # of repeated indices the last one counts
+        return read_only(last)
 
     @kept
     def tree(self) -> TriangleTree:

@@ -20,8 +20,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, numbers_on_part
-from cagemap.mesh.plain import PlainMesh
-from cagemap.mesh.weld import Welded
+from cagemap.mesh.repairs import RepairedMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pipeline import choose_level, match, prepare_surfaces
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights
@@ -72,8 +71,7 @@ def carry_character(
     chosen, notes = _chosen(source, source_body, target, target_body, passengers)
     matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages)
     result = matched.result
-    plain = [one for one in matched.ready if isinstance(one, PlainMesh)]
-    notes += [f"{one.mesh.name}: {sentence}" for one in plain for sentence in one.repairs.sentences_of_body()]
+    notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]
     pieces = _set_aside(source_body, matched.ready[1])
     to_carry = [*chosen, *([] if pieces is None else [pieces])]
     stages("weights and shapes")
@@ -106,7 +104,7 @@ class Bodies:
     """Two bodies as given and as repaired for the match, and the map."""
 
     given: tuple[Part, Part]
-    ready: tuple[PlainMesh | Welded, PlainMesh | Welded]
+    ready: tuple[RepairedMesh, RepairedMesh]
     result: MatchResult
 
     def rows(self, side: int) -> IndexArray:
@@ -156,7 +154,7 @@ def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
     return {name: bodies.on_target(offsets) for name, offsets in carried.items()}
 
 
-def _set_aside(body: Part, ready: PlainMesh | Welded) -> Part | None:
+def _set_aside(body: Part, ready: RepairedMesh) -> Part | None:
     """Unmatched pieces of a body's mesh as a separate part; None without any."""
     mesh = body.mesh
     kept = np.maximum.reduceat(ready.vertex_of[mesh.face_indices], mesh.face_offsets[:-1]) >= 0

@@ -22,10 +22,10 @@ from cagemap.mesh.parts import (
     numbers_on_part,
     part_of_corners,
 )
-from cagemap.mesh.plain import PlainMesh, plain_mesh
+from cagemap.mesh.plain import plain_mesh
+from cagemap.mesh.repairs import RepairedMesh, unrepaired
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.topology import handle_count
-from cagemap.mesh.weld import Welded, keep_unwelded
 from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.threads import in_threads
 from cagemap.subdivision import default_scheme
@@ -89,7 +89,7 @@ def _each(
     pairs, *unpaired = pair_parts(
         target,
         source,
-        np.column_stack([landmarks.target_points.nearest_vertices, landmarks.source_points.nearest_vertices]),
+        np.column_stack([landmarks.target_points.heaviest_corners, landmarks.source_points.heaviest_corners]),
         (target_pieces, source_pieces),
     )
     left = {side: _titled(parts) for side, parts in zip(("target", "source"), unpaired, strict=True) if parts}
@@ -203,10 +203,10 @@ def ready_inputs(given: PartInputs) -> PartInputs:
     """Check two meshes and their landmarks, and repair plain meshes; notes name pieces set aside."""
     check_landmarks(given.landmarks, given.target, given.source)
     ready = dict(zip(("target", "source"), in_threads(ready_mesh, [given.target, given.source]), strict=True))
-    plain = {side: prepared for side, prepared in ready.items() if isinstance(prepared, PlainMesh)}
+    plain = {side: prepared for side, prepared in ready.items() if isinstance(prepared.mesh.scheme, Plain)}
     meshes = [prepared.mesh for prepared in ready.values()]
     numbers = [prepared.vertex_of.__getitem__ for prepared in ready.values()]
-    notes = [note for prepared in plain.values() for note in prepared.notes]
+    notes = [note for prepared in ready.values() for note in prepared.notes]
     repairs = {side: prepared.repairs.summary() for side, prepared in plain.items()}
     landmarks = given.landmarks.renumbered(*numbers)
     for what, before, after in (
@@ -231,8 +231,8 @@ def _handle_notes(*meshes: ControlMesh) -> list[str]:
     ]
 
 
-def ready_mesh(mesh: ControlMesh) -> PlainMesh | Welded:
-    """A checked cage, or a repaired plain mesh; both have ``mesh``, ``vertex_of`` and ``notes``."""
-    ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else keep_unwelded(mesh)
+def ready_mesh(mesh: ControlMesh) -> RepairedMesh:
+    """A checked cage, or a repaired plain mesh."""
+    ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else unrepaired(mesh)
     require_valid(ready.mesh)
     return ready

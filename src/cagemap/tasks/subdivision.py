@@ -8,7 +8,8 @@ from typing import Any
 
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.weld import Welded, keep_unwelded, weld_mesh
+from cagemap.mesh.repairs import RepairedMesh, unrepaired
+from cagemap.mesh.weld import weld_mesh
 from cagemap.subdivision import with_options
 
 
@@ -39,12 +40,12 @@ class SubdivisionRequest:
 AUTO = "auto"
 
 
-def weld_asked(control: ControlMesh, word: str | None) -> Welded:
+def weld_asked(control: ControlMesh, word: str | None) -> RepairedMesh:
     """The mesh welded by ``--weld`` (``auto`` or a tolerance); not welded for None."""
-    return keep_unwelded(control) if word is None else weld_mesh(control, _tolerance(word))
+    return unrepaired(control) if word is None else weld_mesh(control, _tolerance(word))
 
 
-def weld_side(control: ControlMesh, request: Any, side: str) -> Welded:
+def weld_side(control: ControlMesh, request: Any, side: str) -> RepairedMesh:
     """The mesh of one side welded as a request with ``--weld`` and ``--target-weld``, ``--source-weld`` says."""
     own = getattr(request, f"{side}_weld")
     return weld_asked(control, request.weld if own is None else own)

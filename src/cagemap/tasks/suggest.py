@@ -49,17 +49,17 @@ def suggested_landmarks(result: MatchResult, count: int) -> Landmarks:
     target, source = result.point_map.target, result.point_map.source
     vertices = result.target.control.n_vertices
     pairs = result.landmarks
-    known, partnered = pairs.target_points.nearest_vertices, pairs.source_points.nearest_vertices
+    known, partnered = pairs.target_points.heaviest_corners, pairs.source_points.heaviest_corners
     images = result.point_map.images.positions[:vertices]
     others = result.runner_up_images.reshape(-1, vertices, 3) * source.scale
     trust = result.trust[:vertices]
     chosen = suggested_vertices(target.positions[:vertices], images, others, trust, np.unique(known), count)
     places = source.positions[: result.source.control.n_vertices]
     partners = nearest_free_vertices(places, images[chosen], partnered)
-    taken = set(result.landmark_names)
+    taken = set(result.landmarks.names)
     free = [name for i in range(1, count + len(taken) + 1) if (name := f"suggested {i}") not in taken]
     more = Landmarks.of_points(
-        (*result.landmark_names, *free[:count]),
+        (*result.landmarks.names, *free[:count]),
         CagePoints.joined((pairs.target_points, CagePoints.of_vertices(chosen))),
         CagePoints.joined((pairs.source_points, CagePoints.of_vertices(partners))),
         result.target.control.name,

@@ -107,14 +107,14 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
         ("source", result.source, result.landmarks.source_points, result.masks.source),
     ):
         arrays[f"{prefix}_vertices"], arrays[f"{prefix}_faces"] = side.vertices, _numbers(side.faces)
-        arrays[f"{prefix}_landmarks"] = points.nearest_vertices
+        arrays[f"{prefix}_landmarks"] = points.heaviest_corners
         if np.any(points.vertices < 0):
             arrays[f"{prefix}_landmark_corners"] = points.corners
             arrays[f"{prefix}_landmark_weights"] = points.weights
         if mask is not None:
             arrays[f"{prefix}_mask"] = mask
         arrays |= control_to_arrays(side.control, f"{prefix}_control_")
-    arrays |= curves_to_arrays(result.curves)
+    arrays |= curves_to_arrays(result.landmarks.curves)
     with atomic_folder(folder, (ARRAYS, MANIFEST), force=force, owned=_is_own) as temporary:
         names = _SPECTRAL_ARRAYS if result.has_spectral else ()
         write_npz(temporary / ARRAYS, arrays, lambda: {name: getattr(result.spectral, name) for name in names})
@@ -312,7 +312,7 @@ def _manifest(result: MatchResult) -> dict[str, Any]:
         }
         for prefix, side in (("target", result.target), ("source", result.source))
     }
-    fixed = {**written_with(), **sides, "landmark_names": list(result.landmark_names)}
+    fixed = {**written_with(), **sides, "landmark_names": list(result.landmarks.names)}
     fixed["level_maps"] = level_entries(result)
     return fixed | {name: value for name, value in result.manifest.items() if name not in {*fixed, "files"}}
 

@@ -132,7 +132,7 @@ def _merged_landmarks(parts: Sequence[MatchResult]) -> Landmarks:
         sides.append(
             CagePoints(np.concatenate(corners), np.concatenate([cage_points.weights for cage_points in points]))
         )
-    names = tuple(name for part in parts for name in part.landmark_names)
+    names = tuple(name for part in parts for name in part.landmarks.names)
     first = parts[0].landmarks
     landmarks = Landmarks.of_points(names, sides[0], sides[1], first.target_name, first.source_name)
     return replace(landmarks, curves=_merged_curves(parts))
@@ -142,7 +142,7 @@ def _merged_curves(parts: Sequence[MatchResult]) -> Curves:
     """Curves of all parts, numbered on the merged meshes."""
     merged, starts = Curves.none(), [0, 0]
     for part in parts:
-        merged = merged.joined_with(part.curves.renumbered(*(partial(np.add, start) for start in starts)))
+        merged = merged.joined_with(part.landmarks.curves.renumbered(*(partial(np.add, start) for start in starts)))
         starts = [starts[0] + part.target.control.n_vertices, starts[1] + part.source.control.n_vertices]
     return merged
 

@@ -185,10 +185,7 @@ def turned_limb_answers(ranked: Sequence[Placement], prepared: PreparedPair) -> 
     for other in ranked[1:]:
         share = turned_share(prepared.mesh, best.positions, other.positions)
         if other.cost <= prepared.elastic.search.max_equal_cost * best.cost and share > max_share:
-            answers = (
-                Placement(best.map_positions, best.cost, name=AS_GIVEN),
-                Placement(other.positions, other.cost, name="with a limb turned otherwise about its axis"),
-            )
+            answers = best.as_answer(AS_GIVEN), other.as_answer("with a limb turned otherwise about its axis")
             apart = np.linalg.norm(best.positions - other.positions, axis=1)
             deciding = int(prepared.vertices[apart[: prepared.target.control.n_vertices].argmax()])
             return Confidence(LOOK, answers, cost_signs(answers) | {"limb_turned": share}, deciding)

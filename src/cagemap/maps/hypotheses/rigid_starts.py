@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from cagemap.deform.config import SearchConfig
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair
-from cagemap.numerics.arrays import FloatArray
+from cagemap.deform.refit import common_rotation
+from cagemap.numerics.arrays import FloatArray, nearest_rotations
 from cagemap.surface.alignment import PrincipalFrame
 from cagemap.surface.triangle_surface import TriangleSurface
 
@@ -50,9 +51,10 @@ def rotation_name(matrix: FloatArray) -> str:
     return f"turned {angle} degrees about ({', '.join(map(str, axis))})"
 
 
-def nearest_axis_rotation(matrix: FloatArray) -> FloatArray:
-    """The one of `axis_rotations` nearest to a rotation (3, 3)."""
-    return max(axis_rotations(), key=lambda rotation: float((rotation * matrix).sum()))
+def axis_rotation(areas: FloatArray, maps: FloatArray) -> FloatArray:
+    """The one of `axis_rotations` nearest to the differentials (n, 3, 3) of a placement with areas (n,)."""
+    common = common_rotation(areas, nearest_rotations(maps))
+    return max(axis_rotations(), key=lambda rotation: float((rotation * common).sum()))
 
 
 def rotation_penalty(matrix: FloatArray, config: SearchConfig) -> float:

@@ -15,7 +15,6 @@ from itertools import chain, count
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.multi_start import (
     FEWEST_LANDMARKS,
-    fit_from_spectral_starts,
     fit_from_two_starts,
     refine_cheapest,
     spectral_starts,
@@ -23,11 +22,11 @@ from cagemap.deform.multi_start import (
 )
 from cagemap.deform.placement import Placement, distinct_placements, mean_distance, rank_placements, sort_by_cost
 from cagemap.deform.problem import Clusters, PreparedPair, Problem, Tips, fitted_surface
-from cagemap.deform.refit import common_rotation, finish_placement, inverse_positions
+from cagemap.deform.refit import finish_placement, inverse_positions
 from cagemap.maps.hypotheses.limbs import assigned_limbs, refit_distinct_to_tips
 from cagemap.maps.hypotheses.rigid_starts import (
     AS_FILED_STARTS,
-    nearest_axis_rotation,
+    axis_rotation,
     rigid_starts,
     rotation_name,
     rotation_penalty,
@@ -35,7 +34,7 @@ from cagemap.maps.hypotheses.rigid_starts import (
 )
 from cagemap.maps.masks import WHOLE
 from cagemap.maps.pair import Pair, Progress, no_progress
-from cagemap.numerics.arrays import FloatArray, nearest_rotations
+from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, thread_limit
 
@@ -103,11 +102,6 @@ def fit_small_graph(
     max_cost = config.max_cost * limb_fits[0][1].penalised_cost
     limb_fits = [(tips, placed) for tips, placed in limb_fits if placed.penalised_cost <= max_cost]
     return limb_fits, [*(placed for _, placed in limb_fits), *as_filed]
-
-
-def axis_rotation(areas: FloatArray, maps: FloatArray) -> FloatArray:
-    """(3, 3) rotation of axes to axes nearest to the differentials (n, 3, 3) of a placement."""
-    return nearest_axis_rotation(common_rotation(areas, nearest_rotations(maps)))
 
 
 def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[Placement]:
@@ -185,8 +179,12 @@ def search_placements(
     progress("elastic alignment")
     if constrained:
         (clusters, fine, soft), *others = sorted(constrained, key=lambda fits: fits[1][0].penalised_cost)
-        best = fit_from_spectral_starts(problem, clusters, fine, soft) if soft else fine
-        placements += [*best[: None if has_given_start else 1], *(fine[0] for _, fine, _ in others)]
+        if soft:
+            starts = spectral_starts(problem, clusters)(soft[0])
+            more = in_threads(lambda chosen: coarse_fit(problem, chosen, clusters), starts)
+            refined = refine_cheapest(problem, [*soft, *more], fine=fine)
+            fine = [placed.with_start_of(fine[0]) for placed in refined]
+        placements += [*fine[: None if has_given_start else 1], *(fine[0] for _, fine, _ in others)]
     floor = cost_floor(problem.prepared)
     ranked = rank_placements(placements, floor)
     if min(placed.cost for placed in ranked) > problem.prepared.elastic.search.same_kind_cost:
@@ -236,5 +234,5 @@ def distinct_answers(prepared: PreparedPair, placements: Sequence[Placement]) ->
     for placed in distinct_placements(placements, prepared.energy.graph.areas, min_distance):
         names = chain([placed.name, placed.name + ANOTHER_WAY], (f"{placed.name}{ANOTHER_WAY} {k}" for k in count(2)))
         name = next(name for name in names if name not in answers)
-        answers[name] = Placement(placed.map_positions, placed.cost, name=name, penalty=placed.penalty)
+        answers[name] = placed.as_answer(name)
     return tuple(answers.values())

@@ -29,7 +29,7 @@ from cagemap.maps.landmarks.outliers import (
     typical_misfit,
 )
 from cagemap.maps.landmarks.strain import reduced_energy, strained_pair
-from cagemap.maps.pair import Progress, near_vertices, vertices_at
+from cagemap.maps.pair import Progress, near_vertices
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
 from cagemap.mesh import ControlMesh
@@ -268,7 +268,7 @@ def foreign_warnings(folded: float, count: int, left_out: int) -> tuple[str, ...
 def _suspect(problem: Problem, found: PointMap, names: Sequence[str], pair: int, evidence: str) -> LandmarkSuspect:
     """Suspect for a pair that was left out of a map."""
     points = problem.landmarks.source
-    at_vertex, near = vertices_at(points), near_vertices(points, problem.prepared.source)
+    at_vertex, near = points.vertices, near_vertices(points, problem.prepared.source)
     given = int(np.where(at_vertex < 0, near, at_vertex)[pair])  # near vertices differ on a plain mesh's finest level
     return LandmarkSuspect(
         names[pair], pair, *landmark_miss(problem, found, pair), source_vertex=given, evidence=evidence
@@ -306,11 +306,8 @@ def check_mirrored(
     if len(exchange) < FEWEST_LANDMARKS:
         return None, check
     pairs = tuple(map(tuple, exchange.tolist()))
-    exchanged = "with left and right of the landmarks exchanged"
-    answers = (
-        Placement(given.map_positions, given.cost, name=AS_GIVEN),
-        Placement(best.map_positions, best.cost, name=exchanged, exchange=pairs),
-    )
+    exchanged = replace(best.as_answer("with left and right of the landmarks exchanged"), exchange=pairs)
+    answers = given.as_answer(AS_GIVEN), exchanged
     return Confidence(TWO, answers, cost_signs(answers)), check
 
 

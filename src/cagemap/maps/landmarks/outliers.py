@@ -34,19 +34,13 @@ def place_by_distances(
 ) -> tuple[FloatArray, IndexArray, FloatArray]:
     """Place every trusted landmark on the source by its distances to the other trusted landmarks.
 
+    Returns, for every landmark (p,), the gain: the misfit of its source vertex minus the least misfit of any vertex, 0
+    if it is not trusted; the vertex of least misfit; and the geodesic distance from the given vertex to that one.
+
     The misfit of vertex v for landmark i is ``sum_j w_ij min(|log (d1_ij + c) / (d2_vj + c) - s|, m)``, weights
     w_ij proportional to ``1 / (d1_ij + c)`` with sum 1, s the median log ratio of all pairs, c and m the
     `added_distance` and `max_misfit` of `LandmarkConfig`. Near landmarks count most. The cap m limits the influence of
     a second wrong pair.
-
-    Returns
-    -------
-    gain : (p,) float64
-        Misfit of the given source vertex minus the least misfit of any vertex; 0 for pairs that are not trusted.
-    node : (p,) int64
-        Vertex of the source graph with the least misfit.
-    distance : (p,) float64
-        Geodesic distance from the given vertex to that vertex.
     """
     p, short = len(target), config.added_distance
     near = target[:, :p] + short

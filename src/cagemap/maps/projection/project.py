@@ -8,7 +8,7 @@ from scipy import sparse
 from cagemap.deform.config import ElasticConfig, ProjectionConfig
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.errors import ParameterError
-from cagemap.maps.pair import PointPairs, vertices_at
+from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.flatten import flatten_folded_parts
 from cagemap.maps.projection.relax import relax_folds
@@ -59,7 +59,7 @@ def snap_landmarks(images: SurfacePoints, landmarks: PointPairs, config: Project
     move by its error and are projected again, until the error is small. Normals, weighted less in each step, keep the
     corners on their side of a thin part.
     """
-    vertices = vertices_at(landmarks.target)
+    vertices = landmarks.target.vertices
     at_vertex, between = np.flatnonzero(vertices >= 0), np.flatnonzero(vertices < 0)
     images = images.replaced(vertices[at_vertex], landmarks.source.at(at_vertex))
     if not len(between):
@@ -85,7 +85,7 @@ def snap_landmarks(images: SurfacePoints, landmarks: PointPairs, config: Project
 
 def held_vertices(landmarks: PointPairs) -> IndexArray:
     """Target vertices whose images landmarks fix: at landmarks, or in triangles that contain one."""
-    vertices = vertices_at(landmarks.target)
+    vertices = landmarks.target.vertices
     return np.unique(np.concatenate([vertices[vertices >= 0], landmarks.target.corners[vertices < 0].ravel()]))
 
 
@@ -126,10 +126,8 @@ def carried_to_finest(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
     """
     refinement, level = prepared.target.hierarchy, prepared.levels[0]
     if not refinement.is_plain:
-        chosen = sparse.csr_array(sparse.eye_array(len(fitted), refinement.finest.n_vertices, format="csr"))
-        for matrix in reversed(refinement.matrices[level:]):
-            chosen = sparse.csr_array(chosen @ matrix)
-        return refinement.prolong(control_points(chosen, fitted), level, refinement.finest_level)
+        sampling = refinement.rows(slice(len(fitted)), refinement.finest_level, level)
+        return refinement.prolong(control_points(sampling, fitted), level, refinement.finest_level)
     maps, _ = prepared.energy.differentials(fitted)
     rest = prepared.target.finest_triangles.positions
     shifts = fitted - np.einsum("nab,nb->na", maps, rest[prepared.vertices])
