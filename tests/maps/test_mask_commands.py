@@ -149,7 +149,7 @@ def test_masks_of_a_transfer_are_beside_those_of_the_match(scene: Path, whole: P
     _run_transfer(scene, "further.png", texture=scene / "texture.png", target_mask=str(scene / "painted.png"))
     half = read_image(scene / "further.png").pixels[..., 3]
     assert np.abs(half - at_match * (128 / 255)).max() <= 1
-    with pytest.raises(ParameterError, match="--mask-edge: expected --target-mask"):
+    with pytest.raises(ParameterError, match="--mask-edge: expected with --target-mask"):
         _run_transfer(scene, "no.png", texture=scene / "texture.png", mask_edge=0.1)
     with pytest.raises(
         ParameterError, match=r"--target-mask: expected with --texture or .* --blend-shapes only, got --write-map"

@@ -85,7 +85,7 @@ REFUSED = {
     f"{WRAP} --detail box.obj": "expected an image to bake from it",
     f"{WRAP} --detail-texture t.png --baked b.png": "--detail-texture: expected --detail, and no --texture",
     f"{WRAP} --landmarks pairs.json": "expected RESULT folders, or --target and --source together",
-    f"{WRAP} --mask-edge 0.1": "expected --target-mask or --source-mask beside it, got neither",
+    f"{WRAP} --mask-edge 0.1": "--mask-edge: expected with --target-mask or --source-mask only",
     "wrap -t box.obj -s box.obj --map five.npy --landmarks pairs.json -o n.obj": "since nothing is matched",
     "transfer R --bake colors -o o.png": "expected colours at its vertices to bake",
     "transfer R --bake normal -o o.png": "expected --detail, a detailed mesh that lies on the source",

@@ -32,6 +32,7 @@ from cagemap.files.values.attributes import Attributes
 from cagemap.files.values.part_numbering import FileRows, to_file
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
+from cagemap.tasks.requests.options import refuse_unread
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.tasks.requests.wrap import WrapRequest
 
@@ -99,13 +100,12 @@ def mask_inputs(request: Masked) -> dict[str, Path]:
 
 def read_masks(request: Masked, controls: tuple[ControlMesh, ControlMesh], files: tuple[Path, Path]) -> GivenMasks:
     """Read the masks of the target's and the source's whole files."""
-    texts = {"--target-mask": request.target_mask, "--source-mask": request.source_mask}
+    texts = {"target_mask": request.target_mask, "source_mask": request.source_mask}
     target, source = (
-        None if text is None else read_mask(text, request.mask_edge, control, file, option)
-        for (option, text), control, file in zip(texts.items(), controls, files, strict=True)
+        None if text is None else read_mask(text, request.mask_edge, control, file, f"--{name.replace('_', '-')}")
+        for (name, text), control, file in zip(texts.items(), controls, files, strict=True)
     )
-    if request.mask_edge is not None and target is None and source is None:
-        raise ParameterError("--mask-edge: expected --target-mask or --source-mask beside it, got neither")
+    refuse_unread(request, {"mask_edge": texts}, [name for name, text in texts.items() if text is not None])
     return target, source
 
 

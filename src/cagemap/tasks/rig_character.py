@@ -183,18 +183,16 @@ def _landmarks(request: RigRequest, bodies: tuple[Part, Part], characters: tuple
     meshes = read_whole(request.body), read_whole(request.like)
     given, _ = read_landmarks(request.landmarks, request.body, request.like)
     check_landmarks(given, *meshes)
-    (target, source), files = bodies, (request.body, request.like)
+    files = request.body, request.like
     places = [character_positions(*side) for side in zip(files, meshes, characters, strict=True)]
-    points = (
-        points_on_body(given.target_points, places[0], target),
-        points_on_body(given.source_points, places[1], source),
-    )
-    curves = (
-        replace(given.curves.target, points=points_on_body(given.curves.target.points, places[0], target)),
-        replace(given.curves.source, points=points_on_body(given.curves.source.points, places[1], source)),
-    )
-    landmarks = Landmarks.of_points(given.names, *points, given.target_name, given.source_name)
-    return replace(landmarks, curves=Curves(given.curves.names, *curves))
+    given_points, given_curves = (given.target_points, given.source_points), (given.curves.target, given.curves.source)
+    points = [points_on_body(*side) for side in zip(given_points, places, bodies, strict=True)]
+    curves = [
+        replace(one, points=points_on_body(one.points, place, body))
+        for one, place, body in zip(given_curves, places, bodies, strict=True)
+    ]
+    landmarks = Landmarks.of_points(given.names, points[0], points[1], given.target_name, given.source_name)
+    return replace(landmarks, curves=Curves(given.curves.names, curves[0], curves[1]))
 
 
 def points_on_body(points: CagePoints, places: FloatArray, body: Part) -> CagePoints:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import Field, dataclass, fields
 from functools import cache
 from pathlib import Path
@@ -128,7 +128,7 @@ def without_none(kind: Any) -> Any:
     return kinds[0] if NoneType in get_args(kind) and len(kinds) == 1 else kind
 
 
-def refuse_unread(request: Any, readers: Mapping[str, Sequence[str]], given: Collection[str]) -> None:
+def refuse_unread(request: Any, readers: Mapping[str, Collection[str]], given: Collection[str]) -> None:
     """Refuse options that nothing given reads.
 
     ``readers``: fields or other words that read an option, by its field.
