@@ -10,7 +10,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,17 +70,9 @@ def one_start() -> Iterator[None]:
 @pytest.fixture
 def quick_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Matches of the library, commands and previews fit quickly, for tests that do not ask how accurate a map is."""
-    from cagemap import pipeline
+    from quick_match import fit_quickly
 
-    from quick_match import QUICK
-
-    usual = pipeline.MatchConfig()
-    for name in ("match", "prepare_pair", "match_pair", "update_match", "other_answer"):
-        function = inspect.unwrap(getattr(pipeline, name))
-        defaults = tuple(QUICK if given == usual else given for given in function.__defaults__)
-        monkeypatch.setattr(function, "__defaults__", defaults)
-    quick = partial(type(QUICK), start=QUICK.start, elastic=QUICK.elastic)
-    monkeypatch.setattr("cagemap.tasks.match.MatchConfig", quick)
+    fit_quickly(monkeypatch)
 
 
 @pytest.fixture

@@ -185,6 +185,14 @@ def test_a_prop_far_away_keeps_its_shape_and_says_how_far_it_is(body: ControlMes
     assert carried.distance > 1.0
 
 
+@pytest.mark.parametrize(("factor", "expected"), [(0.01, 100.0), (0.0254, 1 / 0.0254), (1.0, 1.0), (100.0, 0.01)])
+def test_clothes_in_another_unit_are_recognised(factor: float, expected: float, body: ControlMesh) -> None:
+    """Clothes a hundred times too small lie near the origin, which is not far from the body."""
+    cloth = dressed(body)
+    worn = cloth.with_positions(factor * cloth.positions)
+    assert carry_passenger(swollen(body), worn).unit_factor == pytest.approx(expected)
+
+
 def test_what_is_no_passenger_is_refused_by_name(body: ControlMesh) -> None:
     point_map = swollen(body)
     empty = replace(ControlMesh.from_faces(np.zeros((0, 3)), []), name="nothing.obj")
@@ -253,5 +261,8 @@ def test_the_command_refuses_idle_options_and_warns_of_a_passenger_elsewhere(tmp
     run.refused("transfer R --attribute v.npy --as rigid -o o.npy", says="--as: expected with --passenger only")
     warned = run.done("transfer R --passenger far.obj -o on.obj")
     assert "same units and place" in warned.err + warned.out
+    write_mesh(tmp_path / "small.obj", cube().with_positions(0.01 * cube().positions))
+    warned = run.done("transfer R --passenger small.obj -o small_on.obj")
+    assert "times as large it would lie on it): check that both have the same units" in warned.err + warned.out
     same = run("transfer R --passenger far.obj -o far.obj")
     assert same.code

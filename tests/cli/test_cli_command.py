@@ -6,12 +6,13 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from typer.testing import CliRunner
 
 from cagemap.cli.request_command import command_of
+from cagemap.tasks.requests.options import Argument, Option, PythonOnly
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.wrap import WrapConfig
 
@@ -20,18 +21,31 @@ from cagemap.wrap import WrapConfig
 class Asked:
     """A request with a field of every kind."""
 
-    files: Annotated[tuple[Path, ...], typer.Argument()]
-    kinds: Annotated[tuple[str, ...], typer.Option("--kinds")] = ()
-    sizes: Annotated[tuple[int, ...], typer.Option("--size")] = (1, 2)
-    amount: Annotated[float, typer.Option("--amount")] = 0.5
-    inner: str = "not of the command line"
+    files: Annotated[tuple[Path, ...], Argument("Files.", metavar="[FILE]")]
+    kinds: Annotated[tuple[str, ...], Option("Kinds.")] = ()
+    sizes: Annotated[tuple[int, ...], Option("Sizes.", names=("--size",))] = (1, 2)
+    amount: Annotated[float, Option("Amount.")] = 0.5
+    space: Annotated[Literal["a", "b"] | None, Option("Space.")] = None
+    inner: Annotated[str, PythonOnly("Of Python alone.")] = "not of the command line"
 
 
-def _asked(*words: str, **options: Any) -> Asked:
-    got: list[Asked] = []
+@dataclass(frozen=True)
+class AskedInWords:
+    """A request with a field that is typed in another form."""
+
+    kinds: Annotated[tuple[str, ...], Option("Kinds.", typed=str | None)] = ()
+
+    @classmethod
+    def of_words(cls, kinds: str | None) -> AskedInWords:
+        """The request from what is typed."""
+        return cls(kinds=tuple(kinds.split(",")) if kinds else ())
+
+
+def _asked(*words: str, kind: type = Asked) -> Any:
+    got: list[Any] = []
     app = typer.Typer()
 
-    app.command()(command_of(Asked, got.append, **options))
+    app.command()(command_of(kind, got.append))
     done = CliRunner().invoke(app, words)
     assert (done.exit_code, done.output) == (0, ""), done.output
     return got[0]
@@ -42,17 +56,14 @@ def test_what_is_not_said_is_the_requests_own_default() -> None:
 
 
 def test_words_become_the_fields_values() -> None:
-    got = _asked("a", "b", "--kinds", "x", "--kinds", "y", "--size", "3", "--amount", "1")
-    assert got == Asked((Path("a"), Path("b")), ("x", "y"), (3,), 1.0)
+    got = _asked("a", "b", "--kinds", "x", "--kinds", "y", "--size", "3", "--amount", "1", "--space", "b")
+    assert got == Asked((Path("a"), Path("b")), ("x", "y"), (3,), 1.0, "b")
+    assert type(got.space) is str
 
 
 def test_a_field_may_be_said_in_words_of_its_own() -> None:
-    def read(kinds: str | None, **others: Any) -> Asked:
-        return Asked(kinds=tuple(kinds.split(",")) if kinds else (), **others)
-
-    types = {"kinds": str | None}
-    assert _asked("--kinds", "x,y", word_types=types, make_request=read).kinds == ("x", "y")
-    assert _asked(word_types=types, make_request=read) == Asked(())
+    assert _asked("--kinds", "x,y", kind=AskedInWords) == AskedInWords(("x", "y"))
+    assert _asked(kind=AskedInWords) == AskedInWords()
 
 
 def test_wrap_is_asked_for_what_the_library_does_by_itself() -> None:

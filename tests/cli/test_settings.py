@@ -130,6 +130,10 @@ def test_a_file_of_settings_that_cannot_be_read_is_named(tmp_path: Path) -> None
     with pytest.raises(FormatError, match=r"x\.toml"):
         read_settings(MatchRequest, [str(file)])
     file.write_text("k = = 3")
+    file.write_text("a = " + "[" * 20_000)
+    with pytest.raises(FormatError, match=r"x\.toml: expected a TOML file, got brackets within brackets"):
+        read_settings(MatchRequest, [str(file)])
+    file.write_text("a = = b")
     with pytest.raises(FormatError, match=r"x\.toml: expected a TOML file, got a mistake in it"):
         read_settings(MatchRequest, [str(file)])
 
@@ -148,7 +152,7 @@ def test_an_option_that_moved_is_refused_with_its_new_spelling(old: str, asked: 
 
 def test_job_files_keep_the_names_of_research_options() -> None:
     names = {field.name for field in fields(MatchRequest)}
-    assert {setting.field for setting in settings_of(MatchRequest).values()} | {"parameter"} <= names
+    assert {field for field, _, _ in settings_of(MatchRequest).values()} | {"parameter"} <= names
     assert len(moved_options(MatchRequest)) == 21
 
 

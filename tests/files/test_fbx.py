@@ -180,16 +180,43 @@ def test_a_texture_that_is_moved_turned_and_scaled(
     np.testing.assert_allclose(image.on_image(uvs), on_image, atol=1e-6)
 
 
+@pytest.mark.parametrize("layered", [False, True])
 @pytest.mark.parametrize(("named", "coordinates"), [("second", 1), ("map", 0), ("unknown", 0)])
-def test_a_texture_of_another_uv_set(named: str, coordinates: int, tmp_path: Path) -> None:
+def test_a_texture_of_another_uv_set(named: str, coordinates: int, layered: bool, tmp_path: Path) -> None:
     made = fbx_arm(image=PNG)
     add_layer(made, layer("UV", "second", "ByPolygonVertex", UV=np.full(2, 0.25), UVIndex=np.zeros(8, "<i4")))
     texture = next(one for one in made.objects if one.name == "Texture")
     texture.inside.append(properties(UVSet=named))
+    if layered:
+        number = texture.properties[0]
+        of_material = next(one for one in made.connections if one.properties[1] == number and one.properties[0] == "OP")
+        above = made.add("LayeredTexture", "layers", "", to=of_material.properties[2], by="DiffuseColor")
+        of_material.properties = ("OO", number, above)
     path = _file(tmp_path, made)
     (image,) = material_images(read_document(path), "skin")
     assert image.uv_set == f"TEXCOORD_{coordinates}"
     assert (read_mesh(path).uv_sets[0].uvs == 0.25).all()
+
+
+def test_further_layers_of_a_texture_are_said_to_be_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    made = fbx_arm(image=PNG)
+    material, texture = (
+        next(one.properties[0] for one in made.objects if one.name == name) for name in ("Material", "Texture")
+    )
+    above = made.add("LayeredTexture", "layers", "", to=material, by="DiffuseColor")
+    made.connections = [one for one in made.connections if one.properties[1:3] != (texture, material)]
+    made.connect(texture, above)
+    named = [Node("FileName", ("dirt.png",)), Node("RelativeFilename", ("dirt.png",))]
+    made.add(
+        "Video",
+        "dirt",
+        "Clip",
+        *named,
+        Node("Content", (PNG + b"2",)),
+        to=made.add("Texture", "dirt", "", *named, to=above),
+    )
+    assert len(material_images(read_document(_file(tmp_path, made)), "skin")) == 1
+    assert "material skin: baseColorTexture: has 2 layers, the first is used" in caplog.text
 
 
 def test_a_texture_that_is_clamped_stays_so(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ target = "pony"
 landmarks = "back.json"
 """
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_fit")]
 
 
 @pytest.fixture
@@ -101,8 +101,9 @@ def cluster(folder: Path, workers: int) -> Iterator[str]:
     commands = [
         [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)]
     ]
+    quick = ["--preload", "quick_match"]
     commands += [
-        [*dask, "worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+        [*dask, "worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-nanny", "--no-dashboard", *quick]
     ] * workers
     with ExitStack() as stack:
         for command in commands:

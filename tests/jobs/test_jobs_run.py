@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import sys
 import threading
@@ -36,6 +37,18 @@ def task(
 def ran(root: Path) -> list[str]:
     log = root / "log"
     return log.read_text().splitlines() if log.exists() else []
+
+
+@pytest.fixture
+def forked_workers(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Workers are forks of one process that has loaded what they need: new ones load it for 2 s each."""
+    import dask
+    from distributed.utils import get_mp_context
+
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+    with dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"}):
+        get_mp_context().set_forkserver_preload(["distributed.nanny", "cagemap.jobs.run", "library_runner", "filelock"])
+        yield
 
 
 def no_crew() -> Any:
@@ -223,6 +236,7 @@ def test_preparations_of_what_is_done_are_not_repeated(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("forked_workers")
 def test_dead_workers_and_bad_tasks_cost_only_what_needs_them(tmp_path: Path) -> None:
     tasks = (
         task(tmp_path, "good"),
@@ -245,6 +259,7 @@ def test_dead_workers_and_bad_tasks_cost_only_what_needs_them(tmp_path: Path) ->
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("forked_workers")
 def test_what_waits_on_a_worker_that_dies_is_not_blamed_for_it(tmp_path: Path) -> None:
     tasks = (task(tmp_path, "deadly", trouble="die"), *(task(tmp_path, f"good-{k}") for k in range(3)))
     with open_client(workers=1) as connect:  # all wait on the one that dies
@@ -268,6 +283,7 @@ def test_a_worker_that_nobody_starts_again_is_replaced(tmp_path: Path, monkeypat
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("forked_workers")
 def test_a_scheduler_elsewhere_is_reached_by_its_address(tmp_path: Path) -> None:
     from distributed import LocalCluster
 

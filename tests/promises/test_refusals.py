@@ -24,7 +24,7 @@ WRAP, SHAPES, MATCH = "wrap R -o n.obj", "transfer R -o o.npz --blend-shapes", "
 DETAIL = "transfer R --bake texture --detail-texture t.png -o o.png"
 REFUSED = {
     f"{WRAP} --texture t.png": "expected an image and the one to write, got one of them",
-    f"{WRAP} --scheme loop": "a RESULT has its schemes",
+    f"{WRAP} --scheme loop": "expected with --target only",
     f"{WRAP} --amount 2": "--amount",
     f"{WRAP} --amount 0.5 --displacement d.exr": "whole --amount",
     f"{WRAP} --weights five.npy": "8 control vertices of large.obj, the target, got 5",

@@ -15,6 +15,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
+from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import fan_triangles
 
 
@@ -30,11 +31,14 @@ class CarriedPassenger:
         Rotation times scale that takes an offset of a vertex, as a row, to the target.
     distance : float
         Mean distance of the vertices from the source's body, in units of sqrt(area).
+    unit_factor : float
+        With lengths times this it would lie on the source's body, as if it were in another unit; 1 if it does.
     """
 
     positions: FloatArray
     matrices: FloatArray
     distance: float
+    unit_factor: float
 
     def carry_offsets(self, offsets: FloatArray) -> FloatArray:
         """Offsets (n, 3) of a shape key of the passenger, rotated and scaled for the target."""
@@ -108,10 +112,29 @@ def carry_passengers(
         pieces = find_pieces(mesh, points[rows], distances.heights[rows], kinds.get(mesh.name))
         positions, turns, scales = fit_similarities(pieces, points[rows], places[rows], matrices[rows])
         linear_map = factor * scales[:, None, None] * turns
-        carried.append(
-            CarriedPassenger(positions / target.scale, linear_map, float(np.abs(distances.heights[rows]).mean()))
-        )
+        distance = float(np.abs(distances.heights[rows]).mean())
+        unit_factor = _unit_factor(source, points[rows])
+        carried.append(CarriedPassenger(positions / target.scale, linear_map, distance, unit_factor))
     return carried
+
+
+# Ratios of usual units; the first one is that of equal units.
+_UNIT_FACTORS = np.array(
+    [1.0, *(one for of in (2.54, 10.0, 30.48, 1 / 0.0254, 100.0, 1000.0) for one in (of, 1.0 / of))]
+)
+# Distance from the body over extent, relative to that in equal units: clothes have 2 and more in other ones.
+_NEARER = 0.25
+_UNIT_SAMPLES = 500  # vertices
+
+
+def _unit_factor(body: TriangleSurface, points: FloatArray) -> float:
+    """Factor of lengths with which points (n, 3) lie nearer to a body, relative to their extent; 1 if none."""
+    samples = points[:: -(-len(points) // _UNIT_SAMPLES)]
+    scaled = _UNIT_FACTORS[:, None, None] * samples
+    distances = np.abs(SignedDistances.of(body, scaled.reshape(-1, 3)).heights)
+    relative = distances.reshape(len(scaled), -1).mean(axis=1) / _UNIT_FACTORS
+    best = int(np.argmin(relative))
+    return float(_UNIT_FACTORS[best]) if relative[best] < _NEARER * relative[0] else 1.0
 
 
 def _check_passenger(mesh: ControlMesh) -> None:

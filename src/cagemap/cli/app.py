@@ -25,46 +25,26 @@ from cagemap.tasks.requests.run import RunRequest
 from cagemap.tasks.requests.settings import moved_options
 from cagemap.tasks.requests.studio import StudioRequest
 from cagemap.tasks.requests.suggest import SuggestRequest
-from cagemap.tasks.requests.transfer import TransferRequest, texture_and_maps
+from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 
-
-def _read_transfer(
-    texture: tuple[str, ...], bases: tuple[str, ...], bake: str | None, **others: Any
-) -> TransferRequest:
-    """The transfer request from values as typed: named images and comma-separated kinds of bakes."""
-    image, maps = texture_and_maps(texture)
-    base, named_bases = texture_and_maps(bases, "--base")
-    bakes: Any = tuple(name.strip() for name in bake.split(",")) if bake else ()
-    all_bases = named_bases if base is None else (("", base),)
-    return TransferRequest(texture=image, maps=maps, bases=all_bases, bake=bakes, **others)
-
-
-# Commands in the order of `--help`: request, and arguments of `command_of` where fields are typed in another form.
-_COMMANDS: dict[str, tuple[type, dict[str, Any]]] = {
-    "demo": (DemoRequest, {}),
-    "check": (CheckRequest, {}),
-    "refine": (RefineRequest, {}),
-    "match": (MatchRequest, {}),
-    "transfer": (
-        TransferRequest,
-        {
-            "word_types": {"texture": tuple[str, ...], "bases": tuple[str, ...], "bake": str | None},
-            "make_request": _read_transfer,
-        },
-    ),
-    "rig": (RigRequest, {}),
-    "face": (FaceRequest, {}),
-    "report": (ReportRequest, {}),
-    "suggest": (SuggestRequest, {}),
-    "run": (RunRequest, {}),
-    "studio": (StudioRequest, {}),
-    "functions": (FunctionsRequest, {}),
-    "wrap": (WrapRequest, {}),
-    "map": (MapRequest, {}),
+# In the order of `--help`.
+_COMMANDS: dict[str, type] = {
+    "demo": DemoRequest,
+    "check": CheckRequest,
+    "refine": RefineRequest,
+    "match": MatchRequest,
+    "transfer": TransferRequest,
+    "rig": RigRequest,
+    "face": FaceRequest,
+    "report": ReportRequest,
+    "suggest": SuggestRequest,
+    "run": RunRequest,
+    "studio": StudioRequest,
+    "functions": FunctionsRequest,
+    "wrap": WrapRequest,
+    "map": MapRequest,
 }
-# Their functions return a text and whether all is well, which decides the exit code; others a text and warnings.
-_JUDGING = (CheckRequest, RunRequest)
 
 app = typer.Typer(
     name="cagemap",
@@ -124,18 +104,16 @@ def _run(request: Any) -> None:
 
     run: Callable[..., tuple[str, Any]] = run_studio if isinstance(request, StudioRequest) else runner_of(request)
     with ConsoleStages() as stages:
-        outcome = run(request, stages)
-    if isinstance(request, _JUDGING):
-        summary, is_sound = outcome
-        say(summary, always=request.for_scripts or not is_sound)  # also with --quiet
-        if not is_sound:
+        summary, said = run(request, stages)
+    if isinstance(said, bool):  # whether all is well
+        say(summary, always=request.for_scripts or not said)  # also with --quiet
+        if not said:
             raise typer.Exit(1)
         return
-    summary, warnings = outcome
-    warn(warnings)
+    warn(said)
     if summary:
         say(summary)
 
 
-for _name, (_kind, _how) in _COMMANDS.items():
-    app.command(_name, cls=command_class(moved_options(_kind)))(command_of(_kind, _run, **_how))
+for _name, _kind in _COMMANDS.items():
+    app.command(_name, cls=command_class(moved_options(_kind)))(command_of(_kind, _run))

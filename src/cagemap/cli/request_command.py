@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, fields
+from dataclasses import MISSING
 from enum import Enum, StrEnum
 from importlib.util import LazyLoader, find_spec, module_from_spec
 from inspect import Parameter, Signature
 from pathlib import Path
-from types import MappingProxyType, NoneType
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from types import NoneType
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import typer
 from typer.core import TyperCommand
 
 from cagemap.cli.console import set_verbosity
 from cagemap.errors import ParameterError
-from cagemap.tasks.requests.options import HEADINGS, RESEARCH, Argument, Option, PythonOnly, without_none
+from cagemap.tasks.requests.options import HEADINGS, RESEARCH, Argument, Option, PythonOnly, options_in, without_none
 from cagemap.tasks.requests.settings import moved_options, read_settings
 
 Request = TypeVar("Request")
@@ -59,39 +59,25 @@ _METAVARS = {Path: "FILE", int: "NUMBER", float: "NUMBER", str: "TEXT"}
 LAZY_MODULES = ("numpy.f2py", "numpy.testing")
 
 
-def command_of(
-    kind: type[Request],
-    run: Callable[[Request], None],
-    *,
-    word_types: Mapping[str, Any] = MappingProxyType({}),
-    make_request: Callable[..., Request] | None = None,
-) -> Callable[..., None]:
+def command_of(kind: type[Request], run: Callable[[Request], None]) -> Callable[..., None]:
     """A function for typer, with a request's fields as parameters, that runs the request.
 
-    Its help is the docstring of the request. Fields without an option are not on the command line. Fields that may be
-    None are optional; tuples of any length may be repeated. ``word_types`` are the types on the command line of fields
-    that have another type there; ``make_request`` makes the request from values by field name.
+    Its help is the docstring of the request. Fields that may be None are optional; tuples of any length may be
+    repeated. A request with fields that are typed otherwise makes itself from what is typed by ``of_words``.
     """
-    hints = get_type_hints(kind, include_extras=True)
-    replacements = moved_options(kind)
     parameters = [
         Parameter(
             field.name,
             Parameter.KEYWORD_ONLY,
             default=default,
-            annotation=Annotated[
-                _typer_type(word_type),
-                *(typer_parameter(field.name, option, word_type, default) for option in options),
-            ],
+            annotation=Annotated[_typer_type(word_type), typer_parameter(field.name, option, word_type, default)],
         )
-        for field in fields(kind)  # type: ignore[arg-type]
-        if get_origin(hints[field.name]) is Annotated
-        for field_type, *options in [get_args(hints[field.name])]
-        for word_type in [word_types.get(field.name, field_type)]
-        if not any(isinstance(option, PythonOnly) or getattr(option, "setting", False) for option in options)
-        for default in [_typer_default(MISSING if field.name in word_types else field.default, word_type, options)]
+        for field, field_type, option in options_in(kind)
+        if not (option.setting or isinstance(option, PythonOnly))
+        for word_type in [option.typed or field_type]
+        for default in [_typer_default(MISSING if option.typed else field.default, word_type, option)]
     ]
-    if replacements:
+    if moved_options(kind):
         parameters.append(Parameter(_SETTINGS, Parameter.KEYWORD_ONLY, default=[], annotation=_SET))
     parameters += [
         Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
@@ -103,7 +89,7 @@ def command_of(
             set_verbosity(verbose, quiet)
         values = {name: _field_value(value) for name, value in given.items()}
         settings = read_settings(kind, values.pop(_SETTINGS, ()))
-        run((make_request or kind)(**values, **settings))
+        run(getattr(kind, "of_words", kind)(**values, **settings))
 
     vars(command).update(__signature__=Signature(parameters))
     command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters} | {"return": None}
@@ -125,10 +111,8 @@ def load_lazily(names: Sequence[str]) -> None:
         setattr(sys.modules[package], attribute, module)
 
 
-def typer_parameter(field: str, option: Any, word_type: Any, default: Any) -> Any:
+def typer_parameter(field: str, option: Option, word_type: Any, default: Any) -> Any:
     """A field's option for typer; its help names the default where typer does not."""
-    if not isinstance(option, Option):
-        return option
     if isinstance(option, Argument):
         return typer.Argument(help=option.help, metavar=str(option.metavar).strip("[]"))
     hides_default = default is None or default is False or default == []
@@ -175,11 +159,10 @@ def command_class(replacements: Mapping[str, str]) -> type[TyperCommand]:
     return Command
 
 
-def _typer_default(default: Any, kind: Any, options: Sequence[Any]) -> Any:
+def _typer_default(default: Any, kind: Any, option: Option) -> Any:
     """The default of a parameter for typer; a metavar in brackets says that an argument may be left out."""
     if default is MISSING:
-        required = any(isinstance(option, Argument) and str(option.metavar)[0] != "[" for option in options)
-        if _is_list(kind) and not required:
+        if _is_list(kind) and not (isinstance(option, Argument) and str(option.metavar)[0] != "["):
             return []
         return None if type(None) in get_args(kind) else Parameter.empty
     return list(default) if isinstance(default, tuple) else default

@@ -1,4 +1,4 @@
-"""The colour texture inside a glTF, FBX or USD file."""
+"""The colour texture inside a glTF, FBX or USD file, or of an OBJ file's materials."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.material_images import MaterialImage, material_images, write_numbered
 from cagemap.files.gltf.primitives import material_names
+from cagemap.files.meshes.obj_materials import obj_document
 from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
 from cagemap.mesh import ControlMesh
 
-SUFFIXES = (*SCENE_SUFFIXES, *USD_SUFFIXES)
+SUFFIXES = (*SCENE_SUFFIXES, *USD_SUFFIXES, ".obj")
 _COLOR_SLOT = "baseColorTexture"
 
 
@@ -31,11 +32,18 @@ def color_texture(path: Path, control: ControlMesh) -> tuple[Document, MaterialI
     """
     if path.suffix.lower() not in SUFFIXES or control.face_materials is None or control.uvs is None:
         return None
-    document = usd_document(path) if is_usd(path) else read_document(path)
+    document = _document(path)
     most = control.material_names[int(np.bincount(control.face_materials + 1, minlength=2)[1:].argmax())]
     found = color_image(document, most) if most in material_names(document) else None
     in_use = control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0"
     return None if found is None or found.uv_set != in_use else (document, found)
+
+
+def _document(path: Path) -> Document:
+    """A file, or its materials alone, as a glTF document."""
+    if path.suffix.lower() == ".obj":
+        return obj_document(path)
+    return usd_document(path) if is_usd(path) else read_document(path)
 
 
 def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | None:

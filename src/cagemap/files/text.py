@@ -5,9 +5,11 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import tomllib
 import unicodedata
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from typing import Any
 
 from cagemap.errors import FormatError, MissingFileError
 
@@ -73,6 +75,20 @@ def whole_characters(text: str) -> str:
     return text.encode("utf-8", "replace").decode()
 
 
+def read_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
+    """Text and table of a TOML file; errors name the file."""
+    require_file(path, what)
+    try:
+        text = path.read_bytes().decode("utf-8")
+        return text, tomllib.loads(text)
+    except RecursionError:
+        raise FormatError(
+            f"{path}: expected a TOML file, got brackets within brackets without end. Write it again."
+        ) from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise FormatError(f"{path}: expected a TOML file, got a mistake in it: {error}. Correct it.") from None
+
+
 def distinct(names: Sequence[str]) -> tuple[str, ...]:
     """Unique names: repeated ones get a number appended, which gives none of the other names."""
     given, used, counts = set(names), set[str](), dict[str, int]()
@@ -92,6 +108,17 @@ def file_in(folder: Path, name: str) -> Path:
     forms = (name, unicodedata.normalize("NFC", name), unicodedata.normalize("NFD", name))
     # Unlike `Path.is_file`, false for names that are too long.
     return next((folder / form for form in forms if os.path.isfile(folder / form)), folder / name)
+
+
+def named_image(path: Path, stated: str) -> Path | None:
+    """The image that a file names, searched in the file's folder and below; None if missing."""
+    name = PurePosixPath(stated.replace("\\", "/").replace("\0", ""))
+    folder = path.parent
+    for place in (name, name.name, f"textures/{name.name}", f"{path.stem}.fbm/{name.name}"):
+        file = file_in(folder, str(place)).resolve()
+        if name.name and file.is_relative_to(folder.resolve()) and os.path.isfile(file):
+            return file
+    return None
 
 
 def text_name(path: Path) -> str:

@@ -30,17 +30,17 @@ A job file is TOML. Options have the names of the command line's options, with u
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_type_hints
+from types import MappingProxyType
+from typing import Any
 
 from cagemap.errors import FormatError
 from cagemap.files.ownership import is_own
-from cagemap.files.text import require_file
+from cagemap.files.text import read_toml
 from cagemap.jobs.job_checks import find_line, find_problems, parse_job, resolve_files
-from cagemap.jobs.job_schema import Asset, CarryRule, JobFile, OutputRule, PairRule, options_schema
+from cagemap.jobs.job_schema import Asset, CarryRule, CommandOptions, JobFile, OutputRule, PairRule, command_options
 from cagemap.mesh.mesh_report import count_noun
 
 # Of one message.
@@ -75,39 +75,31 @@ class Job:
     assets: dict[str, Asset]
     pairs: tuple[PairRule, ...]  # their options include those of the whole job
     outputs: tuple[OutputRule, ...]
-    kinds: dict[str, dict[str, Any]]  # type of every option of every command, with its annotations
+    commands: dict[str, CommandOptions]
     carry: CarryRule | None = None
-    # Options of each command that name additional output files
-    output_options: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def read_job(
-    path: str | Path, commands: Mapping[str, type], output_options: Mapping[str, tuple[str, ...]] | None = None
+    path: str | Path, requests: Mapping[str, type], written: Mapping[str, tuple[str, ...]] = MappingProxyType({})
 ) -> Job:
     """Read and validate a job file; one error lists all problems with lines and remedies.
 
-    ``commands``: request of each command; its fields are the options.
-    ``output_options``: those that name further output files, which are written to the pair's folder.
+    ``requests``: of each command; its fields are the options.
+    ``written``: options that name further output files, which are written to the pair's folder.
     """
     file = Path(path)
     try:
-        require_file(file, "a job file")
-        text = file.read_bytes().decode("utf-8")
-        data = tomllib.loads(text)
+        text, data = read_toml(file, "a job file")
     except FormatError as error:
         inside = f" {file / 'job.toml'} is one." if os.path.isfile(file / "job.toml") else ""
         raise FormatError(f"{error}{inside}") from None
-    except RecursionError:
-        raise FormatError(
-            f"{file}: expected a TOML file, got brackets within brackets without end. Write it again."
-        ) from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise FormatError(f"{file}: expected a TOML file, got a mistake in it: {error}.") from None
     parsed, problems = parse_job(data)
-    kinds = {name: get_type_hints(request, include_extras=True) for name, request in commands.items()}
+    commands = {
+        name: command_options(request, EXCLUDED_FIELDS[name], written.get(name, ()))
+        for name, request in requests.items()
+    }
     if parsed is not None:
-        schemas = {name: options_schema(request, EXCLUDED_FIELDS[name]) for name, request in commands.items()}
-        problems += find_problems(parsed, file.parent, schemas, kinds, output_options or {})
+        problems += find_problems(parsed, file.parent, commands)
     if problems or parsed is None:
         lines = sorted(
             (find_line(text, key_path), f"{'.'.join(map(str, key_path)) or 'the file'}: {message}")
@@ -116,10 +108,10 @@ def read_job(
         listing = "\n".join(f"  line {line}: {message}" for line, message in lines[:MAX_LISTED_PROBLEMS])
         more = f"\n  and {len(lines) - MAX_LISTED_PROBLEMS} more" if len(lines) > MAX_LISTED_PROBLEMS else ""
         raise FormatError(f"{file}: {count_noun(len(lines), 'problem')}; nothing was started.\n{listing}{more}")
-    return replace(_resolve_paths(file, parsed, kinds), output_options=output_options or {})
+    return _resolve_paths(file, parsed, commands)
 
 
-def _resolve_paths(path: Path, job: JobFile, kinds: dict[str, dict[str, Any]]) -> Job:
+def _resolve_paths(path: Path, job: JobFile, commands: dict[str, CommandOptions]) -> Job:
     """Make paths absolute against the job file's folder; merge the job's options into each pair's."""
     folder = path.resolve().parent
 
@@ -128,7 +120,7 @@ def _resolve_paths(path: Path, job: JobFile, kinds: dict[str, dict[str, Any]]) -
 
     def options(pair: PairRule) -> dict[str, Any]:
         merged = {**job.options, **pair.options}
-        return {name: resolve_files(value, kinds["match"][name], folder) for name, value in merged.items()}
+        return {name: resolve_files(value, commands["match"].kinds[name], folder) for name, value in merged.items()}
 
     carry = None if job.carry is None else job.carry.model_copy(update={"folder": folder / job.carry.folder})
 
@@ -154,4 +146,4 @@ def _resolve_paths(path: Path, job: JobFile, kinds: dict[str, dict[str, Any]]) -
         )
         for pair in job.pairs
     )
-    return Job(path.resolve(), folder / job.output, assets, pairs, tuple(job.outputs), kinds, carry)
+    return Job(path.resolve(), folder / job.output, assets, pairs, tuple(job.outputs), commands, carry)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from cagemap.errors import wrong_values
 from cagemap.files import INVERT_PREFIX
@@ -20,6 +20,7 @@ from cagemap.jobs.job_schema import (
     MAP_OPTIONS,
     PLACEHOLDER,
     Asset,
+    CommandOptions,
     JobFile,
     PairRule,
     asset_names,
@@ -89,13 +90,7 @@ def _remove_entries(data: Any, key_paths: Iterable[KeyPath]) -> Any:
     return copy
 
 
-def find_problems(
-    job: JobFile,
-    folder: Path,
-    schemas: Mapping[str, type[BaseModel]],
-    kinds: Mapping[str, dict[str, Any]],
-    output_options: Mapping[str, tuple[str, ...]],
-) -> Iterator[JobProblem]:
+def find_problems(job: JobFile, folder: Path, commands: Mapping[str, CommandOptions]) -> Iterator[JobProblem]:
     """Problems of a file that passes the schema: names, files, options."""
     names = [asset.name for asset in job.assets]
     yield from _folder_problems(("output",), folder, job.output)
@@ -107,11 +102,11 @@ def find_problems(
         for key, path in asset.files.items():
             if not _exists(folder / path):
                 yield ("assets", i, "files", key), _MISSING.format(path)
-    yield from _option_problems(job.options, "match", ("options",), folder, schemas, kinds)
+    yield from _option_problems(job.options, commands["match"], ("options",), folder)
     for i, pair in enumerate(job.pairs):
         yield from _pair_problems(pair, i, names, folder)
         yield from _map_problems(pair, i, job.assets, folder)
-        yield from _option_problems(pair.options, "match", ("pairs", i, "options"), folder, schemas, kinds)
+        yield from _option_problems(pair.options, commands["match"], ("pairs", i, "options"), folder)
     sources = [asset for asset in job.assets if job.carry is not None and asset.name == job.carry.source]
     if job.carry is not None and not sources:
         yield ("carry", "source"), f"no asset is called {job.carry.source!r}. Check the name, or add it."
@@ -127,11 +122,9 @@ def find_problems(
                 if name and name not in file_names:
                     message = f"no asset has a file {name!r} for {{{side}.{name}}}. Add it to the files of an asset."
                     yield ("outputs", i, key), message
-        file_options = output_options.get(output.command, ())
-        yield from _option_problems(
-            output.model_extra or {}, output.command, ("outputs", i), folder, schemas, kinds, written=file_options
-        )
-        for name in ("output", *file_options):
+        command = commands[output.command]
+        yield from _option_problems(output.model_extra or {}, command, ("outputs", i), folder)
+        for name in ("output", *command.written):
             value = options.get(name)
             if isinstance(value, str) and (Path(value).is_absolute() or ".." in Path(value).parts):
                 message = f"expected a name inside the pair's folder, got {value!r}. Give a name without '..'."
@@ -193,26 +186,20 @@ def _missing(entry: KeyPath, folder: Path, file: Path | None) -> Iterator[JobPro
 
 
 def _option_problems(
-    options: dict[str, Any],
-    command: str,
-    key_path: KeyPath,
-    folder: Path,
-    schemas: Mapping[str, type[BaseModel]],
-    kinds: Mapping[str, dict[str, Any]],
-    written: Sequence[str] = (),
+    options: dict[str, Any], command: CommandOptions, key_path: KeyPath, folder: Path
 ) -> Iterator[JobProblem]:
-    """Problems of a command's options, and missing files that they name, but for those that are ``written``.
+    """Problems of a command's options, and missing files that they name, but for those that are written.
 
     Names with placeholders are not checked.
     """
     try:
-        schemas[command].model_validate(options)
+        command.schema.model_validate(options)
     except ValidationError as error:
         yield from (((*key_path, *entry), text) for entry, text in wrong_values(error))
     for name, value in options.items():
-        kind = kinds[command].get(name)
+        kind = command.kinds.get(name)
         for text, resolved in zip(_texts(value), _texts(resolve_files(value, kind, folder)), strict=True):
-            is_file = name not in written and (resolved != text or (kind is Path and Path(text).is_absolute()))
+            is_file = name not in command.written and (resolved != text or (kind is Path and Path(text).is_absolute()))
             if is_file and "{" not in text and not _exists(Path(resolved.removeprefix(INVERT_PREFIX))):
                 yield (*key_path, name), _MISSING.format(text)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
@@ -76,11 +77,21 @@ class JobFile(_StrictModel):
     carry: CarryRule | None = None
 
 
-def options_schema(request: type, excluded: Iterable[str] = ()) -> type[BaseModel]:
-    """Schema of a command's options from its request, without ``excluded``: all optional, no others allowed."""
+@dataclass(frozen=True)
+class CommandOptions:
+    """Options of a command in job files."""
+
+    schema: type[BaseModel]  # all optional, no others allowed
+    kinds: dict[str, Any]  # types with their annotations
+    written: tuple[str, ...]  # options that name further files to write, in the pair's folder
+
+
+def command_options(request: type, excluded: Iterable[str], written: tuple[str, ...]) -> CommandOptions:
+    """Options of a command from its request, without ``excluded`` fields."""
     kinds = get_type_hints(request, include_extras=True)
     fields: dict[str, Any] = {name: (kind | None, None) for name, kind in kinds.items() if name not in excluded}
-    return create_model(f"{request.__name__}Options", __config__=ConfigDict(extra="forbid"), **fields)
+    schema = create_model(f"{request.__name__}Options", __config__=ConfigDict(extra="forbid"), **fields)
+    return CommandOptions(schema, kinds, written)
 
 
 def fill_placeholders(value: Any, source: Asset, target: Asset) -> Any:

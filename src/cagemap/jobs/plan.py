@@ -252,17 +252,17 @@ class _Planner:
         """
         pair = f"{source.name} -> {target.name}"
         options: dict[str, Any] = {}
-        kinds = self.job.kinds[rule.command]
+        command = self.job.commands[rule.command]
         name = rule.output or DEFAULT_OUTPUTS.get(rule.command) or f"{{target}}_{rule.command}.png"
         for option, value in {**(rule.model_extra or {}), "output": name}.items():
             filled = fill_placeholders(value, source, target)
             if filled is None:
                 return f"{pair}: no {rule.command}, {value} is not among the asset's files"
-            in_pair = option == "output" or option in self.job.output_options.get(rule.command, ())
-            options[option] = filled if in_pair else resolve_files(filled, kinds[option], self.job.path.parent)
+            in_pair = option in ("output", *command.written)
+            options[option] = filled if in_pair else resolve_files(filled, command.kinds[option], self.job.path.parent)
         files = {
             option: Path(f"{source.name}__{target.name}", options.pop(option)).as_posix()
-            for option in ("output", *self.job.output_options.get(rule.command, ()))
+            for option in ("output", *command.written)
             if option in options
         }
         earlier_keys = [task.key for task in earlier] if rule.command == "report" else []

@@ -22,7 +22,7 @@ from cagemap.tasks.mesh_commands import require_size
 from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.options import said
-from cagemap.tasks.subdivision import weld_asked
+from cagemap.tasks.subdivision import weld_side
 
 MAP_VERTICES = 50_000
 
@@ -36,10 +36,7 @@ def run_map(request: MapRequest, stages: Stages) -> Said:
     stages("read")
     stated = stated_inputs(files, request.output)
     filed = read_mesh(request.target), read_mesh(request.source)
-    words = (
-        request.weld if side_weld is None else side_weld for side_weld in (request.target_weld, request.source_weld)
-    )
-    welded = [weld_asked(mesh, word) for mesh, word in zip(filed, words, strict=True)]
+    welded = [weld_side(mesh, request, side) for mesh, side in zip(filed, ("target", "source"), strict=True)]
     target, source = (_surface(joined.mesh, request.level) for joined in welded)
     level = None if request.level is not None else source_level(request.map, source.refinement)
     if level is not None and level != source.refinement.finest_level:

@@ -27,7 +27,6 @@ from cagemap.files.result.surface_store import prepared
 from cagemap.files.usd.space import unit_notes
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
-from cagemap.mesh.repairs import RepairedMesh
 from cagemap.pipeline import MatchConfig, MatchResult, match, match_next, prepare_surfaces
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.surface import DEFAULT_VERTICES, prepare_checked
@@ -48,10 +47,17 @@ from cagemap.tasks.method import (
 from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.match import MatchRequest as MatchRequest
 from cagemap.tasks.requests.options import said
-from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
+from cagemap.tasks.subdivision import SubdivisionRequest, weld_side
 from cagemap.transfer.overlapping_uvs import has_layout
 
 _log = logging.getLogger(__name__)
+
+# Options that the manifest states as they were given.
+_NOTED = (
+    "level target_vertices source_vertices method symmetry exchange_landmarks trust_landmarks answer scheme "
+    "target_scheme source_scheme boundary uv_interpolation creasing weld target_weld source_weld target_uv_set "
+    "source_uv_set target_mask source_mask mask_edge"
+).split()
 
 
 @dataclass(frozen=True)
@@ -113,19 +119,12 @@ def match_files(request: MatchRequest, stages: Stages, before: MatchResult | Non
         for side, basis, level in zip(SIDES, bases, levels, strict=True)
     }
     parts = asked_parts(request.part, request.target_part, request.source_part)
-    options = partial(said, request)
     parameters = {
-        "level": request.level,
+        **said(request, *_NOTED),
         "vertices": request.vertices or (None if request.level else DEFAULT_VERTICES),
-        **options("target_vertices", "source_vertices"),
         **{f"{side}_{name}": value for side, used in sides.items() for name, value in used.items()},
-        "method": request.method,
         "spectral": used_parameters(config),
-        **options("symmetry", "exchange_landmarks", "trust_landmarks", "answer"),
-        **options("scheme", "target_scheme", "source_scheme", "boundary", "uv_interpolation", "creasing"),
-        **options("weld", "target_weld", "source_weld"),
         **dict(zip(("target_part", "source_part"), parts, strict=True)),
-        **options("target_uv_set", "source_uv_set", "target_mask", "source_mask", "mask_edge"),
     }
     entries = {"parameters": parameters, "inputs": stated}
     result = match_inputs(inputs, MatchSettings(bases, levels, config, request.cache, entries, before), stages)
@@ -161,7 +160,7 @@ def read_inputs(request: MatchRequest) -> Inputs:
     landmarks, notes = read_given_landmarks(request, target, source)
     notes = (*notes, *unit_notes(request.target, request.source), *_unused_notes(request))
     masks = read_masks(request, (target, source), files)
-    welded = [weld_control(control, request, side) for control, side in zip((target, source), SIDES, strict=True)]
+    welded = [weld_side(control, request, side) for control, side in zip((target, source), SIDES, strict=True)]
     check_landmarks(landmarks, target, source)
     landmarks = landmarks.renumbered(*(weld.vertex_of.__getitem__ for weld in welded))
     target, source = (weld.mesh for weld in welded)
@@ -242,12 +241,6 @@ def read_control(path: Path, request: MatchRequest, side: str) -> ControlMesh:
     control = subdivision.applied(replace(read(path), name=path.name))
     uv_set = getattr(request, f"{side}_uv_set")
     return control if uv_set is None else control.with_uv_set(uv_set)
-
-
-def weld_control(control: ControlMesh, request: MatchRequest, side: str) -> RepairedMesh:
-    """Weld the mesh of one side as requested."""
-    side_weld = getattr(request, f"{side}_weld")
-    return weld_asked(control, request.weld if side_weld is None else side_weld)
 
 
 def match_inputs(inputs: Inputs, settings: MatchSettings, stages: Stages) -> MatchResult:

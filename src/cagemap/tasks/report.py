@@ -16,12 +16,11 @@ from cagemap.files.images.image import UDIM_MARK, Image, Pixels, read_image, rea
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, input_file
-from cagemap.files.usd.prims import JOINT_WEIGHTS
 from cagemap.files.usd.space import upright_turn
-from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import file_rows
 from cagemap.files.values.rigs import read_shapes
 from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
 from cagemap.pictures import UP_AXES
 from cagemap.report import (
     BakedImage,
@@ -36,6 +35,7 @@ from cagemap.tasks.job_file import note_output
 from cagemap.tasks.material_atlas import material_atlas
 from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.report import ReportRequest
+from cagemap.tasks.rig import read_weights, weight_table
 from cagemap.wrap import level_mesh
 
 _log = logging.getLogger(__name__)
@@ -116,10 +116,7 @@ def _baked_image(folder: Path, result: MatchResult, entry: dict[str, Any]) -> Ba
     before, _, after = first.name.rpartition(str(tiles[0])) if tiles != [0] else (first.name, "", "")
     file = first.name if tiles == [0] else f"{before}{UDIM_MARK}{after}"
     pixels = {tile: read_image(first.with_name(f"{before}{tile or ''}{after}")).pixels for tile in tiles}
-    control = result.target.control
-    if entry.get("mesh") is not None:
-        laid_out = read_mesh(folder / entry["mesh"])
-        control = control.with_uvs(laid_out.uvs, laid_out.uv_indices)
+    control = _laid_out(folder, result, entry)
     if control.uvs is None:
         raise FormatError(f"{control.name} has no texture coordinates (any more)")
     kind = entry["kind"].removeprefix("bake-").replace("-", " ").replace("colors", "colours")
@@ -151,11 +148,7 @@ def _weights(carried: CarriedData, folder: Path, entry: dict[str, Any], result: 
     for name, file, side in (("source", entry.get("file"), result.source), ("target", entry["output"], result.target)):
         if file is None:
             raise FormatError("the file that they were carried from is not known")
-        arrays = read_attributes(folder / file, side.control, file_rows(folder, result, name))
-        arrays = {JOINT_WEIGHTS: arrays[JOINT_WEIGHTS]} if JOINT_WEIGHTS in arrays else arrays
-        table = np.column_stack(
-            [np.asarray(column, dtype=np.float64).reshape(len(column), -1) for column in arrays.values()]
-        )
+        table = weight_table(read_weights(folder / file, side.control, file_rows(folder, result, name)))
         if len(table) != side.control.n_vertices:
             raise FormatError(f"{file}: expected {side.control.n_vertices} rows, got {len(table)}")
         sides.append(table)
@@ -188,6 +181,13 @@ def _baked(folder: Path, result: MatchResult, entry: dict[str, Any]) -> tuple[Ma
     pixels = read_image(folder / entry["output"]).pixels
     if entry.get("mesh") is None:
         return result, pixels
-    laid_out = read_mesh(folder / entry["mesh"])
-    control = result.target.control.with_uvs(laid_out.uvs, laid_out.uv_indices)
-    return replace(result, target=result.target.with_control(control)), pixels
+    return replace(result, target=result.target.with_control(_laid_out(folder, result, entry))), pixels
+
+
+def _laid_out(folder: Path, result: MatchResult, entry: dict[str, Any]) -> ControlMesh:
+    """The target with the layout of a bake."""
+    control = result.target.control
+    if entry.get("mesh") is None:
+        return control
+    mesh = read_mesh(folder / entry["mesh"])
+    return control.with_uvs(mesh.uvs, mesh.uv_indices)

@@ -46,12 +46,10 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     assert request.weights is not None
     check_outputs([request.output], [request.weights], force=request.force)
     rows = file_rows(request.result, result, "source")
-    arrays = read_attributes(request.weights, result.source.control, rows)
-    if JOINT_WEIGHTS in arrays:  # a USD or glTF file: other primvars are no weights
-        arrays = {JOINT_WEIGHTS: arrays[JOINT_WEIGHTS]}
+    arrays = read_weights(request.weights, result.source.control, rows)
     _require_rows(arrays, result.source.control, rows, request)
     with values_of(request.weights):
-        skin, scaled = normalised_skin(_table(arrays))
+        skin, scaled = normalised_skin(weight_table(arrays))
     skeleton = None
     if request.joints is not None:
         skeleton = read_skeleton(request.joints, result.source.control)
@@ -71,14 +69,14 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     columns = _limited(request, result, columns)
     if skeleton is not None and request.output.suffix.lower() != ".npy":
         columns = _by_joint(columns, skeleton)
-    most = int((_table(columns) > 0).sum(axis=1).max())
+    most = int((weight_table(columns) > 0).sum(axis=1).max())
     filled = int(np.count_nonzero(~trusted_vertices(result)))
     text = f"wrote {request.output}: {len(carried)} vertices, {carried.shape[1]} joints, at most {most} a vertex"
     with all_or_nothing():
         write_attributes(request.output, in_file(request, columns, target_rows), force=request.force)
         if request.usd is not None:
             moved = _carried(skeleton, columns, result.point_map)
-            skinning = UsdResults(attributes={JOINT_WEIGHTS: _table(columns)}, skeleton=moved)
+            skinning = UsdResults(attributes={JOINT_WEIGHTS: weight_table(columns)}, skeleton=moved)
             text += "\n" + write_usd_results(request.usd, request.result, result, skinning, force=request.force)
     note_transfer(request.result, {"kind": "weights", "file": request.weights, "output": request.output})
     if filled:
@@ -86,10 +84,16 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     return text, [f"{request.weights}: {scaled}", *notes] if scaled else notes
 
 
+def read_weights(path: Path, control: ControlMesh, rows: FileRows | None) -> Attributes:
+    """Arrays of a file with skinning weights, without other primvars of a USD or glTF file."""
+    arrays = read_attributes(path, control, rows)
+    return {JOINT_WEIGHTS: arrays[JOINT_WEIGHTS]} if JOINT_WEIGHTS in arrays else arrays
+
+
 def _limited(request: TransferRequest, result: MatchResult, columns: Attributes) -> Attributes:
     """Weights with at most ``--influences`` joints at vertices where masks blended them with those of ``--base``."""
     blended = result.masks.joint(result.point_map)[: result.target.control.n_vertices, None] > 0.0
-    table = _table(columns)
+    table = weight_table(columns)
     return _columns(np.where(blended, _pruned(request, table), table), columns)
 
 
@@ -98,7 +102,7 @@ def _pruned(request: TransferRequest, table: FloatArray) -> FloatArray:
     return normalised(pruned(table, request.influences or None), table.sum(axis=1))
 
 
-def _table(arrays: Attributes) -> FloatArray:
+def weight_table(arrays: Attributes) -> FloatArray:
     """(n, j) weights of all joints from columns or tables."""
     return np.column_stack([np.asarray(array, dtype=np.float64).reshape(len(array), -1) for array in arrays.values()])
 
@@ -136,7 +140,7 @@ def _require_joints(given: Attributes, skeleton: Skeleton, request: TransferRequ
 def _by_joint(columns: Attributes, skeleton: Skeleton) -> Attributes:
     """A table of all joints as one named column per joint; columns with names keep them."""
     named = all(array.ndim == 1 for array in columns.values()) or len(set(skeleton.names)) < len(skeleton.names)
-    return columns if named else dict(zip(skeleton.names, _table(columns).T, strict=True))
+    return columns if named else dict(zip(skeleton.names, weight_table(columns).T, strict=True))
 
 
 def _carried(skeleton: Skeleton | None, columns: Attributes, point_map: PointMap) -> Skeleton | None:

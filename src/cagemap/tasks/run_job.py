@@ -23,15 +23,13 @@ from cagemap.jobs.page import PairRow, pair_rows, write_library
 from cagemap.jobs.plan import STATE_FOLDER, Plan, Task, plan_job
 from cagemap.jobs.run import TaskOutcome, execute, kept_outcome, missing_tasks, open_client, run_plan
 from cagemap.jobs.tree import spanning_tree
-from cagemap.mesh.checks import require_valid
 from cagemap.mesh.mesh_report import count_noun
-from cagemap.mesh.plain import plain_mesh
-from cagemap.mesh.schemes import Plain
 from cagemap.numerics.threads import core_count
 from cagemap.report import draw_thumbnail
 from cagemap.tasks import runner_of
 from cagemap.tasks.dry_run import dry_run
-from cagemap.tasks.match import check_match, read_control, weld_control
+from cagemap.tasks.match import check_match, read_control
+from cagemap.tasks.match_parts import ready_mesh
 from cagemap.tasks.method import SIDES, require_levels, side_bases, side_levels
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
@@ -39,6 +37,7 @@ from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.options import validated
 from cagemap.tasks.requests.run import RunRequest
+from cagemap.tasks.subdivision import weld_side
 from cagemap.tasks.transfer import check_transfer
 from cagemap.tasks.wrap import check_wrap
 
@@ -259,17 +258,10 @@ def run_task(task: Task) -> dict[str, Any]:
         result = compose_results(results, task.request["names"])
         write_result(task.request["output"], result)
         return {"quality": result.manifest["quality"], "notes": result.manifest["notes"]}
-    if task.kind == "match":
-        return _match(task, stages)
     request = _request_of(task)
     _, warnings = runner_of(request)(request, stages)
-    return {"warnings": warnings}
-
-
-def _match(task: Task, stages: Stages) -> dict[str, Any]:
-    """Match a pair, or import its given map."""
-    request = _request_of(task)
-    runner_of(request)(request, stages)
+    if task.kind != "match":
+        return {"warnings": warnings}
     manifest = read_manifest(Path(task.request["output"]))
     warnings = [*landmark_messages(manifest), *manifest["quality"]["warnings"]]
     return {name: manifest[name] for name in ("quality", "timings", "notes") if name in manifest} | {
@@ -282,13 +274,9 @@ def _prepare(task: Task) -> dict[str, Any]:
     file, side = Path(task.request["file"]), SIDES.index(task.request["side"])
     arguments = {"target": file, "source": file, "output": file, **task.request["options"]}
     request: MatchRequest = validated(MatchRequest, arguments)
-    control = weld_control(read_control(file, request, task.request["side"]), request, task.request["side"]).mesh
-    if isinstance(control.scheme, Plain):
-        control = plain_mesh(control).mesh
-    else:
-        require_valid(control)
-    levels = side_levels(request, (control, control))
-    level = levels[side]
+    welded = weld_side(read_control(file, request, task.request["side"]), request, task.request["side"])
+    control = ready_mesh(welded.mesh).mesh
+    level = side_levels(request, (control, control))[side]
     require_levels(request, (control, control), (level, level))
     surface = prepared(task.request["cache"], control, level, side_bases(request, (level, level))[side])
     return {"vertices": surface.refinement.finest.n_vertices, "level": level}

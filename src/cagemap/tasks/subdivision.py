@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
@@ -42,6 +43,12 @@ AUTO = "auto"
 def weld_asked(control: ControlMesh, word: str | None) -> RepairedMesh:
     """The mesh welded by ``--weld`` (``auto`` or a tolerance); not welded for None."""
     return unrepaired(control) if word is None else weld_mesh(control, _tolerance(word))
+
+
+def weld_side(control: ControlMesh, request: Any, side: str) -> RepairedMesh:
+    """The mesh of one side welded as a request with ``--weld`` and ``--target-weld``, ``--source-weld`` says."""
+    own = getattr(request, f"{side}_weld")
+    return weld_asked(control, request.weld if own is None else own)
 
 
 def _tolerance(word: str) -> float | None:

@@ -242,9 +242,10 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     write_mesh(request.output, mesh.with_positions(places), like=like, force=request.force)
     note_transfer(request.result, {"kind": "passenger", "file": request.passenger, "output": request.output})
     warnings = []
-    if carried.distance > _FAR_PASSENGER:
+    if carried.distance > _FAR_PASSENGER or carried.unit_factor != 1.0:
+        scaled = f" ({carried.unit_factor:g} times as large it would lie on it)" if carried.unit_factor != 1.0 else ""
         warnings.append(
             f"{request.passenger} is {carried.distance:.1f} body sizes away from "
-            f"{result.source.control.name} on average: check that both have the same units and place"
+            f"{result.source.control.name} on average{scaled}: check that both have the same units and place"
         )
     return f"wrote {request.output}: {mesh.n_vertices} vertices on {result.target.control.name}", warnings

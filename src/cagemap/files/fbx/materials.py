@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import ufbx
 
-from cagemap.errors import FormatError
 from cagemap.files.fbx.meshes import finite, get, held, items
-from cagemap.files.fbx.read import texture_file
+from cagemap.files.gltf.added_textures import AddedTextures
 from cagemap.files.gltf.binary import Binary
-from cagemap.files.gltf.entries import image_suffix, image_type
 from cagemap.files.gltf.textures import CLAMP, REPEAT
+from cagemap.files.text import named_image
 from cagemap.numerics.arrays import FloatArray
 
 # Material maps of ufbx, and the texture slots of glTF.
@@ -38,15 +37,16 @@ class Materials:
     """
 
     def __init__(self, binary: Binary, path: Path, note: Callable[[str], None]) -> None:
-        self._binary, self._path, self._note = binary, path, note
-        self.lists: dict[str, list[Any]] = {"materials": [], "textures": [], "images": [], "samplers": []}
+        self._path, self._note = path, note
+        self.lists: dict[str, list[Any]] = {"materials": []}
+        self._textures = AddedTextures(binary, self.lists)
         self._known: dict[tuple[int, tuple[int, ...]], int] = {}
-        self._image_of: dict[bytes, int] = {}
 
     def number(self, material: Any, uv_sets: Sequence[str]) -> int:
         """Number in the document of a material of a mesh with UV sets of these names."""
         textures = [get(material, "pbr", source, "texture") for source in _SLOTS]
-        stated = [None if texture is None else get(texture, "uv_set") for texture in textures]
+        shown = [None if texture is None else self._with_image(texture) for texture in textures]
+        stated = ["" if texture is None else get(texture, "uv_set") for texture in shown]
         coordinates = tuple(uv_sets.index(name) if name in uv_sets else 0 for name in stated)
         known = get(material, "typed_id"), coordinates
         if known not in self._known:
@@ -97,66 +97,47 @@ class Materials:
         return 1.0
 
     def _texture(self, texture: Any, where: str) -> dict[str, Any] | None:
-        files = [texture, *items(texture, "file_textures")]
-        for file in files:
-            number = self._image(file)
-            if number is not None:
-                self.lists["textures"].append({"source": number, "sampler": self._sampler(file)})
-                transform = _transform(file, where) if get(file, "has_uv_transform") else {}
-                if transform is None:
-                    self._note(f"{where}: is turned and stretched as no glTF texture can be, and taken as it is")
-                elif transform:
-                    self._binary.extensions.add("KHR_texture_transform")
-                return {"index": len(self.lists["textures"]) - 1} | (transform or {})
+        file = self._with_image(texture)
+        if file is not None:
+            images = {self._image(one) for one in _layers(texture)} - {None}
+            if len(images) > 1:
+                self._note(f"{where}: has {len(images)} layers, the first is used")
+            transform = _transform(file, where) if get(file, "has_uv_transform") else {}
+            if transform is None:
+                self._note(f"{where}: is turned and stretched as no glTF texture can be, and taken as it is")
+            modes = (get(file, "wrap_u"), get(file, "wrap_v"))
+            across, up = (CLAMP if mode == ufbx.WrapMode.CLAMP else REPEAT for mode in modes)
+            image = self._image(file)
+            assert image is not None
+            return self._textures.texture(image, (across, up), transform)
         stated = get(texture, "relative_filename") or get(texture, "filename") or get(texture, "name")
-        if any(self._content(file) for file in files):
+        if any(self._content(one) for one in _layers(texture)):
             self._note(f"{where}: {stated!r} cannot be read as an image and is left out; save it as a PNG")
         else:
             self._note(f"{where}: {stated!r} is not found and left out; put it beside the FBX file")
         return None
 
-    def _sampler(self, texture: Any) -> int:
-        """Number of the sampler with a texture's wrap modes."""
-        modes = {name: get(texture, stated) for name, stated in (("wrapS", "wrap_u"), ("wrapT", "wrap_v"))}
-        sampler = {name: CLAMP if mode == ufbx.WrapMode.CLAMP else REPEAT for name, mode in modes.items()}
-        if sampler not in self.lists["samplers"]:
-            self.lists["samplers"].append(sampler)
-        return self.lists["samplers"].index(sampler)
+    def _with_image(self, texture: Any) -> Any:
+        """The texture itself, or its first layer, with a readable image; None without one."""
+        return next((one for one in _layers(texture) if self._image(one) is not None), None)
 
     def _image(self, texture: Any) -> int | None:
         """Number of a texture's image; None if there is no readable one."""
         data = self._content(texture)
-        if not data:
-            return None
-        if data not in self._image_of:
-            suffix = image_suffix(data)
-            kept = data if suffix in (".png", ".jpg") else _as_png(data, PurePosixPath(_stated(texture)).suffix)
-            if kept is None:
-                return None
-            kind = image_type(".jpg" if suffix == ".jpg" else ".png")
-            self._image_of[data] = len(self.lists["images"])
-            self.lists["images"].append({"bufferView": self._binary.view(kept), "mimeType": kind})
-        return self._image_of[data]
+        return self._textures.image(data, PurePosixPath(_stated(texture)).suffix) if data else None
 
     def _content(self, texture: Any) -> bytes:
         """Content of a texture's image: in the FBX, or in its folder; b"" if missing."""
-        file = texture_file(self._path, _stated(texture))
+        file = named_image(self._path, _stated(texture))
         return bytes(get(texture, "content")) or (b"" if file is None else held(file.read_bytes()))
+
+
+def _layers(texture: Any) -> list[Any]:
+    return [texture, *items(texture, "file_textures")]
 
 
 def _stated(texture: Any) -> str:
     return str(get(texture, "relative_filename") or get(texture, "filename"))
-
-
-def _as_png(data: bytes, suffix: str) -> bytes | None:
-    """An image of another format (TGA, TIFF, DDS, ...) as PNG; None if it cannot be read."""
-    from cagemap.files.gltf.material_images import png_bytes
-    from cagemap.files.images.image import image_of_bytes
-
-    try:
-        return png_bytes(image_of_bytes(data, suffix, "texture"))
-    except FormatError:
-        return None
 
 
 def _value(pbr: Any, name: str, default: float) -> float:
@@ -186,5 +167,4 @@ def _transform(texture: Any, where: str) -> dict[str, Any] | None:
     c, s = np.cos(angle), np.sin(angle)
     if np.abs(np.diag(scale) @ [[c, -s], [s, c]] - down[:2, :2]).max() > _MATRIX_ROUNDING * max(map(abs, scale)):
         return None
-    moved = {"offset": down[2, :2].tolist(), "rotation": angle, "scale": scale}
-    return {"extensions": {"KHR_texture_transform": moved}}
+    return {"offset": down[2, :2].tolist(), "rotation": angle, "scale": scale}

@@ -5,14 +5,13 @@ from __future__ import annotations
 import importlib.util
 import json
 import logging
-import os
 import re
 import subprocess
 import sys
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from cagemap.errors import FormatError
-from cagemap.files.text import file_in, read_bytes
+from cagemap.files.text import named_image, read_bytes
 
 _log = logging.getLogger(__name__)
 
@@ -50,20 +49,9 @@ def fbx_as_glb(path: Path) -> bytes:
     return done.stdout
 
 
-def texture_file(path: Path, stated: str) -> Path | None:
-    """The texture that an FBX file names, searched in the file's folder and below; None if missing."""
-    name = PurePosixPath(stated.replace("\\", "/").replace("\0", ""))
-    folder = path.parent
-    for place in (name, name.name, f"textures/{name.name}", f"{path.stem}.fbm/{name.name}"):
-        file = file_in(folder, str(place)).resolve()
-        if name.name and file.is_relative_to(folder.resolve()) and os.path.isfile(file):
-            return file
-    return None
-
-
 def named_textures(path: Path) -> list[Path]:
     """Existing textures whose names an FBX file contains; found without reading its scene."""
     content = read_bytes(path, "an FBX file")
     ends = (content[max(0, found.start() - _LONGEST_PATH) : found.end()] for found in _IMAGE_SUFFIX.finditer(content))
     names = dict.fromkeys(_NO_PATH.split(text)[-1].decode(errors="replace") for text in ends)
-    return [file for name in names if (file := texture_file(path, name)) is not None]
+    return [file for name in names if (file := named_image(path, name)) is not None]

@@ -69,7 +69,7 @@ _UNKNOWN: Color = (float("nan"), float("nan"), float("nan"))
 def read_material_colors(path: Path) -> dict[str, Color]:
     """Diffuse colour of every material of a ``.mtl`` file; NaN without one in RGB."""
     colors: dict[str, Color] = {}
-    for name, number, line in _material_lines(path):
+    for name, number, line in material_lines(path):
         keyword, _, rest = line.partition(" ")
         colors.setdefault(name, _UNKNOWN)
         if keyword == "Kd":
@@ -77,7 +77,7 @@ def read_material_colors(path: Path) -> dict[str, Color]:
     return colors
 
 
-def _material_lines(path: Path) -> Iterator[tuple[str, int, str]]:
+def material_lines(path: Path) -> Iterator[tuple[str, int, str]]:
     """Name of the material, number from 1 and text of every line from the first ``newmtl`` of a ``.mtl`` file on."""
     name = None
     for number, line in enumerate(read_text(path, "a material file").split("\n"), start=1):
@@ -109,7 +109,7 @@ _IMAGE_STATEMENTS = ("bump", "disp", "decal", "norm", "refl")
 def read_material_statements(path: Path) -> dict[str, list[str]]:
     """Statements of every material of a ``.mtl`` file, without its images and comments."""
     statements: dict[str, list[str]] = {}
-    for name, _, line in _material_lines(path):
+    for name, _, line in material_lines(path):
         keyword = line.partition(" ")[0]
         if keyword == "newmtl":
             statements[name] = []

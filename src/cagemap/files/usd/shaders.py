@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from cagemap.files.gltf.added_textures import AddedTextures
 from cagemap.files.gltf.binary import Binary
-from cagemap.files.gltf.entries import Document, image_suffix, image_type
-from cagemap.files.gltf.material_images import png_bytes
+from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import REPEAT
-from cagemap.files.images.image import image_of_bytes
 from cagemap.files.usd.materials import STRENGTH, WRAP_WORDS
 from cagemap.files.usd.read import material_labels
 from cagemap.files.usd.shader_inputs import setting_of, shader_of, source_of, uv_name, uv_transform
@@ -81,7 +80,7 @@ class _Materials:
 
     def __init__(self, document: Document) -> None:
         self.binary, self.top = Binary(document), json.loads(json.dumps(document.json))
-        self._file, self._known = document.file, dict[str, int]()
+        self._file, self._textures = document.file, AddedTextures(self.binary, self.top)
 
     def fill(self, entry: dict[str, Any], surface: Any, sets: tuple[str, ...]) -> None:
         """Set an entry by the inputs of a surface."""
@@ -118,7 +117,8 @@ class _Materials:
             fits = [source_of(surface, name).GetBaseName() for name in outputs if pairs[name]] == list(outputs.values())
             if not slot:  # the opacity of glTF is in the image of the colour
                 fits &= images == {self._image(shader_of(surface, "diffuseColor", "UsdUVTexture"))}
-            if len(images) > 1 or None in images or not fits:
+            image = images.pop()
+            if images or image is None or not fits:
                 text = "%s: %s: the image of its %s is left out; give one PNG or JPEG with the channels of glTF"
                 _log.warning(text, self._file, entry["name"], "/".join(outputs))
             elif slot:
@@ -127,39 +127,21 @@ class _Materials:
                     text = "%s: %s: the image of its %s is taken as it is, without scale, bias or colour space of USD"
                     _log.warning(text, self._file, entry["name"], "/".join(outputs))
                 in_base = slot in ("baseColorTexture", "metallicRoughnessTexture")
-                holder = {"index": images.pop()} | self._coordinates(texture, sets)
+                holder = self._holder(image, texture, sets)
                 if slot == "occlusionTexture":
                     holder["strength"] = float(np.clip(factor("occlusion", 1.0), 0.0, 1.0))
                 (base if in_base else entry)[slot] = holder
 
     def _image(self, texture: Any) -> int | None:
-        """Number of the glTF texture for a texture shader, added once; None if its image cannot be read."""
-        if texture is None:
-            return None
-        file = setting_of(texture, "file", None)
+        """Number of a texture shader's image; None if it cannot be read."""
+        file = None if texture is None else setting_of(texture, "file", None)
         path = "" if file is None else str(file.resolvedPath)
-        wrap = {name: _WRAP_MODES.get(str(setting_of(texture, name, "repeat")), REPEAT) for name in ("wrapS", "wrapT")}
-        key = f"{path} {wrap}"
-        if key not in self._known:
-            data = _content(path)
-            if data is None:
-                return None
-            suffix = image_suffix(data)
-            if suffix not in (".png", ".jpg"):
-                name = path.rstrip("]")
-                data, suffix = png_bytes(image_of_bytes(data, Path(name).suffix, name)), ".png"
-            for kind, item in (
-                ("images", {"bufferView": self.binary.view(data), "mimeType": image_type(suffix)}),
-                ("samplers", wrap),
-                ("textures", {"source": len(self.top.get("images", ())), "sampler": len(self.top.get("samplers", ()))}),
-            ):
-                self.top.setdefault(kind, []).append(item)
-            self._known[key] = len(self.top["textures"]) - 1
-        return self._known[key]
+        data = _content(path)
+        return None if data is None else self._textures.image(data, Path(path.rstrip("]")).suffix)
 
-    def _coordinates(self, texture: Any, sets: tuple[str, ...]) -> dict[str, Any]:
-        """UV set and transform of a texture in glTF; the inverse of `cagemap.files.usd.materials`."""
-        holder: dict[str, Any] = {}
+    def _holder(self, image: int, texture: Any, sets: tuple[str, ...]) -> dict[str, Any]:
+        """What refers to a texture shader's image in glTF; the inverse of `cagemap.files.usd.materials`."""
+        stated = None
         transform = uv_transform(texture)
         if transform:
             width, height = map(float, setting_of(transform, "scale", (1.0, 1.0)))
@@ -167,7 +149,8 @@ class _Materials:
             angle = float(np.radians(setting_of(transform, "rotation", 0.0)))
             offset = [right - height * np.sin(angle), 1.0 - up - height * np.cos(angle)]
             stated = {"offset": offset, "rotation": angle, "scale": [width, height]}
-            holder["extensions"] = {"KHR_texture_transform": stated}
-            self.binary.extensions.add("KHR_texture_transform")
+        words = (str(setting_of(texture, name, "repeat")) for name in ("wrapS", "wrapT"))
+        across, up = (_WRAP_MODES.get(word, REPEAT) for word in words)
         name = uv_name(texture)
+        holder = self._textures.texture(image, (across, up), stated)
         return holder | ({"texCoord": sets.index(name)} if name in sets[1:] else {})

@@ -106,6 +106,7 @@ def options_of(command: str, request: type) -> tuple[CommandOption, ...]:
     return tuple(
         _option(command, field.name, kind, option, None if field.default is MISSING else field.default)
         for field, kind, option in options_in(request)
+        if type(option) is Option
     )
 
 

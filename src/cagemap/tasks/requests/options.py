@@ -32,6 +32,7 @@ class Option:
     min: float | None = None  # least and largest value
     max: float | None = None
     metavar: str | None = None  # name of the value in help
+    typed: Any = None  # type on the command line, if it is not the field's
     suffixes: tuple[str, ...] = ()  # a text that ends in one of them is the name of a file
     setting: bool = False  # typed as ``--set NAME=VALUE``, see `cagemap.tasks.requests.settings`
 
@@ -72,13 +73,7 @@ def _validator(request: type) -> Any:
 
 def document_fields(request: Any) -> None:
     """Make ``help(request)`` show the help text of every option."""
-    hints = get_type_hints(request, include_extras=True)
-    lines = (
-        f"{field.name}\n    {option.help}"
-        for field in fields(request)
-        for option in get_args(hints[field.name])
-        if isinstance(option, Option)
-    )
+    lines = (f"{field.name}\n    {option.help}" for field, _, option in options_in(request))
     request.__init__.__doc__ = "\n".join(["Parameters", "----------", *lines])
 
 
@@ -120,11 +115,11 @@ class PythonOnly(Option):
 
 
 def options_in(request: type) -> Iterator[tuple[Field[Any], Any, Option]]:
-    """Option fields of a request, their types and options."""
+    """Fields of a request, their types and options."""
     hints = get_type_hints(request, include_extras=True)
     for field in fields(request):
-        kind, *annotations = get_args(hints[field.name]) or (None,)
-        yield from ((field, kind, option) for option in annotations if type(option) is Option)
+        kind, option = get_args(hints[field.name])
+        yield field, kind, option
 
 
 def without_none(kind: Any) -> Any:

@@ -2,52 +2,37 @@
 
 from __future__ import annotations
 
-import tomllib
+import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_origin
 
-from cagemap.errors import FormatError, ParameterError, wrong_values
-from cagemap.files.text import require_file
+from cagemap.errors import ParameterError, wrong_values
+from cagemap.files.text import read_toml
 from cagemap.tasks.requests.options import Option, options_in
 
-_SIDES = ("target", "source")
 # The field with parameters of the method, and the prefix of their names.
 _PARAMETERS, _METHOD = "parameter", "method"
 
 
-@dataclass(frozen=True)
-class Setting:
-    """One research option."""
+def settings_of(request: type) -> dict[str, tuple[str, Any, Option]]:
+    """Fields of research options, their types and options, by what is typed after ``--set``: "target.schedule".
 
-    name: str  # as typed after ``--set``, such as "target.schedule"
-    field: str  # of the request
-    kind: Any  # type without the bounds, which the option has
-    option: Option
-
-
-def settings_of(request: type) -> dict[str, Setting]:
-    """Research options of a request, by name; parameters of the method are not listed."""
+    Parameters of the method are not listed.
+    """
+    sides = re.compile("^(target|source)_")
     return {
-        (name := setting_name(field.name)): Setting(name, field.name, kind, option)
+        sides.sub(r"\1.", field.name): (field.name, kind, option)
         for field, kind, option in options_in(request)
         if option.setting and field.name != _PARAMETERS
     }
 
 
-def setting_name(field: str) -> str:
-    """Name of a field after ``--set``: the side, a dot, the rest."""
-    side, _, rest = field.partition("_")
-    return f"{side}.{rest}" if side in _SIDES else field
-
-
 def moved_options(request: type) -> dict[str, str]:
     """Current spelling of options that became settings, by their former flags."""
     moved: dict[str, str] = {}
-    for name, setting in settings_of(request).items():
-        new = f"--set {name}={'yes' if setting.kind is bool else 'VALUE'}"
-        moved[setting.option.flag(setting.field)] = new
+    for name, (field, kind, option) in settings_of(request).items():
+        moved[option.flag(field)] = f"--set {name}={'yes' if kind is bool else 'VALUE'}"
     return moved | ({f"--{_PARAMETERS}": f"--set {_METHOD}.NAME=VALUE"} if moved else {})
 
 
@@ -73,16 +58,16 @@ def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
                 f"--set {name}: expected one of {', '.join(sorted(known))}, or {_METHOD}.NAME for a parameter of the "
                 "method. Other options are typed without --set."
             )
-        setting = known[name]
-        several = get_origin(setting.kind) is tuple
-        kind: Any = Annotated[setting.kind, setting.option]
+        field, kind, option = known[name]
+        several = get_origin(kind) is tuple
+        bounded: Any = Annotated[kind, option]
         try:
             given = (value,) if several and isinstance(value, str) else value
-            checked = TypeAdapter(kind, config={"allow_inf_nan": False}).validate_python(given)
+            checked = TypeAdapter(bounded, config={"allow_inf_nan": False}).validate_python(given)
         except ValidationError as error:
             raise ParameterError(f"--set {name}: {wrong_values(error)[0][1]}") from None
         checked = tuple(_in_folder(folder, item) for item in checked) if several else _in_folder(folder, checked)
-        values[setting.field] = (*values.get(setting.field, ()), *checked) if several else checked
+        values[field] = (*values.get(field, ()), *checked) if several else checked
     stated = tuple(f"{name}={value}" for name, value in parameters.items())
     return values | ({_PARAMETERS: stated} if stated else {})
 
@@ -99,17 +84,10 @@ def _pairs(words: Sequence[str]) -> Iterator[tuple[str, Any, Path]]:
         if equals and name and value:
             yield name.strip(), value, Path()
         elif not equals and word.endswith(".toml"):
-            yield from ((name, value, Path(word).parent) for name, value in _flat(_table(Path(word))))
+            table = read_toml(Path(word), "a file of settings")[1]
+            yield from ((name, value, Path(word).parent) for name, value in _flat(table))
         else:
             raise ParameterError(f"--set: expected NAME=VALUE or a .toml file, got '{word}'.")
-
-
-def _table(path: Path) -> dict[str, Any]:
-    try:
-        require_file(path, "a file of settings")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise FormatError(f"{path}: expected a TOML file, got a mistake in it: {error}.") from None
 
 
 def _flat(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:

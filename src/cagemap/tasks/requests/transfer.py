@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cagemap.errors import ParameterError
 from cagemap.tasks.requests.options import (
@@ -39,7 +39,12 @@ class TransferRequest:
     output: Annotated[Path, Option("Image, values or mesh to write.", OUTPUT, ("-o",))]
     texture: Annotated[
         Path | None,
-        Option("Source image, or glTF, FBX or USD with one; repeat with NAME=IMAGE.", CARRIED, metavar="IMAGE"),
+        Option(
+            "Source image, or model file with one; repeat with NAME=IMAGE.",
+            CARRIED,
+            metavar="IMAGE",
+            typed=tuple[str, ...],
+        ),
     ] = None
     maps: Annotated[
         tuple[tuple[str, Path], ...], PythonOnly("Images of a material, instead of --texture, with their names.")
@@ -65,7 +70,11 @@ class TransferRequest:
     material_colors: Annotated[bool, Option("Bake the source's material colours.", CARRIED)] = False
     bake: Annotated[
         tuple[BakeKind, ...],
-        Option("Bake from a detailed mesh: normal, displacement, vector-displacement, ao, colors, texture.", CARRIED),
+        Option(
+            "Bake from a detailed mesh: normal, displacement, vector-displacement, ao, colors, texture.",
+            CARRIED,
+            typed=str | None,
+        ),
     ] = ()
     detail: Annotated[
         Path | None,
@@ -126,6 +135,7 @@ class TransferRequest:
             INPUT,
             ("--base",),
             metavar="[NAME=]IMAGE",
+            typed=tuple[str, ...],
         ),
     ] = ()
     target_mask: TargetMaskOption = None
@@ -133,6 +143,17 @@ class TransferRequest:
     mask_edge: MaskEdgeOption = None
     unwrap: Annotated[bool, Option("Make UVs where the target has none; writes that mesh too.", IMAGES)] = False
     force: Force = False
+
+    @classmethod
+    def of_words(
+        cls, texture: tuple[str, ...], bases: tuple[str, ...], bake: str | None, **others: Any
+    ) -> TransferRequest:
+        """The request from what is typed: named images and comma-separated kinds of bakes."""
+        image, maps = texture_and_maps(texture)
+        base, named_bases = texture_and_maps(bases, "--base")
+        bakes: Any = tuple(name.strip() for name in bake.split(",")) if bake else ()
+        all_bases = named_bases if base is None else (("", base),)
+        return cls(texture=image, maps=maps, bases=all_bases, bake=bakes, **others)
 
 
 def texture_and_maps(

@@ -1,0 +1,72 @@
+"""Materials of an OBJ file, with their colour images, as a glTF document."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from cagemap.files.gltf.added_textures import AddedTextures
+from cagemap.files.gltf.binary import Binary
+from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.textures import CLAMP, REPEAT
+from cagemap.files.meshes.colors import material_lines
+from cagemap.files.meshes.obj import material_files
+from cagemap.files.text import is_number, named_image, read_text
+
+_log = logging.getLogger(__name__)
+
+# Most values of each option of an image; `-o`, `-s` and `-t` may have fewer.
+_OPTIONS = {"-o": 3, "-s": 3, "-t": 3, "-mm": 2} | dict.fromkeys(
+    ("-blendu", "-blendv", "-bm", "-boost", "-cc", "-clamp", "-imfchan", "-texres", "-type"), 1
+)
+
+
+def obj_document(path: Path) -> Document:
+    """A document without meshes, of the materials of an OBJ file's ``.mtl`` files and their images (``map_Kd``)."""
+    binary, top = Binary(), dict[str, Any]()
+    textures = AddedTextures(binary, top)
+    entries: dict[str, dict[str, Any]] = {}
+    for file in material_files(path, read_text(path, "an OBJ file")):
+        stated = {name: "" for name, _, _ in material_lines(file) if name not in entries}
+        for name, _, line in material_lines(file):
+            keyword, _, rest = line.partition(" ")
+            if name in stated and keyword.lower() == "map_kd":
+                stated[name] = rest
+        for name, rest in stated.items():
+            texture = _texture(path, file, name, rest, textures) if rest else None
+            surface = {} if texture is None else {"baseColorTexture": texture}
+            entries[name] = {"name": name, "pbrMetallicRoughness": surface}
+    top |= {"asset": {"version": "2.0"}, "materials": list(entries.values())}
+    return replace(binary.document(top), file=path)
+
+
+def _texture(path: Path, library: Path, material: str, rest: str, textures: AddedTextures) -> dict[str, Any] | None:
+    """The texture of an image statement of a material file; None, with a warning, if its image cannot be read."""
+    options, name = _options(rest)
+    file = named_image(library, name)
+    image = None if file is None else textures.image(file.read_bytes(), file.suffix)
+    if image is None:
+        problem = "is not found; put it beside the .mtl" if file is None else "cannot be read as an image"
+        _log.warning("%s: material %s: '%s' %s: its faces have the material's colour", path, material, name, problem)
+        return None
+    (across, up), (right, above) = (
+        [*map(float, options.get(word, ())), *(missing,) * 3][:2] for word, missing in (("-s", 1.0), ("-o", 0.0))
+    )
+    transform = {"scale": [across, up], "offset": [right, 1.0 - up - above]}  # v is up in OBJ, down in glTF
+    wrap = CLAMP if options.get("-clamp") == ["on"] else REPEAT
+    moved = (across, up, right, above) != (1.0, 1.0, 0.0, 0.0)
+    return textures.texture(image, (wrap, wrap), transform if moved else None)
+
+
+def _options(rest: str) -> tuple[dict[str, list[str]], str]:
+    """Options before the name of an image, and the name, which may have blanks."""
+    options: dict[str, list[str]] = {}
+    while (words := rest.split()) and (most := _OPTIONS.get(words[0])):
+        values = words[1 : 1 + most]
+        if words[0] in ("-o", "-s", "-t"):
+            values = values[: next((k for k, word in enumerate(values) if not is_number(word)), most)]
+        options[words[0]] = values
+        rest = rest.split(maxsplit=len(values) + 1)[-1] if len(words) > len(values) + 1 else ""
+    return options, rest.partition(" #")[0].strip()
