@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,9 +53,12 @@ def unflushed() -> Iterator[None]:
 
 @pytest.fixture
 def small_pages(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pages of reports with pictures of a few pixels, where a test asks what they say."""
+    """Pages of reports with pictures of a few pixels in rough light, where a test asks what they say."""
     from cagemap.report import write_report
 
+    renderer = import_module("cagemap.pictures.render")  # not the function of that name
+    for name, value in (("FLOOR_CELLS", 9), ("FLOOR_SKY_DIRECTIONS", 4), ("SKY_DIRECTIONS", 4)):
+        monkeypatch.setattr(renderer, name, value)
     monkeypatch.setitem(inspect.unwrap(write_report).__kwdefaults__, "size", (24, 18))
 
 
