@@ -12,6 +12,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -212,8 +213,18 @@ def boxes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def forked_processes() -> Iterator[None]:
+    """Processes of the studio are forks of one that has loaded what they need."""
+    from forked import forking
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cagemap.studio.worker.multiprocessing", SimpleNamespace(get_context=lambda method: forking()))
+        yield
+
+
 @pytest.fixture(scope="module")
-def session(boxes: Path) -> Iterator[Session]:
+def session(boxes: Path, forked_processes: None) -> Iterator[Session]:
     """The studio over the boxes."""
     from studio_boxes import session_of
 
