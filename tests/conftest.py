@@ -10,7 +10,9 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -52,9 +54,12 @@ def unflushed() -> Iterator[None]:
 
 @pytest.fixture
 def small_pages(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pages of reports with pictures of a few pixels, where a test asks what they say."""
+    """Pages of reports with pictures of a few pixels in rough light, where a test asks what they say."""
     from cagemap.report import write_report
 
+    renderer = import_module("cagemap.pictures.render")  # not the function of that name
+    for name, value in (("FLOOR_CELLS", 9), ("FLOOR_SKY_DIRECTIONS", 4), ("SKY_DIRECTIONS", 4)):
+        monkeypatch.setattr(renderer, name, value)
     monkeypatch.setitem(inspect.unwrap(write_report).__kwdefaults__, "size", (24, 18))
 
 
@@ -208,8 +213,18 @@ def boxes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def forked_processes() -> Iterator[None]:
+    """Processes of the studio are forks of one that has loaded what they need."""
+    from forked import forking
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cagemap.studio.worker.multiprocessing", SimpleNamespace(get_context=lambda method: forking()))
+        yield
+
+
 @pytest.fixture(scope="module")
-def session(boxes: Path) -> Iterator[Session]:
+def session(boxes: Path, forked_processes: None) -> Iterator[Session]:
     """The studio over the boxes."""
     from studio_boxes import session_of
 

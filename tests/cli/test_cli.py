@@ -200,7 +200,7 @@ def test_the_demo_writes_nothing_where_its_result_folder_is_somebody_elses(run: 
 
 @pytest.mark.slow
 def test_demo_runs_and_writes_what_the_readme_block_reads(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_fit: None
 ) -> None:
     """The demo is small: `make demo` in .ci/run is the whole one."""
     monkeypatch.setattr("cagemap.tasks.demo.VERTICES", 1500)

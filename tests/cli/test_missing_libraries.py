@@ -42,7 +42,7 @@ def images(result: MatchResult) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_a_whole_match_without_rslab_is_the_same(monkeypatch: pytest.MonkeyPatch, one_start: None) -> None:
+def test_a_whole_match_without_rslab_is_the_same(monkeypatch: pytest.MonkeyPatch, quick_fit: None) -> None:
     with_rslab = matched()
     monkeypatch.setattr(factorization, "rslab", None)
     without = matched()

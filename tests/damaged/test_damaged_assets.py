@@ -61,11 +61,15 @@ def _use(path: Path) -> None:
     limit_positions(refinement, 1)
 
 
+# Of each file; others have crates that USD itself takes 3 s to refuse.
+SEEDS = {"mesh.obj": 10, "mesh.usda": 10, "mesh.usdc": 25, "mesh.usdz": 24}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["mesh.obj", "mesh.usda", "mesh.usdc", "mesh.usdz"])
+@pytest.mark.parametrize("name", SEEDS)
 def test_changed_bytes(name: str, tmp_path: Path) -> None:
     """A package holds the crate, and fewer cases change the package itself."""
-    rng = np.random.default_rng([10, *name.encode()])  # seed 7 has crates that USD itself takes 7 s to refuse
+    rng = np.random.default_rng([SEEDS[name], *name.encode()])
     path = tmp_path / name
     _write(path)
     content, beside = path.read_bytes(), set(tmp_path.iterdir())

@@ -112,7 +112,6 @@ def _mutate(path: Path, document: Document, count: int) -> tuple[int, int]:
     """Read damaged copies of a file; how many there were, and how many were refused."""
     rng = np.random.default_rng([7, *path.name.encode()])
     content = path.read_bytes()
-    use(path)
     beside = set(path.parent.iterdir())
     numbers, refused = cases(count), 0
     for _ in numbers:

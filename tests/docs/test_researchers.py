@@ -30,7 +30,7 @@ BASIS = BasisConfig(schedule=(20, 10))
 
 
 @pytest.mark.slow
-def test_every_block_of_the_page_runs(tmp_path, monkeypatch):
+def test_every_block_of_the_page_runs(tmp_path, monkeypatch, quick_fit):
     """In order, in one namespace, as a reader would paste them; on a smaller pair."""
     monkeypatch.chdir(tmp_path)
     mesh = shapes.creature()

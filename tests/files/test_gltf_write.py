@@ -375,16 +375,15 @@ def test_the_khronos_validator_finds_no_errors(tmp_path: Path, shared_data: Path
     written = []
     for file in files:
         document = read_document(file)
-        character = character_of(document)
-        for kind, made in (
-            ("copied", document),
-            ("built", character_glb(character, document)),
-            ("alone", character_glb(character)),
-        ):
+        made = {"copied": document}
+        if "draco" not in file.name:  # decoded, it is character_A
+            character = character_of(document)
+            made |= {"built": character_glb(character, document), "alone": character_glb(character)}
+            written.append(tmp_path / f"{file.stem}_mesh.glb")
+            write_mesh(written[-1], read_mesh(file))
+        for kind, one in made.items():
             written.append(tmp_path / f"{file.stem}_{kind}.glb")
-            write_document(written[-1], made)
-        written.append(tmp_path / f"{file.stem}_mesh.glb")
-        write_mesh(written[-1], read_mesh(file))
+            write_document(written[-1], one)
     write_document(tmp_path / "made.glb", character_glb(character_of(arm()), arm()))
     reports = subprocess.run(
         ["node", "-e", VALIDATE, validator, *map(str, written), str(tmp_path / "made.glb")],

@@ -21,6 +21,7 @@ from cagemap.example import ExamplePair
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.result.folder import read_result
 
+from forked import dask_command, forking
 from locations import FIXTURES
 
 HERE = FIXTURES
@@ -95,23 +96,15 @@ def test_a_disk_that_fills_costs_only_what_does_not_fit(folder: Path) -> None:
 
 @contextmanager
 def cluster(folder: Path, workers: int) -> Iterator[str]:
-    """Address of a Dask scheduler with workers, each a process started by Dask's own commands."""
-    file, environment = folder / "scheduler.json", os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
-    dask = [sys.executable, "-m", "dask"]
-    commands = [
-        [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)]
-    ]
-    quick = ["--preload", "quick_match"]
-    commands += [
-        [*dask, "worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-nanny", "--no-dashboard", *quick]
-    ] * workers
+    """Address of a Dask scheduler with workers, each a process that runs Dask's own command, with quick fits."""
+    file = folder / "scheduler.json"
+    commands = [["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)]]
+    commands += [["worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-nanny", "--no-dashboard"]] * workers
     with ExitStack() as stack:
         for command in commands:
-            process = stack.enter_context(
-                subprocess.Popen(
-                    command, env=environment, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-                )
-            )
+            process = forking().Process(target=dask_command, args=(command, folder))
+            process.start()
+            stack.callback(process.join)
             stack.callback(process.terminate)
             deadline = time.monotonic() + 60
             while not file.is_file() and time.monotonic() < deadline:

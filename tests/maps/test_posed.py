@@ -65,10 +65,10 @@ def test_mirrored_landmarks_are_met_and_the_other_answer_is_offered(shared_data:
 
 @pytest.mark.slow
 def test_shins_of_a_crouching_body_stay_where_they_belong(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # The two starts alone: 2.1, since shins slide towards bent knees. Refitted in the source's pose: 0.82.
-    # Averaged with the inverse of the reverse fit as well: 0.77.
+    # The two starts alone: 4.9, since shins slide towards bent knees. Refitted in the source's pose: 2.3.
+    # Averaged with the inverse of the reverse fit as well: 1.9.
     pair = ("male1591", "female_old_heavy", "crouch"), ("female1605", "male_young", "")
-    problem, posed = problem_of(*pair, MatchConfig()), list[FloatArray]()
+    problem, posed = problem_of(*pair, SEARCHED), list[FloatArray]()
     inverse_consistent = refit.inverse_consistent
 
     def averaged(problem: Problem, positions: FloatArray) -> FloatArray:
@@ -79,6 +79,6 @@ def test_shins_of_a_crouching_body_stay_where_they_belong(shared_data: Path, mon
     placed = search.fit_from_two_starts(problem, problem.coarse_clusters)[0][0]
     finished = refit.finish_placement(problem, placed).map_positions
     slid, half, whole = (100 * figures(problem, at, *pair).mean for at in (placed.positions, posed[0], finished))
-    assert whole < 0.85
-    assert half > 1.02 * whole
-    assert slid > 1.1 * half
+    assert whole < 1.15 * 1.92
+    assert half > 1.1 * whole
+    assert slid > 1.5 * half

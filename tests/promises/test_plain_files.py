@@ -146,7 +146,7 @@ def test_a_cage_is_wrapped_onto_a_scan_with_its_colours_and_texture(tmp_path: Pa
         colors=tmp_path / "colors.png",
         texture=tmp_path / "scan.png",
         baked=tmp_path / "baked.png",
-        size=128,
+        size=64,
     )
     _, warnings = run_wrap(request, Stages())
     assert any("set aside" in text for text in warnings)

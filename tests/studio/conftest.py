@@ -14,6 +14,11 @@ from browser_page import Page
 from running_studio import Running
 
 
+@pytest.fixture(scope="session", autouse=True)
+def forked(forked_processes: None) -> None:
+    """Processes of the studio are started quickly."""
+
+
 @pytest.fixture(scope="module")
 def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
     """What runs, and how many tests had failed when it was started."""

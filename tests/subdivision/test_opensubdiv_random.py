@@ -291,14 +291,7 @@ def _compare(data: st.DataObject, opensubdiv: Oracle) -> None:
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=20, derandomize=True)
-@given(data=st.data())
-def test_random_creased_cages(data: st.DataObject, opensubdiv: Oracle) -> None:
-    _compare(data, opensubdiv)
-
-
-@pytest.mark.slow
 @settings(deadline=None, max_examples=60)
 @given(data=st.data())
-def test_many_random_creased_cages(data: st.DataObject, opensubdiv: Oracle) -> None:
+def test_random_creased_cages(data: st.DataObject, opensubdiv: Oracle) -> None:
     _compare(data, opensubdiv)

@@ -293,7 +293,7 @@ def test_detail_elsewhere_is_refused(flat: Level) -> None:
 @pytest.mark.slow
 def test_through_the_command_line(run: Run, result_folder: Path) -> None:
     place = result_folder.parent
-    refinement = refine(read_result(result_folder).source.refinement.control, 4)
+    refinement = refine(read_result(result_folder).source.refinement.control, 3)
     faces = np.asarray(refinement.finest.faces)
     x = refinement.finest.positions
     size = np.ptp(x, axis=0).max()
