@@ -18,7 +18,8 @@ from typing import Any
 
 from cagemap.errors import FormatError
 from cagemap.files.images.image import texture_files
-from cagemap.files.text import require_file, text_name
+from cagemap.files.text import text_name
+from cagemap.files.usd.crate import check_crate
 
 logger = logging.getLogger(__name__)
 
@@ -68,7 +69,7 @@ def open_stage(path: str | Path) -> Any:
 def _opened(file: Path) -> tuple[Any, list[str]]:
     """The stage of a file, and what USD says of files that it refers to."""
     pxr = usd_modules()
-    require_file(file, "a USD file")
+    check_crate(file)
     # Collects USD's messages, which would name its own source files on the console
     diagnostics = pxr.UsdUtils.CoalescingDiagnosticDelegate()
     try:
