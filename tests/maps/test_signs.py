@@ -113,7 +113,7 @@ def test_the_distortion_of_a_stretched_grid_is_that_of_most_columns() -> None:
     assert median_distortion(found) == pytest.approx(np.sqrt((7 * 1.25 + 3 * 5.0) / 10))
 
 
-def test_a_strip_s_last_third_on_its_first_jumps_on_both_and_at_the_tear() -> None:
+def test_a_strip_s_last_third_on_its_first_jumps_on_both() -> None:
     strip = prepare_surface(grid(30, 10), 1)
     mesh, pair = strip.triangles(strip.finest_level), prepare_pair(strip, strip)
     places = mesh.positions.copy()
@@ -122,7 +122,7 @@ def test_a_strip_s_last_third_on_its_first_jumps_on_both_and_at_the_tear() -> No
     places[x > 2 * third + 1e-9, 0] -= 2 * third
     found = PointMap(mesh, SurfacePoints.nearest(mesh, places))
     column = third / 20
-    # Both thirds, and the column this side of the tear; images compare within 1.4 mean distances of vertices.
+    # Both thirds, and the column beside them: images compare within 1.4 mean distances of vertices.
     assert jump_share(pair, jump_lengths(pair, found)) == pytest.approx((2 * third + column) / (3 * third), abs=0.04)
     little = mesh.positions.copy()
     little[x > 2 * third + 1e-9, 0] -= 2 * column  # slides by less than `JUMP`

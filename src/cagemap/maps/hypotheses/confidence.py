@@ -44,8 +44,8 @@ WARNING_SIGNS: dict[str, WarningSign] = {
         "it fits the source's mirror image {value:.1f} times as well: a left part on a right one, or poses with left "
         "and right exchanged. If so, mirror one of the files",
     ),
-    # Share of the target's area at which the map jumps.
-    "jumps": WarningSign(0.04, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
+    # Share of the target's area at which the map jumps: its parts cover the source twice.
+    "jumps": WarningSign(0.03, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
     # Median `distortion`, by the target's area.
     "stretched": WarningSign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
     # Share of the target's area that another map of nearly equal cost turns by `TURNED_DEGREES` degrees or more.
@@ -59,7 +59,7 @@ WARNING_SIGNS: dict[str, WarningSign] = {
 }
 # Least `runner_up` for the verdict of two answers.
 TIE = 1 / 1.12
-# Least jump, of sqrt(area): a distance along one surface, less twice the distance along the other.
+# Least jump, of sqrt(area): a distance along the target, less twice the distance of the images along the source.
 JUMP = 0.2
 # Number of images that each image is compared with, and the largest distance in mean vertex spacings; opposite
 # normals count as twice this distance.
@@ -233,22 +233,19 @@ def median_distortion(found: PointMap, weights: FloatArray | None = None) -> flo
 def jump_lengths(prepared: PreparedPair, found: PointMap, shared: Masks | None = None) -> FloatArray:
     """(n,) lengths of a map's jumps at the vertices of the deformed level, of sqrt(area); else 0.
 
-    A map jumps where neighbours on one surface are far apart along the other. No cost shows this where parts touch.
-    Only unmasked vertices are compared, and only shared area.
+    A map jumps where vertices far apart along the target have images near each other along the source. No cost shows
+    this where parts touch. Only unmasked vertices are compared, and only shared area.
     """
     target, source = prepared.graphs
     images = found.images.at(prepared.vertices)
     places, normals = images.positions, images.normals
-    once = target.heads < target.tails
-    edges = np.column_stack([target.heads[once], target.tails[once]])
     tree = cKDTree(np.hstack([source.positions, NORMAL_WEIGHT * source.normals]))
     at = tree.query(np.hstack([places, NORMAL_WEIGHT * normals]))[1]
-    pairs = np.concatenate([edges, image_pairs(places, normals)])
+    pairs = image_pairs(places, normals)
     masks = prepared.masks.within(shared)
     pairs = pairs[(masks.of_target(found.target.n)[prepared.vertices] > 0)[pairs].all(axis=1)]
-    on_target = distances_apart(target.station_distances, pairs)
     on_source = distances_apart(source.station_distances[:, at], pairs)
-    beyond = np.maximum(on_target, on_source) - 2 * np.minimum(on_target, on_source)
+    beyond = distances_apart(target.station_distances, pairs) - 2 * on_source
     farthest = np.zeros(target.n)
     np.maximum.at(farthest, pairs, np.where(beyond > JUMP, beyond, 0.0)[:, None])
     return farthest
