@@ -13,6 +13,8 @@ import pytest
 
 from cagemap.deform.placement import Placement
 from cagemap.files.images.image import write_image
+from cagemap.files.result.folder import read_result, write_result
+from cagemap.files.result.verdicts import overall_verdict, rate_figures
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.quality import QualityFigures
@@ -30,7 +32,7 @@ from cagemap.report import (
 )
 from cagemap.report.figures import BACKGROUND, display_image
 from cagemap.report.rig_panels import MAX_PANEL_POSES, cage_edges, control_edges
-from cagemap.report.verdicts import overall_verdict, rate_figures
+from cagemap.tasks.match import summary, warnings
 from cagemap.tasks.report import _baked_image
 
 from example_result import identity_result
@@ -212,7 +214,9 @@ def test_two_answers_stand_side_by_side(result: MatchResult) -> None:
         assert not draw_gallery(sure, size=(30, 20)).answers
 
 
-def test_the_page_begins_with_how_sure_a_map_without_landmarks_is(result: MatchResult, gallery: Gallery) -> None:
+def test_how_sure_a_map_is_reads_alike_on_terminal_in_manifest_and_report(
+    result: MatchResult, gallery: Gallery, tmp_path: Path
+) -> None:
     places, none = result.point_map.images.positions, np.zeros(0, dtype=np.int64)
     answers = (Placement(places, 1e-4, name="one"), Placement(places, 1.1e-4, name="another"))
     free = replace(
@@ -222,16 +226,32 @@ def test_the_page_begins_with_how_sure_a_map_without_landmarks_is(result: MatchR
         quality=replace(result.quality, landmark_errors=np.zeros(0), warnings=()),
     )
     for verdict in (LOOK, TWO):
-        doubtful = build_page(replace(free, confidence=Confidence(verdict, answers, deciding=0)), gallery)
-        assert "it may not be the right one" in doubtful
-        assert f'<li class="warning">{verdict.capitalize()}: the target is aligned with the source one' in doubtful
-    sure = build_page(replace(free, confidence=Confidence(SURE, answers[:1], deciding=0)), gallery)
+        unsure = replace(free, confidence=Confidence(verdict, answers, deciding=0))
+        write_result(tmp_path / verdict, unsure)
+        unsure = read_result(tmp_path / verdict)
+        assert unsure.manifest["confidence"]["verdict"] == verdict
+        doubtful = build_page(unsure, gallery)
+        (told,) = (text for text in warnings(unsure) if "aligned" in text)
+        assert told.startswith(f"{verdict}: the target is aligned with the source one")
+        assert f'<p class="verdict fair">{verdict.capitalize()}: the target is aligned with the source one' in doubtful
+        assert doubtful.count("aligned with the source one") == 1
+    certain = replace(free, confidence=Confidence(SURE, answers[:1], deciding=0))
+    assert f"{SURE}: the target is aligned with the source one" in summary(certain, tmp_path, 1.0)
+    sure = build_page(certain, gallery)
     assert "The map looks sound." in sure
     assert f"<li>{SURE.capitalize()}: the target is aligned with the source one" in sure
     assert "no other alignment fits nearly as well" in sure
     assert 'class="warning"' not in sure
     for empty in ("<summary>Landmarks", "Dots are landmarks", "Lines are curves", "<td>None</td>"):
         assert empty not in sure
+    # Poor figures say no more than the doubt does.
+    folded = replace(free.quality, flipped_area=0.2)
+    poor = replace(free, quality=folded, confidence=Confidence(LOOK, answers, deciding=0))
+    assert "Do not use" not in build_page(poor, gallery)
+    assert not [text for text in warnings(poor) if "Do not use" in text]
+    poor = replace(poor, confidence=None)
+    assert warnings(poor)[-1] in build_page(poor, gallery)
+    assert "Do not use" in warnings(poor)[-1]
     # A page speaks the words of the command line, and leaves names of files as they are.
     noted = {"notes": [f"{result.target.control.name}: `find_part` each matches every piece"]}
     two = build_page(replace(free, confidence=Confidence(TWO, answers, deciding=0), provenance=noted), gallery)

@@ -15,6 +15,7 @@ import pytest
 from examples.shapes import icosahedron
 
 from cagemap.deform.placement import Placement
+from cagemap.files.result.verdicts import map_verdict
 from cagemap.maps.hypotheses.confidence import TWO, Confidence
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.masks import Masks
@@ -41,7 +42,6 @@ from cagemap.report.marks import SOURCE, TARGET, find_marks, name_marks
 from cagemap.report.models import pack_models
 from cagemap.report.page import MAX_TEXTURE_BYTES, encode_texture
 from cagemap.report.shown import display_surface, display_surfaces, reached_vertices
-from cagemap.report.verdicts import overall_verdict, rate_figures, verdict_sentence
 from cagemap.report.viewpoints import choose_viewpoints
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.subdivision import refine
@@ -207,14 +207,13 @@ def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchR
 
 
 def test_the_verdict_is_one_sentence_that_names_the_worst_figure() -> None:
-    poor = rate_figures({"flipped_area": 0.12, "coverage": 0.9})
-    said = verdict_sentence(poor, overall_verdict(poor, []))
-    assert said == "Do not use this map as it is: 12.00 % of the target is folded over."
-    fair = rate_figures({"flipped_area": 0.001, "coverage": 0.85})
-    assert verdict_sentence(fair, "fair") == (
-        "The map is usable; 15.00 % of the source arrives nowhere: look at the marked places."
-    )
-    assert verdict_sentence([], "fair", marked=False) == "The map is usable; read the remarks below."
+    poor = {"quality": {"flipped_area": 0.12, "coverage": 0.9}}
+    assert map_verdict(poor) == ("poor", "Do not use this map as it is: 12.00 % of the target is folded over.")
+    fair = {"quality": {"flipped_area": 0.001, "coverage": 0.85}}
+    said = "The map is usable; 15.00 % of the source arrives nowhere: look at the marked places."
+    assert map_verdict(fair, marked=True) == ("fair", said)
+    warned = {"quality": {"warnings": ["few landmarks"]}}
+    assert map_verdict(warned) == ("fair", "The map is usable; read the remarks below.")
 
 
 def test_models_with_z_up_stand_upright(result: MatchResult) -> None:

@@ -106,9 +106,15 @@ def test_views_change_what_is_shown(page: Page) -> None:
 
     # Compared: one look left of a border, another one right of it.
     page.set("other", "plain")
-    for split, same in ((1.0, True), (0.0, False), (0.5, False)):
+    middle = seen.shape[1] // 2
+    for split, halves in ((1.0, [False, False]), (0.0, [True, True]), (0.5, [False, True])):
         page.set("split", split)
-        page.until(lambda same=same: other(page.look("target"), first["target"]) != same, f"the border at {split}")
+
+        def changed() -> list[bool]:
+            now = page.look("target")
+            return [other(now[:, half], first["target"][:, half]) for half in (slice(middle), slice(middle, None))]
+
+        page.until(lambda halves=halves: changed() == halves, f"the border at {split}")
     page.set("other", "")
     page.until(lambda: not other(page.look("target"), first["target"]), "one look")
 
@@ -137,11 +143,14 @@ def test_what_is_chosen_in_the_dialog_stays_until_it_is_closed(page: Page, files
     target = "return document.querySelector('#models [name=target]').value"
     page.press("open")
     page.set("models [name=target]", "pony.obj")
+    frames = page.run("return window.studio.views.frames")
     for name in ("else.json", files.landmarks.name):  # the server tells of other files meanwhile
         page.set("file", name)
         page.press("save")
         page.until(lambda name=name: page.state("files")["landmarks"] == name, name)
         assert page.run(target) == "pony.obj"
+    page.run("return new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    assert page.run("return window.studio.views.frames") == frames  # what is on screen is not drawn again
     page.run("document.querySelector('#models button[value=\"\"]').click()")
     page.until(lambda: page.run(target) == files.target.name, "the open model again")
 

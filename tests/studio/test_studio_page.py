@@ -100,9 +100,9 @@ def test_how_sure_a_map_is_is_said_in_words() -> None:
     known = MapState(revision=1, confidence="sure: the target is aligned as filed; no other alignment fits")
     assert verdict(StudioState(map=known), scene) == "Sure, 25 % doubtful"
     doubt = replace(known, confidence="two answers: as filed (`answer=1`). A landmark at target vertex 12 decides")
-    assert verdict(StudioState(map=doubt), scene).startswith("Two ways fit")
+    assert verdict(StudioState(map=doubt), scene).startswith("Two answers")
     look = replace(known, confidence="look at it: as filed, but it jumps between parts that only touch")
-    assert verdict(StudioState(map=look), scene).startswith("Have a look")
+    assert verdict(StudioState(map=look), scene).startswith("Look at it")
     assert "`" not in confidence_text(doubt.confidence)
     assert "Next landmark" in confidence_text(doubt.confidence)
     folds = "0.5 % of the target's area is folded over, worst at (0, 3.523, -4.1) of the target's file"

@@ -15,8 +15,9 @@ import OpenImageIO as oiio
 
 from cagemap.errors import FormatError, use_option_names
 from cagemap.files.ownership import mark
-from cagemap.files.result.manifest import assurance, landmark_messages
-from cagemap.maps.hypotheses.confidence import SURE, TWO
+from cagemap.files.result.manifest import assurance, doubt_message, landmark_messages
+from cagemap.files.result.verdicts import Rating, map_verdict, rate_figures
+from cagemap.maps.hypotheses.confidence import TWO
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.mesh_report import count_noun
 from cagemap.numerics.arrays import FloatArray
@@ -33,7 +34,6 @@ from cagemap.report.tables import (
     time_summary,
     timing_table,
 )
-from cagemap.report.verdicts import Rating, overall_verdict, rate_figures, verdict_sentence
 
 # Of one texture as JPEG: two textures and the models fit into a page of 5 MB.
 MAX_TEXTURE_BYTES = 700_000
@@ -77,12 +77,13 @@ def build_page(
     quality = manifest.get("quality") or {}
     marks = () if models is None else models.marks
     warnings = landmark_messages(manifest) + [str(text) for text in (quality.get("warnings") or [])]
+    warnings = [text for text in warnings if text != doubt_message(manifest)]  # the page begins with it
     ratings = rate_figures(quality)
-    verdict = overall_verdict(ratings, warnings)
+    verdict, sentence = map_verdict(manifest, marked=bool(marks))
     title = f"{_stem(result.source.control.name)} → {_stem(result.target.control.name)}"
     panel_sections = [_details(escape(panel.title), escape(panel.lead), _pictures(panel.pictures)) for panel in panels]
     sections = [
-        _page_header(title, verdict_sentence(ratings, verdict, unsure=_unsure(result), marked=bool(marks)), verdict),
+        _page_header(title, use_option_names(name_marks(sentence, marks)), verdict),
         "" if models is None else _viewer_section(result, models),
         _still_pictures(result, gallery),
         _mark_list(marks),
@@ -138,10 +139,6 @@ def encode_texture(id: str, caption: str, pixels: FloatArray) -> Texture:
 
 def _resource(name: str) -> str:
     return resources.files("cagemap.report").joinpath(name).read_text(encoding="utf-8")
-
-
-def _unsure(result: MatchResult) -> bool:
-    return result.confidence is not None and result.confidence.verdict != SURE
 
 
 def _scripts(models: Models, result: MatchResult) -> str:

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from cagemap.files.result.verdicts import Rating
 from cagemap.maps.regions import RegionFigures, region_figures
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures import distinct_colors
-from cagemap.report.verdicts import Rating
 
 MIN_NOTED_ASPECT_RATIO = 1.5  # least median of a region that is called stretched
 

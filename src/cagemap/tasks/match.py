@@ -21,9 +21,17 @@ from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.landmarks.points import read_points, symmetry_on
 from cagemap.files.meshes.formats import read_mesh, read_whole
 from cagemap.files.result.folder import ARRAYS, check_result_folder, write_result
-from cagemap.files.result.manifest import MANIFEST, assurance, landmark_messages, peak_memory, stated_inputs
+from cagemap.files.result.manifest import (
+    MANIFEST,
+    assurance,
+    doubt_message,
+    landmark_messages,
+    peak_memory,
+    stated_inputs,
+)
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.files.result.surface_store import prepared
+from cagemap.files.result.verdicts import map_verdict
 from cagemap.files.usd.space import unit_notes
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
@@ -336,6 +344,8 @@ def landmark_summary(result: MatchResult) -> str:
 
 
 def warnings(result: MatchResult) -> list[str]:
-    """Notes and warnings of a result."""
+    """Notes and warnings of a result, and the report's verdict on a poor map."""
     manifest = result.manifest
-    return [*manifest["notes"], *landmark_messages(manifest), *manifest["quality"]["warnings"]]
+    verdict, sentence = map_verdict(manifest)
+    poor = [sentence] if verdict == "poor" and not doubt_message(manifest) else []
+    return [*manifest["notes"], *landmark_messages(manifest), *manifest["quality"]["warnings"], *poor]

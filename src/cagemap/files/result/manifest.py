@@ -277,10 +277,14 @@ def assurance(manifest: dict[str, Any]) -> str:
     return str(confidence.get("message", "")) if confidence.get("verdict") == SURE else ""
 
 
+def doubt_message(manifest: dict[str, Any]) -> str:
+    """Message of a manifest that a map without enough landmarks may be a wrong one; '' otherwise."""
+    return "" if assurance(manifest) else str((manifest.get("confidence") or {}).get("message", ""))
+
+
 def landmark_messages(manifest: dict[str, Any]) -> list[str]:
     """Warnings of a manifest about landmarks: doubtful maps, pairs left out, curves missed."""
-    check, confidence = manifest.get("landmark_check") or {}, manifest.get("confidence") or {}
-    doubt = [str(confidence["message"])] if "message" in confidence and not assurance(manifest) else []
+    check, doubt = manifest.get("landmark_check") or {}, doubt_message(manifest)
     left_out = [str(suspect["message"]) for suspect in check.get("suspects", [])]
     missed = [
         f"curve '{curve['name']}' is missed by {100 * curve['mean']:.1f} % of the model's size (at most "
@@ -288,7 +292,7 @@ def landmark_messages(manifest: dict[str, Any]) -> list[str]:
         for curve in manifest.get("curves") or []
         if curve["mean"] > _CURVE_MISSED
     ]
-    return doubt + left_out + missed + list(map(str, check.get("notes", [])))
+    return ([doubt] if doubt else []) + left_out + missed + list(map(str, check.get("notes", [])))
 
 
 @cache  # a process runs the code that it imported at its start

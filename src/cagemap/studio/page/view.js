@@ -21,7 +21,7 @@ export class Views {
     const slow = /swiftshader|llvmpipe|softpipe|software|basic render/i.test(renderer);
     this.renderer = new THREE.WebGLRenderer({canvas: this.canvas, antialias: !slow, alpha: true, preserveDrawingBuffer: true});
     this.renderer.autoClear = false;
-    this.renderer.setPixelRatio(slow ? 1 : Math.min(window.devicePixelRatio || 1, 2));
+    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, slow ? 1 : 2));
     this.shown = {look: 'plain', other: '', split: 0.5, morph: 0, overlay: false, doubts: true, cages: false, numbers: true,
       linked: true, rest: true, pose: ''};
     this.fit = Math.hypot(...FIRST);
@@ -104,7 +104,9 @@ export class Views {
 
   forget() { for (const side of Object.values(this.sides)) side.loaded = {}; }
 
+  // Drawing both models takes a processor 0.2 s: what is shown already is not drawn again.
   set(shown) {
+    if (Object.entries(shown).every(([key, value]) => this.shown[key] === value)) return;
     Object.assign(this.shown, shown);
     for (const {pane, controls} of Object.values(this.sides)) {
       const border = pane.querySelector('.border');
@@ -117,8 +119,9 @@ export class Views {
   // Landmarks of a side and the asked place: {number, name, color, at, place, solid, selected, wrong}; `at` and `place`
   // are position and normal here and on the other model.
   setMarks(name, marks) {
-    const side = this.sides[name];
-    if (side.dragged) return;
+    const side = this.sides[name], drawn = JSON.stringify([marks, this.shown.numbers]);
+    if (side.dragged || side.drawnMarks === drawn) return;
+    side.drawnMarks = drawn;
     side.marks = marks;
     const ratio = this.renderer.getPixelRatio(), cell = MARK * ratio, cells = Math.ceil(Math.sqrt(marks.length)) || 1;
     const paper = document.createElement('canvas');
@@ -360,6 +363,7 @@ export class Views {
     const positions = side.points.geometry.getAttribute('position');
     positions.setXYZ(side.marks.indexOf(mark), at[0], at[1], at[2]);
     positions.needsUpdate = true;
+    side.drawnMarks = null;
     this.changed();
   }
 

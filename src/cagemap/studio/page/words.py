@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO
 from cagemap.mesh.mesh_report import count_noun
 from cagemap.studio.preview import OPENING_TITLE
 from cagemap.studio.scene import Scene
@@ -33,7 +34,6 @@ STAGES = (
 # Parts of the package's messages that the page's buttons and colours replace.
 _ANSWER_HINT = re.compile(r" \(`answer=\d+`\)|, worst at \([^)]*\) of the target's file")
 _VERTEX_HINT = re.compile(r"(?:, first)? at target vertex \d+")
-_VERDICTS = {"two answers: ": "Two ways fit", "look at it: ": "Have a look"}
 
 
 def confidence_text(message: str) -> str:
@@ -60,8 +60,8 @@ def verdict(state: StudioState, scene: Scene | None) -> str:
         return f"{count_noun(len(landmarks), 'landmark')} met, {doubts}"
     if not map_state.confidence:
         return doubts.capitalize()
-    confidence = next((text for key, text in _VERDICTS.items() if key in map_state.confidence), "Sure")
-    return f"{confidence}, {doubts}"
+    confidence = next((known for known in (TWO, LOOK) if f"{known}: " in map_state.confidence), SURE)
+    return f"{confidence.capitalize()}, {doubts}"
 
 
 def status_entries(state: StudioState) -> dict[str, Any]:

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from cagemap.files.result.manifest import doubt_message, landmark_messages
+
 _PERCENT = "{:.2f} %"
 
 
@@ -49,28 +51,23 @@ def overall_verdict(ratings: list[Rating], warnings: list[str]) -> str:
     return next((verdict for verdict in ("poor", "fair") if verdict in verdicts), "good")
 
 
-def verdict_sentence(ratings: list[Rating], verdict: str, *, unsure: bool = False, marked: bool = True) -> str:
-    """The verdict as one sentence that names the worst figure.
+def map_verdict(manifest: dict[str, Any], *, marked: bool = False) -> tuple[str, str]:
+    """Verdict of a map, see `overall_verdict`, and its sentence: why it is doubtful, or its worst figure.
 
-    Parameters
-    ----------
-    ratings : list of Rating
-    verdict : str
-        See `overall_verdict`.
-    unsure : bool
-        Whether the map may be a wrong answer.
-    marked : bool
-        Whether the page has marks.
+    ``marked``: whether the reader sees marks at the places.
     """
+    quality = manifest.get("quality") or {}
+    ratings, doubt = rate_figures(quality), doubt_message(manifest)
+    verdict = overall_verdict(ratings, [*landmark_messages(manifest), *(quality.get("warnings") or [])])
     worst = next((rating.finding for rating in ratings if rating.verdict == verdict), "")
-    if verdict == "good":
-        return "The map looks sound."
-    if verdict == "poor":
-        return f"Do not use this map as it is: {worst}."
-    if unsure:
-        return "Look at this map first: it may not be the right one."
     advice = "look at the marked places" if marked else "read the remarks below"
-    return f"The map is usable; {worst}: {advice}." if worst else f"The map is usable; {advice}."
+    if doubt:
+        return verdict, f"{doubt[:1].upper()}{doubt[1:]}."
+    if verdict == "good":
+        return verdict, "The map looks sound."
+    if verdict == "poor":
+        return verdict, f"Do not use this map as it is: {worst}."
+    return verdict, f"The map is usable; {worst}: {advice}." if worst else f"The map is usable; {advice}."
 
 
 def _read_figure(quality: dict[str, Any], *names: str) -> float | None:
