@@ -77,6 +77,18 @@ def read_material_colors(path: Path) -> dict[str, Color]:
     return colors
 
 
+def read_material_images(path: Path) -> dict[str, Path]:
+    """Colour image (``map_Kd``) of every material of a ``.mtl`` file that has one in the file's folder or below."""
+    images: dict[str, Path] = {}
+    for name, _, line in _material_lines(path):
+        keyword, _, rest = line.partition(" ")
+        words = rest.strip().replace("\\", "/")
+        file = path.parent / (words.split()[-1] if words.startswith("-") else words)  # after options
+        if keyword == "map_Kd" and words and file.resolve().is_relative_to(path.parent.resolve()) and file.is_file():
+            images[name] = file
+    return images
+
+
 def _material_lines(path: Path) -> Iterator[tuple[str, int, str]]:
     """Name of the material, number from 1 and text of every line from the first ``newmtl`` of a ``.mtl`` file on."""
     name = None
