@@ -17,12 +17,16 @@ import trimesh
 from examples.shapes import creature, cube
 from scipy.spatial import cKDTree
 
+from cagemap.example import example_pair
 from cagemap.files.gltf.document import read_document
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.faces import cage_triangles
+from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.srgb import encode_srgb as to_display
+from cagemap.pictures import Y_UP, Z_UP
 from cagemap.studio.autosave import FileTracker
 from cagemap.studio.compute import (
     FindMap,
@@ -145,6 +149,42 @@ def test_a_bake_in_a_new_layout_lies_on_the_model_as_it_is_shown(tmp_path: Path)
         (plain,), (shown,) = (read_back(one) for one in (opened.skins[0], skin))
         assert b'"baked"' in skin
         assert cKDTree(plain.vertices).query(shown.vertices)[0].max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("name", "mesh", "turned", "up"),
+    [
+        ("a.obj", example_pair(8).target, Z_UP.T, [0, 0, 1]),  # a deer on its feet
+        ("a.glb", example_pair(8).target, Z_UP.T, [0, 0, 1]),
+        ("a.stl", example_pair(8).target, Y_UP, [0, 1, 0]),
+        ("a.stl", cube(), Y_UP, [0, 0, 1]),  # no shape that tells: as STL files usually are
+        ("a.obj", cube(), Y_UP, [0, 1, 0]),
+    ],
+)
+def test_a_model_stands_as_its_shape_or_its_format_tells(
+    tmp_path: Path, name: str, mesh: ControlMesh, turned: FloatArray, up: list[int]
+) -> None:
+    path, triangles = tmp_path / name, cage_triangles(mesh)[0]
+    trimesh.Trimesh(mesh.positions @ turned, triangles, process=False).export(path)
+    shape = open_model(path, "none", None, 300).shape
+    np.testing.assert_allclose(shape.directions_to_view(np.array([up], dtype=float)), [[0, 1, 0]], atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_an_obj_shows_the_images_of_its_materials(tmp_path: Path, count: int) -> None:
+    mesh = unwrapped_cube()
+    mesh = replace(mesh, face_materials=np.array([0, 0, 0, 0, 1, 1]), material_names=("skin", "hair"))
+    write_mesh(tmp_path / "a.obj", mesh)
+    text = (tmp_path / "a.obj").read_text()
+    (tmp_path / "a.obj").write_text(f"mtllib own.mtl\n{re.sub('mtllib.*', '', text)}")
+    images = ["map_Kd -s 1 1 1 skin.png", "map_Kd the hair.png"][:count]
+    lines = [f"newmtl {name}\n{image}\n" for name, image in zip(("skin", "hair"), images, strict=False)]
+    (tmp_path / "own.mtl").write_text("".join(lines) + "newmtl away\nmap_Kd ../outside.png\n")
+    for name, grey in (("skin", 90), ("the hair", 60)):
+        write_image(tmp_path / f"{name}.png", np.full((8, 8, 3), grey, dtype=np.uint8))
+    opening = PairFiles(tmp_path / "a.obj", tmp_path / "a.obj", None, 300, tmp_path)
+    source = run_task(None, OpenModels(opening), lambda _: None)[1].source
+    assert source.texture == (None, tmp_path / "a_texture.png", tmp_path / "a.obj")[count]
 
 
 def test_a_usd_file_says_itself_which_axis_points_up(tmp_path: Path) -> None:

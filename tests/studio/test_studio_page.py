@@ -31,7 +31,7 @@ from cagemap.studio.workspace import Workspace
 from cagemap.tasks.requests.catalogue import all_options
 
 from locations import FIXTURES
-from studio_boxes import click, session_of
+from studio_boxes import click, session_of, until
 
 # Words that only a researcher knows.
 FOREIGN = ("hypothes", "projection", "coarse fit", "operator", "basis", "eigen", "energy", "solver")
@@ -109,6 +109,18 @@ def test_how_sure_a_map_is_is_said_in_words() -> None:
     assert confidence_text(folds) == "0.5 % of the target's area is folded over"  # it is drawn red
     assert "contradicts" in verdict(StudioState(map=replace(known, contradictions={"nose": "far off"})), scene)
     assert "not yet checked" in verdict(StudioState(map=MapState(rough=True)), scene)
+
+
+@pytest.mark.slow
+def test_a_bake_says_beforehand_that_it_matches_again_and_how_long_the_map_took(opened: Session) -> None:
+    hint = page_state(opened.state, opened.scene, opened.workspace, {})["bake_hint"]
+    assert f"took {opened.state.map.first_seconds:.0f} s" in hint
+    assert f"{len(opened.scene.target.positions)} vertices" in hint
+    assert opened.state.map.first_seconds > 0
+    opened.match_again()
+    until(lambda: opened.state.map.revision > 1, opened)
+    assert page_state(opened.state, opened.scene, opened.workspace, {})["bake_hint"] == hint
+    assert page_state(StudioState(), None, opened.workspace, {})["bake_hint"] == ""
 
 
 def test_every_control_of_the_page_is_used_in_a_browser() -> None:

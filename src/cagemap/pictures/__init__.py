@@ -9,7 +9,16 @@ from cagemap.pictures.colors import (
     position_colors,
     scalar_colors,
 )
-from cagemap.pictures.orientation import UP_AXES, Y_UP, Z_UP, Orientation, find_orientation, matching_turn
+from cagemap.pictures.orientation import (
+    UP_AXES,
+    Y_UP,
+    Z_UP,
+    Orientation,
+    find_orientation,
+    matching_turn,
+    shape_turn,
+    usual_turn,
+)
 from cagemap.pictures.overlay import draw_dots, draw_line, draw_segments
 from cagemap.pictures.render import Image, Model, Skin, render, render_skins, sample_texture, visible_points
 
@@ -42,6 +51,8 @@ __all__ = [
     "render_skins",
     "sample_texture",
     "scalar_colors",
+    "shape_turn",
     "turn_angle",
+    "usual_turn",
     "visible_points",
 ]

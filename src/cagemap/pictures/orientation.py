@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import permutations, product
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
@@ -53,18 +54,32 @@ class Orientation:
         return f"{up} is up and {front} in front, {self.reason}"
 
 
+def usual_turn(path: Path | None) -> FloatArray:
+    """(3, 3) rotation for rows to Y up, where neither file nor shape tells: STL files mostly have Z up."""
+    return Z_UP if path is not None and path.suffix.lower() == ".stl" else Y_UP
+
+
+def shape_turn(positions: FloatArray, triangles: IndexArray) -> FloatArray | None:
+    """(3, 3) rotation for rows to Y up, as the shape shows; None if it does not tell."""
+    return _upright_turn(_unit_points(positions, triangles))
+
+
 def find_orientation(
-    positions: FloatArray, triangles: IndexArray, upright: FloatArray | None = None, reason: str = ""
+    positions: FloatArray,
+    triangles: IndexArray,
+    upright: FloatArray | None = None,
+    reason: str = "",
+    usual: FloatArray = Y_UP,
 ) -> Orientation:
     """Find the up axis and the front of a model.
 
     ``upright``: (3, 3) rotation for rows after which +Y is up, if known; ``reason`` says where it comes from.
+    ``usual``: the rotation if the shape does not tell.
     """
-    points = _sample_points(positions, triangles)
-    points = (points - points.mean(0)) / (float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0)
+    points = _unit_points(positions, triangles)
     if upright is None:
-        shape_turn = _upright_turn(points)
-        upright, reason = (Y_UP, DEFAULT_REASON) if shape_turn is None else (shape_turn, SHAPE_REASON)
+        found = _upright_turn(points)
+        upright, reason = (usual, DEFAULT_REASON) if found is None else (found, SHAPE_REASON)
     points_upright = points @ upright
     faces_x = _mirror_axis(points_upright) == 2
     turn = upright @ X_FRONT_TO_Z if faces_x else upright
@@ -74,6 +89,12 @@ def find_orientation(
         reason = reason if reason in (SHAPE_REASON, DEFAULT_REASON) else f"{reason}, the front {SHAPE_REASON}"
         reason = SHAPE_REASON if reason == DEFAULT_REASON else reason
     return Orientation(turn, reason)
+
+
+def _unit_points(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """Points of a surface about their mean, of a diagonal of 1."""
+    points = _sample_points(positions, triangles)
+    return np.asarray((points - points.mean(0)) / (float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0))
 
 
 def matching_turn(images: FloatArray, positions: FloatArray, turn: FloatArray) -> FloatArray:

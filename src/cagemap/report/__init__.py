@@ -9,6 +9,7 @@ from cagemap.files.atomic import write_whole
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.kinds import kinds_checked
+from cagemap.pictures import Y_UP
 from cagemap.report.figures import (
     HEIGHT,
     WIDTH,
@@ -88,6 +89,7 @@ def write_report(
     progress: Progress | None = None,
     upright: FloatArray | None = None,
     reason: str = "as asked",
+    usual: FloatArray = Y_UP,
     force: bool = False,
 ) -> None:
     """Draw and write the report of a result.
@@ -109,6 +111,8 @@ def write_report(
         Rotation for rows after which the target's up is +Y; default: found from its shape.
     reason : str
         Where ``upright`` comes from, for the page.
+    usual : (3, 3) float64
+        The same rotation where ``upright`` is not given and the shape does not tell.
 
     Raises
     ------
@@ -117,7 +121,7 @@ def write_report(
         there and ``force`` is not given.
     """
     check_page_path(path)
-    viewpoints = choose_viewpoints(result, upright, reason)
+    viewpoints = choose_viewpoints(result, upright, reason, usual)
     gallery = draw_gallery(result, texture=texture, baked=baked, size=size, progress=progress, viewpoints=viewpoints)
     panels = draw_carried(result, carried, size, viewpoints)
     textures = _textures(result, texture, baked)

@@ -8,7 +8,7 @@ import numpy as np
 
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
-from cagemap.pictures import Orientation, find_orientation, matching_turn
+from cagemap.pictures import Y_UP, Orientation, find_orientation, matching_turn
 from cagemap.subdivision import level_triangles
 
 
@@ -26,7 +26,9 @@ class Viewpoints:
     source_turn: FloatArray
 
 
-def choose_viewpoints(result: MatchResult, upright: FloatArray | None = None, reason: str = "") -> Viewpoints:
+def choose_viewpoints(
+    result: MatchResult, upright: FloatArray | None = None, reason: str = "", usual: FloatArray = Y_UP
+) -> Viewpoints:
     """Orient the target by its file or shape, the source by the map.
 
     Parameters
@@ -36,8 +38,10 @@ def choose_viewpoints(result: MatchResult, upright: FloatArray | None = None, re
         Rotation for rows after which the target's up is +Y, if known.
     reason : str
         Where ``upright`` comes from.
+    usual : (3, 3) float64
+        The rotation if ``upright`` is not known and the shape does not tell.
     """
     refinement = result.target.refinement
     positions = np.asarray(refinement.finest.positions)
-    target = find_orientation(positions, level_triangles(refinement, refinement.finest_level), upright, reason)
+    target = find_orientation(positions, level_triangles(refinement, refinement.finest_level), upright, reason, usual)
     return Viewpoints(target, matching_turn(result.image(), positions, target.turn))

@@ -12,8 +12,6 @@ from cagemap.character.values import Character
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.problem import PreparedPair
 from cagemap.errors import ParameterError
-from cagemap.files.gltf.material_images import png_bytes, write_numbered
-from cagemap.files.inner_texture import SUFFIXES, extract_texture
 from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.point_map import PointMap
 from cagemap.pipeline import MatchResult, match_pair, other_answer, prepare_pair, prepare_surfaces, update_match
@@ -25,8 +23,8 @@ from cagemap.studio.scene import Scene
 from cagemap.studio.shape import refined_shape
 from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_skin
 from cagemap.studio.state import MapState
+from cagemap.studio.textures import textured
 from cagemap.subdivision import refine
-from cagemap.tasks.material_atlas import material_atlas
 from cagemap.transfer.overlapping_uvs import has_layout
 
 Progress = Callable[[str], None]
@@ -217,24 +215,7 @@ def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, Open
     target, source = (
         replace(model, notes=(*notes, *model.notes)) for notes, model in zip(conversions, models, strict=True)
     )
-    return target, _textured(source, files.texture or paths[1], files.folder, progress)
-
-
-def _textured(source: OpenedModel, holder: Path, folder: Path, progress: Progress) -> OpenedModel:
-    """The source with an image, or with those in a model's file: several materials' are one image in the page."""
-    atlas = material_atlas(holder, source.control)
-    if atlas is not None:
-        progress("reading the textures")
-        image = write_numbered(folder / f"{holder.stem}_texture.png", png_bytes(atlas.image))
-        refined = refined_shape(refine(atlas.control, source.level))
-        shape = replace(source.shape, uvs=refined.uvs, uv_triangles=refined.uv_triangles)
-        return replace(source, shape=shape, look=with_texture(source.look, image), texture=holder)
-    is_model = holder == source.path or holder.suffix.lower() in SUFFIXES
-    image_file = extract_texture(holder, source.control, folder) if is_model else holder
-    if image_file is None:
-        return source
-    progress("reading the texture")
-    return replace(source, look=with_texture(source.look, image_file), texture=image_file)
+    return target, textured(source, files.texture or paths[1], files.folder, progress)
 
 
 def find_map(

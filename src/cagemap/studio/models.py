@@ -16,6 +16,7 @@ from cagemap.files.meshes.formats import read_whole
 from cagemap.files.usd.space import upright_turn
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
+from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.mesh.parts import connected_parts
@@ -27,7 +28,7 @@ from cagemap.mesh.udim import udim_origin
 from cagemap.mesh.weld import weld_mesh, weld_tolerance
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import encode_srgb
-from cagemap.pictures import UP_AXES, Y_UP
+from cagemap.pictures import UP_AXES, shape_turn, usual_turn
 from cagemap.pipeline import choose_level
 from cagemap.studio.file_parts import NO_PARTS, PartChoices, SelectedPart, other_parts_surface, select_part
 from cagemap.studio.shape import OriginalMesh, Shape, refined_shape
@@ -146,7 +147,7 @@ def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, pa
     file_mesh = replace(read_whole(path), name=path.name)
     if structure_problems(file_mesh):
         require_valid(file_mesh)
-    rotation = view_rotation(path, up)
+    rotation = view_rotation(path, up, file_mesh)
     if scheme is not None:
         file_mesh = replace(with_options(file_mesh, scheme), object_schemes=())
     tolerance = weld_tolerance(file_mesh)
@@ -235,12 +236,14 @@ def _require_one_piece(control: ControlMesh) -> None:
         )
 
 
-def view_rotation(path: Path, up: str | None) -> FloatArray:
-    """(3, 3) rotation of rows to the view, by the given or a USD file's axis."""
+def view_rotation(path: Path, up: str | None, mesh: ControlMesh) -> FloatArray:
+    """(3, 3) rotation of rows to the view, by the given axis, a USD file's, the shape's or the usual one."""
     if up is not None:
         return UP_AXES[up]
     stated = upright_turn(path)
-    return Y_UP if stated is None else stated
+    if stated is None:
+        stated = shape_turn(mesh.positions, cage_triangles(mesh)[0])
+    return usual_turn(path) if stated is None else stated
 
 
 def _material_look(control: ControlMesh) -> Look:

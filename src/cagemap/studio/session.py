@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -59,7 +60,7 @@ class Session(LandmarkEdits):
     def __init__(self, workspace: Workspace, vertices: int, options: Options) -> None:
         super().__init__()
         self.workspace, self.options = workspace, options
-        self._cancelled = False
+        self._cancelled, self._opened_at = False, 0.0
         self._upload_lock = threading.Lock()
         self._requested_parts: SideNames = (None, None)
         self._finish_inputs: tuple[object, ...] = ()
@@ -301,7 +302,10 @@ class Session(LandmarkEdits):
                 if before.preview_map is None or scene.source is not before.source:
                     scene.warm_up()  # not earlier: the page loads the models first
                 map_state = result.map_state.rename_landmarks(task.landmarks, self._state.history.present)
-                map_state = replace(map_state, revision=self._state.map.revision + (not map_state.rough))
+                known = self._state.map
+                first = known.first_seconds or (0.0 if map_state.rough else time.monotonic() - self._opened_at)
+                revision = known.revision + (not map_state.rough)
+                map_state = replace(map_state, revision=revision, first_seconds=first)
                 self._change(map=map_state, proposal=propose_place(scene, self._state.history.present))
             case bytes() if self._scene is not None and isinstance(task, ShowBaked):
                 if task.image == self._state.view.baked:
@@ -317,7 +321,7 @@ class Session(LandmarkEdits):
     def _apply_models(self, opened: OpenedPair) -> None:
         """Show opened models, and record how they were opened for the finish."""
         target, source = opened.target, opened.source
-        self._scene = opened.scene
+        self._scene, self._opened_at = opened.scene, time.monotonic()
         if self._state.files is not None:
             files = with_parts(self._state.files, (target.part_choices.opened, source.part_choices.opened))
             schemes, welds = (target.scheme, source.scheme), (target.weld, source.weld)

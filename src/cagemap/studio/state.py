@@ -120,6 +120,8 @@ class MapState:
         Whether this is a rough map while the search goes on.
     poses : tuple of str
         Names of poses of the source's animations.
+    first_seconds : float
+        How long the first map took, from the models' being open; 0 before it.
     """
 
     revision: int = 0
@@ -132,6 +134,7 @@ class MapState:
     suggestion: int | None = None
     rough: bool = False
     poses: tuple[str, ...] = ()
+    first_seconds: float = 0.0
 
     def rename_landmarks(self, before: LandmarkList, now: LandmarkList) -> MapState:
         """Return the state with the new names of landmarks that kept their number and places."""

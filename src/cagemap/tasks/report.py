@@ -21,7 +21,7 @@ from cagemap.files.values.part_numbering import file_rows
 from cagemap.files.values.rigs import read_shapes
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
-from cagemap.pictures import UP_AXES
+from cagemap.pictures import UP_AXES, usual_turn
 from cagemap.report import (
     BakedImage,
     CarriedData,
@@ -78,7 +78,15 @@ def run_report(request: ReportRequest, stages: Stages) -> Said:
     if request.up is not None:
         upright, reason = UP_AXES[request.up], "as asked"
     write_report(
-        output, result, texture=pixels, baked=baked, carried=carried, upright=upright, reason=reason, force=force
+        output,
+        result,
+        texture=pixels,
+        baked=baked,
+        carried=carried,
+        upright=upright,
+        reason=reason,
+        usual=usual_turn(file),
+        force=force,
     )
     note_output("report", folder, request)
     return f"Open {output} in a browser.", []

@@ -146,6 +146,7 @@ function showLandmarks() {
 
 function showBake() {
   $('start').disabled = !state.models || state.baking;
+  text('bake-hint', state.bake_hint);
   const links = state.outputs.map(({what, name, page}) => {
     const link = element('a', {href: `files/${encodeURIComponent(name)}`, textContent: name});
     if (page) Object.assign(link, {target: '_blank', rel: 'noopener'});

@@ -16,7 +16,7 @@ from cagemap.studio.finish_layout import FOLDER_SUFFIX, in_page_words
 from cagemap.studio.glb import MeshPart, pack_glb
 from cagemap.studio.landmark_files import SAVE_FORMATS
 from cagemap.studio.landmarks import SIDES, Place, Side
-from cagemap.studio.page.words import confidence_text, status_entries, verdict
+from cagemap.studio.page.words import bake_hint, confidence_text, status_entries, verdict
 from cagemap.studio.scene import Scene
 from cagemap.studio.shape import Shape
 from cagemap.studio.state import MODES, Files, Output, Probe, StudioState
@@ -77,6 +77,7 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "answers": map_state.answers if len(map_state.answers) > 1 else (),
         "chosen": map_state.chosen_answer,
         "outputs": _output_entries(state),
+        "bake_hint": bake_hint(state, scene),
         "baking": state.finish_job is not None,
     }
 

@@ -64,6 +64,18 @@ def verdict(state: StudioState, scene: Scene | None) -> str:
     return f"{confidence.capitalize()}, {doubts}"
 
 
+def bake_hint(state: StudioState, scene: Scene | None) -> str:
+    """What a bake does with the map, and how long that takes; '' before the first map."""
+    if scene is None or not state.map.first_seconds:
+        return ""
+    vertices = max(len(shape.positions) for shape in (scene.target, scene.source))
+    return (
+        f"The map shown has {vertices:,} vertices and took {state.map.first_seconds:.0f} s. A bake computes it again "
+        "from the start, with the vertices chosen above, which takes as long or longer; the next bake of the same "
+        "landmarks uses it again."
+    )
+
+
 def status_entries(state: StudioState) -> dict[str, Any]:
     """Text, kind ("busy", "error", "ask", "ready"), fraction done or None, and whether it can be cancelled."""
     if state.finish_job is not None:
