@@ -241,7 +241,10 @@ def test_stand_ins_and_primvars_that_say_nothing_are_left_out(tmp_path: Path, ca
         api.CreatePrimvar("height", names.FloatArray, "vertex").Set([1.0] * 8)
     (read,) = read_usd_meshes(tmp_path / "asset.usda")
     assert read.path == "/A/m"
-    assert "invisible meshes and previews: /A/guide, /A/proxy, /A/off/hidden; make them visible, of" in caplog.text
+    assert (
+        "invisible meshes, previews and prototypes: /A/guide, /A/proxy, /A/off/hidden; make them visible, of"
+        in caplog.text
+    )
     assert list(read.attributes) == ["height"]
 
 

@@ -27,6 +27,7 @@ from cagemap.files.text import distinct
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import merged_corners
+from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.parts import extract_faces
 from cagemap.mesh.plain import turn_faces
 from cagemap.mesh.weld import weld_mesh
@@ -68,9 +69,13 @@ def read_scene(document: Document) -> Scene:
     skins = tuple(read_skin(document, nodes, number) for number in range(len(document.entries("skins"))))
     joints = read_joints(document, nodes, skins)
     parts = []
-    for node in nodes.order:
+    with_mesh = [node for node in nodes.order if document.entry("nodes", node).get("mesh") is not None]
+    if hidden := [nodes.names[node] for node in with_mesh if node not in nodes.in_scene]:
+        text = "%s: left out meshes that its scene %d does not show: %s; export them in one scene to keep them"
+        _log.warning(text, document.file, document.json.get("scene", 0), first_few(hidden))
+    for node in with_mesh:
         entry = document.entry("nodes", node)
-        if node not in nodes.in_scene or entry.get("mesh") is None:
+        if node not in nodes.in_scene:
             continue
         name = nodes.names[node] if entry.get("name") else document.name("meshes", int(entry["mesh"]))
         arrays = read_vertex_arrays(document, int(entry["mesh"]), name or nodes.names[node])

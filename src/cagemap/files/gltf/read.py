@@ -15,7 +15,7 @@ from cagemap.character.values import Rig
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import NGONS
 from cagemap.files.gltf.character import animation_lengths, animation_names, humanoid_bones
-from cagemap.files.gltf.document import read_document
+from cagemap.files.gltf.document import GLTF_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.parts import ReadPart, Scene, read_scene
 from cagemap.files.gltf.primitives import material_names
@@ -98,7 +98,7 @@ class Contents:
 
     body: str  # the body mesh, by `cagemap.character.roles.find_body`
     passengers: tuple[str, ...]  # all other meshes
-    # `vertices`, `stored`: numbers of vertices after welding, and in the file
+    # `vertices`, `stored`: numbers of vertices after welding, and in a glTF file; 0 in others
     vertices: int
     stored: int
     joints: int
@@ -128,7 +128,7 @@ class Contents:
             ("textures", _listed(self.textures), "are baked for the other body"),
             ("animations", _listed(moving), "are retargeted"),
             ("extensions", _listed(self.extensions), "are kept as they are"),
-            ("vertices", welded, "copies along seams are welded"),
+            ("vertices", welded, "copies along seams are welded, so that later vertices have other numbers here"),
         )
         lines = [f"    {name:<12}{held}: {done}" for name, held, done in rows if held]
         return "\n".join(["  holds, and what `cagemap rig` does with it", *lines])
@@ -141,6 +141,7 @@ def _listed(names: tuple[str, ...] | list[str]) -> str:
 def contents_of(scene: Scene) -> Contents:
     """The summary of a file's scene."""
     document = scene.document
+    is_gltf = document.file.suffix.lower() in GLTF_SUFFIXES  # in FBX and USD files corners have normals, not vertices
     parts = [read_part.part for read_part in scene.parts]
     body = find_body(parts)
     rig = None if scene.joints is None else scene.joints.rig
@@ -150,7 +151,7 @@ def contents_of(scene: Scene) -> Contents:
         body=body.name,
         passengers=tuple(part.name for part in parts if part is not body),
         vertices=sum(part.mesh.n_vertices for part in parts),
-        stored=sum(read_part.stored for read_part in scene.parts),
+        stored=sum(read_part.stored for read_part in scene.parts) if is_gltf else 0,
         joints=0 if rig is None else len(rig.names),
         influences=max((int(np.diff(table.indptr).max()) for table in weights), default=0),
         humanoid=len(humanoid_bones(document) or ({} if rig is None else humanoid_joints(rig))),

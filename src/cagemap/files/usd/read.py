@@ -76,8 +76,8 @@ class UsdMesh:
 def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     """All active mesh prims of a stage with points, instances included, at the first time sample.
 
-    Invisible meshes and those for previews (purpose guide or proxy) are left out if there are others, and meshes that
-    their transform flattens (as animators hide them), with a warning.
+    Invisible meshes, prototypes of instancers and previews (purpose guide or proxy) are left out if there are others,
+    and meshes that their transform flattens (as animators hide them), with a warning.
     """
     file = Path(path)
     stage, pxr = open_stage(file), usd_modules()
@@ -92,8 +92,8 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
         are_final = list(map(_is_final, prims))
         final = list(itertools.compress(prims, are_final))
         if hidden := [str(prim.GetPath()) for prim, kept in zip(prims, are_final, strict=True) if final and not kept]:
-            text = "%s: left out invisible meshes and previews: %s; make them visible, of purpose default, to keep them"
-            logger.warning(text, file, first_few(hidden))
+            text = "%s: left out invisible meshes, previews and prototypes: %s; %s"
+            logger.warning(text, file, first_few(hidden), "make them visible, of purpose default, to keep them")
         with_points = [prim for prim in final or prims if stated(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
         labels = material_labels(stage)
         meshes = tuple(_read_prim(file, prim, labels) for prim in unflattened(file, with_points))
@@ -110,8 +110,14 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
 
 
 def _is_final(prim: Any) -> bool:
-    """Whether a prim is visible, and not for previews."""
-    imageable = usd_modules().UsdGeom.Imageable(prim)
+    """Whether a prim is visible, and neither for previews nor a prototype of an instancer."""
+    geometry = usd_modules().UsdGeom
+    above = prim.GetParent()
+    while above:
+        if above.IsA(geometry.PointInstancer):
+            return False
+        above = above.GetParent()
+    imageable = geometry.Imageable(prim)
     return str(imageable.ComputePurpose()) not in _STAND_INS and str(imageable.ComputeVisibility()) != "invisible"
 
 
