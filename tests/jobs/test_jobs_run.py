@@ -312,13 +312,16 @@ def test_the_dashboard_s_address_is_told_and_workers_share_the_memory(monkeypatc
     asked: dict[str, Any] = {}
 
     @contextmanager
-    def cluster(**options: Any) -> Iterator[None]:
+    def cluster(**options: Any) -> Iterator[SimpleNamespace]:
         asked.update(options)
-        yield
+        yield SimpleNamespace(periodic_callbacks={})
 
     @contextmanager
-    def client(cluster: None) -> Iterator[SimpleNamespace]:
-        yield SimpleNamespace(dashboard_link="http://127.0.0.1:4321/status")
+    def client(cluster: SimpleNamespace) -> Iterator[SimpleNamespace]:
+        assert len(cluster.periodic_callbacks) == 1
+        yield SimpleNamespace(
+            dashboard_link="http://127.0.0.1:4321/status", loop=SimpleNamespace(add_callback=lambda started: None)
+        )
 
     monkeypatch.setattr(distributed, "LocalCluster", cluster)
     monkeypatch.setattr(distributed, "Client", client)

@@ -244,14 +244,11 @@ def test_how_sure_a_map_is_reads_alike_on_terminal_in_manifest_and_report(
     assert 'class="warning"' not in sure
     for empty in ("<summary>Landmarks", "Dots are landmarks", "Lines are curves", "<td>None</td>"):
         assert empty not in sure
-    # Poor figures say no more than the doubt does.
     folded = replace(free.quality, flipped_area=0.2)
     poor = replace(free, quality=folded, confidence=Confidence(LOOK, answers, deciding=0))
-    assert "Do not use" not in build_page(poor, gallery)
-    assert not [text for text in warnings(poor) if "Do not use" in text]
-    poor = replace(poor, confidence=None)
-    assert warnings(poor)[-1] in build_page(poor, gallery)
     assert "Do not use" in warnings(poor)[-1]
+    assert f"{warnings(poor)[-1]} Look at it: " in build_page(poor, gallery)
+    assert warnings(poor)[-1] in build_page(replace(poor, confidence=None), gallery)
     # A page speaks the words of the command line, and leaves names of files as they are.
     noted = {"notes": [f"{result.target.control.name}: `find_part` each matches every piece"]}
     two = build_page(replace(free, confidence=Confidence(TWO, answers, deciding=0), provenance=noted), gallery)

@@ -11,7 +11,7 @@ import shutil
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -162,6 +162,8 @@ def _run_tasks(
     kept_outcomes: dict[str, TaskOutcome],
     report: Report,
 ) -> dict[str, TaskOutcome]:
+    from distributed import as_completed, wait
+
     run = uuid.uuid4().hex[:8]
 
     def submit(task: Task, earlier_outcomes: Iterable[Any], trial: int) -> Any:
@@ -175,43 +177,23 @@ def _run_tasks(
     names = {future.key: name for name, future in futures.items()}
     outcomes: dict[str, TaskOutcome] = {}
     lost = set()
-    for future, outcome in _as_completed(client, futures.values()):
+    for future in as_completed(futures.values()):
         name = names[future.key]
         # A lost worker may have finished the task: the second try finds the stored result.
-        if outcome is None:
+        if future.status != "finished":
             lost.add(name)
             continue
-        outcomes[name] = _count_as_done(outcome)
+        outcomes[name] = _count_as_done(future.result())
         report(outcomes[name], len(outcomes), len(missing))
     # Dask blames every task of a dead worker: rerun them one by one.
     for task in missing:
         if task.name in lost:
             future = submit(task, [outcomes.get(name, kept_outcomes.get(name)) for name in _earlier_tasks(task)], 2)
-            ((_, outcome),) = _as_completed(client, [future])
-            outcomes[task.name] = _count_as_done(outcome) if outcome else _lost_outcome(task, outcomes)
+            wait(future)
+            is_finished = future.status == "finished"
+            outcomes[task.name] = _count_as_done(future.result()) if is_finished else _lost_outcome(task, outcomes)
             report(outcomes[task.name], len(outcomes), len(missing))
     return outcomes
-
-
-def _as_completed(client: Client, futures: Iterable[Any]) -> Iterator[tuple[Any, TaskOutcome | None]]:
-    """Futures as they end, with outcomes, None of lost workers; workers lost on this machine are replaced."""
-    from distributed import KilledWorker, wait
-
-    waiting = set(futures)
-    while waiting:
-        try:
-            for future in wait(waiting, LOST_WORKER_SECONDS, "FIRST_COMPLETED").done:
-                outcome = None
-                if future.status == "finished":
-                    # An outcome is lost with its worker: Dask then runs the task again.
-                    with suppress(KilledWorker):
-                        outcome = future.result(LOST_WORKER_SECONDS)
-                waiting.remove(future)
-                yield future, outcome
-        except TimeoutError:
-            # Dask does not start a worker again that died while it was being started.
-            if client.cluster is not None:
-                client.cluster.scale(len(client.cluster.worker_spec))
 
 
 def _earlier_tasks(task: Task) -> tuple[str, ...]:
@@ -277,6 +259,7 @@ def _local(stack: ExitStack, workers: int) -> Client:
     from distributed import Client, LocalCluster
     from distributed.deploy.spec import close_clusters
     from distributed.system import MEMORY_LIMIT
+    from tornado.ioloop import PeriodicCallback
 
     environment = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "CAGEMAP_THREADS")}
     settings = {
@@ -298,7 +281,13 @@ def _local(stack: ExitStack, workers: int) -> Client:
     except KeyboardInterrupt:
         atexit.unregister(close_clusters)  # Dask cannot close workers that have not started; they end with us
         raise
-    return stack.enter_context(Client(stack.enter_context(cluster)))
+    cluster = stack.enter_context(cluster)
+    client = stack.enter_context(Client(cluster))
+    # Dask does not start a worker again that died while it was being started.
+    replace_lost = PeriodicCallback(lambda: cluster.scale(workers), 1000 * LOST_WORKER_SECONDS)
+    cluster.periodic_callbacks["replace lost workers"] = replace_lost  # Dask stops it with the cluster
+    client.loop.add_callback(replace_lost.start)
+    return client
 
 
 def _require_dask() -> None:

@@ -24,7 +24,6 @@ from cagemap.files.result.folder import ARRAYS, check_result_folder, write_resul
 from cagemap.files.result.manifest import (
     MANIFEST,
     assurance,
-    doubt_message,
     landmark_messages,
     peak_memory,
     stated_inputs,
@@ -346,6 +345,6 @@ def landmark_summary(result: MatchResult) -> str:
 def warnings(result: MatchResult) -> list[str]:
     """Notes and warnings of a result, and the report's verdict on a poor map."""
     manifest = result.manifest
-    verdict, sentence = map_verdict(manifest)
-    poor = [sentence] if verdict == "poor" and not doubt_message(manifest) else []
+    verdict, sentence = map_verdict({**manifest, "confidence": None})  # the summary says why it is doubtful
+    poor = [sentence] if verdict == "poor" else []
     return [*manifest["notes"], *landmark_messages(manifest), *manifest["quality"]["warnings"], *poor]

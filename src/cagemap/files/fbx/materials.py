@@ -41,6 +41,7 @@ class Materials:
         self.lists: dict[str, list[Any]] = {"materials": []}
         self._textures = AddedTextures(binary, self.lists)
         self._known: dict[tuple[int, tuple[int, ...]], int] = {}
+        self._image_of: dict[int, int | None] = {}  # by the texture's element_id
 
     def number(self, material: Any, uv_sets: Sequence[str]) -> int:
         """Number in the document of a material of a mesh with UV sets of these names."""
@@ -123,8 +124,11 @@ class Materials:
 
     def _image(self, texture: Any) -> int | None:
         """Number of a texture's image; None if there is no readable one."""
-        data = self._content(texture)
-        return self._textures.image(data, PurePosixPath(_stated(texture)).suffix) if data else None
+        key = get(texture, "element_id")
+        if key not in self._image_of:
+            data = self._content(texture)
+            self._image_of[key] = self._textures.image(data, PurePosixPath(_stated(texture)).suffix) if data else None
+        return self._image_of[key]
 
     def _content(self, texture: Any) -> bytes:
         """Content of a texture's image: in the FBX, or in its folder; b"" if missing."""

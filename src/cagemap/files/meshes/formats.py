@@ -21,6 +21,7 @@ from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, json_text
 from cagemap.files.gltf.read import read_gltf
 from cagemap.files.gltf.write import write_glb, write_glb_like
 from cagemap.files.meshes.obj import material_files, read_obj
+from cagemap.files.meshes.obj_materials import obj_images
 from cagemap.files.meshes.obj_write import obj_files, write_obj
 from cagemap.files.meshes.off import read_off, write_off
 from cagemap.files.meshes.ply import read_ply, write_ply
@@ -112,12 +113,13 @@ def mesh_files(path: str | Path, mesh: ControlMesh, like: Path | None = None) ->
 def referred_files(path: Path) -> list[Path]:
     """Existing files that a mesh file names; empty if it cannot be read.
 
-    OBJ: material files. glTF: buffers and images. USD: layers and images. FBX: textures. Other formats: none.
+    OBJ: material files and their colour images. glTF: buffers and images. USD: layers and images. FBX: textures. Other
+    formats: none.
     """
     suffix = path.suffix.lower()
     try:
         if suffix == ".obj":
-            return material_files(path, read_text(path, "an OBJ file"))
+            return [*material_files(path, read_text(path, "an OBJ file")), *obj_images(path)]
         if suffix in GLTF_SUFFIXES:
             text = read_text(path, "a glTF file") if suffix == ".gltf" else json_text(path)
             words = re.findall(r'"uri"\s*:\s*("(?:[^"\\]|\\.){1,1000}")', text)

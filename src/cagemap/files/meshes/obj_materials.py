@@ -23,6 +23,18 @@ _OPTIONS = {"-o": 3, "-s": 3, "-t": 3, "-mm": 2} | dict.fromkeys(
 )
 
 
+def obj_images(path: Path) -> list[Path]:
+    """Existing images (``map_Kd``) that the ``.mtl`` files of an OBJ file name."""
+    statements = [
+        (file, rest.strip())
+        for file in material_files(path, read_text(path, "an OBJ file"))
+        for _, _, line in material_lines(file)
+        for keyword, _, rest in [line.partition(" ")]
+        if keyword.lower() == "map_kd"
+    ]
+    return [image for file, rest in statements if (image := named_image(file, _options(rest)[1])) is not None]
+
+
 def obj_document(path: Path) -> Document:
     """A document without meshes, of the materials of an OBJ file's ``.mtl`` files and their images (``map_Kd``)."""
     binary, top = Binary(), dict[str, Any]()

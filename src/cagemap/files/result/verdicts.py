@@ -52,7 +52,7 @@ def overall_verdict(ratings: list[Rating], warnings: list[str]) -> str:
 
 
 def map_verdict(manifest: dict[str, Any], *, marked: bool = False) -> tuple[str, str]:
-    """Verdict of a map, see `overall_verdict`, and its sentence: why it is doubtful, or its worst figure.
+    """Verdict of a map, see `overall_verdict`, and its sentence: its worst figure, and why it is doubtful.
 
     ``marked``: whether the reader sees marks at the places.
     """
@@ -61,12 +61,13 @@ def map_verdict(manifest: dict[str, Any], *, marked: bool = False) -> tuple[str,
     verdict = overall_verdict(ratings, [*landmark_messages(manifest), *(quality.get("warnings") or [])])
     worst = next((rating.finding for rating in ratings if rating.verdict == verdict), "")
     advice = "look at the marked places" if marked else "read the remarks below"
-    if doubt:
-        return verdict, f"{doubt[:1].upper()}{doubt[1:]}."
+    doubtful = f"{doubt[:1].upper()}{doubt[1:]}." if doubt else ""
+    if verdict == "poor":
+        return verdict, f"Do not use this map as it is: {worst}. {doubtful}".strip()
+    if doubtful:
+        return verdict, doubtful
     if verdict == "good":
         return verdict, "The map looks sound."
-    if verdict == "poor":
-        return verdict, f"Do not use this map as it is: {worst}."
     return verdict, f"The map is usable; {worst}: {advice}." if worst else f"The map is usable; {advice}."
 
 

@@ -81,6 +81,7 @@ class _Materials:
     def __init__(self, document: Document) -> None:
         self.binary, self.top = Binary(document), json.loads(json.dumps(document.json))
         self._file, self._textures = document.file, AddedTextures(self.binary, self.top)
+        self._image_of: dict[str, int | None] = {}  # by path
 
     def fill(self, entry: dict[str, Any], surface: Any, sets: tuple[str, ...]) -> None:
         """Set an entry by the inputs of a surface."""
@@ -136,8 +137,10 @@ class _Materials:
         """Number of a texture shader's image; None if it cannot be read."""
         file = None if texture is None else setting_of(texture, "file", None)
         path = "" if file is None else str(file.resolvedPath)
-        data = _content(path)
-        return None if data is None else self._textures.image(data, Path(path.rstrip("]")).suffix)
+        if path not in self._image_of:
+            data = _content(path)
+            self._image_of[path] = None if data is None else self._textures.image(data, Path(path.rstrip("]")).suffix)
+        return self._image_of[path]
 
     def _holder(self, image: int, texture: Any, sets: tuple[str, ...]) -> dict[str, Any]:
         """What refers to a texture shader's image in glTF; the inverse of `cagemap.files.usd.materials`."""

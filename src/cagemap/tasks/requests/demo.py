@@ -17,5 +17,8 @@ class DemoRequest:
     the meshes, landmarks and texture, so that you can repeat every step by hand.
     """
 
-    output: Annotated[Path, Option("Folder to write everything to.", OUTPUT, ("-o",))] = Path("cagemap-demo")
+    output: Annotated[
+        Path,
+        Option("Folder to write everything to.", OUTPUT, ("-o",), metavar="FOLDER"),
+    ] = Path("cagemap-demo")
     force: Force = False

@@ -34,7 +34,7 @@ class MapRequest:
     map: Annotated[Path, Argument("Point map: .npy, .npz, .mtx or .vts.", metavar="MAP")]
     target: Annotated[Path, Option("Mesh that receives; the map starts from it.", INPUT, ("-t",))]
     source: Annotated[Path, Option("Mesh that gives; the map goes to it.", INPUT, ("-s",))]
-    output: Annotated[Path, Option("RESULT folder to write.", OUTPUT, ("-o",))]
+    output: Annotated[Path, Option("RESULT folder to write.", OUTPUT, ("-o",), metavar="FOLDER")]
     level: Annotated[int | None, Option("Level of both surfaces.  [default: about 50000 vertices]", INPUT, min=1)] = (
         None
     )

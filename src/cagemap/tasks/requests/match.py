@@ -44,7 +44,7 @@ class MatchRequest:
         Path, Option("Mesh that receives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD.", INPUT, ("-t",))
     ]
     source: Annotated[Path, Option("Mesh that gives, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD.", INPUT, ("-s",))]
-    output: Annotated[Path, Option("RESULT folder to write.", OUTPUT, ("-o",))]
+    output: Annotated[Path, Option("RESULT folder to write.", OUTPUT, ("-o",), metavar="FOLDER")]
     landmarks: Annotated[Path | None, Option("JSON file of pairs of corresponding points.", LANDMARKS)] = None
     level: Annotated[
         int | None, Option("Subdivision level of both surfaces.  [default: chosen by --vertices]", INPUT, min=1)
@@ -130,6 +130,7 @@ class MatchRequest:
     source_mask: SourceMaskOption = None
     mask_edge: MaskEdgeOption = None
     cache: Annotated[
-        Path | None, Option("Folder that keeps prepared surfaces, so that each is prepared once.", INPUT)
+        Path | None,
+        Option("Folder that keeps prepared surfaces, so that each is prepared once.", INPUT, metavar="FOLDER"),
     ] = None
     force: Force = False

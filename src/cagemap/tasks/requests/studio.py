@@ -30,8 +30,14 @@ class StudioRequest:
     source: Annotated[Path | None, Option("Control mesh that gives.", INPUT, ("-s",))] = None
     landmarks: Annotated[Path | None, Option("Landmark file to open and save.", LANDMARKS)] = None
     texture: Annotated[Path | None, Option("Image over the source's UVs.", INPUT)] = None
-    result: Annotated[Path | None, Option("RESULT folder to write; without models, the one to open.", INPUT)] = None
-    folder: Annotated[tuple[Path, ...], Option("Folder that the page may open and write; may be repeated.", PAGE)] = ()
+    result: Annotated[
+        Path | None,
+        Option("RESULT folder to write; without models, the one to open.", INPUT, metavar="FOLDER"),
+    ] = None
+    folder: Annotated[
+        tuple[Path, ...],
+        Option("Folder that the page may open and write; may be repeated.", PAGE, metavar="FOLDER"),
+    ] = ()
     host: Annotated[str, Option("Address to serve; other machines need the printed token.", PAGE)] = "127.0.0.1"
     port: Annotated[int, Option("Port; if it is in use, the next free one.", PAGE, min=0, max=65535)] = 8765
     vertices: Annotated[int, Option("About this many displayed vertices per model.", PAGE, min=1)] = 25_000
