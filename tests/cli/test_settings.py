@@ -71,7 +71,7 @@ def test_help_is_in_groups(command: str) -> None:
         (
             "match",
             ["Input:", "Landmarks:", "Output:", "Research:", "Options:"],
-            ["--target FILE", "--trust-landmarks", "--output FILE", "--set NAME=VALUE"],
+            ["--target FILE", "--trust-landmarks", "--output FOLDER", "--set NAME=VALUE"],
         ),
         (
             "transfer",

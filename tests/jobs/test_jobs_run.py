@@ -309,16 +309,15 @@ def test_the_dashboard_s_address_is_told_and_workers_share_the_memory(monkeypatc
     import distributed
     from distributed.system import MEMORY_LIMIT
 
-    asked: dict[str, Any] = {}
+    asked: dict[str, Any] = {"callbacks": {}}
 
     @contextmanager
     def cluster(**options: Any) -> Iterator[SimpleNamespace]:
         asked.update(options)
-        yield SimpleNamespace(periodic_callbacks={})
+        yield SimpleNamespace(periodic_callbacks=asked["callbacks"])
 
     @contextmanager
     def client(cluster: SimpleNamespace) -> Iterator[SimpleNamespace]:
-        assert len(cluster.periodic_callbacks) == 1
         yield SimpleNamespace(
             dashboard_link="http://127.0.0.1:4321/status", loop=SimpleNamespace(add_callback=lambda started: None)
         )
@@ -334,6 +333,7 @@ def test_the_dashboard_s_address_is_told_and_workers_share_the_memory(monkeypatc
         connect()
         connect()
     assert told == ["Dask's dashboard: http://127.0.0.1:4321/status"]
+    assert list(asked["callbacks"]) == ["replace lost workers"]
     assert asked["n_workers"] * asked["memory_limit"] == pytest.approx(MEMORY_LIMIT, abs=3)
 
 

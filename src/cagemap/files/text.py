@@ -36,11 +36,12 @@ def _unreadable(path: Path, error: Exception) -> FormatError:
     return FormatError(f"{path}: cannot be read ({error}). Check its permissions.")
 
 
-def read_bytes(path: Path, what: str) -> bytes:
-    """Read a file; if it is missing, unreadable or empty, the FormatError says so."""
+def read_bytes(path: Path, what: str, size: int = -1) -> bytes:
+    """Read a file, or its first bytes; if it is missing, unreadable or empty, the FormatError says so."""
     require_file(path, what)
     try:
-        content = path.read_bytes()
+        with path.open("rb") as file:
+            content = file.read(size)
     except OSError as error:
         raise _unreadable(path, error) from None
     if not content.strip():

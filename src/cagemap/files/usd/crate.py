@@ -23,8 +23,7 @@ _MOST_A_BYTE = 16 * 255  # numbers in a compressed byte: 2 bits each, and LZ4
 
 def check_crate(file: Path) -> None:
     """Refuse a crate whose sections state more than they can hold; other files are not judged."""
-    with file.open("rb") as opened:
-        start = opened.read(11)
+    start = read_bytes(file, "a USD file", 11)
     if not start.startswith(_START) or tuple(start[8:]) < _OLDEST:
         return
     content = read_bytes(file, "a USD file")
