@@ -75,9 +75,7 @@ def match(
     """Map a target surface to a source surface (paper, section 5).
 
     With fewer than three landmarks many alignments are tried. The result has a ``confidence`` then, and with more
-    landmarks if they are mirrored or leave the rotation of a limb open. InvalidMeshError if a mesh is not an oriented
-    connected manifold. InvalidLandmarksError if the landmarks do not fit the control meshes, or "hfm" has fewer than
-    three.
+    landmarks if they are mirrored or leave the rotation of a limb open.
 
     Parameters
     ----------
@@ -91,6 +89,13 @@ def match(
     config : MatchConfig
     progress : callable
         Called with the name of each stage.
+
+    Raises
+    ------
+    InvalidMeshError
+        If a mesh is not an oriented connected manifold.
+    InvalidLandmarksError
+        If the landmarks do not fit the control meshes, or "hfm" has fewer than three.
     """
     landmarks = Landmarks.none() if landmarks is None else landmarks
     controls = [side.control if isinstance(side, Surface) else side for side in (target, source)]
@@ -145,9 +150,6 @@ def match_pair(
 ) -> MatchResult:
     """Match a prepared pair by the elastic method.
 
-    InvalidLandmarksError if the landmarks do not fit the control meshes. ParameterError if the config asks for another
-    method, start, elastic fit or masks than the pair was prepared for.
-
     Parameters
     ----------
     prepared : PreparedPair
@@ -160,6 +162,13 @@ def match_pair(
         Seconds of earlier stages.
     preview : callable, optional
         Called with approximate maps during the search, with fewer than three landmarks.
+
+    Raises
+    ------
+    InvalidLandmarksError
+        If the landmarks do not fit the control meshes.
+    ParameterError
+        If the config asks for another method, start, elastic fit or masks than the pair was prepared for.
     """
     if config.method != "elastic":
         raise ParameterError(
@@ -222,7 +231,6 @@ def update_match(
 
     The map responds elastically to the landmarks; its error is within a few percent of that of a new match
     (docs/lab/fit_experiments.md). If landmarks change which parts correspond (an arm instead of a leg), match again.
-    InvalidLandmarksError if the landmarks do not fit the control meshes.
 
     Parameters
     ----------
@@ -234,6 +242,11 @@ def update_match(
         The config of the match before.
     progress : callable
         Called with the name of each stage.
+
+    Raises
+    ------
+    InvalidLandmarksError
+        If the landmarks do not fit the control meshes.
     """
     target, source = before.target, before.source
     check_landmarks(landmarks, target.control, source.control)
@@ -272,8 +285,7 @@ def match_next(
 
     The fit starts from the map to the last frame; no other starts are tried, and errors add up from frame to frame
     (docs/lab/sequences.md). If the map folds more than ``max_folded_frame`` of `RefitConfig`, the frame is matched
-    without the last one; without landmarks only such a result has a ``confidence``. InvalidMeshError if the frame is
-    not an oriented connected manifold. InvalidLandmarksError if the landmarks do not fit the control meshes.
+    without the last one; without landmarks only such a result has a ``confidence``.
 
     Parameters
     ----------
@@ -286,6 +298,13 @@ def match_next(
     config : MatchConfig
         Of method "elastic".
     progress : callable
+
+    Raises
+    ------
+    InvalidMeshError
+        If the frame is not an oriented connected manifold.
+    InvalidLandmarksError
+        If the landmarks do not fit the control meshes.
     """
     landmarks = Landmarks.none() if landmarks is None else landmarks
     if not isinstance(source, Surface):

@@ -100,8 +100,12 @@ def coarse_fit(
     """Placement of clusters by their coarse stage, from positions (k, 3), or from landmarks if None.
 
     The ``clusters`` are the problem's coarse ones by default. Source ``samples`` give source-to-target terms, with
-    which limbs reach the ends of the source's limbs. ParameterError if the start has not one position for every vertex
-    of the coarse graph.
+    which limbs reach the ends of the source's limbs.
+
+    Raises
+    ------
+    ParameterError
+        If the start has not one position for every vertex of the coarse graph.
     """
     clusters = problem.coarse_clusters if clusters is None else clusters
     prepared, energy, graph = problem.prepared, clusters.energy, clusters.energy.graph

@@ -53,8 +53,7 @@ def from_bases(
     """C12 on the bases of a pair, from a functional map on other functions.
 
     pyFM's ``model.FM_12`` with ``model.mesh2.eigenvectors`` as the target's functions and ``mesh1``'s as the source's;
-    geomfum's matrix with those of ``basis_b.vecs`` and ``basis_a.vecs``. ParameterError if functions lack a row for
-    each vertex of their level, or are fewer than the map takes.
+    geomfum's matrix with those of ``basis_b.vecs`` and ``basis_a.vecs``.
 
     Parameters
     ----------
@@ -70,6 +69,11 @@ def from_bases(
     -------
     (k1, k2) array
         k1 = q1 and k2 = q2, or as many functions as a basis has.
+
+    Raises
+    ------
+    ParameterError
+        If functions lack a row for each vertex of their level, or are fewer than the map takes.
     """
     matrix = real_numbers(functional_map, "functional map")
     target, source = _sides(pair, matrix.shape, (target_functions, source_functions), levels)
@@ -90,7 +94,10 @@ def to_bases(
 ) -> FloatArray:
     """(q1, q2) map on functions (n1, q1), (n2, q2) from C12 of a pair: the inverse of `from_bases`.
 
-    Errors as of `from_bases`.
+    Raises
+    ------
+    ParameterError
+        As `from_bases`.
     """
     matrix = real_numbers(functional_map, "functional map")
     given = [real_numbers(values, "functions") for values in (target_functions, source_functions)]

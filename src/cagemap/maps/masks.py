@@ -99,7 +99,12 @@ class Masks:
         return Masks(self.of_target(len(target)) * target, self.of_source(len(source)) * source)
 
     def require_fit(self, n_target: int, n_source: int) -> None:
-        """Raise ParameterError for masks of another length, values outside [0, 1], or masks that leave nothing."""
+        """Refuse masks of the wrong length, values outside [0, 1], and masks that leave nothing.
+
+        Raises
+        ------
+        ParameterError
+        """
         for side, mask, n in (("target", self.target, n_target), ("source", self.source, n_source)):
             if mask is None:
                 continue
@@ -120,7 +125,10 @@ WHOLE = Masks()
 def vertex_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
     """(n_f,) mask of the finest vertices, refined from values (n_0,) at control vertices (a vertex group).
 
-    ParameterError if there is not one number from 0 to 1 for each control vertex.
+    Raises
+    ------
+    ParameterError
+        If there is not one number from 0 to 1 for each control vertex.
     """
     given = _checked(values, refinement.control.n_vertices, "control vertex")
     return np.clip(refinement.prolong(given, 0, refinement.finest_level), 0.0, 1.0)
@@ -130,8 +138,12 @@ def vertex_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
 def face_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
     """(n_f,) mask of the finest vertices from values (m_0,) at control faces (a face set).
 
-    A vertex between faces takes the least of their values, so that nothing leaks out of a set. ParameterError if there
-    is not one number from 0 to 1 for each control face.
+    A vertex between faces takes the least of their values, so that nothing leaks out of a set.
+
+    Raises
+    ------
+    ParameterError
+        If there is not one number from 0 to 1 for each control face.
     """
     given = _checked(values, refinement.control.n_faces, "control face")
     finest = refinement.finest
@@ -147,8 +159,6 @@ def face_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
 def soft_edge(surface: TriangleSurface, mask: FloatArray, width: float) -> FloatArray:
     """(n,) mask that rises from 0 at its border to its full value at a distance inside.
 
-    ParameterError if the width is negative or infinite, or the mask has not one number from 0 to 1 for each vertex.
-
     Parameters
     ----------
     surface : TriangleSurface
@@ -156,6 +166,11 @@ def soft_edge(surface: TriangleSurface, mask: FloatArray, width: float) -> Float
     mask : (n,) float64
     width : float
         The distance, along edges, in units of sqrt(area); 0 changes nothing.
+
+    Raises
+    ------
+    ParameterError
+        If the width is negative or infinite, or the mask has not one number from 0 to 1 for each vertex.
     """
     if not 0.0 <= width < np.inf:
         raise ParameterError(f"mask edge: expected a finite width of 0 or more, of sqrt(area), got {width}")

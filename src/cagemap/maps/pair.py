@@ -30,14 +30,17 @@ SymmetryPair = tuple[IndexArray, IndexArray]
 class PointPairs:
     """Landmarks on the finest surfaces: p points of the target and their source points.
 
-    ParameterError if the sides have different numbers of points.
-
     Attributes
     ----------
     target, source : SurfacePoints
         Points of the finest surfaces, one of each for every pair.
     curves : tuple of CurvePair
         Curves that correspond as a whole.
+
+    Raises
+    ------
+    ParameterError
+        If the sides have different numbers of points.
     """
 
     target: SurfacePoints

@@ -18,13 +18,16 @@ from cagemap.surface.triangle_surface import TriangleSurface
 class PointMap:
     """A point of the source for every target vertex.
 
-    ParameterError if there is not one image for each vertex.
-
     Attributes
     ----------
     target : TriangleSurface
     images : SurfacePoints
         Points of the source, one for each vertex of the target.
+
+    Raises
+    ------
+    ParameterError
+        If there is not one image for each vertex.
     """
 
     target: TriangleSurface
@@ -75,8 +78,6 @@ class PointMap:
     def pull_back(self, values: FloatArray) -> FloatArray:
         """Pull a function back from source to target, (P12 g2)(v) = g2(T12(v)).
 
-        ParameterError if the values are not those of the source's vertices.
-
         Parameters
         ----------
         values : (n2,) or (n2, q) array
@@ -85,6 +86,11 @@ class PointMap:
         Returns
         -------
         (n1,) or (n1, q) array
+
+        Raises
+        ------
+        ParameterError
+            If the values are not those of the source's vertices.
         """
         return self.images.interpolate(values)
 

@@ -224,8 +224,6 @@ def judge(
 ) -> QualityFigures:
     """Quality figures of a map between finest levels, without ground truth.
 
-    ParameterError if the map is not one of the target's finest level.
-
     Parameters
     ----------
     target : Surface
@@ -236,6 +234,11 @@ def judge(
         Names of the landmarks, for warnings.
     masks : Masks
         Weights of both surfaces' vertices in the figures.
+
+    Raises
+    ------
+    ParameterError
+        If the map is not one of the target's finest level.
     """
     if point_map.target.n != len(target.vertices):
         raise ParameterError(

@@ -55,7 +55,12 @@ def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
     """Figures of the region around every trusted landmark, in the order of the landmarks.
 
     A target vertex belongs to the landmark nearest to it along edges. Masked area, and pieces of the mesh without a
-    landmark, are left out. ParameterError if the result has no landmarks.
+    landmark, are left out.
+
+    Raises
+    ------
+    ParameterError
+        If the result has no landmarks.
     """
     landmarks = result.trusted
     if not len(landmarks):

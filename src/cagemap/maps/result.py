@@ -121,12 +121,15 @@ class MatchResult:
     def at_level(self, level: int) -> MatchResult:
         """Result with the map of one of the target's levels, to write, bake, draw and judge.
 
-        ParameterError if no map of that level was found.
-
         Parameters
         ----------
         level : int
             Level of the target. Of several maps of this level the last one is used, with the finest source.
+
+        Raises
+        ------
+        ParameterError
+            If no map of that level was found.
         """
         finest = self.target.refinement.finest_level
         if level == finest:

@@ -28,8 +28,6 @@ from cagemap.numerics.arrays import IndexArray, whole_numbers
 class Landmarks:
     """Pairs of points that correspond.
 
-    InvalidLandmarksError or ParameterError if names are no strings, or vertices no whole numbers.
-
     Attributes
     ----------
     names : tuple of str
@@ -42,6 +40,11 @@ class Landmarks:
         The landmarks as points of the meshes; default: the control vertices.
     curves : Curves
         Pairs of polylines that correspond as a whole; their single points need not.
+
+    Raises
+    ------
+    InvalidLandmarksError, ParameterError
+        If names are no strings, or vertices no whole numbers.
     """
 
     names: tuple[str, ...]

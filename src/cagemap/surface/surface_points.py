@@ -22,8 +22,6 @@ TOLERANCE = 1e-4
 class SurfacePoints:
     """Points on one surface.
 
-    ParameterError if the arrays are not points of this surface.
-
     Attributes
     ----------
     surface : TriangleSurface
@@ -31,6 +29,11 @@ class SurfacePoints:
         Triangle of each point.
     barycentric : (m, 3) float64
         Weights of its corners, not negative, rows sum to 1.
+
+    Raises
+    ------
+    ParameterError
+        If the arrays are not points of this surface.
     """
 
     surface: TriangleSurface

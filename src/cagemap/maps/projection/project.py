@@ -23,8 +23,6 @@ from cagemap.surface.triangles import vertex_normals
 def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -> PointMap:
     """Point map of the finest levels: closest points to the subdivision surface through fitted points.
 
-    ParameterError if there is not one finite position for each vertex of that level.
-
     Parameters
     ----------
     prepared : PreparedPair
@@ -37,6 +35,11 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
     -------
     PointMap
         Of the finest levels; it may fold.
+
+    Raises
+    ------
+    ParameterError
+        If there is not one finite position for each vertex of that level.
     """
     count = prepared.mesh.n
     fitted = real_numbers(fitted, "fitted")
@@ -99,14 +102,17 @@ def map_of_places(problem: Problem, places: FloatArray) -> PointMap:
 def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = ElasticConfig()) -> PointMap:
     """Remove most folds of a map: relax small ones, flatten large ones.
 
-    ParameterError if a held vertex is not a vertex of the target.
-
     Parameters
     ----------
     point_map : PointMap
     held : (p,) int64
         Target vertices whose images stay (landmarks).
     config : ElasticConfig
+
+    Raises
+    ------
+    ParameterError
+        If a held vertex is not a vertex of the target.
     """
     held = whole_numbers(held, "held")
     if held.size and not 0 <= held.min() <= held.max() < point_map.target.n:
