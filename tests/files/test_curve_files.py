@@ -164,7 +164,7 @@ def test_the_command_takes_curves_and_says_how_they_are_met(run: Run, tmp_path: 
     write_landmarks(tmp_path / "rings.json", rings)
     said = run.done("match -t bar.obj -s slid.obj -o RESULT --landmarks ends.json --curves rings.json --level 1 -k 20")
     assert "3 curves missed by 0.0" in said.out
-    assert len(read_result(tmp_path / "RESULT").curves) == 3
+    assert len(read_result(tmp_path / "RESULT").landmarks.curves) == 3
 
 
 def test_curves_on_pieces_that_are_set_aside_are_told() -> None:

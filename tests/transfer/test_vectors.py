@@ -227,8 +227,8 @@ def test_through_the_command_line(run: Run, result_folder: Path) -> None:
         assert np.abs(inner - texture[38:60, 4:18]).max() <= 2
     run.done("transfer R --vector-displacement n.png --space object -o v.exr --bits 32")
     for words, message in (
-        (("--normal-map", "n.png", "--space", "world"), "tangent or object"),
-        (("--normal-map", "n.png", "--green", "left"), "up or down"),
+        (("--normal-map", "n.png", "--space", "world"), "'tangent', 'object'"),
+        (("--normal-map", "n.png", "--green", "left"), "'up', 'down'"),
         (("--normal-map", "n.png", "--space", "object", "--green", "down"), "--green: expected with --space tangent"),
     ):
         run.refused("transfer R", *words, "-o", "w.png", says=message)

@@ -95,8 +95,14 @@ def all_options() -> Options:
 
 
 def request_of(command: str, values: Mapping[str, Value]) -> Request:
-    """The request of a command with some values of its fields."""
-    request: Request = validated(COMMANDS[command], values)
+    """The request of a command with some values of its fields; a choice may be given as text, such as "8"."""
+    kinds = {field.name: without_none(kind) for field, kind, _ in options_in(COMMANDS[command])}
+    choices = {name: get_args(kind) for name, kind in kinds.items() if get_origin(kind) is Literal}
+    chosen = {
+        name: next((choice for choice in choices.get(name, ()) if str(choice) == value), value)
+        for name, value in values.items()
+    }
+    request: Request = validated(COMMANDS[command], chosen)
     return request
 
 
