@@ -21,7 +21,7 @@ from cagemap.files.atomic import write_whole
 from cagemap.files.meshes.formats import referred_files
 from cagemap.files.result.manifest import stated_inputs
 from cagemap.jobs.plan import Plan, Task, content_hash
-from cagemap.jobs.run import TaskOutcome, execute, kept_outcome, missing_tasks, open_client, run_plan
+from cagemap.jobs.run import TaskOutcome, _outcome_of, execute, kept_outcome, missing_tasks, open_client, run_plan
 
 from forked import forking
 from library_runner import write_name
@@ -265,6 +265,17 @@ def test_what_waits_on_a_worker_that_dies_is_not_blamed_for_it(tmp_path: Path) -
         "good-1": "done",
         "good-2": "done",
     }
+
+
+def test_an_outcome_that_is_lost_with_its_worker_is_none() -> None:
+    from distributed import KilledWorker
+
+    last_worker: Any = None
+
+    def fetched() -> TaskOutcome:
+        raise KilledWorker("one", last_worker, 3)
+
+    assert _outcome_of(SimpleNamespace(status="finished", result=fetched)) is None
 
 
 @pytest.mark.slow

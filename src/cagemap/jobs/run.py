@@ -11,7 +11,7 @@ import shutil
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -180,20 +180,29 @@ def _run_tasks(
     for future in as_completed(futures.values()):
         name = names[future.key]
         # A lost worker may have finished the task: the second try finds the stored result.
-        if future.status != "finished":
+        outcome = _outcome_of(future)
+        if outcome is None:
             lost.add(name)
             continue
-        outcomes[name] = _count_as_done(future.result())
+        outcomes[name] = outcome
         report(outcomes[name], len(outcomes), len(missing))
     # Dask blames every task of a dead worker: rerun them one by one.
     for task in missing:
         if task.name in lost:
             future = submit(task, [outcomes.get(name, kept_outcomes.get(name)) for name in _earlier_tasks(task)], 2)
             wait(future)
-            is_finished = future.status == "finished"
-            outcomes[task.name] = _count_as_done(future.result()) if is_finished else _lost_outcome(task, outcomes)
+            outcomes[task.name] = _outcome_of(future) or _lost_outcome(task, outcomes)
             report(outcomes[task.name], len(outcomes), len(missing))
     return outcomes
+
+
+def _outcome_of(future: Any) -> TaskOutcome | None:
+    """The outcome of a future that has ended; None if its worker was lost, also with an outcome not yet fetched."""
+    from distributed import KilledWorker
+
+    with suppress(KilledWorker):
+        return _count_as_done(future.result()) if future.status == "finished" else None
+    return None
 
 
 def _earlier_tasks(task: Task) -> tuple[str, ...]:
