@@ -108,6 +108,21 @@ def test_materials_come_back(tmp_path: Path) -> None:
     assert sampler == {"wrapS": 33071, "wrapT": 33648}
 
 
+def test_shaders_of_one_image_that_repeat_it_differently_are_not_one_texture(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """glTF has one texture for roughness and metalness."""
+    made, document = painted()
+    path = tmp_path / "C.usda"
+    write_usd_character(path, made, read_scene(document))
+    with stage_at(path) as stage:
+        roughness = UsdShade.Shader(stage.GetPrimAtPath("/Asset/materials/body/roughness_texture"))
+        roughness.GetInput("wrapS").Set("clamp")
+    found = usd_document(path)
+    assert "metallicRoughnessTexture" not in found.entry("materials", 0)["pbrMetallicRoughness"]
+    assert "the image of its metallic/roughness is left out" in caplog.text
+
+
 @pytest.mark.parametrize("left_handed", [False, True])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_hard_edges_of_reversed_faces_stay(tmp_path: Path, left_handed: bool, sign: float) -> None:

@@ -114,11 +114,11 @@ class _Materials:
             pairs = {name: shader_of(surface, name, "UsdUVTexture") for name in outputs}
             if not any(pairs.values()):
                 continue
-            images = {self._image(texture) for texture in pairs.values()}
+            images = {self._image_and_wraps(texture) for texture in pairs.values()}
             fits = [source_of(surface, name).GetBaseName() for name in outputs if pairs[name]] == list(outputs.values())
             if not slot:  # the opacity of glTF is in the image of the colour
-                fits &= images == {self._image(shader_of(surface, "diffuseColor", "UsdUVTexture"))}
-            image = images.pop()
+                fits &= images == {self._image_and_wraps(shader_of(surface, "diffuseColor", "UsdUVTexture"))}
+            image, wraps = images.pop()
             if images or image is None or not fits:
                 text = "%s: %s: the image of its %s is left out; give one PNG or JPEG with the channels of glTF"
                 _log.warning(text, self._file, entry["name"], "/".join(outputs))
@@ -128,21 +128,25 @@ class _Materials:
                     text = "%s: %s: the image of its %s is taken as it is, without scale, bias or colour space of USD"
                     _log.warning(text, self._file, entry["name"], "/".join(outputs))
                 in_base = slot in ("baseColorTexture", "metallicRoughnessTexture")
-                holder = self._holder(image, texture, sets)
+                holder = self._holder(image, wraps, texture, sets)
                 if slot == "occlusionTexture":
                     holder["strength"] = float(np.clip(factor("occlusion", 1.0), 0.0, 1.0))
                 (base if in_base else entry)[slot] = holder
 
-    def _image(self, texture: Any) -> int | None:
-        """Number of a texture shader's image; None if it cannot be read."""
+    def _image_and_wraps(self, texture: Any) -> tuple[int | None, tuple[int, int]]:
+        """Number of a texture shader's image, None if it cannot be read, and its wrap modes in glTF."""
         file = None if texture is None else setting_of(texture, "file", None)
         path = "" if file is None else str(file.resolvedPath)
         if path not in self._image_of:
             data = _content(path)
             self._image_of[path] = None if data is None else self._textures.image(data, Path(path.rstrip("]")).suffix)
-        return self._image_of[path]
+        if texture is None:
+            return self._image_of[path], (REPEAT, REPEAT)
+        words = (str(setting_of(texture, name, "repeat")) for name in ("wrapS", "wrapT"))
+        across, up = (_WRAP_MODES.get(word, REPEAT) for word in words)
+        return self._image_of[path], (across, up)
 
-    def _holder(self, image: int, texture: Any, sets: tuple[str, ...]) -> dict[str, Any]:
+    def _holder(self, image: int, wraps: tuple[int, int], texture: Any, sets: tuple[str, ...]) -> dict[str, Any]:
         """What refers to a texture shader's image in glTF; the inverse of `cagemap.files.usd.materials`."""
         stated = None
         transform = uv_transform(texture)
@@ -152,8 +156,6 @@ class _Materials:
             angle = float(np.radians(setting_of(transform, "rotation", 0.0)))
             offset = [right - height * np.sin(angle), 1.0 - up - height * np.cos(angle)]
             stated = {"offset": offset, "rotation": angle, "scale": [width, height]}
-        words = (str(setting_of(texture, name, "repeat")) for name in ("wrapS", "wrapT"))
-        across, up = (_WRAP_MODES.get(word, REPEAT) for word in words)
         name = uv_name(texture)
-        holder = self._textures.texture(image, (across, up), stated)
+        holder = self._textures.texture(image, wraps, stated)
         return holder | ({"texCoord": sets.index(name)} if name in sets[1:] else {})
