@@ -1,6 +1,6 @@
 """Exception classes, one for each kind of cause.
 
-Every message reads "PLACE: expected this, got that. What to do.", where what was expected may say what to do.
+Most messages read "PLACE: expected this, got that. What to do."; the last sentence is left out where the first says it.
 """
 
 from __future__ import annotations

@@ -32,7 +32,8 @@ class CarriedPassenger:
     distance : float
         Mean distance of the vertices from the source's body, in units of sqrt(area).
     unit_factor : float
-        With lengths times this it would lie on the source's body, as if it were in another unit; 1 if it does.
+        Factor of the passenger's lengths, a ratio of two units such as 100, that brings it onto the source's body; 1
+        if its unit is the body's.
     """
 
     positions: FloatArray
@@ -118,12 +119,11 @@ def carry_passengers(
     return carried
 
 
-# Ratios of usual units; the first one is that of equal units.
-_UNIT_FACTORS = np.array(
-    [1.0, *(one for of in (2.54, 10.0, 30.48, 1 / 0.0254, 100.0, 1000.0) for one in (of, 1.0 / of))]
-)
-# Distance from the body over extent, relative to that in equal units: clothes have 2 and more in other ones.
-_NEARER = 0.25
+# Ratios of usual units, both ways; the first one is that of equal units.
+_UNIT_RATIOS = np.array([2.54, 10.0, 30.48, 1 / 0.0254, 100.0, 1000.0])
+_UNIT_FACTORS = np.concatenate([[1.0], np.column_stack([_UNIT_RATIOS, 1.0 / _UNIT_RATIOS]).ravel()])
+# Another unit is taken for the passenger's if it multiplies the distance from the body, divided by the extent, by less.
+_MAX_DISTANCE_RATIO = 0.25
 _UNIT_SAMPLES = 500  # vertices
 
 
@@ -134,7 +134,7 @@ def _unit_factor(body: TriangleSurface, points: FloatArray) -> float:
     distances = np.abs(SignedDistances.of(body, scaled.reshape(-1, 3)).heights)
     relative = distances.reshape(len(scaled), -1).mean(axis=1) / _UNIT_FACTORS
     best = int(np.argmin(relative))
-    return float(_UNIT_FACTORS[best]) if relative[best] < _NEARER * relative[0] else 1.0
+    return float(_UNIT_FACTORS[best]) if relative[best] < _MAX_DISTANCE_RATIO * relative[0] else 1.0
 
 
 def _check_passenger(mesh: ControlMesh) -> None:

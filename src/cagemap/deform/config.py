@@ -299,7 +299,7 @@ class ElasticConfig(Brief):
     coarse_vertices: int = 1500  #: size of the coarse graph
     source_vertices: int = 15_000  #: vertices from which on a level of the source is fine enough to fit to
     coarse: Stage = Stage(10, (5e-3, 5e-5), 1e-3, momentum=0.6)
-    #: instead of `coarse` where its placements from both starts agree, see `cagemap.deform.multi_start`
+    #: replaces `coarse` where the coarse fits from both starts agree, see `cagemap.deform.multi_start`
     stiff_coarse: Stage = Stage(10, (5e-2, 2e-4), 1e-2, momentum=0.6)
     fine: Stage = Stage(8, (2e-4, 2e-5), 1e-4, momentum=0.8, patience=12, factored=4)
     #: positions from the landmarks alone; differentials are smoothed as in the stage that starts there

@@ -129,9 +129,10 @@ class Pair:
 
 
 def near_vertices(points: SurfacePoints, surface: Surface, level: int | None = None) -> IndexArray:
-    """(m,) distinct vertices of a level, by default the finest, at or near points, for steps that need vertices.
+    """(m,) distinct vertices of a level (the finest by default), one at or near each point.
 
-    Points between vertices get a free vertex of a level that basis, search and ``level`` have in common.
+    A point between vertices gets the nearest vertex that no other point has, of a level that the basis, the search
+    and ``level`` have in common.
     """
     vertices, levels = points.vertices, surface.hierarchy
     level = levels.finest_level if level is None else level

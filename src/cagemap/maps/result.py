@@ -171,7 +171,7 @@ class MatchResult:
 
     @property
     def shared_shares(self) -> tuple[float, ...]:
-        """Share of the area of target and source that has a counterpart; () if both surfaces are closed."""
+        """Shares of the target's and the source's area with a counterpart; () if both surfaces are closed."""
         return () if self.shared is None else self.shared.shares(self.point_map.target, self.point_map.source)
 
     @property

@@ -79,7 +79,7 @@ class RepairedMesh:
     vertex_of : (n_given,) int64
         Vertex of ``mesh`` for every vertex of the mesh given, -1 for removed ones.
     notes : tuple of str
-        Sentences about joined vertices, removed faces and other repairs.
+        One sentence for each kind of change, such as joined vertices or removed faces.
     repairs : Repairs
         Those of `plain_mesh`.
     """

@@ -55,12 +55,12 @@ class Orientation:
 
 
 def usual_turn(path: Path | None) -> FloatArray:
-    """(3, 3) rotation for rows to Y up, where neither file nor shape tells: STL files mostly have Z up."""
+    """(3, 3) rotation of positions (rows) to Y up by a file's format: most STL files have Z up, others Y."""
     return Z_UP if path is not None and path.suffix.lower() == ".stl" else Y_UP
 
 
 def shape_turn(positions: FloatArray, triangles: IndexArray) -> FloatArray | None:
-    """(3, 3) rotation for rows to Y up, as the shape shows; None if it does not tell."""
+    """(3, 3) rotation of positions (rows) that makes a shape stand with Y up; None if the shape is ambiguous."""
     return _upright_turn(_unit_points(positions, triangles))
 
 

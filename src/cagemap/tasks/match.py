@@ -59,7 +59,7 @@ from cagemap.transfer.overlapping_uvs import has_layout
 
 _log = logging.getLogger(__name__)
 
-# Options that the manifest states as they were given.
+# Options whose values are written to the manifest unchanged.
 _NOTED = (
     "level target_vertices source_vertices method symmetry exchange_landmarks trust_landmarks answer scheme "
     "target_scheme source_scheme boundary uv_interpolation creasing weld target_weld source_weld target_uv_set "

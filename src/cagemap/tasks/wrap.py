@@ -144,7 +144,7 @@ def check_wrap(request: WrapRequest) -> None:
         raise ParameterError(
             "--texture (or --detail-texture) and --baked: expected an image and the one to write, got one of them"
         )
-    # A RESULT has its schemes and welded meshes already.
+    # A RESULT folder records the schemes and the welded meshes of its match.
     matched = dict.fromkeys(_of_both(request, "scheme", "weld"), ("target",))
     refuse_unread(request, matched, () if request.target is None else ("target",))
     if (request.target_scheme or request.scheme) == "none":

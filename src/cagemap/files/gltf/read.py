@@ -98,9 +98,8 @@ class Contents:
 
     body: str  # the body mesh, by `cagemap.character.roles.find_body`
     passengers: tuple[str, ...]  # all other meshes
-    # `vertices`, `stored`: numbers of vertices after welding, and in a glTF file; 0 in others
-    vertices: int
-    stored: int
+    vertices: int  # number of vertices after welding
+    stored: int  # number of vertices in a glTF file; 0 for other formats
     joints: int
     influences: int  # largest number of joints with weights at a vertex
     humanoid: int  # joints that are humanoid bones, by the table of a VRM or by `humanoid_joints`

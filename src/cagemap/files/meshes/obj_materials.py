@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from cagemap.files.text import is_number, named_image, read_text
 
 _log = logging.getLogger(__name__)
 
-# Most values of each option of an image; `-o`, `-s` and `-t` may have fewer.
+# Largest number of values of each option of an image; `-o`, `-s` and `-t` may have fewer.
 _OPTIONS = {"-o": 3, "-s": 3, "-t": 3, "-mm": 2} | dict.fromkeys(
     ("-blendu", "-blendv", "-bm", "-boost", "-cc", "-clamp", "-imfchan", "-texres", "-type"), 1
 )
@@ -25,38 +26,40 @@ _OPTIONS = {"-o": 3, "-s": 3, "-t": 3, "-mm": 2} | dict.fromkeys(
 
 def obj_images(path: Path) -> list[Path]:
     """Existing images (``map_Kd``) that the ``.mtl`` files of an OBJ file name."""
-    statements = [
-        (file, rest.strip())
-        for file in material_files(path, read_text(path, "an OBJ file"))
-        for _, _, line in material_lines(file)
-        for keyword, _, rest in [line.partition(" ")]
-        if keyword.lower() == "map_kd"
-    ]
-    return [image for file, rest in statements if (image := named_image(file, _options(rest)[1])) is not None]
+    images = (named_image(library, _options(statement)[1]) for library, _, statement in _color_statements(path))
+    return [image for image in images if image is not None]
 
 
 def obj_document(path: Path) -> Document:
     """A document without meshes, of the materials of an OBJ file's ``.mtl`` files and their images (``map_Kd``)."""
     binary, top = Binary(), dict[str, Any]()
     textures = AddedTextures(binary, top)
-    entries: dict[str, dict[str, Any]] = {}
-    for file in material_files(path, read_text(path, "an OBJ file")):
-        stated = {name: "" for name, _, _ in material_lines(file) if name not in entries}
-        for name, _, line in material_lines(file):
-            keyword, _, rest = line.partition(" ")
-            if name in stated and keyword.lower() == "map_kd":
-                stated[name] = rest
-        for name, rest in stated.items():
-            texture = _texture(path, file, name, rest, textures) if rest else None
-            surface = {} if texture is None else {"baseColorTexture": texture}
-            entries[name] = {"name": name, "pbrMetallicRoughness": surface}
-    top |= {"asset": {"version": "2.0"}, "materials": list(entries.values())}
+    materials = []
+    for library, name, statement in _color_statements(path):
+        texture = _texture(path, library, name, statement, textures) if statement else None
+        surface = {} if texture is None else {"baseColorTexture": texture}
+        materials.append({"name": name, "pbrMetallicRoughness": surface})
+    top |= {"asset": {"version": "2.0"}, "materials": materials}
     return replace(binary.document(top), file=path)
 
 
-def _texture(path: Path, library: Path, material: str, rest: str, textures: AddedTextures) -> dict[str, Any] | None:
+def _color_statements(path: Path) -> Iterator[tuple[Path, str, str]]:
+    """Material file, name and last ``map_Kd`` statement ("" if none) of each material; the first one of a name."""
+    known: set[str] = set()
+    for library in material_files(path, read_text(path, "an OBJ file")):
+        statements: dict[str, str] = {}
+        for name, _, line in material_lines(library):
+            keyword, _, rest = line.partition(" ")
+            statements[name] = rest if keyword.lower() == "map_kd" else statements.get(name, "")
+        yield from ((library, name, rest) for name, rest in statements.items() if name not in known)
+        known |= statements.keys()
+
+
+def _texture(
+    path: Path, library: Path, material: str, statement: str, textures: AddedTextures
+) -> dict[str, Any] | None:
     """The texture of an image statement of a material file; None, with a warning, if its image cannot be read."""
-    options, name = _options(rest)
+    options, name = _options(statement)
     file = named_image(library, name)
     image = None if file is None else textures.image(file.read_bytes(), file.suffix)
     if image is None:

@@ -52,7 +52,7 @@ def overall_verdict(ratings: list[Rating], warnings: list[str]) -> str:
 
 
 def map_verdict(manifest: dict[str, Any], *, marked: bool = False) -> tuple[str, str]:
-    """Verdict of a map, see `overall_verdict`, and its sentence: its worst figure, and why it is doubtful.
+    """Verdict of a map, see `overall_verdict`, and a sentence that gives its reasons.
 
     ``marked``: whether the reader sees marks at the places.
     """

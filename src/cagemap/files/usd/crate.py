@@ -18,13 +18,13 @@ _SECTIONS = {
     b"PATHS": (2, 3),
     b"SPECS": (1, 3),
 }
-_MOST_A_BYTE = 16 * 255  # numbers in a compressed byte: 2 bits each, and LZ4
+_MAX_NUMBERS_PER_BYTE = 16 * 255  # of a compressed block: 2 bits for a number, then LZ4
 
 
 def check_crate(file: Path) -> None:
-    """Refuse a crate whose sections state more than they can hold; other files are not judged."""
-    start = read_bytes(file, "a USD file", 11)
-    if not start.startswith(_START) or tuple(start[8:]) < _OLDEST:
+    """Refuse a crate whose sections state more numbers than their bytes can hold; other files pass."""
+    header = read_bytes(file, "a USD file", 11)
+    if not header.startswith(_START) or tuple(header[8:]) < _OLDEST:
         return
     content = read_bytes(file, "a USD file")
     try:
@@ -41,7 +41,7 @@ def check_crate(file: Path) -> None:
 def _check_section(section: bytes, size: int, counts: int, blocks: int) -> None:
     """Raise `struct.error` for a section that is shorter than its ``size``, or than its numbers need."""
     stated = struct.unpack_from(f"<{counts}Q", section)
-    if len(section) < size or any(number > _MOST_A_BYTE * size for number in stated):
+    if len(section) < size or any(number > _MAX_NUMBERS_PER_BYTE * size for number in stated):
         raise struct.error
     end = 8 * counts
     for _ in range(blocks):

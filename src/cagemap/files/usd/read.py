@@ -110,7 +110,7 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
 
 
 def _is_final(prim: Any) -> bool:
-    """Whether a prim is visible, and neither for previews nor a prototype of an instancer."""
+    """Whether a prim is visible, not a preview by its purpose, and not a prototype of a point instancer."""
     geometry = usd_modules().UsdGeom
     above = prim.GetParent()
     while above:

@@ -95,7 +95,7 @@ def all_options() -> Options:
 
 
 def request_of(command: str, values: Mapping[str, Value]) -> Request:
-    """The request of a command with some values of its fields; a choice may be given as text, such as "8"."""
+    """A command's request from values of some of its fields; the text "8" is accepted for the choice 8."""
     kinds = {field.name: without_none(kind) for field, kind, _ in options_in(COMMANDS[command])}
     choices = {name: get_args(kind) for name, kind in kinds.items() if get_origin(kind) is Literal}
     chosen = {
