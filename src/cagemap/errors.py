@@ -93,7 +93,6 @@ OPTION_NAMES = {
     "`Landmarks.reversed()`": "--exchange-landmarks",
     "`answer=1`": "--answer 1",
     "`find_part`": "--part",
-    "`weld_mesh`": "--weld",
     "`plain_mesh`": "--scheme none",
     "`unwrap`": "--unwrap",
     "`ControlMesh.scheme`": "--target-scheme",
@@ -102,6 +101,7 @@ OPTION_NAMES = {
 
 def use_option_names(text: str) -> str:
     """A message with Python names replaced by options, for the command line and pages."""
+    text = re.sub(r"`weld_mesh\(mesh, (.*?)\)`", r"--weld \1", text)
     for python, option in OPTION_NAMES.items():
         text = text.replace(python, option)
     return text

@@ -199,7 +199,7 @@ def test_every_copy_of_a_welded_vertex_has_its_number() -> None:
 def test_plain_pieces_set_aside_are_said_with_the_tolerance_that_joins_them() -> None:
     near = jittered(split_at_seams(animal(1)), 5e-7)
     (note,) = (note for note in plain_mesh(near).notes if "set aside" in note)
-    assert "`weld_mesh` 1e-06 joins" in note
+    assert "`weld_mesh(mesh, 1e-06)` joins" in note
     apart = jittered(split_at_seams(animal(1)), 1e-2)
     (note,) = (note for note in plain_mesh(apart).notes if "set aside" in note)
     assert "`find_part` each" in note

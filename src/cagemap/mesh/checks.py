@@ -263,7 +263,8 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> MeshProblem | 
         left = count_pieces(mesh, coincident_vertices(mesh, tolerance))
         seams = (
             "Its vertices are split at seams, as glTF and FBX exporters write them: "
-            f"`weld_mesh` {tolerance:g} leaves {count_noun(left, 'piece')}. {'Or match' if left == 1 else 'Then match'}"
+            f"`weld_mesh(mesh, {tolerance:g})` leaves {count_noun(left, 'piece')}. "
+            f"{'Or' if left == 1 else 'Then'} match"
         )
     return MeshProblem(
         SEVERAL,

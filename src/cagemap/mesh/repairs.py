@@ -36,7 +36,7 @@ class Repairs(Brief):
         """One sentence for the user about every kind of repair made."""
         remedy = "`find_part` each matches every piece with its counterpart"
         if self.pieces_weld:
-            remedy = f"`weld_mesh` {self.pieces_weld:g} joins pieces that lie against each other"
+            remedy = f"`weld_mesh(mesh, {self.pieces_weld:g})` joins pieces that lie against each other"
         count_of = {
             f"{count_noun(self.joined_vertices, 'vertex')} joined with others at the same place": self.joined_vertices,
             "faces of different sizes are split into triangles": self.split_faces,
