@@ -212,6 +212,14 @@ def test_the_verdict_is_one_sentence_that_names_the_worst_figure() -> None:
     fair = {"quality": {"flipped_area": 0.001, "coverage": 0.85}}
     said = "The map is usable; 15.00 % of the source arrives nowhere: look at the marked places."
     assert map_verdict(fair, marked=True) == ("fair", said)
+    # Both are fair: the folds are further from good, the landmarks only just fair.
+    several = {"quality": {"landmark_error_mean": 0.006, "flipped_area": 0.07, "dirichlet": 2.1}}
+    assert map_verdict(several)[1] == "The map is usable; 7.00 % of the target is folded over: read the remarks below."
+    stretched = {"quality": {"dirichlet": 2.5}}
+    said = "The map is usable; its stretch is 2.50 (1 keeps all lengths): read the remarks below."
+    assert map_verdict(stretched) == ("fair", said)
+    undefined = {"quality": {"dirichlet": float("nan"), "coverage": 0.99}}
+    assert map_verdict(undefined) == ("good", "The map looks sound.")
     warned = {"quality": {"warnings": ["few landmarks"]}}
     assert map_verdict(warned) == ("fair", "The map is usable; read the remarks below.")
 
