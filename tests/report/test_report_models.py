@@ -189,7 +189,7 @@ def test_texture_coordinates_far_outside_the_square_stay_fine(shift: float, move
 
 @pytest.mark.slow
 def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchResult) -> None:
-    check = LandmarkCheck((LandmarkSuspect("d", 2, 0.2, 7, 5, "distances"),), ())
+    check = LandmarkCheck((LandmarkSuspect("d", 2, 0.2, "7 at (1, 2, 3)", "5", "distances"),), ())
     places = result.point_map.images.positions[:8]
     answers = (Placement(places, 1e-4, name="one"), Placement(-places, 1.1e-4, name="another"))
     unsure = replace(result, landmark_check=check, confidence=Confidence(TWO, answers, deciding=5))
@@ -204,6 +204,8 @@ def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchR
     shown = page.split("<script")[0]
     assert "vertex" not in shown.split("Look here")[1].split("</ul>")[0]
     assert name_marks("1 % is folded over, worst at (1, -2.5, 3) of the target's file", ()) == "1 % is folded over"
+    for vertex in ("12", "12 at (1, -2.5, 3)"):
+        assert name_marks(f"A landmark at target vertex {vertex} decides", ()) == "A landmark there decides"
 
 
 def test_the_verdict_is_one_sentence_that_names_the_worst_figure() -> None:
