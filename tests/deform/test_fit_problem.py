@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from examples.shapes import creature
 
-from cagemap.deform.config import Stage
+from cagemap.deform.config import ElasticConfig, GraphConfig, LandmarkConfig, Stage
 from cagemap.deform.problem import Problem
 from cagemap.maps.pair import Pair
-from cagemap.pipeline import prepare_pair, prepare_surface
+from cagemap.pipeline import MatchConfig, prepare_pair, prepare_surface
 
 TARGET, SOURCE = np.array([40, 3, 17]), np.array([41, 5, 16])
 
@@ -43,3 +43,13 @@ def test_problems_made_of_one_keep_what_they_do_not_change(problem: Problem) -> 
     assert small.stage is stage
     assert 90 < small.energy.graph.n < 110 < problem.coarse_clusters.energy.graph.n
     assert problem.clusters_with(stage=stage).energy.graph.n == problem.coarse_clusters.energy.graph.n
+
+
+def test_distances_of_landmarks_are_measured_on_the_configured_graph(problem: Problem) -> None:
+    body = problem.prepared.target
+    # Tiny pieces of cells are not joined, so there are more clusters than asked for.
+    config = ElasticConfig(landmarks=LandmarkConfig(distance_vertices=100), graph=GraphConfig(joining_rounds=0))
+    own = Problem(prepare_pair(body, body, MatchConfig(elastic=config)), problem.landmarks)
+    for distances in own.landmark_distances:
+        assert distances.shape[0] == len(TARGET)
+        assert 115 < distances.shape[1] < 130

@@ -86,6 +86,23 @@ def test_an_image_of_another_format_is_read_and_names_may_have_blanks(tmp_path: 
     assert (read_material_image(document, image).pixels == 7).all()
 
 
+@pytest.mark.parametrize(
+    ("stated", "name"),
+    [("coat #2.png", "coat #2.png"), ("-s 1 1 7", "7"), ("-s 1 1 1 7 8", "7 8"), ("7 #1.png # red", "7 #1.png")],
+)
+def test_names_of_images_may_have_number_signs_and_digits(stated: str, name: str, tmp_path: Path) -> None:
+    path = write_obj_with_images(tmp_path, head=stated)
+    (tmp_path / "head.png").rename(tmp_path / name)
+    document = obj_document(path)
+    (image,) = material_images(document, "green")
+    np.testing.assert_array_equal(read_material_image(document, image).pixels[0, 0], COLORS["head"])
+
+
+def test_a_scale_that_is_no_finite_number_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    assert not material_images(obj_document(write_obj_with_images(tmp_path, head="-s nan 1 head.png")), "green")
+    assert "material green: 'nan 1 head.png' is not found" in caplog.text
+
+
 @pytest.mark.parametrize(("content", "problem"), [(None, "is not found"), (b"none", "cannot be read as an image")])
 def test_an_image_that_cannot_be_read_is_said(
     content: bytes | None, problem: str, tmp_path: Path, caplog: pytest.LogCaptureFixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from cagemap.files.meshes.formats import read_mesh
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
-from pxr import Usd, UsdGeom
+from pxr import Sdf, Usd, UsdGeom, UsdUtils, Vt
 
 from cagemap.files.usd.crate import check_crate
 from cagemap.files.usd.write import write_usd
@@ -50,3 +51,72 @@ def test_sound_crates_of_many_equal_prims_pass(tmp_path: Path) -> None:
     mesh.CreateFaceVertexCountsAttr(np.full(100_000, 3).tolist())
     stage.GetRootLayer().Save()
     check_crate(path)
+
+
+NUMBERS = np.arange(64)
+ARRAYS = {
+    "Int": NUMBERS,
+    "UInt64": NUMBERS,
+    "Float": NUMBERS + 0.0,  # written as whole numbers
+    "Double": np.tile([0.25, 0.75], 32),  # a table of two values
+    "Half": NUMBERS / 64,  # as they are
+    "Bool": NUMBERS % 2 == 0,
+}
+
+
+def crate_of(path: Path, kind: str, values: np.ndarray, *, sampled: bool = False) -> bytearray:
+    """Write a mesh with an array of one kind, also as time samples; returns the file's content."""
+    stage = Usd.Stage.CreateNew(str(path))
+    mesh = UsdGeom.Mesh.Define(stage, "/mesh")
+    mesh.CreatePointsAttr(cube().positions.tolist())
+    mesh.CreateFaceVertexCountsAttr([4] * 6)
+    mesh.CreateFaceVertexIndicesAttr(cube().face_indices.tolist())
+    attribute = mesh.GetPrim().CreateAttribute("primvars:values", getattr(Sdf.ValueTypeNames, f"{kind}Array"))
+    array = getattr(Vt, f"{kind}Array")(values.tolist())
+    for time in (1.0, 2.0) if sampled else (Usd.TimeCode.Default(),):
+        attribute.Set(array, time)
+    stage.GetRootLayer().Save()
+    return bytearray(path.read_bytes())
+
+
+@pytest.mark.parametrize("package", [False, True])
+@pytest.mark.parametrize("sampled", [False, True])
+@pytest.mark.parametrize("kind", ARRAYS)
+def test_an_array_that_states_more_than_it_holds_is_refused(
+    kind: str, sampled: bool, package: bool, tmp_path: Path
+) -> None:
+    """USD allocated 12 GB for three billion compressed integers of a file of 2 kB."""
+    path = tmp_path / "box.usdc"
+    content = crate_of(path, kind, ARRAYS[kind], sampled=sampled)
+    check_crate(path)
+    stated = struct.pack("<Q", len(NUMBERS))
+    place = content.find(stated, 88)  # behind the header
+    assert place < sections(content)["TOKENS"][0]
+    struct.pack_into("<Q", content, place, 3_000_000_000)
+    path.write_bytes(content)
+    if package:
+        path = tmp_path / "box.usdz"
+        with zipfile.ZipFile(path, "w") as written:
+            written.write(tmp_path / "box.usdc", "box.usdc")
+    with pytest.raises(FormatError, match=r"box\.usd[cz]: cannot be read as USD \(its sections are damaged\)"):
+        check_crate(path)
+
+
+def test_sound_arrays_of_all_kinds_pass(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "kinds.usdc"))
+    prim = stage.DefinePrim("/a")
+    rng = np.random.default_rng(5)
+    for size in (0, 1, 15, 16, 17, 3000):
+        for kind in ("Int", "Int64", "UChar", "Float", "Double", "Half"):
+            name = Sdf.ValueTypeNames.Find({"Int64": "int64", "UChar": "uchar"}.get(kind, kind.lower())).arrayType
+            for number, values in enumerate((np.zeros(size), np.arange(size) % 200, rng.integers(0, 9, size) / 8)):
+                values = values if kind in ("Float", "Double", "Half") else np.rint(values).astype(int)
+                attribute = prim.CreateAttribute(f"{kind}{size}_{number}", name)
+                for time in (Usd.TimeCode.Default(), 1.0, 2.5):
+                    attribute.Set(getattr(Vt, f"{kind}Array")(values.tolist()), time)
+        prim.CreateAttribute(f"t{size}", Sdf.ValueTypeNames.TokenArray).Set(["a", "b"] * size)
+        prim.SetCustomDataByKey(f"numbers{size}", Vt.IntArray(list(range(size))))
+    stage.GetRootLayer().Save()
+    check_crate(tmp_path / "kinds.usdc")
+    assert UsdUtils.CreateNewUsdzPackage(str(tmp_path / "kinds.usdc"), str(tmp_path / "kinds.usdz"))
+    check_crate(tmp_path / "kinds.usdz")

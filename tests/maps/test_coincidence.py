@@ -16,6 +16,7 @@ from cagemap import ControlMesh, Landmarks, Surface, match, prepare_surface, rea
 from cagemap.deform.problem import Problem
 from cagemap.example import example_pair
 from cagemap.files.result.folder import read_result, write_result
+from cagemap.maps import coincidence
 from cagemap.maps.coincidence import SAME, Coincidence, unit_ratio
 from cagemap.maps.coincident_map import coincident_map, same_surface
 from cagemap.maps.hypotheses.confidence import SURE
@@ -200,6 +201,17 @@ def test_flat_surfaces_and_tiny_triangles_have_finite_images() -> None:
         images = found.images(source.finest_triangles)
         np.testing.assert_allclose(images.barycentric.sum(axis=1), 1.0)
         np.testing.assert_allclose(images.positions, source.finest_triangles.positions, atol=SAME)
+
+
+@pytest.mark.parametrize(("level", "times"), [(0, 1), (1, 2)])
+def test_plain_meshes_are_compared_once(
+    level: int, times: int, pony: ControlMesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compared = []
+    monkeypatch.setattr(coincidence, "_gap", lambda *given: compared.append(given) or 0.0)
+    surface = prepare_surface(pony if level else animal(1), level)
+    assert Coincidence.find(surface, surface) is not None
+    assert len(compared) == times
 
 
 @pytest.mark.parametrize(("ratio", "expected"), [(1.3, 1.0), (0.0102, 0.01), (38.0, 1 / 0.0254), (0.3, 0.3048)])

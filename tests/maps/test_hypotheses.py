@@ -122,7 +122,8 @@ def test_verdicts_follow_the_costs_of_all_answers() -> None:
     other = Placement(at + np.outer([0.0, 2.0, 0.0, 9.0], [0, 1, 0]), 1.05e-4, name="b")
     two = Confidence.of((best, other), 3)
     assert (two.verdict, two.deciding) == (TWO, 1)  # the fourth vertex is not one of the control mesh
-    assert "vertex 1" in two.message
+    assert "vertex 1 decides" in two.message
+    assert "vertex 7 at (0, 2, 0) decides" in replace(two, file_vertex="7 at (0, 2, 0)").message
     assert Confidence.of((best, replace(other, cost=1.2e-4)), 3).verdict == LOOK
     assert Confidence.of((best, replace(other, cost=5e-4)), 3).verdict == SURE
     alone = Confidence.of((best,), 3)

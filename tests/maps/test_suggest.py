@@ -51,7 +51,9 @@ def test_partners_are_near_and_different() -> None:
     assert nearest_free_vertices(places, places[[4, 4, 9]], np.array([4])).tolist() in ([5, 3, 9], [3, 5, 9])
 
 
-def test_the_command_writes_a_landmark_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_writes_a_landmark_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     result = identity_result(2)
     write_result("R", result)
@@ -59,6 +61,9 @@ def test_the_command_writes_a_landmark_file(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(SystemExit) as ended:
         main()
     assert not ended.value.code
+    new = suggested_landmarks(result, 2).target[-1]  # the map is the identity
+    target, source = (side.control.described_vertex(new) for side in (result.target, result.source))
+    assert f"suggested 2: target vertex {target}, now on source vertex {source}" in capsys.readouterr().out
     found = read_landmarks(tmp_path / "more.json", "large.obj", "small.obj")[0]
     assert found.names == (*result.landmarks.names, "suggested 1", "suggested 2")
     assert len(set(found.target.tolist())) == len(found)

@@ -14,7 +14,7 @@ from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, require_valid
 from cagemap.mesh.faces import keep_faces, with_openings_closed
-from cagemap.mesh.mesh_report import MeshReport
+from cagemap.mesh.mesh_report import MeshReport, place_text
 from cagemap.mesh.topology import (
     boundary_loops,
     corner_fans,
@@ -62,6 +62,19 @@ def test_report_reads_as_a_table() -> None:
     broken = str(check_mesh(flip(mesh, 1)))
     assert "1. inconsistent orientation" in broken
     assert "Flip these faces" in broken
+
+
+def test_elements_at_fault_are_named_with_their_places() -> None:
+    mesh = pyramid()
+    loose = ControlMesh.from_faces([*mesh.positions, [7.0, 8.0, 9.25]], faces_of(mesh))
+    assert "vertices: 5 at (7, 8, 9.25). Delete" in str(check_mesh(loose))
+    fin = ControlMesh.from_faces([*mesh.positions, [3.0, 0.0, 0.0]], [*faces_of(mesh), [0, 1, 5]])
+    middle = place_text(mesh.positions[:2].mean(axis=0))
+    assert f"(0, 1) at {middle}. Delete face(s) 5" in str(check_mesh(fin))
+    turned = place_text(mesh.positions[faces_of(mesh)[1]].mean(axis=0))
+    assert f"faces: 1 at {turned}. Flip" in str(check_mesh(flip(mesh, 1)))
+    many = str(check_mesh(ControlMesh.from_faces([*mesh.positions, *np.eye(3), *np.ones((8, 3))], faces_of(mesh))))
+    assert "12 at (1, 1, 1), ... (3 more). Delete" in many
 
 
 def test_vertices_of_valence_two_and_coincident_vertices_are_valid() -> None:

@@ -189,7 +189,7 @@ def test_texture_coordinates_far_outside_the_square_stay_fine(shift: float, move
 
 @pytest.mark.slow
 def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchResult) -> None:
-    check = LandmarkCheck((LandmarkSuspect("d", 2, 0.2, 7, 5, "distances"),), ())
+    check = LandmarkCheck((LandmarkSuspect("d", 2, 0.2, "7 at (1, 2, 3)", "5", "distances"),), ())
     places = result.point_map.images.positions[:8]
     answers = (Placement(places, 1e-4, name="one"), Placement(-places, 1.1e-4, name="another"))
     unsure = replace(result, landmark_check=check, confidence=Confidence(TWO, answers, deciding=5))
@@ -204,6 +204,8 @@ def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchR
     shown = page.split("<script")[0]
     assert "vertex" not in shown.split("Look here")[1].split("</ul>")[0]
     assert name_marks("1 % is folded over, worst at (1, -2.5, 3) of the target's file", ()) == "1 % is folded over"
+    for vertex in ("12", "12 at (1, -2.5, 3)"):
+        assert name_marks(f"A landmark at target vertex {vertex} decides", ()) == "A landmark there decides"
 
 
 def test_the_verdict_is_one_sentence_that_names_the_worst_figure() -> None:
@@ -212,6 +214,14 @@ def test_the_verdict_is_one_sentence_that_names_the_worst_figure() -> None:
     fair = {"quality": {"flipped_area": 0.001, "coverage": 0.85}}
     said = "The map is usable; 15.00 % of the source arrives nowhere: look at the marked places."
     assert map_verdict(fair, marked=True) == ("fair", said)
+    # Both are fair: the folds are further from good, the landmarks only just fair.
+    several = {"quality": {"landmark_error_mean": 0.006, "flipped_area": 0.07, "dirichlet": 2.1}}
+    assert map_verdict(several)[1] == "The map is usable; 7.00 % of the target is folded over: read the remarks below."
+    stretched = {"quality": {"dirichlet": 2.5}}
+    said = "The map is usable; its stretch is 2.50 (1 keeps all lengths): read the remarks below."
+    assert map_verdict(stretched) == ("fair", said)
+    undefined = {"quality": {"dirichlet": float("nan"), "coverage": 0.99}}
+    assert map_verdict(undefined) == ("good", "The map looks sound.")
     warned = {"quality": {"warnings": ["few landmarks"]}}
     assert map_verdict(warned) == ("fair", "The map is usable; read the remarks below.")
 

@@ -101,6 +101,8 @@ def test_how_sure_a_map_is_is_said_in_words() -> None:
     assert verdict(StudioState(map=known), scene) == "Sure, 25 % doubtful"
     doubt = replace(known, confidence="two answers: as filed (`answer=1`). A landmark at target vertex 12 decides")
     assert verdict(StudioState(map=doubt), scene).startswith("Two answers")
+    placed = doubt.confidence.replace("12", "12 at (1, -2.5, 3)")
+    assert confidence_text(placed) == confidence_text(doubt.confidence)
     look = replace(known, confidence="look at it: as filed, but it jumps between parts that only touch")
     assert verdict(StudioState(map=look), scene).startswith("Look at it")
     assert "`" not in confidence_text(doubt.confidence)

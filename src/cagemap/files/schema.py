@@ -41,8 +41,8 @@ class SuspectRecord(Record):
     pair: Annotated[int, Field(ge=0)]
     message: str
     distance: float = 0.0
-    nearest_vertex: int = 0
-    source_vertex: int = 0
+    nearest_vertex: str | int = 0  # without coordinates in older results
+    source_vertex: str | int = 0
     evidence: str = ""
 
 
@@ -68,7 +68,7 @@ class ConfidenceRecord(Record):
     message: str
     signs: dict[str, float] | None = None
     deciding: Annotated[int, Field(ge=0)] | None = None
-    file_vertex: Annotated[int, Field(ge=0)] | None = None
+    file_vertex: str | int | None = None  # without coordinates in older results
     part: str = ""
     readings: Annotated[list[ReadingRecord], Field(min_length=1)]
 

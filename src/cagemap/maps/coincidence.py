@@ -86,7 +86,9 @@ class Coincidence:
         Tried in this order: as the files stand, in other units, moved. A moved target must be nearer (``moved_gap``),
         and if it coincides in several rotations, like a box, the answer is None too.
         """
-        shapes = [(measured(target), measured(source), mapped) for measured, mapped in _SHAPES]
+        # The control mesh of a plain mesh is its finest level.
+        compared = _SHAPES[1:] if target.refinement.is_plain and source.refinement.is_plain else _SHAPES
+        shapes = [(measured(target), measured(source), mapped) for measured, mapped in compared]
         for factor in (*dict.fromkeys((1.0, unit_ratio(target.scale / source.scale))), None):
             found: list[Coincidence] = []
             for own, other, mapped in shapes:

@@ -17,6 +17,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
+from cagemap.mesh.mesh_report import place_text
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, in_threads, row_slices
@@ -354,8 +355,7 @@ def _warnings(
     """Warnings for a user: what is wrong, how much, where."""
     messages = []
     worst = int(np.argmin(np.where(vertex_areas > 0, trust, np.inf)))
-    place = ", ".join(f"{x:.4g}" for x in target.positions[worst] / target.scale)
-    where = f"worst at ({place}) of the target's file"
+    where = f"worst at {place_text(target.positions[worst] / target.scale)} of the target's file"
     if flipped_area > 0.5:
         messages.append(
             f"the map turns the surface inside out ({100 * flipped_area:.0f} % of the area is flipped): left and right "

@@ -18,13 +18,24 @@ from cagemap.mesh.faces import (
     degenerate_faces,
     duplicate_faces,
     face_areas,
+    face_centres,
     face_extents,
     keep_faces,
     signed_volume,
     with_openings_closed,
 )
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.mesh_report import REPAIRED, MeshProblem, MeshReport, count_noun, first_few, list_problems, problem_at
+from cagemap.mesh.mesh_report import (
+    LISTED,
+    REPAIRED,
+    MeshProblem,
+    MeshReport,
+    count_noun,
+    first_few,
+    list_problems,
+    place_text,
+    problem_at,
+)
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.topology import (
@@ -129,8 +140,20 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
         report,
         face_sizes=tuple(zip(sizes.tolist(), counts.tolist(), strict=True)),
         sharp=(creases, corners, holes),
-        problems=tuple(problem for problem in problems if problem is not None),
+        problems=tuple(_with_places(problem, mesh) for problem in problems if problem is not None),
     )
+
+
+def _with_places(problem: MeshProblem, mesh: ControlMesh) -> MeshProblem:
+    """The problem with the places of the elements that its text lists."""
+    listed = np.array(problem.elements[:LISTED], dtype=np.int64)
+    if not len(listed):
+        return problem
+    if listed.ndim == 2:
+        places = mesh.positions[listed].mean(axis=1)
+    else:
+        places = (mesh.positions if problem.kind.endswith("vertices") else face_centres(mesh))[listed]
+    return replace(problem, places=tuple(map(place_text, places)))
 
 
 def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
@@ -166,7 +189,8 @@ def _counts(
         boundary_edges=len(topology.boundary_corners),
         boundary_loops=None if loops is None else tuple(tuple(loop.tolist()) for loop in loops),
         notes=tuple(
-            f"the boundary has a slit of {len(loop)} edges at vertices {first_few(loop.tolist())}. If it is not meant, "
+            f"the boundary has a slit of {len(loop)} edges at vertices {first_few(loop.tolist())}, "
+            f"the first at {place_text(mesh.positions[loop[0]])}. If it is not meant, "
             "merge its vertices by distance or fill it."
             for loop in loops or ()
             if len(loop) <= MAX_SLIT_EDGES and _is_slit(mesh, loop)

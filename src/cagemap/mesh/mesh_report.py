@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from cagemap.numerics.arrays import IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 LISTED = 8
+# Pattern of a vertex in messages, see `ControlMesh.described_vertex`; without coordinates in older results.
+VERTEX = r"vertex \d+(?: at \([^)]*\))?"
 # Kinds of problems that `cagemap.mesh.plain.plain_mesh` repairs.
 REPAIRED = frozenset(
     (
@@ -35,6 +37,11 @@ def count_noun(count: int, what: str) -> str:
     return f"{count} {what if count == 1 else plural}"
 
 
+def place_text(place: FloatArray) -> str:
+    """Coordinates (3,) in brackets: "(1, 0.5, -2)"."""
+    return f"({', '.join(f'{x:.4g}' for x in place.tolist())})"
+
+
 @dataclass(frozen=True)
 class MeshProblem:
     """One kind of fault in a control mesh."""
@@ -44,9 +51,12 @@ class MeshProblem:
     remedy: str  #: how to repair it
     #: all offending elements, 0-based, in the file's numbering; pairs are the end points of edges
     elements: tuple[int, ...] | tuple[tuple[int, int], ...] = ()
+    #: where the first `LISTED` elements are, such as "(1, 0.5, -2)", since programs may number them otherwise
+    places: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        where = f": {first_few(self.elements)}" if self.elements else ""
+        listed = [f"{element} at {place}" for element, place in zip(self.elements, self.places, strict=False)]
+        where = f": {first_few((*listed, *self.elements[len(listed) :]))}" if self.elements else ""
         return f"{self.kind}: {self.found}{where}. {self.remedy}"
 
 

@@ -27,11 +27,11 @@ def run_suggest(request: SuggestRequest, stages: Stages) -> Said:
     require_no_input([output], read_files(folder, result.manifest))
     if output.suffix.lower() != ".json":
         raise FormatError(f"{output}: expected the name of a landmark file ending in .json. Give such a name.")
-    landmarks = _in_files(suggested_landmarks(result, count), result)
-    write_landmarks(output, landmarks, force=request.force)
-    new = landmarks.names[-count:]
-    pairs = zip(new, landmarks.target[-count:].tolist(), landmarks.source[-count:].tolist(), strict=True)
-    lines = [f"  {name}: target vertex {target}, now on source vertex {source}" for name, target, source in pairs]
+    landmarks = suggested_landmarks(result, count)
+    write_landmarks(output, _in_files(landmarks, result), force=request.force)
+    target, source = result.target.control.described_vertex, result.source.control.described_vertex
+    new = zip(landmarks.names, landmarks.target.tolist(), landmarks.source.tolist(), strict=True)
+    lines = [f"  {name}: target vertex {target(a)}, now on source vertex {source(b)}" for name, a, b in [*new][-count:]]
     head = f"{count} more landmarks would tell most here:"
     return "\n".join([head, *lines, f"wrote {output}; correct them and match again"]), []
 

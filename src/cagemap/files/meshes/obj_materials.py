@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +27,7 @@ _OPTIONS = {"-o": 3, "-s": 3, "-t": 3, "-mm": 2} | dict.fromkeys(
 
 def obj_images(path: Path) -> list[Path]:
     """Existing images (``map_Kd``) that the ``.mtl`` files of an OBJ file name."""
-    images = (named_image(library, _options(statement)[1]) for library, _, statement in _color_statements(path))
+    images = (_image_file(library, _options(statement)[1]) for library, _, statement in _color_statements(path))
     return [image for image in images if image is not None]
 
 
@@ -60,7 +61,7 @@ def _texture(
 ) -> dict[str, Any] | None:
     """The texture of an image statement of a material file; None, with a warning, if its image cannot be read."""
     options, name = _options(statement)
-    file = named_image(library, name)
+    file = _image_file(library, name)
     image = None if file is None else textures.image(file.read_bytes(), file.suffix)
     if image is None:
         problem = "is not found; put it beside the .mtl" if file is None else "cannot be read as an image"
@@ -75,13 +76,23 @@ def _texture(
     return textures.texture(image, (wrap, wrap), transform if moved else None)
 
 
+def _image_file(library: Path, name: str) -> Path | None:
+    """The image of a name; if it is missing, of the name without comments."""
+    shorter, sign, _ = name.rpartition(" #")
+    return named_image(library, name) or (_image_file(library, shorter.rstrip()) if sign else None)
+
+
 def _options(rest: str) -> tuple[dict[str, list[str]], str]:
-    """Options before the name of an image, and the name, which may have blanks."""
+    """Options before the name of an image, and the rest of the line, which is the name (as in Blender and assimp)."""
     options: dict[str, list[str]] = {}
     while (words := rest.split()) and (most := _OPTIONS.get(words[0])):
-        values = words[1 : 1 + most]
+        values = words[1:-1][:most]  # the last word belongs to the name, also if it is a number
         if words[0] in ("-o", "-s", "-t"):
-            values = values[: next((k for k, word in enumerate(values) if not is_number(word)), most)]
+            values = values[: next((k for k, word in enumerate(values) if not _is_finite(word)), most)]
         options[words[0]] = values
-        rest = rest.split(maxsplit=len(values) + 1)[-1] if len(words) > len(values) + 1 else ""
-    return options, rest.partition(" #")[0].strip()
+        rest = rest.split(maxsplit=len(values) + 1)[-1] if len(words) > 1 else ""
+    return options, rest.strip()
+
+
+def _is_finite(word: str) -> bool:
+    return is_number(word) and math.isfinite(float(word))

@@ -226,7 +226,7 @@ def stored_check(record: LandmarkCheckRecord | None, errors: FloatArray) -> Land
     if record is None:
         return LandmarkCheck()
     suspects = tuple(
-        LandmarkSuspect(s.name, s.pair, float(errors[s.pair]), s.nearest_vertex, s.source_vertex, s.evidence)
+        LandmarkSuspect(s.name, s.pair, float(errors[s.pair]), str(s.nearest_vertex), str(s.source_vertex), s.evidence)
         for s in record.suspects
     )
     return LandmarkCheck(suspects, tuple(record.notes))
@@ -264,7 +264,8 @@ def stored_confidence(
     )
     doubtful = record.verdict == SURE and (record.signs is None or describe_signs(record.signs))
     verdict = LOOK if doubtful else record.verdict
-    return Confidence(verdict, answers, record.signs or {}, record.deciding, record.file_vertex, record.part)
+    vertex = "" if record.file_vertex is None else str(record.file_vertex)
+    return Confidence(verdict, answers, record.signs or {}, record.deciding, vertex, record.part)
 
 
 # Mean distance, in units of sqrt(area), from which a curve counts as missed.

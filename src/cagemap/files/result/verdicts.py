@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -19,8 +20,8 @@ class Rating:
     ----------
     label, value, meaning : str
         Name, number with unit, and how to read it.
-    verdict : str
-        "good", "fair" or "poor".
+    severity : float
+        Up to 1 the figure is good, up to 2 fair.
     finding : str
         The figure as the end of a sentence.
     """
@@ -28,8 +29,13 @@ class Rating:
     label: str
     value: str
     meaning: str
-    verdict: str
+    severity: float
     finding: str
+
+    @property
+    def verdict(self) -> str:
+        """One of "good", "fair" and "poor"."""
+        return "good" if self.severity <= 1.0 else "fair" if self.severity <= 2.0 else "poor"
 
 
 def rate_figures(quality: dict[str, Any]) -> list[Rating]:
@@ -39,9 +45,8 @@ def rate_figures(quality: dict[str, Any]) -> list[Rating]:
         value = reader(quality)
         if value is None:
             continue
-        badness = abs(value)
-        verdict = "good" if badness <= good else "fair" if badness <= fair else "poor"
-        ratings.append(Rating(label, formatted(value), meaning, verdict, finding.format(formatted(value))))
+        severity = _severity(abs(value), good, fair)
+        ratings.append(Rating(label, formatted(value), meaning, severity, finding.format(formatted(value))))
     return ratings
 
 
@@ -59,7 +64,8 @@ def map_verdict(manifest: dict[str, Any], *, marked: bool = False) -> tuple[str,
     quality = manifest.get("quality") or {}
     ratings, doubt = rate_figures(quality), doubt_message(manifest)
     verdict = overall_verdict(ratings, [*landmark_messages(manifest), *(quality.get("warnings") or [])])
-    worst = next((rating.finding for rating in ratings if rating.verdict == verdict), "")
+    rating = max(ratings, key=lambda one: one.severity, default=None)
+    worst = rating.finding if rating and rating.verdict == verdict else ""
     advice = "look at the marked places" if marked else "read the remarks below"
     doubtful = f"{doubt[:1].upper()}{doubt[1:]}." if doubt else ""
     if verdict == "poor":
@@ -71,11 +77,18 @@ def map_verdict(manifest: dict[str, Any], *, marked: bool = False) -> tuple[str,
     return verdict, f"The map is usable; {worst}: {advice}." if worst else f"The map is usable; {advice}."
 
 
+def _severity(value: float, good: float, fair: float) -> float:
+    """`Rating.severity` of a figure; ``good``, ``fair``: its largest good and largest fair value."""
+    if value <= good:
+        return value / good
+    return 1.0 + (value - good) / (fair - good) if value <= fair else 1.0 + value / fair
+
+
 def _read_figure(quality: dict[str, Any], *names: str) -> float | None:
     value: Any = quality
     for name in names:
         value = value.get(name) if isinstance(value, dict) else None
-    return float(value) if isinstance(value, int | float) else None
+    return float(value) if isinstance(value, int | float) and not math.isnan(value) else None
 
 
 def _complement(name: str) -> Callable[[dict[str, Any]], float | None]:
@@ -134,7 +147,7 @@ _FIGURES: list[_FigureRow] = [
         "1 for a map that keeps all lengths; models of different proportions have more. Lower is smoother.",
         2.0,
         10.0,
-        "it stretches strongly ({}; 1 keeps all lengths)",
+        "its stretch is {} (1 keeps all lengths)",
     ),
     (
         lambda q: _read_figure(q, "aspect_ratio_percentiles", "50"),
@@ -143,7 +156,7 @@ _FIGURES: list[_FigureRow] = [
         "How much longer than wide a small circle becomes, in the middle half of the surface.",
         2.0,
         4.0,
-        "it distorts strongly ({} in the middle)",
+        "its typical distortion is {}",
     ),
     (
         _complement("trusted_area"),

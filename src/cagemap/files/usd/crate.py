@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+import zipfile
+from contextlib import suppress
 from pathlib import Path
 
 from cagemap.errors import FormatError
@@ -22,19 +24,34 @@ _MAX_NUMBERS_PER_BYTE = 16 * 255  # of a compressed block: 2 bits for a number, 
 
 
 def check_crate(file: Path) -> None:
-    """Refuse a crate whose sections state more numbers than their bytes can hold; other files pass."""
+    """Refuse a crate whose sections or arrays state more numbers than their bytes can hold; other files pass.
+
+    The crates of a package (.usdz) are checked too.
+    """
     header = read_bytes(file, "a USD file", 11)
-    if not header.startswith(_START) or tuple(header[8:]) < _OLDEST:
+    if header.startswith(_START):
+        _check(file, read_bytes(file, "a USD file"))
+    elif header.startswith(b"PK"):
+        with suppress(zipfile.BadZipFile), zipfile.ZipFile(file) as package:
+            for entry in package.infolist():
+                if entry.compress_type == zipfile.ZIP_STORED and entry.filename.lower().endswith((".usd", ".usdc")):
+                    _check(file, package.read(entry))
+
+
+def _check(file: Path, content: bytes) -> None:
+    if not content.startswith(_START) or tuple(content[8:11]) < _OLDEST:
         return
-    content = read_bytes(file, "a USD file")
     try:
         (place,) = struct.unpack_from("<Q", content, 16)
         (count,) = struct.unpack_from("<Q", content, place)
         for number in range(min(count, len(content))):
             name, start, size = struct.unpack_from("<16sQQ", content, place + 8 + 32 * number)
             counts, blocks = _SECTIONS.get(name.rstrip(b"\0"), (0, 0))
-            _check_section(content[start : start + size], size, counts, blocks)
-    except struct.error:
+            section = content[start : start + size]
+            _check_section(section, size, counts, blocks)
+            if name.startswith(b"FIELDS\0"):
+                _check_arrays(content, _field_values(section))
+    except (struct.error, IndexError):
         raise FormatError(f"{file}: cannot be read as USD (its sections are damaged). Export it again.") from None
 
 
@@ -48,4 +65,76 @@ def _check_section(section: bytes, size: int, counts: int, blocks: int) -> None:
         (length,) = struct.unpack_from("<Q", section, end)
         end += 8 + length
         if end > size:
+            raise struct.error
+
+
+# Of the 64 bits that describe a value: an array, a compressed one; the others are its type, and its place in the file.
+_ARRAY, _COMPRESSED, _TYPE_SHIFT, _PLACE = 1 << 63, 1 << 61, 48, (1 << 48) - 1
+_FLOATS = {7: 2, 8: 4, 9: 8}  # bytes of half, float and double
+_TIME_SAMPLES = 46
+_LEAST_COMPRESSED = 16  # shorter arrays are written as they are
+
+
+def _field_values(section: bytes) -> list[int]:
+    """Descriptions of all values, from the second compressed block of the section FIELDS."""
+    (count, first) = struct.unpack_from("<QQ", section)
+    (length,) = struct.unpack_from("<Q", section, 16 + first)
+    block = section[24 + first :][:length]
+    if not count or block[0]:  # several chunks, from 2 GB on
+        return []
+    return list(struct.unpack_from(f"<{count}Q", _decompressed(block[1:], 8 * count)))
+
+
+def _decompressed(block: bytes, size: int) -> bytes:
+    """The first ``size`` bytes, or a few more, of a block of LZ4."""
+    content, place = bytearray(), 0
+
+    def length(short: int) -> int:
+        nonlocal place
+        total, more = short, 255 if short == 15 else 0
+        while more == 255:
+            more = block[place]
+            total, place = total + more, place + 1
+        return total
+
+    while place < len(block) and len(content) < size:
+        token = block[place]
+        place += 1
+        literals = length(token >> 4)
+        content += block[place : place + literals]
+        place += literals
+        if place < len(block):
+            (back,) = struct.unpack_from("<H", block, place)
+            place += 2
+            copied = length(token & 15) + 4
+            content += (content[-back:] * (copied // max(back, 1) + 1))[:copied]
+    return bytes(content)
+
+
+def _check_arrays(content: bytes, values: list[int]) -> None:
+    """Raise `struct.error` for arrays that state more numbers than their bytes can hold, also in time samples."""
+    version, end = tuple(content[8:11]), len(content)
+    for value in values:
+        place, kind = value & _PLACE, value >> _TYPE_SHIFT & 0xFF
+        if kind == _TIME_SAMPLES:
+            place += struct.unpack_from("<q", content, place)[0]
+            (times,) = struct.unpack_from("<Q", content, place)
+            place += 8 + struct.unpack_from("<q", content, place + 8)[0]
+            (count,) = struct.unpack_from("<Q", content, place)
+            samples = struct.unpack_from(f"<{min(count, end)}Q", content, place + 8)
+            _check_arrays(content, [one for one in (times, *samples) if one >> _TYPE_SHIFT & 0xFF != _TIME_SAMPLES])
+        if not value & _ARRAY or not place:  # empty arrays have no place
+            continue
+        place += 0 if version >= (0, 5, 0) else 4  # the rank
+        (count,) = struct.unpack_from("<Q" if version >= (0, 7, 0) else "<I", content, place)
+        place += 8 if version >= (0, 7, 0) else 4
+        most = end - place
+        if value & _COMPRESSED and count >= _LEAST_COMPRESSED:
+            if kind in _FLOATS:
+                code, place = content[place : place + 1], place + 1
+                if code == b"t":  # a table of the different values
+                    place += 4 + _FLOATS[kind] * struct.unpack_from("<I", content, place)[0]
+            (size,) = struct.unpack_from("<Q", content, place)
+            most = _MAX_NUMBERS_PER_BYTE * min(size, most)
+        if count > most:
             raise struct.error

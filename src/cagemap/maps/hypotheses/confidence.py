@@ -20,6 +20,7 @@ from cagemap.maps.hypotheses.rigid_starts import rigid_starts
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import distortion, stretches, weighted_percentiles
+from cagemap.mesh.mesh_report import place_text
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, thread_limit
 from cagemap.surface.closest_points import closest_points
@@ -89,7 +90,7 @@ class Confidence:
     answers: tuple[Placement, ...]
     signs: Mapping[str, float] = field(default_factory=dict)  #: measured values of `WARNING_SIGNS`
     deciding: int | None = None  #: control vertex of the target where a landmark would decide
-    file_vertex: int | None = None  #: number of this vertex in the target's file, if the target is a part of it
+    file_vertex: str = ""  #: its number in the target's file and its coordinates, see `ControlMesh.described_vertex`
     part: str = ""  #: name of the part, if a result has several
 
     @classmethod
@@ -113,7 +114,7 @@ class Confidence:
     @property
     def _sentences(self) -> str:
         best, *others = self.answers
-        vertex = self.deciding if self.file_vertex is None else self.file_vertex
+        vertex = self.file_vertex or self.deciding
         if any(answer.exchange for answer in self.answers):
             return (
                 "two answers: the landmarks surround each other in the opposite sense on the two surfaces. The map is "
@@ -201,10 +202,10 @@ def cost_signs(answers: tuple[Placement, ...]) -> dict[str, float]:
 
 
 def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidence:
-    """Prolong answers to all vertices of a plain target; set the deciding vertex' file number."""
-    target, numbers = prepared.target, prepared.target.control.file_vertices
-    if numbers is not None and confidence.deciding is not None:
-        confidence = replace(confidence, file_vertex=int(numbers[confidence.deciding]))
+    """Prolong answers to all vertices of a plain target; describe the deciding vertex."""
+    target = prepared.target
+    if confidence.deciding is not None:
+        confidence = replace(confidence, file_vertex=target.control.described_vertex(confidence.deciding))
     if not target.refinement.is_plain:
         return confidence
 
@@ -262,9 +263,9 @@ def jump_warnings(prepared: PreparedPair, jumps: FloatArray) -> tuple[str, ...]:
     if share <= WARNING_SIGNS["jumps"].bound:
         return ()
     mesh = prepared.mesh
-    place = ", ".join(f"{x:.4g}" for x in mesh.positions[jumps.argmax()] / mesh.scale)
+    place = place_text(mesh.positions[jumps.argmax()] / mesh.scale)
     return (
-        f"{JUMPING}, at {100 * share:.1f} % of the target's area, most at ({place}) of the target's file. Add "
+        f"{JUMPING}, at {100 * share:.1f} % of the target's area, most at {place} of the target's file. Add "
         "landmarks on these parts",
     )
 

@@ -73,8 +73,8 @@ class LandmarkSuspect:
     name: str
     pair: int  # its index among the landmarks given
     distance: float  # distance of the map's image from the given source vertex, of sqrt(area)
-    nearest_vertex: int  # source control vertex nearest to the map's image
-    source_vertex: int  # source control vertex that was given
+    nearest_vertex: str  # source control vertex nearest to the map's image, see `ControlMesh.described_vertex`
+    source_vertex: str  # source control vertex that was given
     evidence: str  # "distances": to the other landmarks; "sides": the orientation of the others around it
 
     def __str__(self) -> str:
@@ -270,9 +270,9 @@ def _suspect(problem: Problem, found: PointMap, names: Sequence[str], pair: int,
     points = problem.landmarks.source
     at_vertex, near = points.vertices, near_vertices(points, problem.prepared.source)
     given = int(np.where(at_vertex < 0, near, at_vertex)[pair])  # near vertices differ on a plain mesh's finest level
-    return LandmarkSuspect(
-        names[pair], pair, *landmark_miss(problem, found, pair), source_vertex=given, evidence=evidence
-    )
+    distance, nearest = landmark_miss(problem, found, pair)
+    described = problem.prepared.source.control.described_vertex
+    return LandmarkSuspect(names[pair], pair, distance, described(nearest), described(given), evidence)
 
 
 def landmark_miss(problem: Problem, point_map: PointMap, landmark: int) -> tuple[float, int]:

@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO
-from cagemap.mesh.mesh_report import count_noun
+from cagemap.mesh.mesh_report import VERTEX, count_noun
 from cagemap.studio.preview import OPENING_TITLE
 from cagemap.studio.scene import Scene
 from cagemap.studio.skins import DOUBTFUL_TRUST
@@ -33,7 +33,7 @@ STAGES = (
 )
 # Parts of the package's messages that the page's buttons and colours replace.
 _ANSWER_HINT = re.compile(r" \(`answer=\d+`\)|, worst at \([^)]*\) of the target's file")
-_VERTEX_HINT = re.compile(r"(?:, first)? at target vertex \d+")
+_VERTEX_HINT = re.compile(f"(?:, first)? at target {VERTEX}")
 
 
 def confidence_text(message: str) -> str:
