@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import threading
 import time
 from collections.abc import Callable
@@ -14,7 +15,9 @@ import pytest
 
 from cagemap.errors import ParameterError
 from cagemap.files.images.image import write_image
+from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.result.folder import read_result
 from cagemap.studio.compute import (
     FindMap,
     MapUpdate,
@@ -25,10 +28,14 @@ from cagemap.studio.compute import (
     number_duplicates,
     run_task,
 )
+from cagemap.studio.landmark_files import to_landmarks
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.places import vertex_place
 from cagemap.studio.scene import Scene, map_place, mirror_place
 from cagemap.studio.worker import CANCELLED_KIND, Failure, Worker, _serve_preview
+from cagemap.tasks.match import run_match
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.match import MatchRequest
 
 from studio_boxes import landmarks, unwrapped_cube
 
@@ -62,6 +69,30 @@ def test_the_preview_maps_and_follows_landmarks(opened: tuple[PreviewCache, Open
     np.testing.assert_allclose(np.array(there.position) - [5, 0, 0], scene.target.positions[0], atol=0.3)
     back = map_place(scene, "source", there)
     np.testing.assert_allclose(back.position, scene.target.positions[0], atol=0.3)
+
+
+@pytest.mark.slow
+def test_a_bake_writes_the_map_of_the_page_if_a_match_would_find_the_same(
+    opened: tuple[PreviewCache, OpenModels], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cache, task = opened
+    files, places = task.pair_files, landmarks(cache, *range(8))
+    cache, shown = run_task(cache, FindMap(files, places), lambda _: None)
+    _, updated = run_task(cache, FindMap(files, landmarks(cache, *range(7))), lambda _: None)
+    assert updated.known is None  # an update is not what a match from the start finds
+    known = pickle.loads(pickle.dumps(shown.known))  # the bake has a process of its own
+    pairs = tmp_path / "pairs.json"
+    write_landmarks(pairs, to_landmarks(places, cache.target.control, cache.source.control))
+    request = MatchRequest(files.target, files.source, tmp_path / "R", pairs, vertices=300)
+    run_match(request, Stages())
+    searched = read_result(tmp_path / "R").point_map
+    monkeypatch.setattr("cagemap.tasks.match.match", lambda *_, **__: pytest.fail("searched again"))
+    run_match(request, Stages(), known)
+    for name in ("triangle", "barycentric"):
+        np.testing.assert_array_equal(getattr(read_result(tmp_path / "R").point_map, name), getattr(searched, name))
+    for changed in ({"vertices": 1000}, {"landmarks": None}, {"trust_landmarks": True}, {"source": files.target}):
+        with pytest.raises(pytest.fail.Exception, match="searched again"):
+            run_match(replace(request, **changed), Stages(), known)
 
 
 @pytest.mark.slow

@@ -21,7 +21,8 @@ from cagemap.errors import ParameterError
 from cagemap.files.atomic import write_whole
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.studio import finish_process
-from cagemap.studio.finish_process import RequestResult, run_finish_request, serve
+from cagemap.studio.finish import Command
+from cagemap.studio.finish_process import RequestResult, run_command, serve
 from cagemap.studio.worker import STOPPED_KIND, Failure, Worker
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.match import MatchRequest
@@ -43,9 +44,9 @@ def test_every_request_says_how_it_ended_and_what_it_wrote(tmp_path: Path) -> No
     stages: list[str] = []
     worker = Worker(stages.append, serve)
     made = [
-        worker.run(MatchRequest(target, target, result, vertices=300)),
-        worker.run(TransferRequest(tmp_path / "none", tmp_path / "uvs.obj", source_uvs=True)),
-        worker.run(TransferRequest(result, tmp_path / "map.npz", write_map=True)),
+        worker.run(Command("match", MatchRequest(target, target, result, vertices=300))),
+        worker.run(Command("UVs", TransferRequest(tmp_path / "none", tmp_path / "uvs.obj", source_uvs=True))),
+        worker.run(Command("map", TransferRequest(result, tmp_path / "map.npz", write_map=True))),
     ]
     worker.end()
     assert all(isinstance(one, RequestResult) for one in made)
@@ -68,7 +69,7 @@ def test_warnings_are_said_once_and_what_was_written_before_an_error_is_told(
         raise ParameterError("exists (`force=True`)")
 
     monkeypatch.setattr("cagemap.studio.finish_process.runner_of", lambda request: work)
-    made = run_finish_request(TransferRequest(tmp_path, tmp_path / "b.png"), Stages())
+    made = run_command(Command("", TransferRequest(tmp_path, tmp_path / "b.png")), Stages())
     assert made.warnings == ("a.obj has no UVs: --unwrap",)
     assert made.files == (tmp_path / "a.txt",)
     assert made.failure == "exists (--force)"
@@ -81,12 +82,14 @@ def test_a_request_that_is_stopped_leaves_nothing_half_written(tmp_path: Path) -
     before = sorted(os.listdir(tmp_path))
     stages: list[str] = []
     worker = Worker(lambda stage: (stages.append(stage), worker.end() if len(stages) == 2 else None), serve)
-    stopped = worker.run(MatchRequest(target, source, tmp_path / "R", vertices=30_000))
+    stopped = worker.run(Command("match", MatchRequest(target, source, tmp_path / "R", vertices=30_000)))
     assert isinstance(stopped, Failure)
     assert stopped.kind == STOPPED_KIND
     assert "exit code 0" in stopped.message  # by itself, not by force once patience is over
     assert sorted(os.listdir(tmp_path)) == before
-    made = worker.run(MatchRequest(target, target, tmp_path / "R", vertices=300))  # by another process
+    made = worker.run(
+        Command("match", MatchRequest(target, target, tmp_path / "R", vertices=300))
+    )  # by another process
     assert made.failure == ""
     worker.end()
 
@@ -96,12 +99,14 @@ def test_a_request_ends_with_whoever_runs_it_and_leaves_nothing_half_written(tmp
     script = tmp_path / "runs.py"
     script.write_text(
         "from pathlib import Path\n"
+        "from cagemap.studio.finish import Command\n"
         "from cagemap.studio.finish_process import serve\n"
         "from cagemap.studio.worker import Worker\n"
         "from cagemap.tasks.requests.match import MatchRequest\n"
         "if __name__ == '__main__':\n"
         "    worker = Worker(lambda stage: print(stage, flush=True), serve)\n"
-        "    worker.run(MatchRequest(Path('a.obj'), Path('b.obj'), None, Path('R'), vertices=200_000))\n"
+        "    request = MatchRequest(Path('a.obj'), Path('b.obj'), None, Path('R'), vertices=200_000)\n"
+        "    worker.run(Command('match', request))\n"
     )
     before = sorted(os.listdir(tmp_path))
     with subprocess.Popen([sys.executable, script], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as runs:
@@ -128,7 +133,7 @@ def wait_for_threads(connection: Connection) -> None:
 @pytest.mark.slow
 def test_a_request_that_waits_for_its_threads_ends_too(tmp_path: Path) -> None:
     worker = Worker(lambda _: worker.end(), wait_for_threads)
-    stopped = worker.run(TransferRequest(tmp_path, tmp_path / "a.png"))
+    stopped = worker.run(Command("", TransferRequest(tmp_path, tmp_path / "a.png")))
     assert isinstance(stopped, Failure)
     assert "exit code 0" in stopped.message
 
@@ -139,7 +144,7 @@ def test_a_second_signal_does_not_interrupt_what_the_first_one_removes(tmp_path:
     worker.start()
     process = worker._process
     assert process.pid is not None
-    ended = threading.Thread(target=worker.run, args=(TransferRequest(tmp_path, tmp_path / "a.png"),))
+    ended = threading.Thread(target=worker.run, args=(Command("", TransferRequest(tmp_path, tmp_path / "a.png")),))
     ended.start()
     for number in (signal.SIGINT, signal.SIGTERM):  # as Ctrl-C in a terminal, and then the studio's end
         until(lambda number=number: (tmp_path / signal.Signals(number).name).exists())

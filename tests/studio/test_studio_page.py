@@ -23,7 +23,7 @@ from cagemap.studio.page.actions import Actions
 from cagemap.studio.page.app import PageRequest, StudioApp
 from cagemap.studio.page.form import form_fields, read_form
 from cagemap.studio.page.shown import page_state
-from cagemap.studio.page.words import STAGES, confidence_text, status_entries, verdict
+from cagemap.studio.page.words import STAGES, bake_hint, confidence_text, status_entries, verdict
 from cagemap.studio.places import vertex_place
 from cagemap.studio.session import Session
 from cagemap.studio.state import MapState, Message, Output, RunningJob, StudioState
@@ -123,6 +123,14 @@ def test_a_bake_says_beforehand_that_it_matches_again_and_how_long_the_map_took(
     until(lambda: opened.state.map.revision > 1, opened)
     assert page_state(opened.state, opened.scene, opened.workspace, {})["bake_hint"] == hint
     assert page_state(StudioState(), None, opened.workspace, {})["bake_hint"] == ""
+    # The models as plain meshes: shown as they are.
+    target, source = (
+        replace(one, positions=one.positions[: one.n_control]) for one in (opened.scene.target, opened.scene.source)
+    )
+    plain = replace(opened.scene, target=target, source=source)
+    assert "a bake uses it" in bake_hint(opened.state, plain)
+    updated = replace(opened.state, map=replace(opened.state.map, from_start=False))
+    assert "computes it again" in bake_hint(updated, plain)
 
 
 def test_every_control_of_the_page_is_used_in_a_browser() -> None:

@@ -15,7 +15,7 @@ from examples.shapes import cube
 
 from cagemap.files.result.manifest import note_transfer
 from cagemap.studio.compute import FindMap, MapUpdate, OpenModels, Task
-from cagemap.studio.finish import FinishOptions
+from cagemap.studio.finish import Command, FinishOptions
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.places import vertex_place
 from cagemap.studio.preview import Preview
@@ -92,6 +92,24 @@ def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
     assert "cancelled" in opened.state.messages[-1].text
     opened._receive(task, MapUpdate(scene.preview_map, scene.skins, known))
     assert (opened.state.map.rough, opened.state.map.revision) == (False, known.revision + 1)
+
+
+def test_a_bake_is_given_the_map_of_the_page_until_landmarks_change_it(
+    opened: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started, revision = list[Command](), opened.state.map.revision
+    monkeypatch.setattr(opened._runner, "start", started.extend)
+    opened.match_again()
+    until(lambda: opened.state.map.revision > revision, opened)
+    opened.finish(FinishOptions())
+    np.testing.assert_array_equal(started[0].known.result.triangle, opened.scene.preview_map.triangle)
+    assert [command.known for command in started[1:]] == [None] * len(started[1:])
+    click(opened, "target", 2)
+    opened.accept()
+    until(lambda: opened.state.map.revision > revision + 1, opened)
+    started.clear()
+    opened.finish(FinishOptions())
+    assert started[0].known is None
 
 
 def test_the_next_landmark_is_proposed_on_both_models(opened: Session) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import pickle
 import tracemalloc
 from dataclasses import replace
 
@@ -290,6 +291,15 @@ def test_uvs_on_n_gons_use_the_mean_of_the_corners() -> None:
     for face in range(mesh.n_faces):
         child = finest.uv_indices[np.flatnonzero(finest.face_parents == face)[0]]
         np.testing.assert_allclose(finest.uvs[child[2]], mesh.positions[mesh.face(face), :2].mean(axis=0))
+
+
+def test_levels_with_uvs_are_pickled() -> None:
+    """Also level 0, the only one of a plain mesh."""
+    mesh = cube()
+    refinement = refine(mesh.with_uvs(mesh.positions[:, :2], mesh.face_indices), 1)
+    for before, after in zip(refinement.levels, pickle.loads(pickle.dumps(refinement)).levels, strict=True):
+        np.testing.assert_array_equal(after.uvs, before.uvs)
+        np.testing.assert_array_equal(after.uv_indices, before.uv_indices)
 
 
 # Refusals

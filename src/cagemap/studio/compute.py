@@ -14,7 +14,15 @@ from cagemap.deform.problem import PreparedPair
 from cagemap.errors import ParameterError
 from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.point_map import PointMap
-from cagemap.pipeline import MatchResult, match_pair, other_answer, prepare_pair, prepare_surfaces, update_match
+from cagemap.pipeline import (
+    MatchConfig,
+    MatchResult,
+    match_pair,
+    other_answer,
+    prepare_pair,
+    prepare_surfaces,
+    update_match,
+)
 from cagemap.studio.landmark_files import to_landmarks
 from cagemap.studio.landmarks import LandmarkList, SideNames
 from cagemap.studio.models import OpenedModel, converted_model, open_model, with_texture
@@ -25,6 +33,7 @@ from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_s
 from cagemap.studio.state import MapState
 from cagemap.studio.textures import textured
 from cagemap.subdivision import refine
+from cagemap.tasks.match import KnownMatch
 from cagemap.transfer.overlapping_uvs import has_layout
 
 Progress = Callable[[str], None]
@@ -133,11 +142,14 @@ class MapUpdate:
         Target and source as drawn with the map; None: the source as before.
     map_state : MapState
         Without the revision.
+    known : KnownMatch or None
+        The map as a match from the start; None after an update.
     """
 
     preview_map: PreviewMap
     skins: tuple[bytes, bytes | None]
     map_state: MapState
+    known: KnownMatch | None = None
 
 
 TaskResult = OpenedPair | MapUpdate | bytes | tuple[bytes, bytes]
@@ -160,6 +172,8 @@ class PreviewCache:
         Which of its answers (alignments) maps start from.
     result : MatchResult or None
         The current map.
+    config : MatchConfig or None
+        Of a match from the start that gives ``result``; None after an update.
     character : Character or None
         Of the source's file; None before the first map.
     """
@@ -171,6 +185,7 @@ class PreviewCache:
     free_match: MatchResult | None = None
     chosen_answer: int = 0
     result: MatchResult | None = None
+    config: MatchConfig | None = None
     character: Character | None = None
 
 
@@ -237,13 +252,14 @@ def find_map(
         answer = cache.chosen_answer if task.answer is None else task.answer
         needs_answer = answer or task.answer is not None
         result = other_answer(free_match, answer, progress=progress) if needs_answer else free_match
-        cache = replace(cache, free_match=free_match, chosen_answer=answer, result=result)
+        config = MatchConfig(answer=answer)
+        cache = replace(cache, free_match=free_match, chosen_answer=answer, result=result, config=config)
         if has_constraints:
-            cache = replace(cache, result=update_match(result, landmarks, progress=progress))
+            cache = replace(cache, result=update_match(result, landmarks, progress=progress), config=None)
     elif cache.result is None or (task.fresh and len(landmarks) >= FEWEST_LANDMARKS):
-        cache = replace(cache, result=match_pair(prepared_pair, landmarks, progress=progress))
+        cache = replace(cache, result=match_pair(prepared_pair, landmarks, progress=progress), config=MatchConfig())
     else:
-        cache = replace(cache, result=update_match(cache.result, landmarks, progress=progress))
+        cache = replace(cache, result=update_match(cache.result, landmarks, progress=progress), config=None)
     return _map_update(cache)
 
 
@@ -293,8 +309,10 @@ def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:
         notes=tuple(result.landmark_check.notes) + tuple(result.quality.warnings),
         suggestion=_suggested_vertex(cache, result),
         poses=tuple(animation_poses(character)),
+        from_start=cache.config is not None,
     )
-    return cache, MapUpdate(preview_map, (skin, rotated_skin), map_state)
+    known = None if cache.config is None else KnownMatch(result, cache.config)
+    return cache, MapUpdate(preview_map, (skin, rotated_skin), map_state, known)
 
 
 def _suggested_vertex(cache: PreviewCache, result: MatchResult) -> int | None:

@@ -10,18 +10,20 @@ import queue
 import signal
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 from cagemap.errors import explain_error, use_option_names
 from cagemap.files.atomic import files_written
 from cagemap.numerics.process import set_up_process
+from cagemap.studio.finish import Command
 from cagemap.studio.worker import END_TIMEOUT, FinalResult, StageReply
 from cagemap.tasks import runner_of
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.catalogue import Request
 
 
 @dataclass(frozen=True)
@@ -69,22 +71,22 @@ class _StageSender(Stages):
 
 
 def serve(connection: Connection) -> None:
-    """Run requests until the pipe closes or sends None, which interrupts the running one."""
+    """Run commands until the pipe closes or sends None, which interrupts the running one."""
     set_up_process()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
-    requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(connection, requests), daemon=True).start()
+    commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(connection, commands), daemon=True).start()
     try:
         while True:
-            connection.send(FinalResult(run_finish_request(requests.get(), _StageSender(connection))))
+            connection.send(FinalResult(run_command(commands.get(), _StageSender(connection))))
             gc.collect()  # the next one needs the memory
     except (KeyboardInterrupt, BrokenPipeError):
         return
 
 
-def run_finish_request(request: Request, stages: Stages) -> RequestResult:
-    """Run a request; return also its warnings and error."""
+def run_command(command: Command, stages: Stages) -> RequestResult:
+    """Run a command; return also its warnings and error."""
     summary, failure, collector = "", "", _WarningCollector()
     log = logging.getLogger("cagemap")
     log.addHandler(collector)
@@ -92,7 +94,9 @@ def run_finish_request(request: Request, stages: Stages) -> RequestResult:
         with files_written() as files:
             try:
                 # `runner_of` loads libraries here, where it can be interrupted
-                summary, warnings = runner_of(request)(request, stages)
+                run: Callable[..., tuple[str, Any]] = runner_of(command.request)
+                known = {} if command.known is None else {"known": command.known}
+                summary, warnings = run(command.request, stages, **known)
                 collector.texts += warnings
             except Exception as error:
                 failure = explain_error(error)
@@ -102,11 +106,11 @@ def run_finish_request(request: Request, stages: Stages) -> RequestResult:
     return RequestResult(summary, texts, tuple(file.resolve() for file in files), failure)
 
 
-def _listen(connection: Connection, requests: queue.SimpleQueue[Request]) -> None:
-    """Receive requests; at the end interrupt the running one, and end the process after `END_TIMEOUT`."""
+def _listen(connection: Connection, commands: queue.SimpleQueue[Command]) -> None:
+    """Receive commands; at the end interrupt the running one, and end the process after `END_TIMEOUT`."""
     try:
-        while (request := connection.recv()) is not None:
-            requests.put(request)
+        while (command := connection.recv()) is not None:
+            commands.put(command)
     except (EOFError, OSError):  # the studio's process has ended
         pass
     main_thread = threading.main_thread().ident

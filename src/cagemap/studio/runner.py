@@ -79,7 +79,7 @@ class Runner:
     def _run_command(self, command: Command) -> bool:
         """Run a command; return whether it succeeded."""
         self._report_stage(command.title)
-        result = self._worker.run(command.request, is_cancelled=lambda: self._cancelled)
+        result = self._worker.run(command, is_cancelled=lambda: self._cancelled)
         if isinstance(result, Failure):
             result = RequestResult(failure=result.message)
         for output in command_outputs(command, result.files):

@@ -39,6 +39,7 @@ from cagemap.studio.state import (
 )
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.studio.workspace import Workspace
+from cagemap.tasks.match import KnownMatch
 from cagemap.tasks.requests.catalogue import Options
 from cagemap.transfer.overlapping_uvs import has_layout
 
@@ -65,6 +66,7 @@ class Session(LandmarkEdits):
         self._requested_parts: SideNames = (None, None)
         self._finish_inputs: tuple[object, ...] = ()
         self._last_map = LastMap()
+        self._known: KnownMatch | None = None
         self._runner = Runner(lambda job: self._change(finish_job=job), self._on_output, self._on_message, self._on_end)
         self._preview = Preview(
             vertices,
@@ -207,6 +209,7 @@ class Session(LandmarkEdits):
             if self._state.history.present.has_constraints:
                 self._save()
             self.show(map_view(self._state.view))
+            commands = (replace(commands[0], known=self._known), *commands[1:])
             remaining = self._last_map.remaining_commands(commands, self._state)
             reused = () if remaining == commands else (Output(commands[0].output, commands[0].output_title),)
             self._change(outputs=reused, uv_set=options.option_values.get(("match", "target_uv_set")) or None)
@@ -226,7 +229,7 @@ class Session(LandmarkEdits):
     def _open_pair(self, files: Files, requested_parts: SideNames) -> None:
         """Open models; if that fails, `_apply_result` tries again with the requested parts."""
         with self._lock:
-            self._scene, self._requested_parts = None, requested_parts
+            self._scene, self._known, self._requested_parts = None, None, requested_parts
             self._change(files=files, view=map_view(self._state.view), **INITIAL_FIELDS)
             self._preview.open(files)
 
@@ -299,6 +302,7 @@ class Session(LandmarkEdits):
                 before, (target, source) = self._scene, result.skins
                 scene = replace(before, preview_map=result.preview_map, skins=(target, source or before.skins[1]))
                 self._scene = scene = replace(scene, source=scene.aligned_source)
+                self._known = result.known
                 if before.preview_map is None or scene.source is not before.source:
                     scene.warm_up()  # not earlier: the page loads the models first
                 map_state = result.map_state.rename_landmarks(task.landmarks, self._state.history.present)

@@ -118,6 +118,8 @@ class MapState:
         Control vertex of the target where the next landmark helps most.
     rough : bool
         Whether this is a rough map while the search goes on.
+    from_start : bool
+        Whether a match from the start, with these landmarks, gives this map; else it is an update.
     poses : tuple of str
         Names of poses of the source's animations.
     first_seconds : float
@@ -133,6 +135,7 @@ class MapState:
     notes: tuple[str, ...] = ()
     suggestion: int | None = None
     rough: bool = False
+    from_start: bool = False
     poses: tuple[str, ...] = ()
     first_seconds: float = 0.0
 

@@ -30,6 +30,11 @@ from cagemap.surface.triangles import triangles as triangles
 ENTRIES_PER_CORNER = 25
 
 
+def _given_layout(layout: Layout) -> Layout:
+    """A layout as it is; unlike a lambda, it can be pickled."""
+    return layout
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Level:
     """Mesh of one level."""
@@ -58,7 +63,7 @@ class Level:
 
     def with_uvs(self, uvs: FloatArray, uv_indices: IndexArray) -> Level:
         """The same level with other UVs (p, 2) and UV indices in the shape of ``faces``."""
-        return replace(self, lay=lambda: (uvs, uv_indices))
+        return replace(self, lay=partial(_given_layout, (uvs, uv_indices)))
 
     @property
     def n_vertices(self) -> int:

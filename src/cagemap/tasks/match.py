@@ -32,10 +32,11 @@ from cagemap.files.result.merged_parts import merge_results
 from cagemap.files.result.surface_store import prepared
 from cagemap.files.result.verdicts import map_verdict
 from cagemap.files.usd.space import unit_notes
+from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
 from cagemap.pipeline import MatchConfig, MatchResult, match, match_next, prepare_surfaces
-from cagemap.spectral import BasisConfig
+from cagemap.spectral import BasisConfig, Surface
 from cagemap.spectral.surface import DEFAULT_VERTICES, prepare_checked
 from cagemap.tasks.job_file import note_match
 from cagemap.tasks.masks import GivenMasks, mask_inputs, masks_on, read_masks
@@ -81,6 +82,42 @@ class Inputs:
 
 
 @dataclass(frozen=True, eq=False)
+class KnownMatch:
+    """A match made before, which the match of equal inputs gives again."""
+
+    result: MatchResult
+    config: MatchConfig
+
+    def on_surfaces(
+        self, target: Surface, source: Surface, landmarks: Landmarks, config: MatchConfig
+    ) -> MatchResult | None:
+        """The result on equal surfaces; None if an input differs, or there are curves."""
+        known, pairs = self.result, ((self.result.target, target), (self.result.source, source))
+        if config.masks.any or known.masks.any or replace(config, masks=self.config.masks) != self.config:
+            return None
+        if landmarks.places != known.landmarks.places or len(landmarks.curves) + len(known.landmarks.curves):
+            return None
+        if not all(_is_same_surface(one, two) for one, two in pairs):
+            return None
+        points = known.point_map
+        point_map = PointMap.from_arrays(
+            target.finest_triangles, source.finest_triangles, points.triangle, points.barycentric
+        )
+        return replace(known, target=target, source=source, landmarks=landmarks, point_map=point_map)
+
+
+def _is_same_surface(one: Surface, two: Surface) -> bool:
+    """Whether two surfaces have equal levels, vertices, faces and bases."""
+    return (
+        one.refinement.finest_level == two.refinement.finest_level
+        and one.refinement.is_plain == two.refinement.is_plain
+        and one.config == two.config
+        and np.array_equal(one.vertices, two.vertices)
+        and np.array_equal(one.faces, two.faces)
+    )
+
+
+@dataclass(frozen=True, eq=False)
 class MatchSettings:
     """Settings of a match."""
 
@@ -90,20 +127,24 @@ class MatchSettings:
     cache: Path | None = None  # folder of prepared surfaces
     entries: dict[str, Any] = field(default_factory=dict)  # for the manifest: parameters, inputs
     before: MatchResult | None = None  # match of the source's last frame, from which the match starts
+    known: KnownMatch | None = None  # is used if its inputs are equal
 
 
-def run_match(request: MatchRequest, stages: Stages) -> Said:
+def run_match(request: MatchRequest, stages: Stages, known: KnownMatch | None = None) -> Said:
     """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
     started = time.perf_counter()
-    result = match_files(request, stages)
+    result = match_files(request, stages, known=known)
     text = summary(result, request.output, time.perf_counter() - started)
     return f"{text}\n{next_commands(result, request)}", warnings(result)
 
 
-def match_files(request: MatchRequest, stages: Stages, before: MatchResult | None = None) -> MatchResult:
+def match_files(
+    request: MatchRequest, stages: Stages, before: MatchResult | None = None, known: KnownMatch | None = None
+) -> MatchResult:
     """Match two mesh files and write the RESULT folder.
 
     ``before``, of the same target and the source's last frame, is the start of the match; its target is used again.
+    ``known`` replaces the computation if its inputs are equal.
     """
     config = check_match(request)
     stages("read")
@@ -134,7 +175,7 @@ def match_files(request: MatchRequest, stages: Stages, before: MatchResult | Non
         **dict(zip(("target_part", "source_part"), parts, strict=True)),
     }
     entries = {"parameters": parameters, "inputs": stated}
-    result = match_inputs(inputs, MatchSettings(bases, levels, config, request.cache, entries, before), stages)
+    result = match_inputs(inputs, MatchSettings(bases, levels, config, request.cache, entries, before, known), stages)
     stages("write")
     write_result(request.output, result, force=request.force)
     note_match(request)
@@ -273,7 +314,10 @@ def _match_part(part: PartInputs, inputs: Inputs, settings: MatchSettings, stage
         target, source = settings.before.target, prepare(part.source, settings.levels[1], settings.bases[1])
     symmetries = tuple((symmetry_on(t, target.control), symmetry_on(s, source.control)) for t, s in config.symmetries)
     config = replace(config, symmetries=symmetries, masks=masks_on(inputs.masks, (target, source)))
-    if settings.before is None:
+    known, given = settings.known, (target, source, part.landmarks, config)
+    if known is not None and (equal := known.on_surfaces(*given)) is not None:
+        result = equal
+    elif settings.before is None:
         result = match(target, source, part.landmarks, config, progress=stages)
     else:
         result = match_next(settings.before, source, part.landmarks, config, progress=stages)
