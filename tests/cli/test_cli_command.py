@@ -83,3 +83,9 @@ print(crackfortran.__name__)
 """
     done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "numpy.f2py.crackfortran"]
+
+
+def test_a_match_imports_no_baking() -> None:
+    script = "import sys, cagemap.tasks.match\nprint([name for name in sys.modules if 'cagemap.transfer' in name])"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -11,11 +11,11 @@ from examples.shapes import torus
 from cagemap.maps.point_map import PointMap
 from cagemap.subdivision import Level, refine
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import normalize_rows
+from cagemap.surface.triangles import normalize_rows, triangle_frames
 from cagemap.transfer import BakeOptions, bake_texture, prepare_transfer, unwrap
 from cagemap.transfer.baking import make_layout
 from cagemap.transfer.blend_shapes import _centre_images, carry_shape, prepare_shapes
-from cagemap.transfer.locate import locate_centers, locate_samples, map_surface, triangle_frames, whole_triangles
+from cagemap.transfer.locate import locate_centers, locate_samples, map_surface, whole_triangles
 from cagemap.transfer.texels import rasterize_band
 from cagemap.transfer.textured_surface import TexturedSurface
 from cagemap.transfer.vectors import bake_normal_map, bake_vector_displacement

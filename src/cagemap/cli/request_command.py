@@ -55,8 +55,8 @@ _SECTIONS = ("Arguments", *HEADINGS, "Options")
 # Names of values in `--help`, by their type.
 _METAVARS = {Path: "FILE", int: "NUMBER", float: "NUMBER", str: "TEXT"}
 
-# Modules that SciPy imports and no command uses.
-LAZY_MODULES = ("numpy.f2py", "numpy.testing")
+# Modules that SciPy and readers import, and few commands use.
+LAZY_MODULES = ("numpy.f2py", "numpy.testing", "scipy.io")
 
 
 def command_of(kind: type[Request], run: Callable[[Request], None]) -> Callable[..., None]:

@@ -12,9 +12,12 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.mesh_report import place_text
 from cagemap.mesh.schemes import Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, offsets_of, real_numbers, whole_numbers
+from cagemap.surface.triangles import fan_triangles
 
 # Texture coordinates of all corners of faces that have none, where other faces of the mesh have some.
 NO_UV = (0.5, 0.5)
+# Area in the layout below which a triangle is degenerate: sides of about 1e-6. A texel's side in a 16k image is 6e-5.
+MIN_UV_AREA = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +175,15 @@ class ControlMesh:
         if self.uvs is None or self.uv_indices is None:
             return self.uv_sets
         return (UvSet(self.uv_name, self.uvs, self.uv_indices), *self.uv_sets)
+
+    @property
+    def has_layout(self) -> bool:
+        """Whether the texture coordinates span an area: some exporters write the same ones for all corners."""
+        if self.uvs is None or self.uv_indices is None:
+            return False
+        corners = self.uvs[fan_triangles(self.face_offsets, self.uv_indices)[0]]
+        a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        return bool((np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) > MIN_UV_AREA).any())
 
     @property
     def partitions(self) -> tuple[tuple[str, IndexArray | None, tuple[str, ...]], ...]:

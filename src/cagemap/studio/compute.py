@@ -34,7 +34,6 @@ from cagemap.studio.state import MapState
 from cagemap.studio.textures import textured
 from cagemap.subdivision import refine
 from cagemap.tasks.match import KnownMatch
-from cagemap.transfer.overlapping_uvs import has_layout
 
 Progress = Callable[[str], None]
 
@@ -375,7 +374,7 @@ def _baked_skin(cache: PreviewCache, task: ShowBaked) -> bytes:
     if task.uv_set is not None:
         refined = refined_shape(refine(shape.control.with_uv_set(task.uv_set), target.level))
         shape = replace(shape, uvs=refined.uvs, uv_triangles=refined.uv_triangles)
-    if task.layout is not None and not has_layout(shape.control):
+    if task.layout is not None and not shape.control.has_layout:
         unwrapped = open_model(task.layout, target.scheme, None, len(shape.positions)).shape
         if np.array_equal(unwrapped.triangles, shape.triangles):
             shape = replace(shape, uvs=unwrapped.uvs, uv_triangles=unwrapped.uv_triangles)

@@ -41,7 +41,6 @@ from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.studio.workspace import Workspace
 from cagemap.tasks.match import KnownMatch
 from cagemap.tasks.requests.catalogue import Options
-from cagemap.transfer.overlapping_uvs import has_layout
 
 log = logging.getLogger(__name__)
 
@@ -191,7 +190,7 @@ class Session(LandmarkEdits):
         files, scene = self._require_open()
         has_constraints = self._state.history.present.has_constraints
         answer = 0 if has_constraints else self._state.map.chosen_answer
-        unwrap = not has_layout(scene.target.control)
+        unwrap = not scene.target.control.has_layout
         options = options.with_values({("transfer", "unwrap"): unwrap, ("match", "answer"): answer})
         if options.texture and files.texture is None and scene.has_colors:
             options = options.with_values({("transfer", "material_colors"): True})

@@ -16,7 +16,8 @@ from cagemap.pictures.camera import turn_angle
 from cagemap.studio.file_parts import OtherParts
 from cagemap.studio.glb import MeshPart, pack_glb
 from cagemap.studio.shape import Shape
-from cagemap.transfer.locate import triangle_frames, walk_from
+from cagemap.surface.triangles import triangle_frames
+from cagemap.transfer.locate import walk_from
 
 # Displayed colour of a model without materials.
 CLAY_COLOR = np.array([0.69, 0.68, 0.67])

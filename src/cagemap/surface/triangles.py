@@ -93,6 +93,23 @@ def normalize_rows(vectors: FloatArray) -> FloatArray:
     return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
 
 
+def triangle_frames(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(t, 3, 3) first corner a, and gradients g1, g2 of the barycentric coordinates: b_i(p) = g_i . (p - a).
+
+    A degenerate triangle is treated as a segment: only the coordinate along its longer edge varies.
+    """
+    a = positions[triangles[:, 0]]
+    u, v = positions[triangles[:, 1]] - a, positions[triangles[:, 2]] - a
+    uu, uv, vv = (np.einsum("ij,ij->i", p, q)[:, None] for p, q in ((u, u), (u, v), (v, v)))
+    area2 = uu * vv - uv * uv
+    flat = area2 <= 1e-14 * uu * vv
+    scale = 1.0 / np.where(flat, 1.0, area2)
+    lengths = np.where(np.maximum(uu, vv) > 0, np.maximum(uu, vv), 1.0)
+    g1 = np.where(flat, np.where(uu >= vv, u / lengths, 0.0), (vv * u - uv * v) * scale)
+    g2 = np.where(flat, np.where(uu >= vv, 0.0, v / lengths), (uu * v - uv * u) * scale)
+    return np.ascontiguousarray(np.stack([a, g1, g2], axis=1))
+
+
 def triangle_neighbors(corners: IndexArray) -> NDArray[np.int32]:
     """(t, 3) triangle across the edge *opposite* to every corner, -1 on the boundary.
 

@@ -43,7 +43,7 @@ from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, tr
 from cagemap.transfer.baking import to_dtype, unit
 from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.masks import bake_mask, blend, with_alpha
-from cagemap.transfer.overlapping_uvs import has_layout, overlapping_materials, overlapping_share
+from cagemap.transfer.overlapping_uvs import overlapping_materials, overlapping_share
 from cagemap.transfer.texture import Pixels
 
 # Default width and height of an image, if no source or base image gives a size.
@@ -121,7 +121,7 @@ def prepare_bake(
         control = unwrap(result.target.control)
         mesh = unwrapped_name(request.output)
         result = replace(result, target=result.target.with_control(control))
-    elif not has_layout(result.target.control):
+    elif not result.target.control.has_layout:
         found = (
             "the mesh has none" if result.target.control.uvs is None else "all of them are in one point or on a line"
         )

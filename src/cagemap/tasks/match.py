@@ -16,7 +16,6 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
 from cagemap.files.gltf.document import GLTF_SUFFIXES
-from cagemap.files.inner_texture import color_texture
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.landmarks.points import read_points, symmetry_on
 from cagemap.files.meshes.formats import read_mesh, read_whole
@@ -56,7 +55,6 @@ from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.match import MatchRequest as MatchRequest
 from cagemap.tasks.requests.options import said
 from cagemap.tasks.subdivision import SubdivisionRequest, weld_side
-from cagemap.transfer.overlapping_uvs import has_layout
 
 _log = logging.getLogger(__name__)
 
@@ -351,10 +349,13 @@ def summary(result: MatchResult, folder: Path, seconds: float) -> str:
 def next_commands(result: MatchResult, request: MatchRequest) -> str:
     """The commands to type next, with the source's file as texture if it is glTF and contains images."""
     folder, file = shlex.quote(str(request.output)), request.source
-    # FBX and USD files would be converted once more, which takes seconds.
-    textured = file.suffix.lower() in GLTF_SUFFIXES and color_texture(file, result.source.control) is not None
+    textured = False
+    if file.suffix.lower() in GLTF_SUFFIXES:  # FBX and USD files would be converted once more, which takes seconds
+        from cagemap.files.inner_texture import color_texture  # here, since most matches need no reader of textures
+
+        textured = color_texture(file, result.source.control) is not None
     image = shlex.quote(str(file)) if textured else "IMG"
-    unwrap = "" if has_layout(result.target.control) else " --unwrap"
+    unwrap = "" if result.target.control.has_layout else " --unwrap"
     return f"next: cagemap transfer {folder} --texture {image} -o OUT.png{unwrap}, or cagemap report {folder}"
 
 

@@ -21,6 +21,7 @@ from numpy.typing import DTypeLike, NDArray
 from cagemap.errors import ParameterError
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.point_map import PointMap
+from cagemap.mesh.control_mesh import MIN_UV_AREA
 from cagemap.mesh.udim import udim_of, udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, shown
 from cagemap.numerics.kinds import kinds_checked
@@ -40,8 +41,6 @@ from cagemap.transfer.textured_surface import TexturedSurface
 
 Shade = Callable[[TexelSamples], FloatArray]
 
-# Area in the layout below which a triangle is degenerate: sides of about 1e-6. A texel's side in a 16k image is 6e-5.
-MIN_UV_AREA = 1e-12
 # Texels per band, the work of one thread at a time: about 100 bytes each.
 _BAND_TEXELS = 1 << 18
 # Samples located at a time within a band: 60 bytes each.

@@ -26,8 +26,15 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.subdivision import Refinement, level_triangles
 from cagemap.subdivision.face_varying import interpolate_linearly
-from cagemap.surface.triangles import corner_sums, normalize_rows, triangle_areas, triangle_normals, vertex_normals
-from cagemap.transfer.locate import triangle_frames, walk_from, whole_triangles
+from cagemap.surface.triangles import (
+    corner_sums,
+    normalize_rows,
+    triangle_areas,
+    triangle_frames,
+    triangle_normals,
+    vertex_normals,
+)
+from cagemap.transfer.locate import walk_from, whole_triangles
 
 # About this many vertices of the target sample a shape.
 _SAMPLES = 25_000

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangles import fan_triangles
-from cagemap.transfer.baking import MIN_UV_AREA
 from cagemap.transfer.texels import lay_out, rasterize_band
 from cagemap.transfer.texture import OVERHANG, tile_cells
 
@@ -20,13 +19,6 @@ _ROTATION = np.array([_DIRECTION, _DIRECTION[::-1] * [-1.0, 1.0]]) / _DIRECTION.
 _TEXELS = _RASTER**2 * np.linalg.det(_ROTATION)  # texels in the area of a tile
 # Layouts with more tiles are taken for repeated textures.
 _MAX_TILES = 64
-
-
-def has_layout(control: ControlMesh) -> bool:
-    """Whether the texture coordinates span an area: some exporters write the same ones for all corners."""
-    corners, _ = _uv_triangles(control)
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    return bool((np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) > MIN_UV_AREA).any())
 
 
 def overlapping_share(control: ControlMesh) -> float:

@@ -14,7 +14,7 @@ from cagemap.files.ownership import mark
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.spectral import Surface
-from cagemap.transfer.locate import triangle_frames
+from cagemap.surface.triangles import triangle_frames
 
 _AXES = "xyz"
 
