@@ -15,10 +15,12 @@ from cagemap.errors import FormatError
 from cagemap.files.result.folder import ARRAYS, read_result, write_result
 from cagemap.files.result.manifest import MANIFEST, assurance, file_hash, landmark_messages, mesh_hash, note_transfer
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, WARNING_SIGNS, Confidence
+from cagemap.maps.landmarks.check import DISTANCES, LandmarkCheck, LandmarkSuspect
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult, SpectralMap
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.mesh_report import FileVertex
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.subdivision import CatmullClark, Loop, refine
 
@@ -86,6 +88,23 @@ def test_numbers_have_32_bits_and_those_of_older_folders_64(result: MatchResult,
     np.testing.assert_array_equal(back.triangle, result.triangle)
     np.testing.assert_array_equal(back.source.faces, result.source.faces)
     assert back.triangle.dtype == back.source.faces.dtype == np.int64
+
+
+def test_vertices_of_messages_come_back_and_those_of_older_folders_without_places(
+    result: MatchResult, folder: Path
+) -> None:
+    control = result.source.control
+    suspect = LandmarkSuspect("tail", 1, 0.5, control.file_vertex(4), control.file_vertex(3), DISTANCES)
+    quality = replace(result.quality, landmark_errors=result.quality.landmark_errors[[0, 2]])
+    judged = replace(result, landmark_check=LandmarkCheck((suspect,)), quality=quality)
+    write_result(folder, judged)
+    (back,) = read_result(folder).landmark_check.suspects
+    assert (back.nearest_vertex, back.source_vertex) == (suspect.nearest_vertex, suspect.source_vertex)
+    record = json.loads((folder / MANIFEST).read_text())
+    record["landmark_check"]["suspects"][0] |= {"nearest_vertex": 4, "source_vertex": 3}
+    (folder / MANIFEST).write_text(json.dumps(record))
+    (older,) = read_result(folder).landmark_check.suspects
+    assert (older.nearest_vertex, older.source_vertex) == (FileVertex(4), FileVertex(3))
 
 
 def test_without_a_functional_map_the_folder_is_read(result: MatchResult, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from cagemap.maps.hypotheses.search import cost_floor
 from cagemap.maps.masks import Masks
 from cagemap.mesh import Bilinear
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.mesh_report import FileVertex
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.pipeline import MatchConfig, match, prepare_pair, prepare_surface
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -123,7 +124,7 @@ def test_verdicts_follow_the_costs_of_all_answers() -> None:
     two = Confidence.of((best, other), 3)
     assert (two.verdict, two.deciding) == (TWO, 1)  # the fourth vertex is not one of the control mesh
     assert "vertex 1 decides" in two.message
-    assert "vertex 7 at (0, 2, 0) decides" in replace(two, file_vertex="7 at (0, 2, 0)").message
+    assert "vertex 7 at (0, 2, 0) decides" in replace(two, file_vertex=FileVertex(7, (0.0, 2.0, 0.0))).message
     assert Confidence.of((best, replace(other, cost=1.2e-4)), 3).verdict == LOOK
     assert Confidence.of((best, replace(other, cost=5e-4)), 3).verdict == SURE
     alone = Confidence.of((best,), 3)

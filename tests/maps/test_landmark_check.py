@@ -27,6 +27,7 @@ from cagemap.maps.landmarks.outliers import (
 from cagemap.maps.pair import Pair, no_progress, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.mesh_report import FileVertex
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.topology import handle_count
 from cagemap.pipeline import prepare_pair
@@ -302,7 +303,7 @@ def test_a_suspect_of_a_plain_mesh_names_the_vertex_that_was_given(monkeypatch) 
     problem = Problem.of_landmarks(prepare_pair(surface, surface), Landmarks(names, given, given))
     found = PointMap.from_vertices(surface.finest_triangles, surface.finest_triangles, np.arange(mesh.n_vertices))
     (suspect,) = check.check_on_map(problem, names, found, {2: DISTANCES}, ()).suspects
-    said = mesh.described_vertex(given[2])
+    said = mesh.file_vertex(given[2])
     assert (suspect.name, suspect.source_vertex, suspect.nearest_vertex) == (names[2], said, said)
 
 
@@ -340,11 +341,11 @@ def test_a_wrong_pair_is_named_and_not_followed(pair, followed, misled):
     assert [suspect.name for suspect in found.suspects] == [wrong.names[number]]
     suspect = found.suspects[0]
     assert suspect.evidence == DISTANCES
-    assert suspect.source_vertex == source.control.described_vertex(wrong.source[number])
+    assert suspect.source_vertex == source.control.file_vertex(wrong.source[number])
     assert f"away from source vertex {suspect.source_vertex}, to near vertex {suspect.nearest_vertex}" in str(suspect)
     # The map sends the landmark to about where it belongs, and is nearly the map of the correct pairs.
     places = source.operators.scale * source.refinement.finest.positions
-    assert np.linalg.norm(places[int(suspect.nearest_vertex.split()[0])] - places[landmarks.source[number]]) < 0.15
+    assert np.linalg.norm(places[suspect.nearest_vertex.number] - places[landmarks.source[number]]) < 0.15
     assert suspect.distance > 0.5
     assert found.trusted.names == tuple(np.delete(np.array(wrong.names, dtype=object), number))
     assert found.quality.landmark_errors.max() < 1e-12
@@ -412,7 +413,9 @@ def test_the_question_whose_landmarks_these_are_is_asked_of_maps_that_fold(
 def test_a_suspect_stays_out_only_while_its_pair_is_the_same() -> None:
     names = ("a", "b", "c")
     before = Landmarks(names, np.array([3, 5, 9]), np.array([1, 2, 4]), "t.obj", "s.obj")
-    suspect = LandmarkSuspect("b", 1, 0.2, nearest_vertex="7", source_vertex="2", evidence=DISTANCES)
+    suspect = LandmarkSuspect(
+        "b", 1, 0.2, nearest_vertex=FileVertex(7), source_vertex=FileVertex(2), evidence=DISTANCES
+    )
     judged = LandmarkCheck((suspect,), strains=np.array([0.3, 0.0, 0.1]))
     moved_up = Landmarks(("b", "d", "c"), np.array([5, 3, 9]), np.array([2, 1, 6]), "t.obj", "s.obj")
     assert [s.pair for s in judged.for_changed(before, moved_up).suspects] == [0]

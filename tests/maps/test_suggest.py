@@ -62,7 +62,7 @@ def test_the_command_writes_a_landmark_file(
         main()
     assert not ended.value.code
     new = suggested_landmarks(result, 2).target[-1]  # the map is the identity
-    target, source = (side.control.described_vertex(new) for side in (result.target, result.source))
+    target, source = (side.control.file_vertex(new) for side in (result.target, result.source))
     assert f"suggested 2: target vertex {target}, now on source vertex {source}" in capsys.readouterr().out
     found = read_landmarks(tmp_path / "more.json", "large.obj", "small.obj")[0]
     assert found.names == (*result.landmarks.names, "suggested 1", "suggested 2")

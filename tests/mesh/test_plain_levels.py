@@ -226,7 +226,7 @@ def test_answers_for_a_plain_mesh_are_in_its_own_numbers(scan: Surface) -> None:
     known = Placement(prepared.mesh.positions, 1e-4, name="as the files stand")
     assert len(known.positions) < mesh.n_vertices
     prolonged = prolong_answers(Confidence("sure", (known,), deciding=3), prepared)
-    assert prolonged.file_vertex == mesh.described_vertex(3)
+    assert prolonged.file_vertex == mesh.file_vertex(3)
     told = prolonged.answers[0]
     apart = np.linalg.norm(told.positions - surface.scale * mesh.positions, axis=1)
     assert apart.mean() < 0.01  # rounded by smooth prolongation; of sqrt(area)

@@ -12,7 +12,6 @@ from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.values.part_numbering import FileRows
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, require_valid
-from cagemap.mesh.mesh_report import place_text
 from cagemap.mesh.parts import extract_faces, find_part, join_meshes, numbers_on_part
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.weld import coincident_vertices, weld_mesh, weld_tolerance
@@ -51,9 +50,9 @@ def test_every_file_vertex_is_named_once() -> None:
     np.testing.assert_array_equal(np.sort(named), np.arange(split.n_vertices))
     np.testing.assert_array_equal(welded.vertex_of[welded.mesh.file_copies[:, 1]], welded.mesh.file_copies[:, 0])
     number = int(welded.mesh.file_vertices[-1])
-    said = welded.mesh.described_vertex(welded.mesh.n_vertices - 1)
+    named = welded.mesh.file_vertex(welded.mesh.n_vertices - 1)
     assert number >= welded.mesh.n_vertices
-    assert said == f"{number} at {place_text(split.positions[number])}" != split.described_vertex(number - 1)
+    assert named == split.file_vertex(number) != split.file_vertex(number - 1)
 
 
 def test_surfaces_that_only_touch_stay_apart() -> None:

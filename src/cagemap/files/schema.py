@@ -34,6 +34,13 @@ class SideRecord(Record):
     material_names: list[str]
 
 
+class FileVertexRecord(Record):
+    """A vertex of a file; older results hold its number alone."""
+
+    number: Annotated[int, Field(ge=0)]
+    place: Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
 class SuspectRecord(Record):
     """A landmark pair that was left out."""
 
@@ -41,8 +48,8 @@ class SuspectRecord(Record):
     pair: Annotated[int, Field(ge=0)]
     message: str
     distance: float = 0.0
-    nearest_vertex: str | int = 0  # without coordinates in older results
-    source_vertex: str | int = 0
+    nearest_vertex: FileVertexRecord | int = 0
+    source_vertex: FileVertexRecord | int = 0
     evidence: str = ""
 
 
@@ -68,7 +75,7 @@ class ConfidenceRecord(Record):
     message: str
     signs: dict[str, float] | None = None
     deciding: Annotated[int, Field(ge=0)] | None = None
-    file_vertex: str | int | None = None  # without coordinates in older results
+    file_vertex: FileVertexRecord | int | None = None
     part: str = ""
     readings: Annotated[list[ReadingRecord], Field(min_length=1)]
 

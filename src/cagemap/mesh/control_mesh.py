@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cagemap.errors import ParameterError
-from cagemap.mesh.mesh_report import place_text
+from cagemap.mesh.mesh_report import FileVertex
 from cagemap.mesh.schemes import Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, offsets_of, real_numbers, whole_numbers
 from cagemap.surface.triangles import fan_triangles
@@ -111,10 +111,11 @@ class ControlMesh:
     def __repr__(self) -> str:
         return f"ControlMesh({self.name!r}, {self.n_vertices} vertices, {self.n_faces} faces)"
 
-    def described_vertex(self, vertex: int) -> str:
-        """Number of a vertex in the file, and where it is: programs may number welded vertices otherwise."""
+    def file_vertex(self, vertex: int) -> FileVertex:
+        """A vertex by its number in the file, with its place."""
         number = vertex if self.file_vertices is None else self.file_vertices[vertex]
-        return f"{number} at {place_text(self.positions[vertex])}"
+        x, y, z = self.positions[vertex].tolist()
+        return FileVertex(int(number), (x, y, z))
 
     @classmethod
     def from_faces(cls, positions: object, faces: object, *, name: str = "mesh") -> ControlMesh:

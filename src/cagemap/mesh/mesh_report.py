@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import IndexArray
 
 LISTED = 8
-# Pattern of a vertex in messages, see `ControlMesh.described_vertex`; without coordinates in older results.
+# Pattern of a `FileVertex` in messages.
 VERTEX = r"vertex \d+(?: at \([^)]*\))?"
 # Kinds of problems that `cagemap.mesh.plain.plain_mesh` repairs.
 REPAIRED = frozenset(
@@ -37,9 +37,21 @@ def count_noun(count: int, what: str) -> str:
     return f"{count} {what if count == 1 else plural}"
 
 
-def place_text(place: FloatArray) -> str:
-    """Coordinates (3,) in brackets: "(1, 0.5, -2)"."""
-    return f"({', '.join(f'{x:.4g}' for x in place.tolist())})"
+def place_text(place: Iterable[float]) -> str:
+    """Three coordinates in brackets: "(1, 0.5, -2)"."""
+    return f"({', '.join(f'{x:.4g}' for x in place)})"
+
+
+@dataclass(frozen=True)
+class FileVertex:
+    """A vertex by its number in the file, and where it is, since programs may number vertices otherwise."""
+
+    number: int
+    place: tuple[float, float, float] | None = None  # None in results of older versions
+
+    def __str__(self) -> str:
+        """Number and place for messages: "7 at (0, 2, 0)"."""
+        return f"{self.number}" if self.place is None else f"{self.number} at {place_text(self.place)}"
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ def run_suggest(request: SuggestRequest, stages: Stages) -> Said:
         raise FormatError(f"{output}: expected the name of a landmark file ending in .json. Give such a name.")
     landmarks = suggested_landmarks(result, count)
     write_landmarks(output, _in_files(landmarks, result), force=request.force)
-    target, source = result.target.control.described_vertex, result.source.control.described_vertex
+    target, source = result.target.control.file_vertex, result.source.control.file_vertex
     new = zip(landmarks.names, landmarks.target.tolist(), landmarks.source.tolist(), strict=True)
     lines = [f"  {name}: target vertex {target(a)}, now on source vertex {source(b)}" for name, a, b in [*new][-count:]]
     head = f"{count} more landmarks would tell most here:"

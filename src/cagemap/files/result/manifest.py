@@ -26,6 +26,7 @@ from cagemap.files.ownership import mark
 from cagemap.files.schema import (
     BasisRecord,
     ConfidenceRecord,
+    FileVertexRecord,
     LandmarkCheckRecord,
     QualityRecord,
     ResultRecord,
@@ -40,6 +41,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.mesh.mesh_report import FileVertex
 from cagemap.numerics.arrays import FloatArray
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.config import MAP_BASIS
@@ -226,10 +228,24 @@ def stored_check(record: LandmarkCheckRecord | None, errors: FloatArray) -> Land
     if record is None:
         return LandmarkCheck()
     suspects = tuple(
-        LandmarkSuspect(s.name, s.pair, float(errors[s.pair]), str(s.nearest_vertex), str(s.source_vertex), s.evidence)
+        LandmarkSuspect(
+            s.name,
+            s.pair,
+            float(errors[s.pair]),
+            _file_vertex(s.nearest_vertex),
+            _file_vertex(s.source_vertex),
+            s.evidence,
+        )
         for s in record.suspects
     )
     return LandmarkCheck(suspects, tuple(record.notes))
+
+
+def _file_vertex(record: FileVertexRecord | int) -> FileVertex:
+    if isinstance(record, int):
+        return FileVertex(record)
+    x, y, z = record.place
+    return FileVertex(record.number, (x, y, z))
 
 
 def stored_quality(
@@ -264,7 +280,7 @@ def stored_confidence(
     )
     doubtful = record.verdict == SURE and (record.signs is None or describe_signs(record.signs))
     verdict = LOOK if doubtful else record.verdict
-    vertex = "" if record.file_vertex is None else str(record.file_vertex)
+    vertex = None if record.file_vertex is None else _file_vertex(record.file_vertex)
     return Confidence(verdict, answers, record.signs or {}, record.deciding, vertex, record.part)
 
 

@@ -6,7 +6,7 @@ Signs are measured without ground truth; each has a bound (`WARNING_SIGNS`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from cagemap.maps.hypotheses.rigid_starts import rigid_starts
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import distortion, stretches, weighted_percentiles
-from cagemap.mesh.mesh_report import place_text
+from cagemap.mesh.mesh_report import FileVertex, place_text
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, thread_limit
 from cagemap.surface.closest_points import closest_points
@@ -90,7 +90,7 @@ class Confidence:
     answers: tuple[Placement, ...]
     signs: Mapping[str, float] = field(default_factory=dict)  #: measured values of `WARNING_SIGNS`
     deciding: int | None = None  #: control vertex of the target where a landmark would decide
-    file_vertex: str = ""  #: its number in the target's file and its coordinates, see `ControlMesh.described_vertex`
+    file_vertex: FileVertex | None = None  #: this vertex in the target's file
     part: str = ""  #: name of the part, if a result has several
 
     @classmethod
@@ -153,7 +153,7 @@ class Confidence:
             ],
             "signs": dict(self.signs),
             "deciding": self.deciding,
-            "file_vertex": self.file_vertex,
+            "file_vertex": None if self.file_vertex is None else asdict(self.file_vertex),
             "part": self.part,
         }
 
@@ -205,7 +205,7 @@ def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidenc
     """Prolong answers to all vertices of a plain target; describe the deciding vertex."""
     target = prepared.target
     if confidence.deciding is not None:
-        confidence = replace(confidence, file_vertex=target.control.described_vertex(confidence.deciding))
+        confidence = replace(confidence, file_vertex=target.control.file_vertex(confidence.deciding))
     if not target.refinement.is_plain:
         return confidence
 

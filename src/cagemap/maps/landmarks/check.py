@@ -35,6 +35,7 @@ from cagemap.maps.quality import landmark_errors
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import face_areas
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.mesh_report import FileVertex
 from cagemap.mesh.topology import handle_count, label_cells
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -73,8 +74,8 @@ class LandmarkSuspect:
     name: str
     pair: int  # its index among the landmarks given
     distance: float  # distance of the map's image from the given source vertex, of sqrt(area)
-    nearest_vertex: str  # source control vertex nearest to the map's image, see `ControlMesh.described_vertex`
-    source_vertex: str  # source control vertex that was given
+    nearest_vertex: FileVertex  # source control vertex nearest to the map's image
+    source_vertex: FileVertex  # source control vertex that was given
     evidence: str  # "distances": to the other landmarks; "sides": the orientation of the others around it
 
     def __str__(self) -> str:
@@ -271,8 +272,8 @@ def _suspect(problem: Problem, found: PointMap, names: Sequence[str], pair: int,
     at_vertex, near = points.vertices, near_vertices(points, problem.prepared.source)
     given = int(np.where(at_vertex < 0, near, at_vertex)[pair])  # near vertices differ on a plain mesh's finest level
     distance, nearest = landmark_miss(problem, found, pair)
-    described = problem.prepared.source.control.described_vertex
-    return LandmarkSuspect(names[pair], pair, distance, described(nearest), described(given), evidence)
+    in_file = problem.prepared.source.control.file_vertex
+    return LandmarkSuspect(names[pair], pair, distance, in_file(nearest), in_file(given), evidence)
 
 
 def landmark_miss(problem: Problem, point_map: PointMap, landmark: int) -> tuple[float, int]:
