@@ -10,7 +10,7 @@ from examples.shapes import creature
 
 from cagemap.deform import multi_start, refit
 from cagemap.deform.config import RefitConfig, SearchConfig, StartConfig
-from cagemap.deform.energy import ElasticEnergy
+from cagemap.deform.energy import ElasticEnergy, bounded_maps
 from cagemap.deform.fit import coarse_fit, fine_fit
 from cagemap.deform.graph import mesh_graph
 from cagemap.deform.multi_start import fit_from_two_starts
@@ -41,7 +41,7 @@ def energy() -> ElasticEnergy:
     """A creature of 380 vertices."""
     refinement = refine(creature(), 1)
     mesh = TriangleSurface.from_faces(refinement.finest.positions, level_triangles(refinement, 1))
-    return ElasticEnergy.build(mesh_graph(mesh, mesh.triangles), 1e-4)
+    return ElasticEnergy.build(mesh_graph(mesh, mesh.triangles), 1e-4, bounded_maps)
 
 
 def lengths(energy: ElasticEnergy, positions: np.ndarray) -> np.ndarray:

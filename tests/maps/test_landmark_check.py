@@ -9,10 +9,10 @@ import pytest
 from examples.shapes import torus, voxels
 
 from cagemap import BasisConfig, Landmarks, MatchResult, Surface, match, prepare_surface, update_match
-from cagemap.deform.config import LandmarkConfig
+from cagemap.deform.config import ElasticConfig, GraphConfig, LandmarkConfig
 from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.deform.placement import Placement
-from cagemap.deform.problem import Problem, level_graph
+from cagemap.deform.problem import PreparedPair, Problem, level_graph
 from cagemap.example import example_pair
 from cagemap.files.result.manifest import landmark_messages
 from cagemap.maps.hypotheses.confidence import TWO
@@ -290,6 +290,19 @@ def test_a_pair_that_strains_is_kept_and_named(pair):
     assert len(found.landmark_check.strains) == len(landmarks)
     assert int(np.argmax(found.landmark_check.strains)) == i
     assert any("knee_L" in note and "kept" in note for note in found.landmark_check.notes)
+
+
+def test_strain_is_measured_on_clusters_of_the_users_graph(pair):
+    surface, _, landmarks = pair
+    moved = landmarks.target.copy()
+    moved[3] = np.flatnonzero(np.isin(np.arange(surface.control.n_vertices), landmarks.target, invert=True))[0]
+    found = PointMap.from_vertices(*[surface.finest_triangles] * 2, np.arange(len(surface.vertices)))
+    strains = []
+    for graph in (GraphConfig(), GraphConfig(joining_rounds=0)):
+        prepared = PreparedPair.build(surface, surface, elastic=ElasticConfig(graph=graph))
+        problem = Problem.of_landmarks(prepared, Landmarks(landmarks.names, landmarks.target, moved))
+        strains.append(check.check_on_map(problem, landmarks.names, found, {}, ()).strains)
+    assert not np.allclose(*strains)
 
 
 @pytest.mark.slow

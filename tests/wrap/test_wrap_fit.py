@@ -11,6 +11,7 @@ import pytest
 from examples.shapes import torus
 from test_wrap import dented, ring_and_ball, same_vertices, surface_of
 
+from cagemap.deform.config import GraphConfig
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.obj import read_obj
 from cagemap.maps.point_map import PointMap
@@ -36,6 +37,14 @@ def net_of(target: Refinement, point_map: PointMap) -> tuple[ControlNet, Samples
     """The net of the target's cage, all of which follows the map."""
     net = control_net(target, 0, point_map.target.scale)
     return net, samples_of(net, point_map.images)
+
+
+def test_the_net_has_the_users_graph() -> None:
+    weights = [
+        control_net(refine(torus(12, 8), 1), 0, 1.0, WrapConfig(graph=GraphConfig(min_weight=least))).graph.weights
+        for least in (1e-2, 1.0)
+    ]
+    assert not np.allclose(*weights)
 
 
 @pytest.mark.slow

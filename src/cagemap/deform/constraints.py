@@ -82,20 +82,6 @@ class CurveConstraint:
         return CurveConstraint(CagePoints.of_vertices(vertices[rows]), rest, self.source)
 
 
-def add_curves(
-    curves: Sequence[CurveConstraint],
-    blocks: FloatArray,
-    right: FloatArray,
-    positions: FloatArray,
-    config: ElasticConfig,
-) -> None:
-    """Add the terms of curves to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
-    weight = config.curve_weight
-    for curve in curves:
-        terms, forces = curve.terms(positions)
-        add_to_corners(curve.anchors, weight * terms, weight * forces, blocks, right, positions)
-
-
 def constrained_clusters(
     curves: Sequence[CurveConstraint], constrained: IndexArray, vertices: int, config: DataConfig
 ) -> tuple[IndexArray, tuple[CurveConstraint, ...]]:
@@ -122,8 +108,14 @@ class PlacementConstraints:
 
     def add(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
         """Add the terms of curves and points to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
-        add_curves(self.curves, blocks, right, positions, config)
+        self.add_curves(blocks, right, positions, config)
         self.add_points(blocks, right, positions, config)
+
+    def add_curves(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
+        """Add the terms of curves alone."""
+        for curve in self.curves:
+            terms, forces = (config.curve_weight * part for part in curve.terms(positions))
+            add_to_corners(curve.anchors, terms, forces, blocks, right, positions)
 
     def add_points(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
         """Add the terms of points alone.

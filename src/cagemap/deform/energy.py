@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy import sparse
@@ -75,13 +76,13 @@ class ElasticEnergy:
     admissible: Admissible  # what differentials are restricted to: `bounded_maps`, `rotations` or `any_map`
 
     @classmethod
-    def build(cls, graph: ElasticGraph, smoothing: float, admissible: Admissible | None = None) -> ElasticEnergy:
-        """Factor the (3 n, 3 n) matrix once for all iterations; by default maps are bounded."""
+    def build(cls, graph: ElasticGraph, smoothing: float, admissible: Admissible) -> ElasticEnergy:
+        """Factor the (3 n, 3 n) matrix once for all iterations."""
         edges = graph.edges
         outer = graph.weights[:, None, None] * edges[:, :, None] * edges[:, None, :]
         blocks = grouped_sums(graph.heads, outer.reshape(-1, 9), graph.n).reshape(-1, 3, 3)
         blocks += RIDGE * float(np.einsum("naa->n", blocks).mean()) * np.eye(3)
-        return cls(graph, factor(graph.block_matrix(smoothing, blocks)), admissible or bounded_maps)
+        return cls(graph, factor(graph.block_matrix(smoothing, blocks)), admissible)
 
     def maps(self, positions: FloatArray) -> FloatArray:
         """(n, 3, 3) maps A for positions x (n, 3): ``(G + epsilon L) a = c``, before they are restricted."""
@@ -91,6 +92,11 @@ class ElasticEnergy:
     def differentials(self, positions: FloatArray) -> tuple[FloatArray, IndexArray]:
         """(n, 3, 3) admissible maps for positions x (n, 3), and which of them were bounded."""
         return self.admissible(self.maps(positions), self.graph.normals)
+
+
+def bounded_energy(graph: ElasticGraph, smoothing: float, config: GraphConfig) -> ElasticEnergy:
+    """Elastic energy of a graph whose differentials are bounded, see `bounded_maps`."""
+    return ElasticEnergy.build(graph, smoothing, partial(bounded_maps, config=config))
 
 
 @dataclass(frozen=True, eq=False)

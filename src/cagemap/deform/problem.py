@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig, GraphConfig, Stage, StartConfig
 from cagemap.deform.constraints import CurveConstraint, PlacementConstraints, constrained_clusters, points_on_level
 from cagemap.deform.data import SourceSamples
-from cagemap.deform.energy import NO_VERTICES, ElasticEnergy, bounded_maps
+from cagemap.deform.energy import NO_VERTICES, ElasticEnergy, bounded_energy
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
 from cagemap.errors import ParameterError
 from cagemap.maps.coincidence import Coincidence
@@ -94,7 +93,9 @@ class PreparedPair:
         fitted = fitted_surface(source, elastic)
         with ThreadPool(1) as pool:
             trees = pool.submit(lambda: (fitted.tree, source.finest_triangles.tree))
-            energy = bounded_energy(level_graph(target, levels[0], elastic.graph), elastic.fine.smoothing, elastic)
+            energy = bounded_energy(
+                level_graph(target, levels[0], elastic.graph), elastic.fine.smoothing, elastic.graph
+            )
             trees.result()
         return cls(target, source, start, elastic, levels, energy, fitted, masks)
 
@@ -159,7 +160,7 @@ class PreparedPair:
     def reverse_pair(self) -> PreparedPair:
         """The pair with target and source exchanged, on the same levels; built on first access."""
         elastic = self.elastic
-        energy = bounded_energy(self.graphs[1], elastic.fine.smoothing, elastic)
+        energy = bounded_energy(self.graphs[1], elastic.fine.smoothing, elastic.graph)
         levels, fitted = self.levels[::-1], fitted_surface(self.target, elastic)
         return PreparedPair(
             self.source, self.target, self.start, elastic, levels, energy, fitted, self.masks.reversed()
@@ -167,11 +168,6 @@ class PreparedPair:
 
     def __repr__(self) -> str:
         return f"PreparedPair({self.target} -> {self.source})"
-
-
-def bounded_energy(graph: ElasticGraph, smoothing: float, config: ElasticConfig) -> ElasticEnergy:
-    """Elastic energy of a graph whose differentials are bounded, see `bounded_maps`."""
-    return ElasticEnergy.build(graph, smoothing, partial(bounded_maps, config=config.graph))
 
 
 def fitted_surface(source: Surface, config: ElasticConfig) -> TriangleSurface:
@@ -224,7 +220,7 @@ class Problem:
         places = prepared.source.triangles(prepared.levels[1]).positions[tips[1]]
         every, curves = constrained_clusters(self.constraints.curves, on_target, count, config.data)
         coarse, chosen = cluster_graph(prepared.energy.graph, count, every, config.graph)
-        energy, masks = bounded_energy(coarse, stage.smoothing, config), prepared.level_masks.at(chosen)
+        energy, masks = bounded_energy(coarse, stage.smoothing, config.graph), prepared.level_masks.at(chosen)
         anchors = CagePoints.of_vertices(np.arange(len(on_target)))
         constraints = PlacementConstraints(anchors, np.vstack([landmarks.source.positions, places]), curves)
         return Clusters(energy, masks, chosen, constraints, (on_target, on_source), stage)

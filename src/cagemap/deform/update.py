@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig
-from cagemap.deform.constraints import add_curves
 from cagemap.deform.energy import ElasticEnergy, any_map, minimise_constant
 from cagemap.deform.graph import ElasticGraph, extrapolate
 from cagemap.deform.problem import Problem
@@ -56,7 +55,7 @@ def linear_update(problem: Problem, before: PointMap) -> FloatArray:
     normals = vertex_normals(positions, prepared.mesh.triangles)[vertices]
     offsets = landmarks.source.positions - landmarks.target.interpolate(before.images.positions)
     blocks, right = np.zeros((coarse.n, 3, 3)), np.zeros((coarse.n, 3))
-    add_curves(clusters.constraints.curves, blocks, right, positions[vertices], config)
+    clusters.constraints.add_curves(blocks, right, positions[vertices], config)
     terms = blocks, right - np.einsum("nab,nb->na", blocks, positions[vertices])
     response = displacement_response(coarse, normals, np.arange(len(offsets)), offsets, config, terms)
     return positions + extrapolate(coarse, *response, prepared.energy.graph, config.graph)

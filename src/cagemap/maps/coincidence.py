@@ -21,7 +21,7 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.spectral import Surface
 from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.subdivision.face_varying import interpolate_linearly
-from cagemap.surface.alignment import PrincipalFrame, fit_similarity
+from cagemap.surface.alignment import fit_similarity, principal_frame, rotations_onto
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.surface_points import SurfacePoints, nearest_facing
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -117,15 +117,17 @@ def aligning_motions(target: TriangleSurface, source: TriangleSurface, config: C
     An empty list if the moments differ, or if two axes are equally long: the frames then allow any rotation about the
     third.
     """
-    own, other = (PrincipalFrame.of(side.positions / side.scale, side.vertex_areas) for side in (target, source))
-    scale = float(np.linalg.norm(other.deviations) / np.linalg.norm(own.deviations))
-    changes, lengths = np.abs(scale * own.deviations - other.deviations), other.deviations
+    frames = (principal_frame(side.positions / side.scale, side.vertex_areas) for side in (target, source))
+    (centre, axes, deviations), (source_centre, source_axes, lengths) = frames
+    scale = float(np.linalg.norm(lengths) / np.linalg.norm(deviations))
+    changes = np.abs(scale * deviations - lengths)
     if (changes > config.max_moment_change * np.maximum(lengths, SAME * lengths[0])).any():  # the last is 0 of a sheet
         return []
     if (lengths[:2] < config.min_axis_ratio * lengths[1:]).any():
         return []
     starts = [
-        Motion(rotation, scale, other.centre - scale * rotation @ own.centre) for rotation in own.rotations_onto(other)
+        Motion(rotation, scale, source_centre - scale * rotation @ centre)
+        for rotation in rotations_onto(axes, source_axes)
     ]
     return [_settled(start, target, source, config) for start in starts]
 

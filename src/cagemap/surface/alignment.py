@@ -2,36 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from cagemap.numerics.arrays import FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class PrincipalFrame:
+def principal_frame(points: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Centre (3,) of weighted points, right-handed axes (3, 3) in columns, longest first, and deviations (3,)."""
+    shares = weights / weights.sum()
+    centre = shares @ points
+    away = points - centre
+    variances, axes = np.linalg.eigh((shares[:, None] * away).T @ away)
+    axes = axes[:, ::-1]
+    axes[:, 2] *= np.sign(np.linalg.det(axes)) or 1.0
+    return centre, axes, np.sqrt(np.maximum(variances[::-1], 0.0))
 
-    centre: FloatArray
-    axes: FloatArray
-    deviations: FloatArray
 
-    @classmethod
-    def of(cls, points: FloatArray, weights: FloatArray) -> PrincipalFrame:
-        """Frame of points (k, 3) with weights (k,)."""
-        shares = weights / weights.sum()
-        centre = shares @ points
-        away = points - centre
-        variances, axes = np.linalg.eigh((shares[:, None] * away).T @ away)
-        axes = axes[:, ::-1]
-        axes[:, 2] *= np.sign(np.linalg.det(axes)) or 1.0
-        return cls(centre, axes, np.sqrt(np.maximum(variances[::-1], 0.0)))
-
-    def rotations_onto(self, other: PrincipalFrame) -> list[FloatArray]:
-        """The four rotations (3, 3) that bring the axes onto another frame's: axes have no sign."""
-        signs = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
-        return [other.axes @ (self.axes * [first, second, first * second]).T for first, second in signs]
+def rotations_onto(axes: FloatArray, others: FloatArray) -> list[FloatArray]:
+    """The four rotations (3, 3) that bring the axes of a frame onto another's: axes have no sign."""
+    signs = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
+    return [others @ (axes * [first, second, first * second]).T for first, second in signs]
 
 
 def fit_similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, float, FloatArray]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cagemap.deform.config import GraphConfig
 from cagemap.errors import ParameterError
 
 
@@ -67,6 +68,7 @@ class WrapConfig:
     overlap_distance: float = 0.01
     min_area: float = 0.002  #: share of the target's area below which such a part is ignored
     min_follow: float = 0.5  #: weight below which a vertex has no counterpart, and its distance is no error
+    graph: GraphConfig = GraphConfig()
     mending: MendConfig = MendConfig()
 
     def __post_init__(self) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cagemap.deform.config import Stage
+from cagemap.deform.config import GraphConfig, Stage
 from cagemap.deform.energy import Admissible, ElasticEnergy, bounded_maps
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.minimise import Differentials, minimise
@@ -50,7 +50,7 @@ def fit_net(net: ControlNet, samples: Samples, config: WrapConfig, adjust: Adjus
     detached = np.concatenate([free[:0], *pieces])
     attached = np.setdiff1d(np.arange(net.graph.n), detached)
     terms = NetTerms.build(net.graph, samples, config, attached if pieces else None)
-    energy = replace(net.energy, admissible=similar_at(free))
+    energy = replace(net.energy, admissible=similar_at(free, config.graph))
     positions = terms.start(energy)
     moving, stiffness = np.setdiff1d(free, detached), np.ones(net.graph.n)
     positions = moved_locally(
@@ -125,11 +125,11 @@ def run_rounds(
     return minimise(graph, differentials, terms.at, positions, stage, adjust)
 
 
-def similar_at(points: IndexArray) -> Admissible:
+def similar_at(points: IndexArray, config: GraphConfig) -> Admissible:
     """Restriction of differentials: bounded, and similarities (rotation and scale) at points (k,)."""
 
     def admissible(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexArray]:
-        maps, bounded = bounded_maps(maps, normals)
+        maps, bounded = bounded_maps(maps, normals, config)
         if len(points):
             maps, near = maps.copy(), maps[points]
             size = np.cbrt(np.abs(np.linalg.det(near)))
@@ -164,7 +164,7 @@ def moved_locally(
     moves[moving] = 1.0
     seen = np.flatnonzero((samples.rows @ moves > 0) & (samples.weights > 0))
     terms = NetTerms.build(graph, samples.of_part(seen, part), config, np.searchsorted(part, moving))
-    admissible = similar_at(np.searchsorted(part, np.intersect1d(part, similar)))
+    admissible = similar_at(np.searchsorted(part, np.intersect1d(part, similar)), config.graph)
     if fixed:
         maps = admissible(net.energy.maps(positions)[part], graph.normals)
         changed = run_rounds(graph, lambda _: maps, terms, positions[part], rounds)

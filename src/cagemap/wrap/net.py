@@ -22,7 +22,7 @@ from scipy.sparse import linalg
 from scipy.spatial import cKDTree
 
 from cagemap.deform.config import Stage
-from cagemap.deform.energy import ElasticEnergy
+from cagemap.deform.energy import ElasticEnergy, bounded_energy
 from cagemap.deform.graph import ElasticGraph, mesh_graph
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
@@ -73,12 +73,12 @@ def control_net(refinement: Refinement, level: int, scale: float, config: WrapCo
     """Prepare a level of the target for fitting."""
     mesh = level_mesh(refinement, level)
     net = TriangleSurface(scale * mesh.positions, level_triangles(refinement, level), scale)
-    graph = mesh_graph(net, refinement.faces(level))
+    graph = mesh_graph(net, refinement.faces(level), config.graph)
     lengths2 = np.einsum("ed,ed->e", graph.edges, graph.edges)
     graph = replace(
         graph, weights=graph.weights * (lengths2 / lengths2.mean()) ** config.weight_power * lengths2.mean()
     )
-    energy = ElasticEnergy.build(graph, config.smoothing)
+    energy = bounded_energy(graph, config.smoothing, config.graph)
     finest = refinement.finest
     steps = refinement.finest_level - level
     face = finest.face_parents if level == 0 else np.arange(finest.n_faces) // 4**steps

@@ -16,7 +16,7 @@ from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair
 from cagemap.deform.refit import common_rotation
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
-from cagemap.surface.alignment import PrincipalFrame
+from cagemap.surface.alignment import principal_frame, rotations_onto
 from cagemap.surface.triangle_surface import TriangleSurface
 
 AS_FILED = "as the files stand"
@@ -74,8 +74,10 @@ def rigid_starts(points: FloatArray, areas: FloatArray, source: TriangleSurface)
     for matrix in axis_rotations():
         turned = points @ matrix.T
         starts += [Placement(_fit_to_box(turned, source.positions, stretched)) for stretched in (False, True)]
-    own, other = PrincipalFrame.of(points, areas), PrincipalFrame.of(source.positions, source.vertex_areas)
-    starts += [Placement((points - own.centre) @ rotation.T + other.centre) for rotation in own.rotations_onto(other)]
+    centre, axes, _ = principal_frame(points, areas)
+    source_centre, source_axes, _ = principal_frame(source.positions, source.vertex_areas)
+    for rotation in rotations_onto(axes, source_axes):
+        starts.append(Placement((points - centre) @ rotation.T + source_centre))
     return starts
 
 

@@ -159,7 +159,7 @@ def check_on_map(
     trusted, kept = problem.without(outliers), np.setdiff1d(np.arange(count), list(outliers))
     images, places = point_map.images.at(problem.prepared.vertices), trusted.landmarks.source.positions
     graph, vertices = problem.prepared.energy.graph, trusted.landmark_vertices[0]
-    energy = reduced_energy(graph, images.positions, images.normals, vertices, config)
+    energy = reduced_energy(graph, images.positions, images.normals, vertices, problem.prepared.elastic)
     strains = np.zeros(count)
     strains[kept] = np.linalg.norm(energy.released(places, np.arange(len(kept))), axis=1)
     strained, strain_notes = strained_pair(energy, places, config), list[str]()

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from cagemap.deform.config import LandmarkConfig
+from cagemap.deform.config import ElasticConfig, LandmarkConfig
 from cagemap.deform.energy import energy_matrix
 from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -90,19 +90,22 @@ def reduced_energy(
     images: FloatArray,
     normals: FloatArray,
     landmarks: IndexArray,
-    config: LandmarkConfig = LandmarkConfig(),
+    config: ElasticConfig = ElasticConfig(),
 ) -> ReducedEnergy:
     """Reduced energy of landmarks (p,) at images (n, 3) with the source's normals (n, 3) there."""
-    coarse, vertices = cluster_graph(graph, config.strain_vertices, landmarks)
+    numbers = config.landmarks
+    coarse, vertices = cluster_graph(graph, numbers.strain_vertices, landmarks, config.graph)
     plane = normals[vertices]
     blocks = coarse.areas[:, None, None] * plane[:, :, None] * plane[:, None, :]
-    blocks = blocks + config.strain_ridge / coarse.n * np.eye(3)
+    blocks = blocks + numbers.strain_ridge / coarse.n * np.eye(3)
     data = sparse.bsr_array((blocks, np.arange(coarse.n), np.arange(coarse.n + 1))).tocoo()
     # Unknown 12 i + c is coordinate c of x_i, 12 i + 3 + 3 b + c is A_i[c, b].
     size = 12 * coarse.n
     at_row, at_column = (_spread(side.astype(np.int64)) for side in data.coords)
     placed = sparse.coo_array((data.data, (at_row, at_column)), shape=(size, size))
-    elastic = sparse.kron(config.strain_stiffness * energy_matrix(coarse, config.strain_smoothing), sparse.eye_array(3))
+    elastic = sparse.kron(
+        numbers.strain_stiffness * energy_matrix(coarse, numbers.strain_smoothing), sparse.eye_array(3)
+    )
     right = np.zeros(size)
     right[_spread(np.arange(3 * coarse.n))] = np.einsum("nab,nb->na", blocks, images[vertices]).ravel()
     unknowns = _spread(np.arange(3 * len(landmarks)))  # the landmarks are the first clusters
