@@ -83,9 +83,11 @@ def test_the_largest_part_is_open_and_the_others_are_offered(folder: Path) -> No
     assert model.part_choices.titles == ("object:body", "object:eye", "object:hat")
     assert len(model.part_choices.faces) == 3
     assert not model.part_choices.whole
+    assert any("only object:body is matched" in note for note in model.notes)
     assert model.control.n_faces == creature().n_faces
     eye = open_model(folder / "a.obj", None, None, 300, "eye")
     assert (eye.part_choices.opened, eye.control.n_faces) == ("object:eye", 6)
+    assert eye.notes == ()
     # Its numbers are those of the file.
     np.testing.assert_allclose(
         eye.shape.file_mesh.positions[eye.shape.to_file_vertices(np.arange(8))], 0.1 * cube().positions

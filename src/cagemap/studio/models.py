@@ -41,6 +41,9 @@ PREVIEW_TEXTURE_SIZE = 1024
 # Triangle meshes of at least so many faces may be scans.
 MIN_SCAN_FACES = 20_000
 NO_SCHEME = "none"
+_PART_NOTE = (
+    "{file} has several parts: only {part} is matched, the others are grey. To choose another, press Open…, Part"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +157,9 @@ def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, pa
     welded = unrepaired(file_mesh) if tolerance is None else weld_mesh(file_mesh, tolerance)
     model = _open_welded(welded, file_mesh, scheme, part, vertices, rotation)
     weld = None if tolerance is None else f"{tolerance:g}"
-    return replace(model, notes=(*welded.notes, *model.notes), weld=weld, path=path)
+    opened = model.part_choices.opened
+    partial = () if part is not None or opened is None else (_PART_NOTE.format(file=path.name, part=opened),)
+    return replace(model, notes=(*welded.notes, *model.notes, *partial), weld=weld, path=path)
 
 
 def converted_model(path: Path, folder: Path) -> tuple[Path, tuple[str, ...]]:

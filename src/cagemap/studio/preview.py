@@ -128,8 +128,8 @@ class Preview:
             not_run.discard(type(task))
             if self._closed:
                 return
-            self._on_job(None)
             self._on_result(task, result)
+            self._on_job(None)  # afterwards: the page never shows the last state as the result
 
     def _next_task(self) -> Task | None:
         """Wait for a request: models first, images last."""

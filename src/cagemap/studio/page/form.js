@@ -1,5 +1,6 @@
 // The form of a bake, made of what the server says of its options.
 const SEPARATOR = ', ';
+const PLACEHOLDERS = {files: 'file, …', 'named files': 'name=file, …', 'name or file': 'name or file'};
 const fileFields = [];  // selects of files and the endings that they take
 
 export function element(name, properties = {}, ...children) {
@@ -75,7 +76,7 @@ function field({kind, label, value, choices, usual, suffixes, least, most, step}
       return [select, () => select.value];
     }
     case 'files': case 'named files': case 'name or file': {
-      const text = element('input', {value: value ?? ''}), select = files(suffixes, '… choose');
+      const text = element('input', {value: value ?? '', placeholder: PLACEHOLDERS[kind]}), select = files(suffixes, 'choose a file…');
       select.setAttribute('aria-label', `${label}: choose a file`);
       select.addEventListener('change', () => {
         const one = kind === 'named files' ? `${lastWord(select.value)}=${select.value}` : select.value;

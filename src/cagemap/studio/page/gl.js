@@ -33,13 +33,19 @@ export const FRAGMENT = `
 export const LINES = [`attribute vec3 plain; varying vec3 vPlain;
   void main() { vPlain = plain; gl_Position = projectionMatrix * (viewMatrix * vec4(position, 1.0) + vec4(0.0, 0.0, 0.004, 0.0)); }`,
   'varying vec3 vPlain; void main() { gl_FragColor = vec4(vPlain, 1.0); }'];
-// Marks whose surface looks away are not drawn.
+// Depths of the models alone.
+export const DEPTHS = [`attribute vec3 place; uniform float morph;
+  void main() { gl_Position = projectionMatrix * viewMatrix * vec4(mix(position, place, morph), 1.0); }`,
+  'void main() { gl_FragColor = vec4(1.0); }'];
+// Marks are drawn whole, or not at all: where their surface looks away, or a model is in front of their place.
 export const MARKS = [`attribute vec3 place, placeNormal; attribute vec2 cell; uniform float morph, size; varying vec2 vCell;
+  uniform highp sampler2D depths;
   void main() {
     vec3 p = mix(position, place, morph), n = mix(normal, placeNormal, morph);
-    vCell = cell; gl_PointSize = dot(n, normalize(cameraPosition - p)) < -0.4 ? 0.0 : size;
-    gl_Position = projectionMatrix * (viewMatrix * vec4(p, 1.0) + vec4(0.0, 0.0, 0.05, 0.0));
-    if (gl_PointSize == 0.0) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+    vec4 at = projectionMatrix * (viewMatrix * vec4(p, 1.0) + vec4(0.0, 0.0, 0.05, 0.0));
+    vec3 seen = 0.5 + 0.5 * at.xyz / at.w;
+    bool hidden = dot(n, normalize(cameraPosition - p)) < -0.4 || texture2D(depths, seen.xy).r < seen.z;
+    vCell = cell; gl_PointSize = size; gl_Position = hidden ? vec4(2.0, 2.0, 2.0, 1.0) : at;
   }`,
   `uniform sampler2D atlas; uniform float cells; varying vec2 vCell;
   void main() {

@@ -83,8 +83,9 @@ function showViews() {
   fill($('mode'), modes.map(one => [one, one[0].toUpperCase() + one.slice(1)]), view.mode);
   fill($('other'), [['', '–'], ...modes.map(one => [one, one[0].toUpperCase() + one.slice(1)])], $('other').value);
   for (const side of SIDES) {
-    const head = $(side).querySelector('h2'), name = models?.[side].name ?? '';
-    head.replaceChildren(side === 'target' ? 'Target ' : 'Source ', element('b', {textContent: name}));
+    const head = $(side).querySelector('h2'), {name = '', opened, parts = []} = models?.[side] ?? {};
+    const part = opened ? `, ${opened} (1 of ${parts.length} parts)` : '';
+    head.replaceChildren(side === 'target' ? 'Target ' : 'Source ', element('b', {textContent: name}), part);
     for (const kind of ['skin', 'curves', ...(view.cages ? ['cage'] : [])]) {
       const key = drawn[`${side}/${kind}`];
       if (key) views.load(side, kind, key);

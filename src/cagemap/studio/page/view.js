@@ -1,5 +1,5 @@
 // Both models in one canvas: looks, comparison, overlay, marks, clicks, drags and cameras.
-import {FRAGMENT, LINES, MARKS, parsed, texture, VERTEX} from './gl.js';
+import {DEPTHS, FRAGMENT, LINES, MARKS, parsed, texture, VERTEX} from './gl.js';
 
 const SIDES = ['target', 'source'];
 const LOOKS = {texture: 0, colours: 1, checker: 2, plain: 3, baked: 4};
@@ -26,6 +26,8 @@ export class Views {
       linked: true, rest: true, pose: ''};
     this.fit = Math.hypot(...FIRST);
     this.blank = texture(new ImageData(1, 1), true);
+    this.depths = new THREE.WebGLRenderTarget(1, 1, {depthTexture: new THREE.DepthTexture(1, 1)});
+    this.depthsOnly = new THREE.ShaderMaterial({vertexShader: DEPTHS[0], fragmentShader: DEPTHS[1], uniforms: {morph: {value: 0}}});
     this.sides = Object.fromEntries(SIDES.map(name => [name, this.side(name, root.querySelector(`#${name}`))]));
     new ResizeObserver(() => this.resize()).observe(root);
     this.resize();
@@ -142,8 +144,10 @@ export class Views {
       for (const [name, of, from] of [['position', 'at', 0], ['normal', 'at', 3], ['place', 'place', 0], ['placeNormal', 'place', 3]])
         geometry.setAttribute(name, values(marks.map(mark => (mark[of] ?? mark.at).slice(from, from + 3)), 3));
       geometry.setAttribute('cell', values(marks.map((_, i) => [i % cells, Math.floor(i / cells)]), 2));
-      const uniforms = {atlas: {value: texture(paper, true)}, cells: {value: cells}, size: {value: cell}, morph: {value: 0}};
-      const material = new THREE.ShaderMaterial({vertexShader: MARKS[0], fragmentShader: MARKS[1], uniforms, transparent: true});
+      const uniforms = {atlas: {value: texture(paper, true)}, cells: {value: cells}, size: {value: cell}, morph: {value: 0},
+        depths: {value: this.depths.depthTexture}};
+      const material = new THREE.ShaderMaterial({vertexShader: MARKS[0], fragmentShader: MARKS[1], uniforms, transparent: true,
+        depthTest: false, depthWrite: false});
       side.points = new THREE.Points(geometry, material);
       side.points.frustumCulled = false;
       side.points.renderOrder = 2;
@@ -265,6 +269,7 @@ export class Views {
       this.renderer.setScissor(...at);
       this.renderer.clear();
       this.prepare(side, at, 1);
+      if (side.points) this.measureDepths(side, at);
       this.renderer.render(side.world, side.camera);
       if (side.name === 'target' && this.shown.overlay) {
         this.prepare(this.sides.source, at, 0.45);
@@ -275,6 +280,21 @@ export class Views {
       }
     }
     this.frames = (this.frames ?? 0) + 1;
+  }
+
+  // Depths of a side's models, at half the resolution: they decide which marks are drawn.
+  measureDepths(side, [, , w, h]) {
+    const {world, camera, points} = side;
+    this.depths.setSize(Math.max(1, Math.round(w / 2)), Math.max(1, Math.round(h / 2)));
+    world.overrideMaterial = this.depthsOnly;
+    this.depthsOnly.uniforms.morph.value = points.material.uniforms.morph.value;
+    points.visible = false;
+    this.renderer.setRenderTarget(this.depths);
+    this.renderer.clear();
+    this.renderer.render(world, camera);
+    this.renderer.setRenderTarget(null);
+    points.visible = true;
+    world.overrideMaterial = null;
   }
 
   prepare(side, [x, , w], opacity) {

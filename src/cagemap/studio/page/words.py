@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import Any
 
+import numpy as np
+
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO
 from cagemap.mesh.mesh_report import VERTEX, count_noun
 from cagemap.studio.preview import OPENING_TITLE
@@ -44,7 +46,7 @@ def confidence_text(message: str) -> str:
 def verdict(state: StudioState, scene: Scene | None) -> str:
     """Confidence of the map in a few words; '' without a map."""
     map_state, preview_map = state.map, None if scene is None else scene.preview_map
-    if preview_map is None:
+    if scene is None or preview_map is None:
         return ""
     if map_state.rough:
         return "A first look, not yet checked"
@@ -54,7 +56,7 @@ def verdict(state: StudioState, scene: Scene | None) -> str:
     if map_state.contradictions:
         count = len(map_state.contradictions)
         return f"{count} landmark{'s contradict' if count > 1 else ' contradicts'} the others"
-    percent = 100 * float((preview_map.trust < DOUBTFUL_TRUST).mean())
+    percent = 100 * float(np.average(preview_map.trust < DOUBTFUL_TRUST, weights=scene.target.vertex_areas))
     doubts = f"{percent:.0f} % doubtful" if percent >= 0.5 else "no doubtful places"
     if landmarks:
         return f"{count_noun(len(landmarks), 'landmark')} met, {doubts}"
