@@ -156,7 +156,7 @@ def between_vertices(place: Path) -> None:
 
 REFUSED = {
     "a material that is not there": Refusal(
-        lambda place: with_copied_materials(arm(), [("cape", "cape")]),
+        lambda place: with_copied_materials(arm(), [("cape", "cape")], ()),
         "expected a material named 'cape', there is none ... Export it again.",
     ),
     "places beyond numbers": Refusal(

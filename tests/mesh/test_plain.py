@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.checks import check_mesh, require_valid
-from cagemap.mesh.faces import signed_volume
+from cagemap.mesh.faces import face_areas, signed_volume
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh, turn_faces
 from cagemap.mesh.topology import mesh_topology
@@ -100,6 +100,29 @@ def test_inwards_is_turned_and_faces_of_all_sizes_are_split() -> None:
     quads = plain_mesh(mixed)
     assert quads.mesh.n_faces == 6
     assert quads.notes == ()
+
+
+def test_polygons_with_collinear_and_concave_corners_are_split_without_a_loss() -> None:
+    """Fans gave each side of a halved edge a flat triangle, and both were left out as copies of each other."""
+    box = cube()
+    faces = np.split(box.face_indices, box.face_offsets[1:-1])
+    ends = np.unique(np.sort(np.concatenate([np.column_stack([f, np.roll(f, -1)]) for f in faces]), axis=1), axis=0)
+    middle = {(a, b): box.n_vertices + k for k, (a, b) in enumerate(ends.tolist())}
+    halved = [
+        [v for a, b in zip(f, np.roll(f, -1), strict=True) for v in (int(a), middle[min(a, b), max(a, b)])]
+        for f in faces
+    ]
+    positions = np.concatenate([box.positions, box.positions[ends].mean(axis=1)])
+    plain = plain_mesh(ControlMesh.from_faces(positions, halved))
+    assert plain.mesh.n_vertices == 20
+    assert list(plain.repairs.summary()) == ["split_faces"]
+    np.testing.assert_allclose(face_areas(plain.mesh).reshape(6, 6).sum(axis=1), 4.0)
+    angles = np.arange(12) * np.pi / 6
+    radius = np.where(np.arange(12) % 2, 1.0, 0.3)
+    star = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.zeros(12)])
+    flat = plain_mesh(ControlMesh.from_faces(star, [list(range(12))])).mesh
+    assert flat.n_faces == 10
+    assert face_areas(flat).sum() == pytest.approx(6 * 0.3 * np.sin(np.pi / 6))
 
 
 def test_holes_stay_and_uv_sets_come_along() -> None:

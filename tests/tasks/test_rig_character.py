@@ -141,6 +141,24 @@ def _image_error() -> float:
     return float(np.abs(colours[0] - colours[1]).mean())
 
 
+def test_images_that_lie_on_no_uvs_are_left_out_aloud(run: Run, files: Character) -> None:
+    """A rig was refused after its match where the mesh had no texture coordinates for an image."""
+    document = read_document("C.glb")
+    material = document.json["materials"][0]
+    color = material["pbrMetallicRoughness"]["baseColorTexture"]
+    material["emissiveTexture"] = {"index": color["index"]}
+    color["texCoord"] = 3
+    document.json["textures"].append({"extensions": {"KHR_texture_basisu": {"source": 0}}})
+    material["normalTexture"] = {"index": len(document.json["textures"]) - 1}
+    write_document("C.glb", document)
+    said = run.done("rig B.glb --like C.glb -o OUT.glb").err
+    assert "body: its baseColorTexture is left out: body has no UV set TEXCOORD_3" in said
+    assert "normalTexture has no PNG, JPEG or WebP image (KHR_texture_basisu) and is left out; convert it" in said
+    (image,) = material_images(read_document("OUT.glb"), "body")
+    assert image.slot == "emissiveTexture"
+    assert "baseColorTexture" not in read_document("OUT.glb").json["materials"][0]["pbrMetallicRoughness"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("wrap", "sign"), [(33648, -1.0), (10497, 1.0)])
 def test_a_texture_continues_outside_the_unit_square_by_its_sampler(

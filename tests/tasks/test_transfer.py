@@ -102,7 +102,7 @@ def test_each_material_of_a_gltf_file_is_baked_with_its_own_image(
     write_result(tmp_path / "RESULT", replace(result, source=result.source.with_control(source)))
     request = TransferRequest(tmp_path / "RESULT", tmp_path / "out.png", texture=tmp_path / "box.gltf", size=64)
     _, warnings = run_transfer(request, Stages())
-    assert not any("lie over each other" in text for text in warnings)
+    assert not any("lie over each other" in text or "multiply" in text for text in warnings)
     pixels = read_image(tmp_path / "out.png").pixels
     rows, columns = (64 * (1.0 - middles[:, 1])).astype(int), (64 * middles[:, 0]).astype(int)
     meant = np.array([[200, 30, 10, 255], [10, 200, 30, 255], [0, 0, 255, 255]])[materials]
@@ -114,6 +114,21 @@ def test_each_material_of_a_gltf_file_is_baked_with_its_own_image(
     np.testing.assert_array_equal(shown["baked"], pixels)
     assert set(map(tuple, meant)) <= set(map(tuple, shown["texture"].reshape(-1, 4)))
     assert not overlapping_materials(shown["of"].source.control, 0.0)
+    for entry in scene["materials"]:
+        entry["pbrMetallicRoughness"]["baseColorFactor"] = [1.0, 0.5 if entry["name"] == "green" else 1.0, 1.0, 1.0]
+    (tmp_path / "box.gltf").write_text(json.dumps(scene))
+    _, warnings = run_transfer(replace(request, output=tmp_path / "tinted.png"), Stages())
+    assert any("that multiply the images of green (1, 0.5, 1) are not baked" in text for text in warnings)
+
+
+def test_a_source_without_uvs_is_named_where_a_file_with_an_image_is_given(tmp_path: Path) -> None:
+    result = identity_result()
+    bare = replace(result.source.control, uvs=None, uv_indices=None)
+    write_result(tmp_path / "RESULT", replace(result, source=result.source.with_control(bare)))
+    write_textured_scene(tmp_path)
+    request = TransferRequest(tmp_path / "RESULT", tmp_path / "out.png", texture=tmp_path / "box.gltf")
+    with pytest.raises(ParameterError, match="expected texture coordinates of the source"):
+        run_transfer(request, Stages())
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdz"])

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.files import IMAGE_SUFFIXES
-from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
+from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.material_images import MaterialImage, material_images, write_numbered
 from cagemap.files.gltf.primitives import material_names
@@ -15,6 +15,7 @@ from cagemap.files.meshes.obj_materials import obj_document
 from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.mesh_report import place_text
 
 SUFFIXES = (*SCENE_SUFFIXES, *USD_SUFFIXES, ".obj")
 _COLOR_SLOT = "baseColorTexture"
@@ -37,6 +38,22 @@ def color_texture(path: Path, control: ControlMesh) -> tuple[Document, MaterialI
     found = color_image(document, most) if most in material_names(document) else None
     in_use = control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0"
     return None if found is None or found.uv_set != in_use else (document, found)
+
+
+def tinted_materials(path: Path, control: ControlMesh) -> list[str]:
+    """Materials of a mesh whose image a glTF file multiplies by a colour that is not white, with that colour."""
+    found = color_texture(path, control) if path.suffix.lower() in GLTF_SUFFIXES else None
+    if found is None or control.face_materials is None:
+        return []
+    document, names = found[0], material_names(found[0])
+    used = {control.material_names[number] for number in np.unique(control.face_materials).tolist() if number >= 0}
+    tinted = []
+    for name in sorted(used.intersection(names)):
+        surface = document.table(document.entry("materials", names.index(name)), "pbrMetallicRoughness", name)
+        color = document.numbers(surface.get("baseColorFactor", [1.0] * 4), f"{name}: baseColorFactor", 4)[:3]
+        if _COLOR_SLOT in surface and not np.allclose(color, 1.0):
+            tinted.append(f"{name} {place_text(color)}")
+    return tinted
 
 
 def _document(path: Path) -> Document:

@@ -43,6 +43,63 @@ def fan_triangles(offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray,
     return indices[np.column_stack([first, first + step, first + step + 1])], faces
 
 
+# A corner of a polygon's triangulation is flat if its area is below this share of the polygon's.
+FLAT = 1e-6
+# Larger polygons are split into fans: clipping ears takes time cubic in the corners.
+MOST_CLIPPED = 200
+
+
+def sound_triangles(positions: FloatArray, offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """Triangles (t, 3) of polygons and the polygon (t,) of each, as numbers of corners.
+
+    As `fan_triangles`, but polygons whose fan has a flat or turned triangle, as at collinear and concave corners, are
+    split otherwise.
+    """
+    corners, faces = fan_triangles(offsets, np.arange(len(indices)))
+    sizes, places = np.diff(offsets), positions[indices]
+    a, b, c = (places[corners[:, k]] for k in range(3))
+    areas = np.cross(b - a, c - a)
+    normals: FloatArray = np.stack(
+        [np.bincount(faces, areas[:, k], minlength=len(sizes)).astype(np.float64) for k in range(3)], axis=1
+    )
+    unsound = np.einsum("td,td->t", areas, normals[faces]) <= FLAT * (normals[faces] ** 2).sum(axis=1)
+    chosen = np.bincount(faces, unsound, minlength=len(sizes)) > 0
+    chosen &= (sizes > 3) & (sizes <= MOST_CLIPPED) & normals.any(axis=1)
+    for size in np.unique(sizes[chosen]).tolist():
+        polygons = np.flatnonzero(chosen & (sizes == size))
+        first = offsets[polygons]
+        clipped = _clip_ears(places[first[:, None] + np.arange(size)], normals[polygons])
+        rows = np.searchsorted(faces, polygons)[:, None] + np.arange(size - 2)
+        corners[rows] = first[:, None, None] + clipped
+    return corners, faces
+
+
+def _clip_ears(points: FloatArray, normals: FloatArray) -> IndexArray:
+    """Triangles (k, s - 2, 3), as corners, of polygons (k, s, 3) with normals (k, 3) of twice their area.
+
+    The roundest ear that holds no other corner is cut off again and again, or the roundest if all hold one.
+    """
+    count, size = points.shape[:2]
+    rows = np.arange(count)
+    left, found = np.tile(np.arange(size), (count, 1)), np.zeros((count, 0, 3), dtype=np.int64)
+    tolerance = FLAT * (normals**2).sum(axis=1)[:, None, None]
+    for most in range(size, 2, -1):
+        ears = np.stack([np.roll(left, 1, axis=1), left, np.roll(left, -1, axis=1)], axis=2)
+        corners = points[rows[:, None, None], ears]
+        sides = np.roll(corners, -1, axis=2) - corners
+        area = np.einsum("kid,kd->ki", np.cross(sides[:, :, 0], sides[:, :, 1]), normals)
+        roundness = area / np.maximum((sides**2).sum(axis=(2, 3)), 1e-300)
+        inside = (left[:, None, :, None] != ears[:, :, None, :]).all(axis=3)
+        for k in range(3):
+            to_others = points[rows[:, None], left][:, None] - corners[:, :, None, k]
+            inside &= np.einsum("kijd,kd->kij", np.cross(sides[:, :, None, k], to_others), normals) >= -tolerance
+        free = ~inside.any(axis=2) & (area > tolerance[:, 0])
+        best = np.where(free | ~free.any(axis=1, keepdims=True), roundness, -np.inf).argmax(axis=1)
+        found = np.concatenate([found, ears[rows, best][:, None]], axis=1)
+        left = left[np.arange(most) != best[:, None]].reshape(count, most - 1)
+    return found
+
+
 def surface_area(positions: FloatArray, faces: IndexArray) -> float:
     """Area of faces (m, 4) or (m, 3); of quads, which need not be flat, the mean over both triangulations."""
     if faces.shape[1] == 3:

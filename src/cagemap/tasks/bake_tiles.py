@@ -101,6 +101,15 @@ def read_source_image(
     )
 
 
+def require_source_uvs(result: MatchResult) -> None:
+    """Refuse to carry an image of a source without texture coordinates."""
+    if result.source.control.uvs is None:
+        raise ParameterError(
+            f"{result.source.control.name}: expected texture coordinates of the source, over which its image lies, the "
+            "mesh has none. Match the file that the image was painted for, or carry --material-colors."
+        )
+
+
 def prepare_bake(
     request: TransferRequest, result: MatchResult, stages: Stages, outputs: Mapping[str, Path]
 ) -> Prepared:
@@ -111,11 +120,8 @@ def prepare_bake(
     mesh: Path | None = None
     warnings: list[str] = []
     of_source = (request.texture, request.displacement, request.normal_map, request.vector_displacement, *request.maps)
-    if any(of_source) and result.source.control.uvs is None:
-        raise ParameterError(
-            f"{result.source.control.name}: expected texture coordinates of the source, over which its image lies, the "
-            "mesh has none. Match the file that the image was painted for, or carry --material-colors."
-        )
+    if any(of_source):
+        require_source_uvs(result)
     if request.unwrap:
         stages("unwrap")
         control = unwrap(result.target.control)

@@ -11,12 +11,13 @@ from typing import Any
 from cagemap.errors import ParameterError
 from cagemap.files.gltf.material_images import MaterialImage, png_bytes, write_numbered
 from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern, udim_path
-from cagemap.files.inner_texture import SUFFIXES, color_texture, write_texture
+from cagemap.files.inner_texture import SUFFIXES, color_texture, tinted_materials, write_texture
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import note_transfer
 from cagemap.files.usd.results import preview_inputs, unbound_maps
 from cagemap.files.usd.write import UsdResults
 from cagemap.maps.result import MatchResult
+from cagemap.mesh.mesh_report import first_few
 from cagemap.tasks.bake_tiles import (
     DEFAULT_SIZE,
     Prepared,
@@ -28,6 +29,7 @@ from cagemap.tasks.bake_tiles import (
     masking,
     prepare_bake,
     read_source_image,
+    require_source_uvs,
     written_channels,
 )
 from cagemap.tasks.detail_bakes import (
@@ -81,6 +83,9 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
         image = _bake_map(map_request, result, prepared, name, path, stages, texture)
         entry = _entry("texture", path if atlas is None or given is None else given, image)
         summary, warnings = finish(map_request, prepared, entry | ({"map": name} if name else {}))
+    if given is not None and (tinted := tinted_materials(given, result.source.control)):
+        colors = f"the colours that multiply the images of {first_few(tinted)} are not baked"
+        warnings = [*warnings, f"{given}: {colors}; set them in the target's materials"]
     if request.usd is not None:
         layer = request.usd
         images_by_use = {
@@ -105,6 +110,7 @@ def _image_file(path: Path, request: TransferRequest, result: MatchResult) -> tu
     """An image file as given; or the image of a glTF, FBX or USD file, written into RESULT, and how it is laid."""
     if path.suffix.lower() not in SUFFIXES:
         return path, None
+    require_source_uvs(result)
     found = color_texture(path, result.source.control)
     image = None if found is None else write_texture(path, *found, request.result)
     if found is None or image is None:

@@ -74,12 +74,15 @@ def textured(
         material_names=tuple(copies.get(name, name) for name in source_mesh.material_names),
         material_colors=source_mesh.material_colors,
     )
-    images = {}
+    images, uv_sets = {}, {one.name for one in result.source.control.all_uv_sets}
     for name, copy in copies.items():
-        for material_image in material_images(document, name):
-            images[copy, material_image.slot] = _baked(material_image, document, result, size)
+        for found in material_images(document, name):
+            if found.uv_set in uv_sets:
+                images[copy, found.slot] = _baked(found, document, result, size)
+            else:
+                notes.append(f"{name}: its {found.slot} is left out: {of.name} has no UV set {found.uv_set}")
     dressed = replace(carried.character, parts=(replace(body, mesh=mesh), *others))
-    return dressed, with_copied_materials(document, list(copies.items())), images, notes
+    return dressed, with_copied_materials(document, list(copies.items()), images), images, notes
 
 
 def colored(carried: CarriedCharacter, body: Part, of: Part) -> Part:

@@ -25,9 +25,9 @@ from cagemap.wrap.net import Samples, control_net, counterpart_mask, face_aspect
 
 # Message for a target without a cage.
 NO_CAGE = (
-    "expected a cage to wrap, got a plain mesh (scheme none), which has no control points. Say how the target is "
-    "subdivided (`ControlMesh.scheme`): catmull-clark, loop for triangles, or bilinear, which leaves its form. The "
-    "source may be plain."
+    "expected a cage to wrap, got a plain mesh (scheme none), which has no control points. Match it with a scheme "
+    "(`ControlMesh.scheme`): catmull-clark, loop for triangles, or bilinear, which leaves its form. The source may be "
+    "plain."
 )
 
 # Triangles, barycentric coordinates and distances of closest points.

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 import json
+import logging
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ from cagemap.files.gltf.textures import MIRROR, REPEAT, texture_slots
 from cagemap.files.images.image import Image, Pixels, image_of_bytes, write_image
 from cagemap.files.ownership import seal
 from cagemap.numerics.arrays import FloatArray
+
+_log = logging.getLogger(__name__)
 
 _TRANSFORM = "KHR_texture_transform"
 _WEBP = "EXT_texture_webp"
@@ -76,10 +79,11 @@ class MaterialImage:
 
 
 def material_images(document: Document, material: str) -> tuple[MaterialImage, ...]:
-    """All textures of a material."""
+    """All textures of a material; those without an image that cagemap reads are left out with a warning."""
     number = _number(document, material)
     entry = document.entry("materials", number)
-    return tuple(_image(document, material, slot, holder) for slot, holder in texture_slots(entry))
+    images = (_image(document, material, slot, holder) for slot, holder in texture_slots(entry))
+    return tuple(image for image in images if image is not None)
 
 
 def _sealed(name: str, data: bytes) -> bytes:
@@ -113,15 +117,19 @@ def png_bytes(image: Image) -> bytes:
         return file.read_bytes()
 
 
-def with_copied_materials(document: Document, copies: Sequence[tuple[str, str]]) -> Document:
+def with_copied_materials(
+    document: Document, copies: Sequence[tuple[str, str]], kept: Collection[tuple[str, str]]
+) -> Document:
     """A document with copies of materials (name, new name), without texture transforms and with the first UV set.
 
     A copy with an unchanged name replaces its material.
+    ``kept``: new names and slots of textures; copies have no others.
     """
     top = json.loads(json.dumps(document.json))
     for name, new_name in copies:
         number = _number(document, name)
-        entry: dict[str, Any] = json.loads(json.dumps(top["materials"][number])) | {"name": new_name}
+        slots = {slot for of, slot in kept if of == new_name}
+        entry = _with_slots(json.loads(json.dumps(top["materials"][number])), slots) | {"name": new_name}
         for _, holder in texture_slots(entry):
             holder.pop("texCoord", None)
             extensions = holder.get("extensions", {})
@@ -135,6 +143,13 @@ def with_copied_materials(document: Document, copies: Sequence[tuple[str, str]])
     return Document(top, document.buffers, document.file)
 
 
+def _with_slots(entry: dict[str, Any], kept: Collection[str]) -> dict[str, Any]:
+    """A material without its other textures."""
+    others = {slot for slot, _ in texture_slots(entry)} - set(kept)
+    tables = {name: _with_slots(value, kept) for name, value in entry.items() if isinstance(value, dict)}
+    return {name: tables.get(name, value) for name, value in entry.items() if name not in others}
+
+
 def _number(document: Document, material: str) -> int:
     names = material_names(document)
     if material not in names:
@@ -142,17 +157,22 @@ def _number(document: Document, material: str) -> int:
     return names.index(material)
 
 
-def _image(document: Document, material: str, slot: str, holder: dict[str, Any]) -> MaterialImage:
+def _image(document: Document, material: str, slot: str, holder: dict[str, Any]) -> MaterialImage | None:
     where = f"material {material}: {slot}"
     texture = document.entry("textures", holder["index"], where)
     webp = document.table(document.table(texture, "extensions", where), _WEBP, where)
     source = texture.get("source", webp.get("source"))
+    if source is None:
+        others = ", ".join(texture.get("extensions", ())) or "none stated"
+        _log.warning(
+            "%s: %s has no PNG, JPEG or WebP image (%s) and is left out; convert it", document.file, where, others
+        )
+        return None
     document.entry("images", source, where)
     stated = document.table(document.table(holder, "extensions", where), _TRANSFORM, where)
     uv_set = document.whole(stated.get("texCoord", holder.get("texCoord", 0)), f"{where}: texCoord", 0, 15)
     sampler = {} if texture.get("sampler") is None else document.entry("samplers", texture["sampler"], where)
     wraps = sampler.get("wrapS", REPEAT), sampler.get("wrapT", REPEAT)
-    assert source is not None
     return MaterialImage(material, slot, int(source), f"TEXCOORD_{uv_set}", _transform(document, stated, where), wraps)
 
 
