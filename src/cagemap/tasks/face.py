@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from cagemap.character.body_frames import BodyFrames
 from cagemap.character.bones import humanoid_joints
+from cagemap.character.self_collision import move_apart
 from cagemap.character.values import Character, Part, Rig
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
@@ -23,7 +25,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.camera import View, frame
 from cagemap.pictures.render import Image, Model, Skin, render
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.carry_character import body_shapes, match_bodies, with_part
+from cagemap.tasks.carry_character import Bodies, body_shapes, match_bodies, with_part
 from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.face import FaceRequest
 from cagemap.tasks.requests.options import comma_words, given_files
@@ -63,7 +65,7 @@ def run_face(request: FaceRequest, stages: Stages) -> Said:
             "--landmarks."
         )
     stages("shapes")
-    shapes = _on_body(body_shapes(bodies), head, body)
+    shapes = _on_body(face_shapes(bodies), head, body)
     character = with_part(file_character, body, replace(body, shapes={**body.shapes, **shapes}))
     notes += [f"{', '.join(kept)}: {request.head.name} has its own and keeps them"] if kept else []
     stages("write")
@@ -130,6 +132,23 @@ def _landmarks(request: FaceRequest, head: Part, character: Character) -> tuple[
     names = ", ".join(curve.name for curve in points.curves)
     notes = [f"{request.landmarks}: curves are left out, since the built-in face has none: {names}"] if names else []
     return Landmarks.of_points(points.names, on_head, on_kit, mesh.name, "face"), notes
+
+
+def face_shapes(bodies: Bodies) -> dict[str, FloatArray]:
+    """Shapes of the built-in face on the head, by name; lips and eyelids do not go through each other.
+
+    mouthClose corrects jawOpen: its collisions are those of both, and without jawOpen it stays as carried.
+    """
+    rows, mesh = bodies.rows(0), bodies.ready[0].mesh
+    triangles = fan_triangles(mesh.face_offsets, mesh.face_indices)[0]
+    forward = BodyFrames(bodies.result.point_map).rotation[2]
+    shapes = {name: offsets[rows] for name, offsets in body_shapes(bodies).items()}
+    for name in shapes.keys() - {"mouthClose"}:
+        shapes[name] = move_apart(mesh.positions, mesh.positions + shapes[name], triangles, forward) - mesh.positions
+    if shapes.keys() >= {"mouthClose", "jawOpen"}:
+        opened = mesh.positions + shapes["jawOpen"]
+        shapes["mouthClose"] = move_apart(mesh.positions, opened + shapes["mouthClose"], triangles, forward) - opened
+    return {name: bodies.on_target(offsets) for name, offsets in shapes.items()}
 
 
 def _on_body(shapes: dict[str, FloatArray], head: Part, body: Part) -> dict[str, FloatArray]:

@@ -1,0 +1,134 @@
+"""Self-collisions of a deformed surface: lips or eyelids that went through each other are moved apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cagemap.character.body_frames import neighbor_means
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
+from cagemap.surface.closest_points import build_tree, closest_points
+from cagemap.surface.triangles import row_lengths, surface_area, vertex_normals
+from cagemap.transfer.textured_surface import plane_basis
+
+# Of rays and `outward`: rays through edges, as on the midline of a symmetric face, are unlikely.
+_TILT = np.array([0.0123, 0.0071])
+
+
+@dataclass(frozen=True)
+class CollisionConfig:
+    """Numbers of `move_apart`; lengths in units of sqrt(area). What was measured: docs/lab/characters.md."""
+
+    reach: float = 0.02  # largest depth of a collision
+    lift: float = 1e-4  # of points over the vertices that are tested
+    tolerance: float = 2e-4  # depth that is left
+    max_rounds: int = 30
+    spreading_rounds: int = 4  # in which a push spreads to neighbouring vertices
+
+
+@dataclass(frozen=True, eq=False)
+class Collisions:
+    """Vertices inside another part of the surface.
+
+    Attributes
+    ----------
+    vertices : (k,) int64
+    ways_out : (k, 3) float64
+        From each to the nearest point of the surface that faces it.
+    corners, barycentric : (k, 3)
+        That point.
+    """
+
+    vertices: IndexArray
+    ways_out: FloatArray
+    corners: IndexArray
+    barycentric: FloatArray
+
+    @classmethod
+    def find(
+        cls,
+        positions: FloatArray,
+        triangles: IndexArray,
+        vertices: IndexArray,
+        outward: FloatArray,
+        config: CollisionConfig = CollisionConfig(),
+    ) -> Collisions:
+        """Find the collisions of some vertices; rays along ``outward`` (3,) must not leave through a hole."""
+        size = np.sqrt(surface_area(positions, triangles))
+        normals = vertex_normals(positions, triangles)[vertices]
+        points = positions[vertices] + config.lift * size * normals
+        triangle, barycentric, _ = closest_points(
+            build_tree(positions, triangles), points, -normals, minimum_cosine=0.0, within=config.reach * size
+        )
+        near = np.flatnonzero(triangle >= 0)
+        inside = near[winding_numbers(positions, triangles, points[near], outward) > 0]
+        corners, barycentric = triangles[triangle[inside]], barycentric[inside]
+        facing = np.einsum("kc,kcd->kd", barycentric, positions[corners])
+        return cls(vertices[inside], facing - points[inside], corners, barycentric)
+
+
+def move_apart(
+    rest: FloatArray,
+    moved: FloatArray,
+    triangles: IndexArray,
+    outward: FloatArray,
+    config: CollisionConfig = CollisionConfig(),
+) -> FloatArray:
+    """Positions (n, 3) without the collisions of ``moved`` that ``rest`` does not have.
+
+    Both sides give way by half. A push spreads to neighbouring vertices and fades with each step.
+    """
+    size = np.sqrt(surface_area(rest, triangles))
+    means = neighbor_means(triangles, len(rest))
+    vertices = np.flatnonzero(row_lengths(moved - rest) > config.tolerance * size)
+    vertices = Collisions.find(moved, triangles, vertices, outward, config).vertices
+    colliding_at_rest = Collisions.find(rest, triangles, vertices, outward, config).vertices
+    for _ in range(config.max_rounds):
+        found = Collisions.find(moved, triangles, np.setdiff1d(vertices, colliding_at_rest), outward, config)
+        if row_lengths(found.ways_out).max(initial=0.0) < config.tolerance * size:
+            break
+        half, weights = 0.5 * found.ways_out, found.barycentric
+        shares = weights / np.einsum("kc,kc->k", weights, weights)[:, None]
+        moves = np.concatenate([half, (-shares[:, :, None] * half[:, None]).reshape(-1, 3)])
+        rows = np.concatenate([found.vertices, found.corners.ravel()])
+        row_weights = np.concatenate([np.ones(len(half)), weights.ravel()])
+        total = np.bincount(rows, row_weights, minlength=len(rest))[:, None]
+        push = grouped_sums(rows, row_weights[:, None] * moves, len(rest)) / np.where(total, total, 1.0)
+        for _ in range(config.spreading_rounds):
+            spread = means @ push
+            push = np.where((row_lengths(push) >= row_lengths(spread))[:, None], push, spread)
+        moved = moved + push
+        vertices = np.union1d(vertices, np.flatnonzero(push.any(axis=1)))
+    return moved
+
+
+def winding_numbers(
+    positions: FloatArray, triangles: IndexArray, points: FloatArray, direction: FloatArray
+) -> IndexArray:
+    """(m,) how often rays from points leave the surface, less how often they enter it: 0 outside."""
+    if not len(points):
+        return np.zeros(0, dtype=np.int64)
+    unit = direction / np.linalg.norm(direction)
+    across = plane_basis(unit[None], np.eye(3)[:1])[0]
+    frame = np.column_stack([across - unit[:, None] * _TILT, unit])  # rays keep their first two coordinates
+    origins, corners = points @ frame, (positions @ frame)[triangles]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    is_ahead = (high >= origins.min(axis=0)).all(axis=1) & (low[:, :2] <= origins[:, :2].max(axis=0)).all(axis=1)
+    corners, low, high = corners[is_ahead], low[is_ahead], high[is_ahead]
+    centres = 0.5 * (low + high)[:, :2]
+    radius = float(row_lengths(high[:, :2] - centres).max(initial=0.0))
+    pairs = cKDTree(origins[:, :2]).sparse_distance_matrix(cKDTree(centres), radius, output_type="ndarray")
+    row, triangle = pairs["i"], pairs["j"]
+    near = (high[triangle] >= origins[row]).all(axis=1) & (low[triangle, :2] <= origins[row, :2]).all(axis=1)
+    row, corners = row[near], corners[triangle[near]]
+    arms, following = corners[:, :, :2] - origins[row, None, :2], np.roll(corners, -1, axis=1)[:, :, :2]
+    following = following - origins[row, None, :2]
+    # Twice the signed area of the origin and an edge, in the order of the corners where the edges start.
+    areas = arms[:, :, 0] * following[:, :, 1] - arms[:, :, 1] * following[:, :, 0]
+    depths = np.einsum("pk,pk->p", np.roll(areas, -1, axis=1), corners[:, :, 2])
+    doubled = areas.sum(axis=1)
+    sign = np.sign(doubled)
+    is_hit = (areas * sign[:, None] >= 0).all(axis=1) & (depths * sign > origins[row, 2] * np.abs(doubled))
+    return np.bincount(row, sign * is_hit, minlength=len(points)).astype(np.int64)
