@@ -215,7 +215,7 @@ def match_pair(
             confidence = answer_confidence(problem, point_map, tuple(placements), shared, jumps)
         confidence = None if confidence is None else prolong_answers(confidence, prepared)
     progress("quality")
-    result = result_of_fit(prepared, point_map, landmarks, check, timings, shared, confidence, jumps)
+    result = result_of_fit(problem, point_map, landmarks, check, timings, shared, confidence, jumps)
     return other_answer(result, config.answer, config, progress=progress) if config.answer else result
 
 
@@ -254,22 +254,21 @@ def update_match(
     point_map = before.point_map
     check = before.landmark_check.for_changed(before.landmarks, landmarks)
     timings: dict[str, float] = {}
+    problem = Problem.of_landmarks(prepared, landmarks)
     with one_blas_thread(), _timed(timings, "map"):
         if config.check_landmarks:
-            changed = landmarks.new_since(before.landmarks)
-            all_given = Problem.of_landmarks(prepared, landmarks)
-            check = check_changes(all_given, landmarks.names, changed, check, point_map)
-        problem = Problem.of_landmarks(prepared, check.trusted(landmarks))
-        coincident = coincident_map(problem)
+            check = check_changes(problem, landmarks.names, landmarks.new_since(before.landmarks), check, point_map)
+        trusted = problem.without(check.left_out)
+        coincident = coincident_map(trusted)
         if coincident is not None:
             point_map, _ = coincident
         else:
             progress("elastic update")
-            places = linear_update(problem, point_map)
+            places = linear_update(trusted, point_map)
             progress("closest points")
-            point_map = map_of_places(problem, places)
+            point_map = map_of_places(trusted, places)
     progress("quality")
-    return result_of_fit(prepared, point_map, landmarks, check, timings, before.shared)
+    return result_of_fit(problem, point_map, landmarks, check, timings, before.shared)
 
 
 @arrays_accepted
@@ -321,7 +320,7 @@ def match_next(
         point_map = map_of_places(problem, places)
         shared = shared_area(prepared, places)
     progress("quality")
-    found = result_of_fit(prepared, point_map, landmarks, LandmarkCheck(), timings, shared)
+    found = result_of_fit(problem, point_map, landmarks, LandmarkCheck(), timings, shared)
     followed = found.quality.flipped_area <= config.elastic.refit.max_folded_frame
     return found if followed else match_pair(prepared, landmarks, config, progress=progress)
 
@@ -356,7 +355,7 @@ def other_answer(
         point_map = map_of_places(problem, answers[index].positions[prepared.vertices])
         shared = shared_area(prepared, answers[index].positions)
     progress("quality")
-    return result_of_fit(prepared, point_map, landmarks, before.landmark_check, timings, shared, before.confidence)
+    return result_of_fit(problem, point_map, landmarks, before.landmark_check, timings, shared, before.confidence)
 
 
 @arrays_accepted

@@ -82,12 +82,11 @@ def spectral_starts(problem: Problem, clusters: Clusters) -> Callable[[Placement
     """
     prepared = problem.prepared
     config, surface = prepared.start, prepared.source_surface
-    level = prepared.source.hierarchy.coarsest_level(prepared.elastic.source_vertices)
     vertices = evenly_spaced_vertices(surface.n, config.samples)
     places = surface.positions[vertices]
     tree = cKDTree(np.hstack([places, config.normal_length * surface.vertex_normals[vertices]]))
     target = basis_rows(prepared.target, prepared.levels[0], clusters.vertices)
-    source, areas = basis_rows(prepared.source, level, vertices), clusters.energy.graph.areas
+    source, areas = basis_rows(prepared.source, prepared.source_level, vertices), clusters.energy.graph.areas
     schedules = [ZoomOutSchedule(first, config.last_functions, config.growth) for first in config.trusted_functions]
 
     def starts(fitted: Placement) -> list[FloatArray]:

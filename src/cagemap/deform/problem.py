@@ -128,13 +128,17 @@ class PreparedPair:
     @kept
     def level_masks(self) -> Masks:
         """Masks of the vertices of `mesh` and ``source_surface``."""
-        fitted_level = self.source.hierarchy.coarsest_level(self.elastic.source_vertices)
-        return self.masks.at(self.vertices, self.source.hierarchy.on_finest(fitted_level))
+        return self.masks.at(self.vertices, self.source.hierarchy.on_finest(self.source_level))
 
     @kept
     def received_smoother(self) -> Factorization:
         """Smoother of received area on `mesh`, see `received_weights`."""
         return self.energy.graph.smoother(self.elastic.data.received_smoothing)
+
+    @property
+    def source_level(self) -> int:
+        """Level of ``source_surface``."""
+        return self.source.hierarchy.coarsest_level(self.elastic.source_vertices)
 
     @property
     def mesh(self) -> TriangleSurface:

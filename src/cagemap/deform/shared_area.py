@@ -27,8 +27,7 @@ def shared_area(prepared: PreparedPair, places: FloatArray) -> Masks | None:
     kept = shrunk >= config.data.received[0] * (moved.vertex_areas @ shrunk)
     target_near = _near(moved, source, config) & kept
     source_near = _near(source, moved, config)
-    level = prepared.source.hierarchy.coarsest_level(config.source_vertices)
-    sides = ((prepared.target, prepared.levels[0], target_near), (prepared.source, level, source_near))
+    sides = ((prepared.target, prepared.levels[0], target_near), (prepared.source, prepared.source_level, source_near))
     return Masks(
         *(
             np.clip(side.hierarchy.prolong(has_counterpart.astype(np.float64), at, side.finest_level), 0.0, 1.0)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.deform.problem import PreparedPair
+from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.errors import ParameterError
 from cagemap.maps.functional_maps import functional_map_of
 from cagemap.maps.hypotheses.confidence import Confidence, jump_lengths, jump_warnings
@@ -203,7 +203,7 @@ class MatchResult:
     @property
     def landmark_errors(self) -> FloatArray:
         """(p,) error of every landmark, of sqrt(source area), suspects included."""
-        left_out = [suspect.pair for suspect in self.suspects]
+        left_out = self.landmark_check.left_out
         errors = np.zeros(len(self.landmarks))
         errors[np.setdiff1d(np.arange(len(errors)), left_out)] = self.quality.landmark_errors
         errors[left_out] = [suspect.distance for suspect in self.suspects]
@@ -276,7 +276,7 @@ class MatchResult:
 
 
 def result_of_fit(
-    prepared: PreparedPair,
+    problem: Problem,
     point_map: PointMap,
     landmarks: Landmarks,
     check: LandmarkCheck,
@@ -287,15 +287,16 @@ def result_of_fit(
 ) -> MatchResult:
     """Result of an elastic match, with the quality of its map; area without a counterpart is not counted.
 
-    ``jumps`` are the map's `jump_lengths`; None if they are not known yet.
+    The problem has all ``landmarks``, those that the check left out too. ``jumps`` are the map's `jump_lengths`; None
+    if they are not known yet.
     """
     start = time.perf_counter()
-    target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
-    points, masks = point_pairs(target, source, trusted), prepared.masks
+    prepared, target, source = problem.prepared, problem.prepared.target, problem.prepared.source
+    masks, points = prepared.masks, problem.without(check.left_out).landmarks
     with one_blas_thread():
         jumps = jump_lengths(prepared, point_map, shared) if jumps is None else jumps
         jumping = jump_warnings(prepared, jumps)
-        quality = judge(target, point_map, points, trusted.names, masks.within(shared))
+        quality = judge(target, point_map, points, check.trusted(landmarks).names, masks.within(shared))
         unshared = () if shared is None else unshared_warnings(*shared.shares(point_map.target, point_map.source))
         foreign = foreign_warnings(quality.flipped_area, len(landmarks), len(check.suspects))
         quality = replace(

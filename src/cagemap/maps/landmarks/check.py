@@ -99,9 +99,14 @@ class LandmarkCheck:
     # that an update added or moved. Empty if unknown
     strains: FloatArray = field(default_factory=lambda: np.zeros(0))
 
+    @property
+    def left_out(self) -> list[int]:
+        """Indices of the suspects."""
+        return [suspect.pair for suspect in self.suspects]
+
     def trusted(self, landmarks: Landmarks) -> Landmarks:
         """The landmarks without the suspects."""
-        return landmarks.without([suspect.pair for suspect in self.suspects])
+        return landmarks.without(self.left_out)
 
     def for_changed(self, before: Landmarks, now: Landmarks) -> LandmarkCheck:
         """The check for changed landmarks: keeps what is known of unchanged pairs."""
@@ -241,9 +246,8 @@ def check_changes(
     landmarks, config = problem.landmarks, problem.prepared.elastic.landmarks
     if not len(changed) or len(landmarks) < config.fewest_judged:
         return check
-    out = [suspect.pair for suspect in check.suspects]
-    kept = np.setdiff1d(np.arange(len(landmarks)), out)
-    remaining = problem.without(out)
+    kept = np.setdiff1d(np.arange(len(landmarks)), check.left_out)
+    remaining = problem.without(check.left_out)
     suspected = suspected_pairs(remaining)
     if suspected is None:
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
