@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from examples.shapes import cube
 
+from cagemap.errors import ParameterError
 from cagemap.files.result.manifest import note_transfer
 from cagemap.studio.compute import FindMap, MapUpdate, OpenModels, Task
 from cagemap.studio.finish import Command, FinishOptions
@@ -255,6 +256,23 @@ def test_without_an_image_colours_are_baked_or_the_wrap_made(opened: Session, mo
     opened.finish(FinishOptions(texture=False))
     assert begun[-1] == ["match", "report"]
     assert not opened.state.messages
+
+
+def test_a_bake_that_would_make_nothing_is_refused_before_it_starts(opened: Session) -> None:
+    """A plain mesh cannot be wrapped."""
+    files, has_colors = opened.state.files, opened.scene.has_colors
+    opened._scene = replace(opened.scene, has_colors=False)
+    opened._change(files=replace(files, texture=None, schemes=("none", None)))
+    try:
+        for options in (FinishOptions(), FinishOptions(texture=False, wrap=True)):
+            with pytest.raises(ParameterError, match="open as a plain mesh, which cannot be wrapped"):
+                opened.plan(options)
+        assert [one.title for one in opened.plan(FinishOptions(texture=False))] == ["match", "report"]
+        shape_too = FinishOptions().with_values({("transfer", "source_uvs"): True})
+        assert [one.title for one in opened.plan(shape_too)] == ["match", "UVs of the source", "report"]
+    finally:
+        opened._scene = replace(opened.scene, has_colors=has_colors)
+        opened._change(files=files)
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ from cagemap.studio.landmark_edits import LandmarkEdits
 from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, load_landmarks, save_landmarks
 from cagemap.studio.landmarks import History, LandmarkList, Side, SideNames
 from cagemap.studio.last_map import LastMap
+from cagemap.studio.models import NO_SCHEME
 from cagemap.studio.opening import result_folder, with_parts
 from cagemap.studio.preview import Preview
 from cagemap.studio.runner import Runner
@@ -186,6 +187,11 @@ class Session(LandmarkEdits):
         """Commands of a finish.
 
         Without an image the source's material colours are baked, or else the wrapped mesh is made.
+
+        Raises
+        ------
+        ParameterError
+            If the target cannot be wrapped and nothing else is to be made, or a value is refused.
         """
         files, scene = self._require_open()
         has_constraints = self._state.history.present.has_constraints
@@ -194,9 +200,17 @@ class Session(LandmarkEdits):
         options = options.with_values({("transfer", "unwrap"): unwrap, ("match", "answer"): answer})
         if options.texture and files.texture is None and scene.has_colors:
             options = options.with_values({("transfer", "material_colors"): True})
-        elif options.texture and files.texture is None:
+        elif options.texture and files.texture is None and files.schemes[0] != NO_SCHEME:
             options = replace(options, wrap=True)
-        return plan_commands(self.options, self.workspace, files, options, use_landmarks=has_constraints)
+        commands = plan_commands(self.options, self.workspace, files, options, use_landmarks=has_constraints)
+        is_empty = options.texture and {command.title for command in commands} <= {"match", "report"}
+        if files.schemes[0] == NO_SCHEME and (options.wrap or is_empty):
+            raise ParameterError(
+                f"{'' if options.wrap else f'{files.source.name} has no image and no colours to bake. '}"
+                f"{files.target.name} is open as a plain mesh, which cannot be wrapped. Press Open…: choose an image, "
+                "or how the target is subdivided (Options). Or choose something else to make below."
+            )
+        return commands
 
     def finish(self, options: FinishOptions) -> None:
         """Save the landmarks; then map at full resolution, bake and report."""
@@ -213,7 +227,7 @@ class Session(LandmarkEdits):
             reused = () if remaining == commands else (Output(commands[0].output, commands[0].output_title),)
             self._change(outputs=reused, uv_set=options.option_values.get(("match", "target_uv_set")) or None)
             self._finish_inputs = self._state.map_inputs
-            if options.texture and files.texture is None:
+            if options.texture and files.texture is None and (scene.has_colors or files.schemes[0] != NO_SCHEME):
                 substitute = "the colours of its materials are" if scene.has_colors else "the wrapped mesh is"
                 self._say("note", f"the source has no image: {substitute} made instead")
             self._runner.start(remaining)
