@@ -219,7 +219,8 @@ def test_missing_layers_and_damaged_images_are_named_once(tmp_path: Path, caplog
     with caplog.at_level(logging.WARNING):
         found = usd_document(path)
     assert caplog.text.count("Could not load sublayer") == 1
-    assert caplog.text.count("C.usda: body: the image of its emissiveColor is left out") == 1
+    said = "C.usda: body: the image of its emissiveColor (./C_body_emissive.png) is not found or cannot be read"
+    assert caplog.text.count(said) == 1
     assert "emissiveTexture" not in {one.slot for one in material_images(found, "body")}
     write_usd_character(tmp_path / "P.usdz", made, read_scene(document))
     content = (tmp_path / "P.usdz").read_bytes()

@@ -420,6 +420,18 @@ def test_creasing_that_usd_has_no_word_for_is_left_out_aloud(tmp_path: Path, cap
     assert "creasing chaikin has no place in USD" in caplog.text
 
 
+@pytest.mark.parametrize(("scale", "said"), [((-2, 2, 2), "mirrors"), ((1, 1, 3), "distorts"), ((-2, -2, 2), "")])
+def test_a_transform_that_changes_the_shape_of_an_only_mesh_is_said(
+    scale: tuple[float, float, float], said: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Left and right of the mesh were exchanged without a word."""
+    with stage_at(tmp_path / "scaled.usda") as stage:
+        UsdGeom.Xform.Define(stage, "/x").AddScaleOp().Set(scale)
+        usd_mesh(stage, "/x/box", cube())
+    np.testing.assert_allclose(read_usd(tmp_path / "scaled.usda").positions, cube().positions)
+    assert (f"scaled.usda: the transform of /x/box {said} it, but the points are taken" in caplog.text) == bool(said)
+
+
 def test_a_mirrored_mesh_is_shown_upright(tmp_path: Path) -> None:
     """Local x points up in the world, along Z; it stays up although it is the mirrored axis."""
     with stage_at(tmp_path / "mirrored.usda") as stage:

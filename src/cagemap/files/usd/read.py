@@ -25,6 +25,7 @@ from cagemap.files.usd.prims import (
     face_sets,
     integers,
     is_mirrored,
+    is_similarity,
     local_to_world,
     moved,
     primvar_arrays,
@@ -161,6 +162,10 @@ def joined(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool = False) 
     """The control mesh of `read_usd` from the meshes of its file."""
     file = Path(path)
     if len(meshes) == 1:
+        change = "mirrors" if is_mirrored(meshes[0].to_world) else "distorts"
+        if change == "mirrors" or not is_similarity(meshes[0].to_world):
+            text = "%s: the transform of %s %s it, but the points are taken as they are; apply it to them"
+            logger.warning(text, file, meshes[0].path, change)
         return replace(meshes[0].control, name=file.name)
     schemes = {mesh.control.scheme: mesh.path for mesh in meshes}
     whole = replace(join_meshes([in_world(mesh).control for mesh in meshes]), name=file.name)

@@ -20,6 +20,7 @@ from cagemap.files.usd.materials import STRENGTH, WRAP_WORDS
 from cagemap.files.usd.read import material_labels
 from cagemap.files.usd.shader_inputs import setting_of, shader_of, source_of, uv_name, uv_transform
 from cagemap.files.usd.stages import usd_modules
+from cagemap.mesh.mesh_report import first_few
 
 _log = logging.getLogger(__name__)
 
@@ -119,7 +120,11 @@ class _Materials:
             if not slot:  # the opacity of glTF is in the image of the colour
                 fits &= images == {self._image_and_wraps(shader_of(surface, "diffuseColor", "UsdUVTexture"))}
             image, wraps = images.pop()
-            if images or image is None or not fits:
+            stated = [str(setting_of(texture, "file", "")).strip("@") for texture in pairs.values() if texture]
+            if image is None and not images:
+                text = "%s: %s: the image of its %s (%s) is not found or cannot be read, and is left out"
+                _log.warning(text, self._file, entry["name"], "/".join(outputs), first_few(dict.fromkeys(stated)))
+            elif images or image is None or not fits:
                 text = "%s: %s: the image of its %s is left out; give one PNG or JPEG with the channels of glTF"
                 _log.warning(text, self._file, entry["name"], "/".join(outputs))
             elif slot:
