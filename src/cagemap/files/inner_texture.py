@@ -26,16 +26,20 @@ def color_image(document: Document, material: str) -> MaterialImage | None:
     return next((slot for slot in material_images(document, material) if slot.slot == _COLOR_SLOT), None)
 
 
-def color_texture(path: Path, control: ControlMesh) -> tuple[Document, MaterialImage] | None:
+def color_texture(path: Path, control: ControlMesh, *, of_any: bool = False) -> tuple[Document, MaterialImage] | None:
     """The colour texture of most of a mesh's faces in its file, and the file's document.
 
     None without one, or if it belongs to another UV set than that in use.
+    ``of_any``: if the material of most faces has none, take that of the next.
     """
     if path.suffix.lower() not in SUFFIXES or control.face_materials is None or control.uvs is None:
         return None
     document = _document(path)
-    most = control.material_names[int(np.bincount(control.face_materials + 1, minlength=2)[1:].argmax())]
-    found = color_image(document, most) if most in material_names(document) else None
+    counts = np.bincount(control.face_materials + 1, minlength=2)[1:]
+    order = np.argsort(-counts, kind="stable")[: np.count_nonzero(counts) if of_any else 1]
+    names = [control.material_names[number] for number in order.tolist()]
+    images = (color_image(document, name) for name in names if name in material_names(document))
+    found = next((image for image in images if image is not None), None)
     in_use = control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0"
     return None if found is None or found.uv_set != in_use else (document, found)
 

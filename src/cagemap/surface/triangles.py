@@ -52,8 +52,7 @@ MOST_CLIPPED = 200
 def sound_triangles(positions: FloatArray, offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray, IndexArray]:
     """Triangles (t, 3) of polygons and the polygon (t,) of each, as numbers of corners.
 
-    As `fan_triangles`, but polygons whose fan has a flat or turned triangle, as at collinear and concave corners, are
-    split otherwise.
+    As `fan_triangles`, but polygons whose fan has a flat triangle, as at collinear corners, are split otherwise.
     """
     corners, faces = fan_triangles(offsets, np.arange(len(indices)))
     sizes, places = np.diff(offsets), positions[indices]
@@ -62,7 +61,7 @@ def sound_triangles(positions: FloatArray, offsets: IndexArray, indices: IndexAr
     normals: FloatArray = np.stack(
         [np.bincount(faces, areas[:, k], minlength=len(sizes)).astype(np.float64) for k in range(3)], axis=1
     )
-    unsound = np.einsum("td,td->t", areas, normals[faces]) <= FLAT * (normals[faces] ** 2).sum(axis=1)
+    unsound = np.abs(np.einsum("td,td->t", areas, normals[faces])) <= FLAT * (normals[faces] ** 2).sum(axis=1)
     chosen = np.bincount(faces, unsound, minlength=len(sizes)) > 0
     chosen &= (sizes > 3) & (sizes <= MOST_CLIPPED) & normals.any(axis=1)
     for size in np.unique(sizes[chosen]).tolist():

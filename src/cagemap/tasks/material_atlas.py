@@ -41,7 +41,7 @@ def material_atlas(path: Path, control: ControlMesh) -> MaterialAtlas | None:
     without UVs or materials, if an image belongs to another UV set than that in use or holds floats, or if the images,
     as often as UVs repeat them, take too many texels.
     """
-    textured = color_texture(path, control)
+    textured = color_texture(path, control, of_any=True)
     if textured is None or control.face_materials is None or control.uvs is None or control.uv_indices is None:
         return None
     document, most = textured
