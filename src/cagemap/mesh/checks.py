@@ -149,10 +149,11 @@ def _with_places(problem: MeshProblem, mesh: ControlMesh) -> MeshProblem:
     listed = np.array(problem.elements[:LISTED], dtype=np.int64)
     if not len(listed):
         return problem
-    if listed.ndim == 2:
-        places = mesh.positions[listed].mean(axis=1)
-    else:
-        places = (mesh.positions if problem.kind.endswith("vertices") else face_centres(mesh))[listed]
+    with np.errstate(over="ignore", invalid="ignore"):  # positions may be of any size
+        if listed.ndim == 2:
+            places = mesh.positions[listed].mean(axis=1)
+        else:
+            places = (mesh.positions if problem.kind.endswith("vertices") else face_centres(mesh))[listed]
     return replace(problem, places=tuple(map(place_text, places)))
 
 
