@@ -11,10 +11,10 @@ from examples.shapes import torus
 from cagemap.maps.point_map import PointMap
 from cagemap.subdivision import Level, refine
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import normalize_rows, triangle_frames
+from cagemap.surface.triangles import normalize_rows
 from cagemap.transfer import BakeOptions, bake_texture, prepare_transfer, unwrap
 from cagemap.transfer.baking import make_layout
-from cagemap.transfer.blend_shapes import _centre_images, carry_shape, prepare_shapes
+from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes
 from cagemap.transfer.locate import locate_centers, locate_samples, map_surface, whole_triangles
 from cagemap.transfer.texels import rasterize_band
 from cagemap.transfer.textured_surface import TexturedSurface
@@ -72,17 +72,6 @@ def test_shapes_come_back(monkeypatch: pytest.MonkeyPatch, samples: int) -> None
     carrier = prepare_shapes(body, body, identity_map(body.finest))
     shape = rng.standard_normal(control.positions.shape)
     np.testing.assert_allclose(carry_shape(carrier, shape), shape, rtol=0, atol=1e-9)
-
-
-def test_centres_of_triangles_are_found_across_folds(crumpled: Level, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Triangles are those that hold all corners; by walks from the corners, of which one alone finds four in ten."""
-    point_map = identity_map(crumpled)
-    given = point_map.source
-    frames, own = triangle_frames(given.positions, given.triangles), np.arange(len(given.triangles))
-    np.testing.assert_array_equal(_centre_images(point_map, frames, given.triangles, given.positions), own)
-    monkeypatch.setattr("cagemap.transfer.blend_shapes.whole_triangles", lambda found, *_: np.full(len(found), -1))
-    walked = _centre_images(point_map, frames, given.triangles, given.positions)
-    assert (walked == own).mean() > 0.8
 
 
 def test_walks_begin_in_the_triangle_that_holds_all_corners(crumpled: Level) -> None:

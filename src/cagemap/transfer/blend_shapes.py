@@ -1,8 +1,8 @@
 """Carry blend shapes to another cage by deformation transfer through the map (Sumner and Popovic 2004).
 
-A shape moves every triangle of the source by a linear map F. With Q the rotation of the map's differential, from the
-target's triangle to its image, the target's triangle should move by ``Q^T F Q``. The displacement d of the target's
-*control* vertices solves
+A shape moves the image of every target triangle on the source by a linear map F, that of its corners: the mean of the
+source's deformation over the image. With Q the rotation of the map's differential, from the target's triangle to its
+image, the target's triangle should move by ``Q^T F Q``. The displacement d of the target's *control* vertices solves
 
     min_d  sum_t a_t |grad (S d) - (Q^T F Q - I)|^2  +  anchor sum_i m_i |(S d)_i - Q_i^T D(T12(i))|^2,
 
@@ -21,20 +21,19 @@ from scipy.spatial import cKDTree
 
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.quality import weighted_percentiles
+from cagemap.maps.quality import flipped_triangles, weighted_percentiles
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.subdivision import Refinement, level_triangles
 from cagemap.subdivision.face_varying import interpolate_linearly
+from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangles import (
     corner_sums,
     normalize_rows,
     triangle_areas,
-    triangle_frames,
     triangle_normals,
     vertex_normals,
 )
-from cagemap.transfer.locate import walk_from, whole_triangles
 
 # About this many vertices of the target sample a shape.
 _SAMPLES = 25_000
@@ -44,8 +43,6 @@ _ANCHOR = 100.0
 _SHAPE_RIDGE = 1e-7
 # Weight of contacts of the source's shape against the anchor.
 _CONTACT = 100.0
-# Distances from walks' ends to their points are equal if they differ by less, in units of sqrt(area).
-_SAME_POINT = 1e-12
 # Points are in contact if they are closer than this many sample edges and the cosine of their normals is smaller.
 _CONTACT_DISTANCE, _CONTACT_COSINE = 1.0, -0.5
 
@@ -61,7 +58,6 @@ class ShapeCarrier:
     gradient: sparse.csr_array  # (3 t, s) gradients of functions on the samples' triangles
     areas: FloatArray  # (t,)
     masses: FloatArray  # (s,)
-    deforming: IndexArray  # (t, 3) source vertices of the triangle whose deformation every triangle takes
     rotations: FloatArray  # (t, 3, 3) Q, from the target to the source
     vertex_rotations: FloatArray  # (s, 3, 3)
     ratio: float  # length on the target for a length of 1 on the source, both at unit area
@@ -79,10 +75,7 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
     places, images = point_map.target.positions[:count], point_map.images.positions[:count]
     gradient, areas = _gradients(places, triangles)
     masses = corner_sums(triangles, areas[:, None], count)[:, 0] / 3
-    source_surface = point_map.source
-    deforming = _deforming(point_map, triangles, images)
-    source_normals = normalize_rows(triangle_normals(source_surface.positions, deforming))
-    rotations = _rotations(gradient, places, images, triangles, source_normals)
+    rotations = _rotations(gradient, places, point_map.images.at(slice(count)), triangles)
     around = corner_sums(triangles, (areas[:, None, None] * rotations).reshape(-1, 9), count).reshape(-1, 3, 3)
     samples = target.rows(slice(count), target.finest_level, 0)
     weighted = gradient.T @ sparse.diags_array(np.repeat(areas, 3)) @ gradient
@@ -99,7 +92,6 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
         gradient,
         areas,
         masses,
-        deforming,
         rotations,
         nearest_rotations(around),
         _length_ratio(areas, triangle_areas(images, triangles)),
@@ -119,41 +111,6 @@ def _length_ratio(areas: FloatArray, image_areas: FloatArray) -> float:
     return float(weighted_percentiles(stretch, areas[known], [50.0])[0])
 
 
-def _deforming(point_map: PointMap, triangles: IndexArray, images: FloatArray) -> IndexArray:
-    """(t, 3) vertices of the source triangle whose deformation is given to each target triangle.
-
-    A target triangle takes the source triangle at the image of its centre. Under the identity map it takes its own
-    three vertices: on a coarse level they deform differently from the small triangle at the centre.
-    """
-    source_surface, count = point_map.source, len(images)
-    weights, corners = point_map.barycentric[:count], source_surface.triangles[point_map.triangle[:count]]
-    vertices = np.take_along_axis(corners, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
-    if (weights.max(axis=1) == 1.0).all() and np.array_equal(vertices, np.arange(count)):
-        return triangles
-    frames = triangle_frames(source_surface.positions, source_surface.triangles)
-    return source_surface.triangles[_centre_images(point_map, frames, triangles, images)]
-
-
-def _centre_images(point_map: PointMap, frames: FloatArray, triangles: IndexArray, images: FloatArray) -> IndexArray:
-    """(t,) source triangle at the image of every triangle's centre.
-
-    The triangle that holds all corners, or else the nearest of three walks' ends, one from each corner: at a sharp
-    fold, such as a lip, a single walk may end on the wrong side.
-    """
-    source_surface, centres = point_map.source, images[triangles].mean(axis=1)
-    nearest_triangles = np.zeros(len(triangles), dtype=np.int64)
-    least = np.full(len(triangles), np.inf)
-    for corner in range(3):
-        starts = point_map.triangle[triangles[:, corner]]
-        triangle, barycentric = walk_from(frames, source_surface.neighbors, starts, centres)
-        places = np.einsum("tc,tcd->td", barycentric, source_surface.positions[source_surface.triangles[triangle]])
-        distance = np.linalg.norm(places - centres, axis=1)
-        nearer = distance < least - _SAME_POINT
-        nearest_triangles[nearer], least[nearer] = triangle[nearer], distance[nearer]
-    whole = whole_triangles(triangles, source_surface.triangles, point_map.triangle, point_map.barycentric)
-    return np.where(whole >= 0, whole, nearest_triangles)
-
-
 def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
     """Displacement (c1, 3) of the target's control vertices from the source's (c2, 3), each in its file units."""
     expected = (carrier.source.control.n_vertices, 3)
@@ -164,13 +121,12 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
         )
     source_surface, maps = carrier.point_map.source, carrier.point_map
     moved = source_surface.scale * carrier.source.prolong(np.asarray(displacement), 0, carrier.source.finest_level)
-    deformation = _deformation(source_surface.positions, source_surface.positions + moved, carrier.deforming)
+    images = maps.images.at(slice(len(carrier.masses)))
+    image_moves = images.interpolate(moved)
+    deformation = _deformation(images.positions, images.positions + image_moves, carrier.triangles)
     change = deformation - np.eye(3)
     wanted = np.einsum("tba,tbc,tcd->tad", carrier.rotations, change, carrier.rotations)  # Q^T (F - I) Q
-    count = len(carrier.masses)
-    rotated_moves = carrier.ratio * np.einsum(
-        "sba,sb->sa", carrier.vertex_rotations, maps.images.at(slice(count)).interpolate(moved)
-    )
+    rotated_moves = carrier.ratio * np.einsum("sba,sb->sa", carrier.vertex_rotations, image_moves)
     flow = (carrier.areas[:, None, None] * wanted).transpose(0, 2, 1).reshape(-1, 3)  # rows (t, direction)
     right = carrier.samples.T @ (carrier.gradient.T @ flow + _ANCHOR * carrier.masses[:, None] * rotated_moves)
     control_moves = carrier.ratio * source_surface.scale * (carrier.own @ np.asarray(displacement, dtype=np.float64))
@@ -242,12 +198,17 @@ def _gradients(places: FloatArray, triangles: IndexArray) -> tuple[sparse.csr_ar
 
 
 def _rotations(
-    gradient: sparse.csr_array, places: FloatArray, images: FloatArray, triangles: IndexArray, across: FloatArray
+    gradient: sparse.csr_array, places: FloatArray, images: SurfacePoints, triangles: IndexArray
 ) -> FloatArray:
-    """(t, 3, 3) rotation of the map's differential, target to source, of every triangle; normals go to normals."""
-    differential = (gradient @ images).reshape(-1, 3, 3).transpose(0, 2, 1)
-    normals = triangle_normals(places, triangles)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+    """(t, 3, 3) rotation of the map's differential, target to source, of every triangle; normals go to normals.
+
+    Where an image is flipped or has no area, its normal is the mean of the source's at its corners.
+    """
+    differential = (gradient @ images.positions).reshape(-1, 3, 3).transpose(0, 2, 1)
+    normals, across = (normalize_rows(triangle_normals(side, triangles)) for side in (places, images.positions))
+    between = (images.barycentric.max(axis=1) < 1.0)[triangles].any(axis=1)  # normals at sharp vertices mislead
+    unsure = (flipped_triangles(images, triangles) & between) | ~across.any(axis=1)
+    across[unsure] = normalize_rows(images.normals[triangles[unsure]].mean(axis=1))
     stretch = np.sqrt(np.einsum("tab,tab->t", differential, differential) / 2)
     return nearest_rotations(differential + stretch[:, None, None] * across[:, :, None] * normals[:, None, :])
 
