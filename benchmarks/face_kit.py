@@ -57,9 +57,8 @@ def face_arrays(folder: Path) -> dict[str, NDArray[Any]]:
         for part in parts:
             start, end = given["offset"][number[part] : number[part] + 2]
             offsets[given["row"][start:end].astype(int)] += given["delta"][start:end]
-        if (
-            name != "mouthClose"
-        ):  # corrects jawOpen; corners of the mouth are smoother if only the carried shape is moved
+        # mouthClose corrects jawOpen; corners of the mouth are smoother if only the carried shape is moved.
+        if name != "mouthClose":
             offsets = move_apart(head.positions, head.positions + offsets, triangles, FORWARD) - head.positions
         moved = np.flatnonzero(np.abs(offsets).max(axis=1) > LEAST)
         names.append(name)

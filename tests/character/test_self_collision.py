@@ -63,3 +63,18 @@ def test_what_does_not_collide_and_what_collides_at_rest_stays(lips) -> None:
     inside = positions + 0.25 * is_upper[:, None] * down
     shifted = inside + 0.01 * FORWARD
     np.testing.assert_array_equal(move_apart(inside, shifted, triangles, FORWARD), shifted)
+
+
+def test_what_collides_at_rest_beside_a_new_collision_stays_together(lips) -> None:
+    """A third ball goes into the upper one, which overlaps the lower one at rest."""
+    positions, triangles, is_upper = lips
+    up = TURN @ [0.0, 1.0, 0.0]
+    lower, upper = positions[~is_upper], positions[is_upper] - 0.3 * up
+    third = upper + (np.ptp(upper @ up) + 0.05) * up
+    rest, count = np.concatenate([lower, upper, third]), len(lower)
+    every = np.concatenate([triangles, triangles[: len(triangles) // 2] + 2 * count])
+    moved = rest.copy()
+    moved[2 * count :] -= 0.15 * up
+    apart = move_apart(rest, moved, every, FORWARD)
+    np.testing.assert_array_equal(apart[:count], lower)
+    assert np.abs(apart[count:] - moved[count:]).max() > 0.01

@@ -17,6 +17,7 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Sdf, Usd, UsdGeom, UsdUtils, Vt
 
+from cagemap.files.usd import crate
 from cagemap.files.usd.crate import check_crate
 from cagemap.files.usd.write import write_usd
 
@@ -39,6 +40,26 @@ def test_a_section_that_states_more_than_it_holds_is_refused(section: str, offse
     path.write_bytes(content)
     with pytest.raises(FormatError, match=r"box\.usdc: cannot be read as USD \(its sections are damaged\)"):
         read_mesh(path)
+
+
+def test_blocks_that_copy_what_is_not_there_are_refused() -> None:
+    """A block of 2 kB made 100 MB of it before."""
+    for back in (0, 9):
+        with pytest.raises(struct.error):
+            crate._decompressed(bytes([0x1F, 65]) + struct.pack("<H", back) + b"\xff" * 2000 + b"\0", 64)
+    assert crate._decompressed(bytes([0x1F, 65]) + struct.pack("<H", 1) + b"\xff" * 2000 + b"\0", 64) == b"A" * 64
+
+
+def test_encrypted_packages_are_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "box.usdz"
+    with zipfile.ZipFile(path, "w") as package:
+        package.writestr("box.usdc", b"PXR-USDC")
+    content = bytearray(path.read_bytes())
+    for start in (6, content.index(b"PK\x01\x02") + 8):
+        content[start] |= 1
+    path.write_bytes(content)
+    with pytest.raises(FormatError, match=r"box\.usdz: expected a package without encryption"):
+        check_crate(path)
 
 
 def test_sound_crates_of_many_equal_prims_pass(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.mesh_report import FileVertex
 from cagemap.report import (
     CarriedData,
     CarriedShape,
@@ -181,7 +182,10 @@ def test_report_without_figures_is_still_a_page(result: MatchResult, gallery: Ga
 
 
 def test_pairs_that_were_left_out_are_named(result: MatchResult, gallery: Gallery) -> None:
-    check = LandmarkCheck((LandmarkSuspect("d", 2, 0.2, "7 at (1, 2, 3)", "5", "distances"),), ("five pairs are few",))
+    check = LandmarkCheck(
+        (LandmarkSuspect("d", 2, 0.2, FileVertex(7, (1.0, 2.0, 3.0)), FileVertex(5), "distances"),),
+        ("five pairs are few",),
+    )
     quality = replace(result.quality, landmark_errors=np.zeros(3))
     page = build_page(replace(result, landmark_check=check, quality=quality), gallery)
     assert "Landmark &#x27;d&#x27; looks wrong" in page

@@ -22,6 +22,7 @@ from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.mesh_report import FileVertex
 from cagemap.mesh.schemes import Plain
 from cagemap.operators.coarse_levels import build_levels
 from cagemap.pictures import Z_UP
@@ -189,7 +190,9 @@ def test_texture_coordinates_far_outside_the_square_stay_fine(shift: float, move
 
 @pytest.mark.slow
 def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchResult) -> None:
-    check = LandmarkCheck((LandmarkSuspect("d", 2, 0.2, "7 at (1, 2, 3)", "5", "distances"),), ())
+    check = LandmarkCheck(
+        (LandmarkSuspect("d", 2, 0.2, FileVertex(7, (1.0, 2.0, 3.0)), FileVertex(5), "distances"),), ()
+    )
     places = result.point_map.images.positions[:8]
     answers = (Placement(places, 1e-4, name="one"), Placement(-places, 1.1e-4, name="another"))
     unsure = replace(result, landmark_check=check, confidence=Confidence(TWO, answers, deciding=5))
@@ -204,7 +207,7 @@ def test_landmarks_that_were_left_out_and_what_decides_are_marked(result: MatchR
     shown = page.split("<script")[0]
     assert "vertex" not in shown.split("Look here")[1].split("</ul>")[0]
     assert name_marks("1 % is folded over, worst at (1, -2.5, 3) of the target's file", ()) == "1 % is folded over"
-    for vertex in ("12", "12 at (1, -2.5, 3)"):
+    for vertex in (FileVertex(12), FileVertex(12, (1.0, -2.5, 3.0))):
         assert name_marks(f"A landmark at target vertex {vertex} decides", ()) == "A landmark there decides"
 
 
@@ -221,7 +224,8 @@ def test_the_verdict_is_one_sentence_that_names_the_worst_figure() -> None:
     said = "The map is usable; its stretch is 2.50 (1 keeps all lengths): read the remarks below."
     assert map_verdict(stretched) == ("fair", said)
     undefined = {"quality": {"dirichlet": float("nan"), "coverage": 0.99}}
-    assert map_verdict(undefined) == ("good", "The map looks sound.")
+    said = "Do not use this map as it is: its stretch is unknown (1 keeps all lengths)."
+    assert map_verdict(undefined) == ("poor", said)
     warned = {"quality": {"warnings": ["few landmarks"]}}
     assert map_verdict(warned) == ("fair", "The map is usable; read the remarks below.")
 

@@ -103,14 +103,15 @@ def test_a_bake_is_given_the_map_of_the_page_until_landmarks_change_it(
     opened.match_again()
     until(lambda: opened.state.map.revision > revision, opened)
     opened.finish(FinishOptions())
-    np.testing.assert_array_equal(started[0].known.result.triangle, opened.scene.preview_map.triangle)
-    assert [command.known for command in started[1:]] == [None] * len(started[1:])
+    np.testing.assert_array_equal(started[0].earlier.result.triangle, opened.scene.preview_map.triangle)
+    assert len(started) > 1
+    assert [command.earlier for command in started[1:]] == [None] * len(started[1:])
     click(opened, "target", 2)
     opened.accept()
     until(lambda: opened.state.map.revision > revision + 1, opened)
     started.clear()
     opened.finish(FinishOptions())
-    assert started[0].known is None
+    assert started[0].earlier is None
 
 
 def test_the_next_landmark_is_proposed_on_both_models(opened: Session) -> None:

@@ -83,10 +83,12 @@ def move_apart(
     size = np.sqrt(surface_area(rest, triangles))
     means = neighbor_means(triangles, len(rest))
     vertices = np.flatnonzero(row_lengths(moved - rest) > config.tolerance * size)
-    vertices = Collisions.find(moved, triangles, vertices, outward, config).vertices
-    colliding_at_rest = Collisions.find(rest, triangles, vertices, outward, config).vertices
+    more, tested = Collisions.find(moved, triangles, vertices, outward, config).vertices, vertices[:0]
+    seen = vertices[:0]
     for _ in range(config.max_rounds):
-        found = Collisions.find(moved, triangles, np.setdiff1d(vertices, colliding_at_rest), outward, config)
+        at_rest = Collisions.find(rest, triangles, more, outward, config).vertices
+        seen, tested = np.union1d(seen, more), np.union1d(tested, np.setdiff1d(more, at_rest))
+        found = Collisions.find(moved, triangles, tested, outward, config)
         if row_lengths(found.ways_out).max(initial=0.0) < config.tolerance * size:
             break
         half, weights = 0.5 * found.ways_out, found.barycentric
@@ -100,14 +102,26 @@ def move_apart(
             spread = means @ push
             push = np.where((row_lengths(push) >= row_lengths(spread))[:, None], push, spread)
         moved = moved + push
-        vertices = np.union1d(vertices, np.flatnonzero(push.any(axis=1)))
+        more = np.setdiff1d(np.flatnonzero(push.any(axis=1)), seen)
     return moved
+
+
+def _pairs_within(points: FloatArray, centres: FloatArray, radii: FloatArray) -> tuple[IndexArray, IndexArray]:
+    """Points (k, 2) and discs that may hold them; discs of one power of two are searched at a time."""
+    tree, classes = cKDTree(points), np.frexp(radii)[1]
+    points_found, discs_found = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    for one in np.unique(classes):
+        discs = np.flatnonzero(classes == one)
+        pairs = tree.sparse_distance_matrix(cKDTree(centres[discs]), 2.0**one, output_type="ndarray")
+        points_found.append(pairs["i"])
+        discs_found.append(discs[pairs["j"]])
+    return np.concatenate(points_found), np.concatenate(discs_found)
 
 
 def winding_numbers(
     positions: FloatArray, triangles: IndexArray, points: FloatArray, direction: FloatArray
 ) -> IndexArray:
-    """(m,) how often rays from points leave the surface, less how often they enter it: 0 outside."""
+    """(m,) how often rays from points leave the surface, less how often they enter it."""
     if not len(points):
         return np.zeros(0, dtype=np.int64)
     unit = direction / np.linalg.norm(direction)
@@ -117,10 +131,7 @@ def winding_numbers(
     low, high = corners.min(axis=1), corners.max(axis=1)
     is_ahead = (high >= origins.min(axis=0)).all(axis=1) & (low[:, :2] <= origins[:, :2].max(axis=0)).all(axis=1)
     corners, low, high = corners[is_ahead], low[is_ahead], high[is_ahead]
-    centres = 0.5 * (low + high)[:, :2]
-    radius = float(row_lengths(high[:, :2] - centres).max(initial=0.0))
-    pairs = cKDTree(origins[:, :2]).sparse_distance_matrix(cKDTree(centres), radius, output_type="ndarray")
-    row, triangle = pairs["i"], pairs["j"]
+    row, triangle = _pairs_within(origins[:, :2], 0.5 * (low + high)[:, :2], 0.5 * row_lengths((high - low)[:, :2]))
     near = (high[triangle] >= origins[row]).all(axis=1) & (low[triangle, :2] <= origins[row, :2]).all(axis=1)
     row, corners = row[near], corners[triangle[near]]
     arms, following = corners[:, :, :2] - origins[row, None, :2], np.roll(corners, -1, axis=1)[:, :, :2]

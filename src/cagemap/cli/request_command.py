@@ -56,7 +56,7 @@ _SECTIONS = ("Arguments", *HEADINGS, "Options")
 _METAVARS = {Path: "FILE", int: "NUMBER", float: "NUMBER", str: "TEXT"}
 
 # Modules that SciPy and readers import, and few commands use.
-LAZY_MODULES = ("numpy.f2py", "numpy.testing", "scipy.io")
+LAZY_MODULES = ("numpy.f2py", "numpy.testing")
 
 
 def command_of(kind: type[Request], run: Callable[[Request], None]) -> Callable[..., None]:

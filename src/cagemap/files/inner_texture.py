@@ -23,7 +23,7 @@ _COLOR_SLOT = "baseColorTexture"
 
 def color_image(document: Document, material: str) -> MaterialImage | None:
     """The colour texture of a material of a document; None without one."""
-    return next((slot for slot in material_images(document, material) if slot.slot == _COLOR_SLOT), None)
+    return next(iter(material_images(document, material, _COLOR_SLOT)), None)
 
 
 def color_texture(path: Path, control: ControlMesh, *, of_any: bool = False) -> tuple[Document, MaterialImage] | None:
@@ -45,8 +45,8 @@ def color_texture(path: Path, control: ControlMesh, *, of_any: bool = False) -> 
 
 
 def tinted_materials(path: Path, control: ControlMesh) -> list[str]:
-    """Materials of a mesh whose image a glTF file multiplies by a colour that is not white, with that colour."""
-    found = color_texture(path, control) if path.suffix.lower() in GLTF_SUFFIXES else None
+    """Materials whose image a glTF file multiplies by another colour than white, with it."""
+    found = color_texture(path, control, of_any=True) if path.suffix.lower() in GLTF_SUFFIXES else None
     if found is None or control.face_materials is None:
         return []
     document, names = found[0], material_names(found[0])

@@ -48,8 +48,8 @@ class SuspectRecord(Record):
     pair: Annotated[int, Field(ge=0)]
     message: str
     distance: float = 0.0
-    nearest_vertex: FileVertexRecord | int = 0
-    source_vertex: FileVertexRecord | int = 0
+    nearest_vertex: FileVertexRecord | Annotated[int, Field(ge=0)] = 0
+    source_vertex: FileVertexRecord | Annotated[int, Field(ge=0)] = 0
     evidence: str = ""
 
 
@@ -75,7 +75,7 @@ class ConfidenceRecord(Record):
     message: str
     signs: dict[str, float] | None = None
     deciding: Annotated[int, Field(ge=0)] | None = None
-    file_vertex: FileVertexRecord | int | None = None
+    file_vertex: FileVertexRecord | Annotated[int, Field(ge=0)] | None = None
     part: str = ""
     readings: Annotated[list[ReadingRecord], Field(min_length=1)]
 

@@ -179,7 +179,7 @@ class ControlMesh:
 
     @property
     def has_layout(self) -> bool:
-        """Whether the texture coordinates span an area: some exporters write the same ones for all corners."""
+        """Whether texture coordinates span an area: some exporters write one for all corners."""
         if self.uvs is None or self.uv_indices is None:
             return False
         corners = self.uvs[fan_triangles(self.face_offsets, self.uv_indices)[0]]

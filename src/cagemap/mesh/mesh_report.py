@@ -44,7 +44,7 @@ def place_text(place: Iterable[float]) -> str:
 
 @dataclass(frozen=True)
 class FileVertex:
-    """A vertex by its number in the file, and where it is, since programs may number vertices otherwise."""
+    """A vertex of a file: programs may number it otherwise, so its place is given too."""
 
     number: int
     place: tuple[float, float, float] | None = None  # None in results of older versions

@@ -37,7 +37,7 @@ from cagemap.mesh.topology import (
 )
 from cagemap.mesh.weld import coincident_vertices, file_copies, weld_tolerance
 from cagemap.numerics.arrays import IndexArray
-from cagemap.surface.triangles import sound_triangles
+from cagemap.surface.triangles import polygon_triangles
 
 # Most rounds of removing faces at edges of more than two faces; scans need two.
 MAX_FIN_ROUNDS = 20
@@ -135,7 +135,7 @@ def _of_one_face_size(mesh: ControlMesh) -> tuple[ControlMesh, int]:
         return mesh, 0  # faces of fewer corners are removed later
     if size == 4 and not odd.any():
         return mesh, 0
-    corners, faces = sound_triangles(mesh.positions, mesh.face_offsets, mesh.face_indices)
+    corners, faces = polygon_triangles(mesh.positions, mesh.face_offsets, mesh.face_indices)
     return with_corners_of(mesh, faces, 3 * np.arange(len(faces) + 1), corners.ravel()), max(int(odd.sum()), 1)
 
 

@@ -33,7 +33,7 @@ from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_s
 from cagemap.studio.state import MapState
 from cagemap.studio.textures import textured
 from cagemap.subdivision import refine
-from cagemap.tasks.match import KnownMatch
+from cagemap.tasks.match import EarlierMatch
 
 Progress = Callable[[str], None]
 
@@ -141,14 +141,14 @@ class MapUpdate:
         Target and source as drawn with the map; None: the source as before.
     map_state : MapState
         Without the revision.
-    known : KnownMatch or None
+    earlier : EarlierMatch or None
         The map as a match from the start; None after an update.
     """
 
     preview_map: PreviewMap
     skins: tuple[bytes, bytes | None]
     map_state: MapState
-    known: KnownMatch | None = None
+    earlier: EarlierMatch | None = None
 
 
 TaskResult = OpenedPair | MapUpdate | bytes | tuple[bytes, bytes]
@@ -249,8 +249,7 @@ def find_map(
         preview = None if cache.result is not None else lambda rough: show(_rough_update(cache, rough))
         free_match = cache.free_match or match_pair(prepared_pair, progress=progress, preview=preview)
         answer = cache.chosen_answer if task.answer is None else task.answer
-        needs_answer = answer or task.answer is not None
-        result = other_answer(free_match, answer, progress=progress) if needs_answer else free_match
+        result = other_answer(free_match, answer, progress=progress) if answer else free_match
         config = MatchConfig(answer=answer)
         cache = replace(cache, free_match=free_match, chosen_answer=answer, result=result, config=config)
         if has_constraints:
@@ -308,10 +307,10 @@ def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:
         notes=tuple(result.landmark_check.notes) + tuple(result.quality.warnings),
         suggestion=_suggested_vertex(cache, result),
         poses=tuple(animation_poses(character)),
-        from_start=cache.config is not None,
+        from_start=cache.config is not None and not len(result.landmarks.curves),
     )
-    known = None if cache.config is None else KnownMatch(result, cache.config)
-    return cache, MapUpdate(preview_map, (skin, rotated_skin), map_state, known)
+    earlier = None if cache.config is None else EarlierMatch(result, cache.config)
+    return cache, MapUpdate(preview_map, (skin, rotated_skin), map_state, earlier)
 
 
 def _suggested_vertex(cache: PreviewCache, result: MatchResult) -> int | None:

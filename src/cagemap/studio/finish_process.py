@@ -95,8 +95,8 @@ def run_command(command: Command, stages: Stages) -> RequestResult:
             try:
                 # `runner_of` loads libraries here, where it can be interrupted
                 run: Callable[..., tuple[str, Any]] = runner_of(command.request)
-                known = {} if command.known is None else {"known": command.known}
-                summary, warnings = run(command.request, stages, **known)
+                earlier = {} if command.earlier is None else {"earlier": command.earlier}
+                summary, warnings = run(command.request, stages, **earlier)
                 collector.texts += warnings
             except Exception as error:
                 failure = explain_error(error)

@@ -35,7 +35,7 @@ class Preview:
     current_inputs : callable
         Gives the current landmarks and map when a task starts.
     on_job : callable
-        Called at every task and stage, and with None after a task.
+        Called at every task and stage.
     on_result : callable
         Called with a task and its result.
     """
@@ -45,7 +45,7 @@ class Preview:
         vertices: int,
         folder: Path,
         current_inputs: Callable[[], tuple[LandmarkList, PreviewMap | None]],
-        on_job: Callable[[RunningJob | None], None],
+        on_job: Callable[[RunningJob], None],
         on_result: Callable[[Task, object], None],
     ) -> None:
         self._vertices, self._folder = vertices, folder
@@ -129,7 +129,6 @@ class Preview:
             if self._closed:
                 return
             self._on_result(task, result)
-            self._on_job(None)  # afterwards: the page never shows the last state as the result
 
     def _next_task(self) -> Task | None:
         """Wait for a request: models first, images last."""

@@ -40,7 +40,7 @@ from cagemap.studio.state import (
 )
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.studio.workspace import Workspace
-from cagemap.tasks.match import KnownMatch
+from cagemap.tasks.match import EarlierMatch
 from cagemap.tasks.requests.catalogue import Options
 
 log = logging.getLogger(__name__)
@@ -66,7 +66,7 @@ class Session(LandmarkEdits):
         self._requested_parts: SideNames = (None, None)
         self._finish_inputs: tuple[object, ...] = ()
         self._last_map = LastMap()
-        self._known: KnownMatch | None = None
+        self._earlier: EarlierMatch | None = None
         self._runner = Runner(lambda job: self._change(finish_job=job), self._on_output, self._on_message, self._on_end)
         self._preview = Preview(
             vertices,
@@ -222,7 +222,7 @@ class Session(LandmarkEdits):
             if self._state.history.present.has_constraints:
                 self._save()
             self.show(map_view(self._state.view))
-            commands = (replace(commands[0], known=self._known), *commands[1:])
+            commands = (replace(commands[0], earlier=self._earlier), *commands[1:])
             remaining = self._last_map.remaining_commands(commands, self._state)
             reused = () if remaining == commands else (Output(commands[0].output, commands[0].output_title),)
             self._change(outputs=reused, uv_set=options.option_values.get(("match", "target_uv_set")) or None)
@@ -242,7 +242,7 @@ class Session(LandmarkEdits):
     def _open_pair(self, files: Files, requested_parts: SideNames) -> None:
         """Open models; if that fails, `_apply_result` tries again with the requested parts."""
         with self._lock:
-            self._scene, self._known, self._requested_parts = None, None, requested_parts
+            self._scene, self._earlier, self._requested_parts = None, None, requested_parts
             self._change(files=files, view=map_view(self._state.view), **INITIAL_FIELDS)
             self._preview.open(files)
 
@@ -287,11 +287,14 @@ class Session(LandmarkEdits):
         return state.history.present, None if scene is None else scene.preview_map
 
     def _receive(self, task: Task, result: object) -> None:
-        with self._lock, self.report_errors():
-            self._apply_result(task, result)
-
-    def _apply_result(self, task: Task, result: object) -> None:
         is_rough = isinstance(result, MapUpdate) and result.map_state.rough
+        with self._lock:
+            with self.report_errors():
+                self._apply_result(task, result, is_rough=is_rough)
+            if not is_rough:  # under the same lock: nothing is left to cancel; afterwards: no flash of the last state
+                self._change(preview_job=None)
+
+    def _apply_result(self, task: Task, result: object, *, is_rough: bool) -> None:
         cancelled, self._cancelled = self._cancelled, self._cancelled and is_rough
         if task.pair_files != self._preview.pair_files or (is_rough and cancelled):  # other models are open by now
             return
@@ -315,13 +318,13 @@ class Session(LandmarkEdits):
                 before, (target, source) = self._scene, result.skins
                 scene = replace(before, preview_map=result.preview_map, skins=(target, source or before.skins[1]))
                 self._scene = scene = replace(scene, source=scene.aligned_source)
-                self._known = result.known
+                self._earlier = result.earlier
                 if before.preview_map is None or scene.source is not before.source:
                     scene.warm_up()  # not earlier: the page loads the models first
                 map_state = result.map_state.rename_landmarks(task.landmarks, self._state.history.present)
-                known = self._state.map
-                first = known.first_seconds or (0.0 if map_state.rough else time.monotonic() - self._opened_at)
-                revision = known.revision + (not map_state.rough)
+                shown = self._state.map
+                first = shown.first_seconds or (0.0 if map_state.rough else time.monotonic() - self._opened_at)
+                revision = shown.revision + (not map_state.rough)
                 map_state = replace(map_state, revision=revision, first_seconds=first)
                 self._change(map=map_state, proposal=propose_place(scene, self._state.history.present))
             case bytes() if self._scene is not None and isinstance(task, ShowBaked):

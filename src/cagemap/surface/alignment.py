@@ -19,7 +19,7 @@ def principal_frame(points: FloatArray, weights: FloatArray) -> tuple[FloatArray
 
 
 def rotations_onto(axes: FloatArray, others: FloatArray) -> list[FloatArray]:
-    """The four rotations (3, 3) that bring the axes of a frame onto another's: axes have no sign."""
+    """The four rotations (3, 3) of axes onto others: axes have no sign."""
     signs = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
     return [others @ (axes * [first, second, first * second]).T for first, second in signs]
 

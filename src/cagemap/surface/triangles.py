@@ -44,15 +44,17 @@ def fan_triangles(offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray,
 
 
 # A corner of a polygon's triangulation is flat if its area is below this share of the polygon's.
-FLAT = 1e-6
+_MIN_AREA_SHARE = 1e-6
 # Larger polygons are split into fans: clipping ears takes time cubic in the corners.
-MOST_CLIPPED = 200
+_MAX_CLIPPED_CORNERS = 200
+_MAX_CLIPPED_PAIRS = 1_000_000  # of corners, at a time: some 100 MB
 
 
-def sound_triangles(positions: FloatArray, offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray, IndexArray]:
+def polygon_triangles(positions: FloatArray, offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray, IndexArray]:
     """Triangles (t, 3) of polygons and the polygon (t,) of each, as numbers of corners.
 
     As `fan_triangles`, but polygons whose fan has a flat triangle, as at collinear corners, are split otherwise.
+    Other concave polygons keep their fans, which may fold.
     """
     corners, faces = fan_triangles(offsets, np.arange(len(indices)))
     sizes, places = np.diff(offsets), positions[indices]
@@ -61,15 +63,17 @@ def sound_triangles(positions: FloatArray, offsets: IndexArray, indices: IndexAr
     normals: FloatArray = np.stack(
         [np.bincount(faces, areas[:, k], minlength=len(sizes)).astype(np.float64) for k in range(3)], axis=1
     )
-    unsound = np.abs(np.einsum("td,td->t", areas, normals[faces])) <= FLAT * (normals[faces] ** 2).sum(axis=1)
-    chosen = np.bincount(faces, unsound, minlength=len(sizes)) > 0
-    chosen &= (sizes > 3) & (sizes <= MOST_CLIPPED) & normals.any(axis=1)
+    of_polygons = normals[faces]
+    flat = np.abs(np.einsum("td,td->t", areas, of_polygons)) <= _MIN_AREA_SHARE * (of_polygons**2).sum(axis=1)
+    chosen = np.bincount(faces, flat, minlength=len(sizes)) > 0
+    chosen &= (sizes > 3) & (sizes <= _MAX_CLIPPED_CORNERS) & normals.any(axis=1)
     for size in np.unique(sizes[chosen]).tolist():
-        polygons = np.flatnonzero(chosen & (sizes == size))
-        first = offsets[polygons]
-        clipped = _clip_ears(places[first[:, None] + np.arange(size)], normals[polygons])
-        rows = np.searchsorted(faces, polygons)[:, None] + np.arange(size - 2)
-        corners[rows] = first[:, None, None] + clipped
+        of_size = np.flatnonzero(chosen & (sizes == size))
+        for polygons in np.array_split(of_size, len(of_size) * size**2 // _MAX_CLIPPED_PAIRS + 1):
+            first = offsets[polygons]
+            clipped = _clip_ears(places[first[:, None] + np.arange(size)], normals[polygons])
+            rows = np.searchsorted(faces, polygons)[:, None] + np.arange(size - 2)
+            corners[rows] = first[:, None, None] + clipped
     return corners, faces
 
 
@@ -81,7 +85,7 @@ def _clip_ears(points: FloatArray, normals: FloatArray) -> IndexArray:
     count, size = points.shape[:2]
     rows = np.arange(count)
     left, found = np.tile(np.arange(size), (count, 1)), np.zeros((count, 0, 3), dtype=np.int64)
-    tolerance = FLAT * (normals**2).sum(axis=1)[:, None, None]
+    tolerance = _MIN_AREA_SHARE * (normals**2).sum(axis=1)[:, None, None]
     for most in range(size, 2, -1):
         ears = np.stack([np.roll(left, 1, axis=1), left, np.roll(left, -1, axis=1)], axis=2)
         corners = points[rows[:, None, None], ears]

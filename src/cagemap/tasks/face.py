@@ -135,7 +135,7 @@ def _landmarks(request: FaceRequest, head: Part, character: Character) -> tuple[
 
 
 def face_shapes(bodies: Bodies) -> dict[str, FloatArray]:
-    """Shapes of the built-in face on the head, by name; lips and eyelids do not go through each other.
+    """Shapes of the built-in face on the head, by name, without new collisions.
 
     mouthClose corrects jawOpen: its collisions are those of both, and without jawOpen it stays as carried.
     """

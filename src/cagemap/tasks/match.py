@@ -80,7 +80,7 @@ class Inputs:
 
 
 @dataclass(frozen=True, eq=False)
-class KnownMatch:
+class EarlierMatch:
     """A match made before, which the match of equal inputs gives again."""
 
     result: MatchResult
@@ -90,18 +90,20 @@ class KnownMatch:
         self, target: Surface, source: Surface, landmarks: Landmarks, config: MatchConfig
     ) -> MatchResult | None:
         """The result on equal surfaces; None if an input differs, or there are curves."""
-        known, pairs = self.result, ((self.result.target, target), (self.result.source, source))
-        if config.masks.any or known.masks.any or replace(config, masks=self.config.masks) != self.config:
+        earlier, pairs = self.result, ((self.result.target, target), (self.result.source, source))
+        if config.masks.any or earlier.masks.any or replace(config, masks=self.config.masks) != self.config:
             return None
-        if landmarks.places != known.landmarks.places or len(landmarks.curves) + len(known.landmarks.curves):
+        if (landmarks.names, landmarks.places) != (earlier.landmarks.names, earlier.landmarks.places):
+            return None
+        if len(landmarks.curves) + len(earlier.landmarks.curves):
             return None
         if not all(_is_same_surface(one, two) for one, two in pairs):
             return None
-        points = known.point_map
+        points = earlier.point_map
         point_map = PointMap.from_arrays(
             target.finest_triangles, source.finest_triangles, points.triangle, points.barycentric
         )
-        return replace(known, target=target, source=source, landmarks=landmarks, point_map=point_map)
+        return replace(earlier, target=target, source=source, landmarks=landmarks, point_map=point_map)
 
 
 def _is_same_surface(one: Surface, two: Surface) -> bool:
@@ -125,24 +127,24 @@ class MatchSettings:
     cache: Path | None = None  # folder of prepared surfaces
     entries: dict[str, Any] = field(default_factory=dict)  # for the manifest: parameters, inputs
     before: MatchResult | None = None  # match of the source's last frame, from which the match starts
-    known: KnownMatch | None = None  # is used if its inputs are equal
+    earlier: EarlierMatch | None = None  # is used if its inputs are equal
 
 
-def run_match(request: MatchRequest, stages: Stages, known: KnownMatch | None = None) -> Said:
+def run_match(request: MatchRequest, stages: Stages, earlier: EarlierMatch | None = None) -> Said:
     """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
     started = time.perf_counter()
-    result = match_files(request, stages, known=known)
+    result = match_files(request, stages, earlier=earlier)
     text = summary(result, request.output, time.perf_counter() - started)
     return f"{text}\n{next_commands(result, request)}", warnings(result)
 
 
 def match_files(
-    request: MatchRequest, stages: Stages, before: MatchResult | None = None, known: KnownMatch | None = None
+    request: MatchRequest, stages: Stages, before: MatchResult | None = None, earlier: EarlierMatch | None = None
 ) -> MatchResult:
     """Match two mesh files and write the RESULT folder.
 
     ``before``, of the same target and the source's last frame, is the start of the match; its target is used again.
-    ``known`` replaces the computation if its inputs are equal.
+    ``earlier`` replaces the computation if its inputs are equal.
     """
     config = check_match(request)
     stages("read")
@@ -173,7 +175,7 @@ def match_files(
         **dict(zip(("target_part", "source_part"), parts, strict=True)),
     }
     entries = {"parameters": parameters, "inputs": stated}
-    result = match_inputs(inputs, MatchSettings(bases, levels, config, request.cache, entries, before, known), stages)
+    result = match_inputs(inputs, MatchSettings(bases, levels, config, request.cache, entries, before, earlier), stages)
     stages("write")
     write_result(request.output, result, force=request.force)
     note_match(request)
@@ -312,8 +314,8 @@ def _match_part(part: PartInputs, inputs: Inputs, settings: MatchSettings, stage
         target, source = settings.before.target, prepare(part.source, settings.levels[1], settings.bases[1])
     symmetries = tuple((symmetry_on(t, target.control), symmetry_on(s, source.control)) for t, s in config.symmetries)
     config = replace(config, symmetries=symmetries, masks=masks_on(inputs.masks, (target, source)))
-    known, given = settings.known, (target, source, part.landmarks, config)
-    if known is not None and (equal := known.on_surfaces(*given)) is not None:
+    earlier, given = settings.earlier, (target, source, part.landmarks, config)
+    if earlier is not None and (equal := earlier.on_surfaces(*given)) is not None:
         result = equal
     elif settings.before is None:
         result = match(target, source, part.landmarks, config, progress=stages)

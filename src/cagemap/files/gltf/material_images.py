@@ -78,11 +78,12 @@ class MaterialImage:
         return pixels, uvs
 
 
-def material_images(document: Document, material: str) -> tuple[MaterialImage, ...]:
-    """All textures of a material; those without an image that cagemap reads are left out with a warning."""
+def material_images(document: Document, material: str, only: str | None = None) -> tuple[MaterialImage, ...]:
+    """Textures of a material, in all slots or ``only`` one; images that cagemap cannot read are left out aloud."""
     number = _number(document, material)
     entry = document.entry("materials", number)
-    images = (_image(document, material, slot, holder) for slot, holder in texture_slots(entry))
+    slots = [(slot, holder) for slot, holder in texture_slots(entry) if only in (None, slot)]
+    images = (_image(document, material, slot, holder) for slot, holder in slots)
     return tuple(image for image in images if image is not None)
 
 

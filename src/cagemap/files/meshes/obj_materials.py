@@ -83,7 +83,7 @@ def _image_file(library: Path, name: str) -> Path | None:
 
 
 def _options(rest: str) -> tuple[dict[str, list[str]], str]:
-    """Options before the name of an image, and the rest of the line, which is the name (as in Blender and assimp)."""
+    """Options before the name of an image, and the name: the rest of the line."""
     options: dict[str, list[str]] = {}
     while (words := rest.split()) and (most := _OPTIONS.get(words[0])):
         values = words[1:-1][:most]  # the last word belongs to the name, also if it is a number

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import io, sparse
+from scipy import sparse
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
@@ -243,6 +243,8 @@ def write_map(path: str | Path, point_map: PointMap, *, force: bool = False) -> 
         elif suffix == ".vts":
             temporary.write_text("\n".join(map(str, (nearest + 1).tolist())) + "\n", encoding="utf-8")
         elif suffix == ".mtx":
+            from scipy import io  # here, since few commands write such files
+
             with temporary.open("wb") as stream:  # given a name, SciPy reports no error on a full disk
                 io.mmwrite(stream, sparse.coo_array(point_map.to_sparse()), comment=mark())
         else:

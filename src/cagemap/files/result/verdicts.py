@@ -45,8 +45,9 @@ def rate_figures(quality: dict[str, Any]) -> list[Rating]:
         value = reader(quality)
         if value is None:
             continue
-        severity = _severity(abs(value), good, fair)
-        ratings.append(Rating(label, formatted(value), meaning, severity, finding.format(formatted(value))))
+        severity = math.inf if math.isnan(value) else _severity(abs(value), good, fair)
+        text = "unknown" if math.isnan(value) else formatted(value)
+        ratings.append(Rating(label, text, meaning, severity, finding.format(text)))
     return ratings
 
 
@@ -88,7 +89,7 @@ def _read_figure(quality: dict[str, Any], *names: str) -> float | None:
     value: Any = quality
     for name in names:
         value = value.get(name) if isinstance(value, dict) else None
-    return float(value) if isinstance(value, int | float) and not math.isnan(value) else None
+    return float(value) if isinstance(value, int | float) else None
 
 
 def _complement(name: str) -> Callable[[dict[str, Any]], float | None]:

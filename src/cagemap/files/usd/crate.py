@@ -24,9 +24,9 @@ _MAX_NUMBERS_PER_BYTE = 16 * 255  # of a compressed block: 2 bits for a number, 
 
 
 def check_crate(file: Path) -> None:
-    """Refuse a crate whose sections or arrays state more numbers than their bytes can hold; other files pass.
+    """Refuse a crate whose sections or arrays state more numbers than they hold.
 
-    The crates of a package (.usdz) are checked too.
+    The crates of a package (.usdz) are checked too; other files pass.
     """
     header = read_bytes(file, "a USD file", 11)
     if header.startswith(_START):
@@ -34,6 +34,8 @@ def check_crate(file: Path) -> None:
     elif header.startswith(b"PK"):
         with suppress(zipfile.BadZipFile), zipfile.ZipFile(file) as package:
             for entry in package.infolist():
+                if entry.flag_bits & 1:
+                    raise FormatError(f"{file}: expected a package without encryption, got one. Export it again.")
                 if entry.compress_type == zipfile.ZIP_STORED and entry.filename.lower().endswith((".usd", ".usdc")):
                     _check(file, package.read(entry))
 
@@ -106,13 +108,15 @@ def _decompressed(block: bytes, size: int) -> bytes:
         if place < len(block):
             (back,) = struct.unpack_from("<H", block, place)
             place += 2
-            copied = length(token & 15) + 4
-            content += (content[-back:] * (copied // max(back, 1) + 1))[:copied]
+            copied = min(length(token & 15) + 4, size - len(content))
+            if not 0 < back <= len(content):
+                raise struct.error
+            content += (content[-back:] * (copied // back + 1))[: max(copied, 0)]
     return bytes(content)
 
 
 def _check_arrays(content: bytes, values: list[int]) -> None:
-    """Raise `struct.error` for arrays that state more numbers than their bytes can hold, also in time samples."""
+    """Raise `struct.error` for arrays, also in time samples, that state too many numbers."""
     version, end = tuple(content[8:11]), len(content)
     for value in values:
         place, kind = value & _PLACE, value >> _TYPE_SHIFT & 0xFF

@@ -73,7 +73,10 @@ def bake_hint(state: StudioState, scene: Scene | None) -> str:
     shapes = scene.target, scene.source
     vertices = max(len(shape.positions) for shape in shapes)
     if state.map.from_start and all(len(shape.positions) == shape.n_control for shape in shapes):  # plain meshes
-        return "The map shown has full resolution: a bake uses it. After landmarks it computes one from the start."
+        return (
+            "The map shown has full resolution: a bake uses it, but computes one from the start after new landmarks or "
+            "other options of the match."
+        )
     return (
         f"The map shown has {vertices:,} vertices and took {state.map.first_seconds:.0f} s. A bake computes it again "
         "from the start, with the vertices chosen above, which takes as long or longer; the next bake of the same "
