@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import match, prepare_surfaces
-from cagemap.subdivision import Refinement
+from cagemap.subdivision import Refinement, refine
+from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.blend_shapes import ShapeCarrier, carry_shape, prepare_shapes
 
 from quick_match import QUICK
@@ -136,3 +138,20 @@ def test_lips_that_are_closed_at_rest_do_not_move_the_other_head(heads) -> None:
     )
     carrier = prepare_shapes(target, shut, PointMap(point_map.target, images))
     np.testing.assert_allclose(carry_shape(carrier, np.zeros_like(closed)), 0.0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_contacts_do_not_depend_on_the_numbers_of_vertices(heads) -> None:
+    target, source, point_map, _, source_rings = heads
+    shape, control = closing(source.control, source_rings), target.control
+    last = control.n_vertices - 1
+    renumbered = refine(
+        ControlMesh(control.positions[::-1], control.face_offsets, last - control.face_indices, scheme=target.scheme), 2
+    )
+    same = cKDTree(target.finest.positions).query(renumbered.finest.positions)[1]
+    surface = TriangleSurface.from_faces(point_map.target.positions[same], renumbered.finest.faces)
+    found = PointMap.from_arrays(surface, point_map.source, point_map.triangle[same], point_map.barycentric[same])
+    surface = replace(found.target, scale=point_map.target.scale)
+    carrier = prepare_shapes(renumbered, source, replace(found, target=surface))
+    expected = carry_shape(prepare_shapes(target, source, point_map), shape)
+    np.testing.assert_allclose(carry_shape(carrier, shape)[::-1], expected, rtol=0, atol=1e-9)

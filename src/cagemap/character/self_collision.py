@@ -13,7 +13,7 @@ from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.triangles import row_lengths, surface_area, vertex_normals
 from cagemap.transfer.textured_surface import plane_basis
 
-# Of rays and `outward`: rays through edges, as on the midline of a symmetric face, are unlikely.
+# Slopes of the rays against `outward`: without, they run through edges on the midline of a symmetric face.
 _TILT = np.array([0.0123, 0.0071])
 
 
@@ -76,9 +76,10 @@ def move_apart(
     outward: FloatArray,
     config: CollisionConfig = CollisionConfig(),
 ) -> FloatArray:
-    """Positions (n, 3) without the collisions of ``moved`` that ``rest`` does not have.
+    """Positions (n, 3) of ``moved``, with collisions that ``rest`` (n, 3) does not have moved apart.
 
-    Both sides give way by half. A push spreads to neighbouring vertices and fades with each step.
+    Deeper ones than ``reach`` stay. Both sides give way by half. A push spreads to neighbouring vertices and fades with
+    each step.
     """
     size = np.sqrt(surface_area(rest, triangles))
     means = neighbor_means(triangles, len(rest))
@@ -107,8 +108,8 @@ def move_apart(
 
 
 def _pairs_within(points: FloatArray, centres: FloatArray, radii: FloatArray) -> tuple[IndexArray, IndexArray]:
-    """Points (k, 2) and discs that may hold them; discs of one power of two are searched at a time."""
-    tree, classes = cKDTree(points), np.frexp(radii)[1]
+    """Pairs of points (k, 2) and discs that may hold them; discs are searched by classes of their radius."""
+    tree, classes = cKDTree(points), np.frexp(np.maximum(radii, np.finfo(float).tiny))[1]
     points_found, discs_found = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
     for one in np.unique(classes):
         discs = np.flatnonzero(classes == one)

@@ -81,7 +81,7 @@ class Inputs:
 
 @dataclass(frozen=True, eq=False)
 class EarlierMatch:
-    """A match made before, which the match of equal inputs gives again."""
+    """A match computed in the studio; it is written again if all inputs of a match are equal."""
 
     result: MatchResult
     config: MatchConfig
@@ -89,7 +89,7 @@ class EarlierMatch:
     def on_surfaces(
         self, target: Surface, source: Surface, landmarks: Landmarks, config: MatchConfig
     ) -> MatchResult | None:
-        """The result on equal surfaces; None if an input differs, or there are curves."""
+        """The result, if all inputs are equal; None if one differs, or there are masks or curves."""
         earlier, pairs = self.result, ((self.result.target, target), (self.result.source, source))
         if config.masks.any or earlier.masks.any or replace(config, masks=self.config.masks) != self.config:
             return None

@@ -1,14 +1,16 @@
 """Carry blend shapes to another cage by deformation transfer through the map (Sumner and Popovic 2004).
 
-A shape moves the image of every target triangle on the source by a linear map F, that of its corners: the mean of the
-source's deformation over the image. With Q the rotation of the map's differential, from the target's triangle to its
-image, the target's triangle should move by ``Q^T F Q``. The displacement d of the target's *control* vertices solves
+For each target triangle, F is the linear map that moves its three images on the source as the shape moves them, and
+the normal to the normal. With Q the rotation of the map's differential, from the target's triangle to its image, the
+target's triangle should move by ``Q^T F Q``. The displacement d of the target's *control* vertices solves
 
-    min_d  sum_t a_t |grad (S d) - (Q^T F Q - I)|^2  +  anchor sum_i m_i |(S d)_i - Q_i^T D(T12(i))|^2,
+    min_d  sum_t a_t |grad (S d) - (Q^T F Q - I)|^2  +  anchor sum_i m_i |(S d)_i - r Q_i^T D(T12(i))|^2,
 
-with S the refinement and D the source's displacement, all at unit area. The second term fixes rigid motion. Lengths of
-D are scaled by the median stretch of the map: unlike the ratio of areas, it does not depend on parts that only one
-surface has (a mouth bag). A zero shape stays zero, and the identity map returns each shape.
+with S the refinement and D the source's displacement, all at unit area. The second term fixes the translation of every
+part, and the shape on large scales. r is the median, over triangles, of a length on the target by that of its image:
+unlike the ratio of areas, it does not depend on parts that only one surface has (a mouth bag). Two terms are added: a
+ridge, and contacts, so that lids closed in the source's shape close on the target. A zero shape stays zero, and the
+identity map returns each shape.
 """
 
 from __future__ import annotations
@@ -35,15 +37,15 @@ from cagemap.surface.triangles import (
     vertex_normals,
 )
 
-# About this many vertices of the target sample a shape.
+# A shape is sampled on the coarsest level of the target with at least this many vertices.
 _SAMPLES = 25_000
 # Weight of displacements against gradients: gradients determine details smaller than about 0.6 of sqrt(area).
 _ANCHOR = 100.0
-# Weight, relative to the anchor, of control points that hardly move the surface, as those of a cube.
+# Ridge, relative to the anchor: without it, control vertices that hardly move the surface (of a cube) are undetermined.
 _SHAPE_RIDGE = 1e-7
 # Weight of contacts of the source's shape against the anchor.
 _CONTACT = 100.0
-# Points are in contact if they are closer than this many sample edges and the cosine of their normals is smaller.
+# Contact: a distance below this many edge lengths, and a cosine of the normals below this.
 _CONTACT_DISTANCE, _CONTACT_COSINE = 1.0, -0.5
 
 
@@ -137,7 +139,7 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
     first, second, closing = contacts(carrier, moved)
     if len(first):
         rows = carrier.samples[first] - carrier.samples[second]
-        weights = sparse.diags_array(_ANCHOR * _CONTACT * carrier.masses[first])
+        weights = sparse.diags_array(0.5 * _ANCHOR * _CONTACT * (carrier.masses[first] + carrier.masses[second]))
         factors = factor(sparse.csc_array(carrier.matrix + rows.T @ weights @ rows))
         right = right + rows.T @ (weights @ closing)
     return np.asarray(factors.solve(np.ascontiguousarray(right))) / maps.target.scale
@@ -169,12 +171,12 @@ def contacts(carrier: ShapeCarrier, moved: FloatArray) -> tuple[IndexArray, Inde
     in_contact = touching.any(axis=1)
     first = np.flatnonzero(in_contact)
     second = nearest[first, np.argmax(touching[first], axis=1)]
-    unique_pairs = first < second
-    first, second = first[unique_pairs], second[unique_pairs]
+    first, second = np.unique(np.sort(np.stack([first, second], axis=1), axis=1), axis=0).T
     before = images.positions[first] - images.positions[second]
     gap = places[first] - places[second]
-    at_rest = np.linalg.norm(before, axis=1) < _CONTACT_DISTANCE * edges[first]
-    rotated = np.einsum("kba,kb->ka", carrier.vertex_rotations[first], np.where(at_rest[:, None], gap - before, gap))
+    at_rest = np.linalg.norm(before, axis=1) < _CONTACT_DISTANCE * np.maximum(edges[first], edges[second])
+    rotations = 0.5 * (carrier.vertex_rotations[first] + carrier.vertex_rotations[second])
+    rotated = np.einsum("kba,kb->ka", rotations, np.where(at_rest[:, None], gap - before, gap))
     rotated *= carrier.ratio
     target_gap = carrier.point_map.target.positions[first] - carrier.point_map.target.positions[second]
     return first, second, np.where(at_rest[:, None], rotated, rotated - target_gap)
@@ -202,7 +204,7 @@ def _rotations(
 ) -> FloatArray:
     """(t, 3, 3) rotation of the map's differential, target to source, of every triangle; normals go to normals.
 
-    Where an image is flipped or has no area, its normal is the mean of the source's at its corners.
+    Where an image has no area, or is flipped and not at vertices alone, its normal is the mean of those at its corners.
     """
     differential = (gradient @ images.positions).reshape(-1, 3, 3).transpose(0, 2, 1)
     normals, across = (normalize_rows(triangle_normals(side, triangles)) for side in (places, images.positions))
