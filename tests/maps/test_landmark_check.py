@@ -27,6 +27,7 @@ from cagemap.maps.landmarks.outliers import (
 from cagemap.maps.pair import Pair, no_progress, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.mesh_report import FileVertex
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.topology import handle_count
@@ -318,6 +319,20 @@ def test_a_suspect_of_a_plain_mesh_names_the_vertex_that_was_given(monkeypatch) 
     (suspect,) = check.check_on_map(problem, names, found, {2: DISTANCES}, ()).suspects
     said = mesh.file_vertex(given[2])
     assert (suspect.name, suspect.source_vertex, suspect.nearest_vertex) == (names[2], said, said)
+
+
+def test_a_suspect_between_vertices_of_a_cage_names_the_nearest_control_vertex(pair) -> None:
+    surface, _, landmarks = pair
+    control = surface.control
+    points = CagePoints.of_vertices(landmarks.target)
+    corners = control.face_indices[control.face_offsets[5] :][:3]
+    points.corners[2], points.weights[2] = corners, [0.5, 0.3, 0.2]
+    between = Landmarks.of_points(landmarks.names, points, points, control.name, control.name)
+    problem = Problem.of_landmarks(prepare_pair(surface, surface), between)
+    found = PointMap.from_vertices(*[surface.finest_triangles] * 2, np.arange(len(surface.vertices)))
+    (suspect,) = check.check_on_map(problem, landmarks.names, found, {2: DISTANCES}, ()).suspects
+    assert suspect.source_vertex.number in corners
+    assert suspect.source_vertex == suspect.nearest_vertex == control.file_vertex(suspect.source_vertex.number)
 
 
 def test_pairs_out_of_proportion_are_kept_where_the_map_is_no_better_without(pair, monkeypatch):

@@ -29,7 +29,7 @@ from cagemap.maps.landmarks.outliers import (
     typical_misfit,
 )
 from cagemap.maps.landmarks.strain import reduced_energy, strained_pair
-from cagemap.maps.pair import Progress, near_vertices
+from cagemap.maps.pair import Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
 from cagemap.mesh import ControlMesh
@@ -38,6 +38,7 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import FileVertex
 from cagemap.mesh.topology import handle_count, label_cells
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.spectral import Surface
 
 CONTRADICTION = (
     "the distances between landmarks contradict each other on the two surfaces for so many pairs that all were kept: "
@@ -272,20 +273,23 @@ def foreign_warnings(folded: float, count: int, left_out: int) -> tuple[str, ...
 
 def _suspect(problem: Problem, found: PointMap, names: Sequence[str], pair: int, evidence: str) -> LandmarkSuspect:
     """Suspect for a pair that was left out of a map."""
-    points = problem.landmarks.source
-    at_vertex, near = points.vertices, near_vertices(points, problem.prepared.source)
-    given = int(np.where(at_vertex < 0, near, at_vertex)[pair])  # near vertices differ on a plain mesh's finest level
-    distance, nearest = landmark_miss(problem, found, pair)
-    in_file = problem.prepared.source.control.file_vertex
+    source, (distance, nearest) = problem.prepared.source, landmark_miss(problem, found, pair)
+    given = nearest_control_vertex(source, problem.landmarks.source.positions[pair])
+    in_file = source.control.file_vertex
     return LandmarkSuspect(names[pair], pair, distance, in_file(nearest), in_file(given), evidence)
 
 
 def landmark_miss(problem: Problem, point_map: PointMap, landmark: int) -> tuple[float, int]:
     """Error of a landmark in a map, of sqrt(area), and its image's nearest control vertex."""
-    only, source = problem.landmarks.only([landmark]), problem.prepared.source
-    place = only.target.interpolate(point_map.images.positions)
-    control = source.finest_triangles.positions[: source.control.n_vertices]
-    return float(landmark_errors(point_map, only)[0]), int(np.linalg.norm(control - place, axis=1).argmin())
+    only = problem.landmarks.only([landmark])
+    place = only.target.interpolate(point_map.images.positions)[0]
+    return float(landmark_errors(point_map, only)[0]), nearest_control_vertex(problem.prepared.source, place)
+
+
+def nearest_control_vertex(surface: Surface, place: FloatArray) -> int:
+    """The control vertex whose place on the surface is nearest to a point (3,)."""
+    positions = surface.finest_triangles.positions[: surface.control.n_vertices]
+    return int(np.linalg.norm(positions - place, axis=1).argmin())
 
 
 def check_mirrored(
