@@ -55,15 +55,6 @@ def test_solve_and_inertia(matrices, shift):
     assert factors.negative_eigenvalues == negative
 
 
-@pytest.mark.usefixtures("_either_library")
-def test_many_columns_are_solved_by_threads(matrices, monkeypatch):
-    factors = factor(matrices[0] + matrices[1])
-    right_sides = np.random.default_rng(5).standard_normal((matrices[0].shape[0], 21))  # not a multiple of eight
-    solution = factors.solve(right_sides)
-    monkeypatch.setattr(factorization, "_MIN_SHARED_SIZE", 1)
-    np.testing.assert_allclose(factors.solve(right_sides), solution, rtol=0, atol=SOLVED)
-
-
 @pytest.mark.skipif(factorization.rslab is None, reason="no rslab wheel here")
 def test_ordering_is_used_again(matrices, monkeypatch):
     stiffness, mass = matrices

@@ -19,7 +19,7 @@ from scipy import sparse
 from scipy.sparse import linalg as sparse_linalg
 
 from cagemap.errors import ParameterError, SolverError
-from cagemap.numerics.threads import core_count, in_threads, row_slices
+from cagemap.numerics.threads import core_count
 
 rslab: Any
 try:
@@ -37,9 +37,6 @@ _MAX_MINIMUM_DEGREE_ROWS = 30_000
 # Relative backward error above which diagonal pivots are unstable, so that their signs do not give the inertia.
 _MAX_BACKWARD_ERROR = 1e-10
 _MAX_RSLAB_THREADS = 4
-# Columns that a thread solves at a time, and the size of right sides from which threads share the columns.
-_COLUMNS_A_THREAD = 8
-_MIN_SHARED_SIZE = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +60,8 @@ class Factorization:
                 f"expected right sides with {self.shape[0]} rows, got an array of shape {values.shape}; "
                 "use the level that the matrix was built at"
             )
-        columns = values.reshape(len(values), -1)
-        if columns.size < _MIN_SHARED_SIZE:
-            return np.ascontiguousarray(self._solve(columns)).reshape(values.shape)
-        parts = row_slices(columns.shape[1], _COLUMNS_A_THREAD)  # whatever the number of threads: equal results
-        solutions = in_threads(lambda part: self._solve(np.ascontiguousarray(columns[:, part])), parts)
-        return np.ascontiguousarray(np.hstack(solutions)).reshape(values.shape)
+        solution = self._solve(values.reshape(len(values), -1))
+        return np.ascontiguousarray(solution).reshape(values.shape)
 
 
 def factor(matrix: SparseMatrix, *, like: Factorization | None = None, dtype: Precision = np.float64) -> Factorization:
