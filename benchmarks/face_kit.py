@@ -86,8 +86,8 @@ def depths(
     size, found = np.sqrt(surface_area(rest, triangles)), {}
     for name, offsets in shapes.items():
         moved = rest + offsets + (shapes["jawOpen"] if name == "mouthClose" else 0.0)
-        ways_out = Collisions.find(moved, triangles, vertices, forward).ways_out
-        found[name] = 100.0 * float(row_lengths(ways_out).max(initial=0.0)) / size
+        exits = Collisions.find(moved, triangles, vertices, forward).exits
+        found[name] = 100.0 * float(row_lengths(exits).max(initial=0.0)) / size
     return found
 
 

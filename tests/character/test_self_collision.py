@@ -29,7 +29,7 @@ def lips() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def deepest(positions: np.ndarray, triangles: np.ndarray) -> float:
     found = Collisions.find(positions, triangles, np.arange(len(positions)), FORWARD)
-    return float(np.linalg.norm(found.ways_out, axis=1).max(initial=0.0)) / np.sqrt(surface_area(positions, triangles))
+    return float(np.linalg.norm(found.exits, axis=1).max(initial=0.0)) / np.sqrt(surface_area(positions, triangles))
 
 
 def test_winding_numbers_count_the_parts_around_a_point(lips) -> None:

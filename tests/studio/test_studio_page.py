@@ -96,7 +96,7 @@ def test_an_error_leaves_the_status_after_the_next_action(opened: Session) -> No
 def test_how_sure_a_map_is_is_said_in_words() -> None:
     scene: Any = MagicMock()
     scene.preview_map.trust = np.array([1.0, 0.2, 1.0, 1.0])
-    scene.target.vertex_areas = np.array([0.3, 0.1, 0.3, 0.3])
+    scene.target.surface.vertex_areas = np.array([0.3, 0.1, 0.3, 0.3])
     assert verdict(StudioState(), scene) == ""
     known = MapState(revision=1, confidence="sure: the target is aligned as filed; no other alignment fits")
     assert verdict(StudioState(map=known), scene) == "Sure, 10 % doubtful"

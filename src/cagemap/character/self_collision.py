@@ -35,14 +35,14 @@ class Collisions:
     Attributes
     ----------
     vertices : (k,) int64
-    ways_out : (k, 3) float64
-        From each to the nearest point of the surface that faces it.
+    exits : (k, 3) float64
+        Vectors from each vertex to the nearest point of the surface whose normal opposes its own.
     corners, barycentric : (k, 3)
         That point.
     """
 
     vertices: IndexArray
-    ways_out: FloatArray
+    exits: FloatArray
     corners: IndexArray
     barycentric: FloatArray
 
@@ -55,7 +55,7 @@ class Collisions:
         outward: FloatArray,
         config: CollisionConfig = CollisionConfig(),
     ) -> Collisions:
-        """Find the collisions of some vertices; rays along ``outward`` (3,) must not leave through a hole."""
+        """Find which of some vertices collide; no ray along ``outward`` (3,) may pass through a hole."""
         size = np.sqrt(surface_area(positions, triangles))
         normals = vertex_normals(positions, triangles)[vertices]
         points = positions[vertices] + config.lift * size * normals
@@ -84,15 +84,16 @@ def move_apart(
     size = np.sqrt(surface_area(rest, triangles))
     means = neighbor_means(triangles, len(rest))
     vertices = np.flatnonzero(row_lengths(moved - rest) > config.tolerance * size)
-    more, tested = Collisions.find(moved, triangles, vertices, outward, config).vertices, vertices[:0]
-    seen = vertices[:0]
+    tested = Collisions.find(moved, triangles, vertices, outward, config).vertices
+    if not len(tested):
+        return moved
+    at_rest = Collisions.find(rest, triangles, np.arange(len(rest)), outward, config).vertices
     for _ in range(config.max_rounds):
-        at_rest = Collisions.find(rest, triangles, more, outward, config).vertices
-        seen, tested = np.union1d(seen, more), np.union1d(tested, np.setdiff1d(more, at_rest))
+        tested = np.setdiff1d(tested, at_rest)
         found = Collisions.find(moved, triangles, tested, outward, config)
-        if row_lengths(found.ways_out).max(initial=0.0) < config.tolerance * size:
+        if row_lengths(found.exits).max(initial=0.0) < config.tolerance * size:
             break
-        half, weights = 0.5 * found.ways_out, found.barycentric
+        half, weights = 0.5 * found.exits, found.barycentric
         shares = weights / np.einsum("kc,kc->k", weights, weights)[:, None]
         moves = np.concatenate([half, (-shares[:, :, None] * half[:, None]).reshape(-1, 3)])
         rows = np.concatenate([found.vertices, found.corners.ravel()])
@@ -103,7 +104,7 @@ def move_apart(
             spread = means @ push
             push = np.where((row_lengths(push) >= row_lengths(spread))[:, None], push, spread)
         moved = moved + push
-        more = np.setdiff1d(np.flatnonzero(push.any(axis=1)), seen)
+        tested = np.union1d(tested, np.flatnonzero(push.any(axis=1)))
     return moved
 
 
@@ -122,7 +123,7 @@ def _pairs_within(points: FloatArray, centres: FloatArray, radii: FloatArray) ->
 def winding_numbers(
     positions: FloatArray, triangles: IndexArray, points: FloatArray, direction: FloatArray
 ) -> IndexArray:
-    """(m,) how often rays from points leave the surface, less how often they enter it."""
+    """(m,) winding numbers of a surface around points, by crossings of rays: 0 outside."""
     if not len(points):
         return np.zeros(0, dtype=np.int64)
     unit = direction / np.linalg.norm(direction)

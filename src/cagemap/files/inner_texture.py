@@ -45,7 +45,7 @@ def color_texture(path: Path, control: ControlMesh, *, of_any: bool = False) -> 
 
 
 def tinted_materials(path: Path, control: ControlMesh) -> list[str]:
-    """Materials whose image a glTF file multiplies by another colour than white, with it."""
+    """Materials whose image glTF multiplies by a colour (``baseColorFactor``), with that colour."""
     found = color_texture(path, control, of_any=True) if path.suffix.lower() in GLTF_SUFFIXES else None
     if found is None or control.face_materials is None:
         return []

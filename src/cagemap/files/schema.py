@@ -35,7 +35,7 @@ class SideRecord(Record):
 
 
 class FileVertexRecord(Record):
-    """A vertex of a file; older results hold its number alone."""
+    """Number and coordinates of a vertex of a file; older results hold the number alone."""
 
     number: Annotated[int, Field(ge=0)]
     place: Annotated[list[float], Field(min_length=3, max_length=3)]

@@ -145,7 +145,7 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
 
 
 def _with_places(problem: MeshProblem, mesh: ControlMesh) -> MeshProblem:
-    """The problem with the places of the elements that its text lists."""
+    """The problem with the coordinates of the elements that its message lists."""
     listed = np.array(problem.elements[:LISTED], dtype=np.int64)
     if not len(listed):
         return problem

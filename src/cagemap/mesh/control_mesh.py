@@ -16,7 +16,7 @@ from cagemap.surface.triangles import fan_triangles
 
 # Texture coordinates of all corners of faces that have none, where other faces of the mesh have some.
 NO_UV = (0.5, 0.5)
-# Area in the layout below which a triangle is degenerate: sides of about 1e-6. A texel's side in a 16k image is 6e-5.
+# Triangles of a layout with less area are degenerate: sides of about 1e-6. Texels of a 16k image have 6e-5.
 MIN_UV_AREA = 1e-12
 
 

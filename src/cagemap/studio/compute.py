@@ -298,6 +298,8 @@ def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:
     free = None if cache.free_match is None else cache.free_match.confidence
     character = _source_character(cache)
     cache = replace(cache, character=character)
+    config = None if len(result.landmarks.curves) else cache.config
+    earlier = None if config is None else EarlierMatch(result, config)
     map_state = MapState(
         answers=() if free is None else number_duplicates([answer.name for answer in free.answers]),
         chosen_answer=cache.chosen_answer,
@@ -307,9 +309,8 @@ def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:
         notes=tuple(result.landmark_check.notes) + tuple(result.quality.warnings),
         suggestion=_suggested_vertex(cache, result),
         poses=tuple(animation_poses(character)),
-        from_start=cache.config is not None and not len(result.landmarks.curves),
+        from_start=earlier is not None,
     )
-    earlier = None if cache.config is None else EarlierMatch(result, cache.config)
     return cache, MapUpdate(preview_map, (skin, rotated_skin), map_state, earlier)
 
 

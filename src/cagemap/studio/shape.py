@@ -103,12 +103,6 @@ class Shape:
         return TriangleSurface(scale * self.positions, self.triangles, scale)
 
     @kept
-    def vertex_areas(self) -> FloatArray:
-        """(n,) thirds of the areas of the triangles around each vertex."""
-        areas = np.repeat(triangle_areas(self.positions, self.triangles) / 3.0, 3)
-        return np.bincount(self.triangles.ravel(), areas, minlength=len(self.positions)).astype(np.float64)
-
-    @kept
     def cage(self) -> TriangleSurface:
         """Control mesh with its vertices on the smooth surface, in the units of `surface`."""
         return TriangleSurface(

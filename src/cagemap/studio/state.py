@@ -119,7 +119,7 @@ class MapState:
     rough : bool
         Whether this is a rough map while the search goes on.
     from_start : bool
-        Whether a match from the start, with these landmarks, gives this map; else it is an update.
+        Whether a match with these landmarks finds this map; False for a map that was only updated.
     poses : tuple of str
         Names of poses of the source's animations.
     first_seconds : float

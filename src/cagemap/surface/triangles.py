@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, read_only
 from cagemap.numerics.threads import row_slices
 
 CACHED = 16_384  # number of triangles or points whose arrays fit into a core's cache
@@ -43,7 +43,7 @@ def fan_triangles(offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray,
     return indices[np.column_stack([first, first + step, first + step + 1])], faces
 
 
-# A corner of a polygon's triangulation is flat if its area is below this share of the polygon's.
+# A triangle of a polygon is flat if its area is below this share of the polygon's.
 _MIN_AREA_SHARE = 1e-6
 # Larger polygons are split into fans: clipping ears takes time cubic in the corners.
 _MAX_CLIPPED_CORNERS = 200
@@ -54,17 +54,14 @@ def polygon_triangles(positions: FloatArray, offsets: IndexArray, indices: Index
     """Triangles (t, 3) of polygons and the polygon (t,) of each, as numbers of corners.
 
     As `fan_triangles`, but polygons whose fan has a flat triangle, as at collinear corners, are split otherwise.
-    Other concave polygons keep their fans, which may fold.
+    Concave polygons without such a triangle keep their fans, whose triangles may overlap.
     """
     corners, faces = fan_triangles(offsets, np.arange(len(indices)))
     sizes, places = np.diff(offsets), positions[indices]
-    a, b, c = (places[corners[:, k]] for k in range(3))
-    areas = np.cross(b - a, c - a)
-    normals: FloatArray = np.stack(
-        [np.bincount(faces, areas[:, k], minlength=len(sizes)).astype(np.float64) for k in range(3)], axis=1
-    )
+    of_triangles = triangle_normals(places, corners)
+    normals = grouped_sums(faces, of_triangles, len(sizes))
     of_polygons = normals[faces]
-    flat = np.abs(np.einsum("td,td->t", areas, of_polygons)) <= _MIN_AREA_SHARE * (of_polygons**2).sum(axis=1)
+    flat = np.abs(np.einsum("td,td->t", of_triangles, of_polygons)) <= _MIN_AREA_SHARE * (of_polygons**2).sum(axis=1)
     chosen = np.bincount(faces, flat, minlength=len(sizes)) > 0
     chosen &= (sizes > 3) & (sizes <= _MAX_CLIPPED_CORNERS) & normals.any(axis=1)
     for size in np.unique(sizes[chosen]).tolist():

@@ -159,7 +159,7 @@ def search_placements(
     then. ``show`` is called with placements of the small graph.
     """
     has_given_start = start is not None or len(problem.landmarks) >= FEWEST_LANDMARKS
-    # Of each set of constrained points: clusters, fine placements, and coarse placements if the two starts disagree
+    # For each set of constrained points: clusters, fine placements, and coarse ones if the two starts disagree
     constrained, placements = list[tuple[Clusters, list[Placement], list[Placement]]](), list[Placement]()
     if has_given_start:
         progress("first alignment")

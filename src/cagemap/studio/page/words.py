@@ -56,7 +56,7 @@ def verdict(state: StudioState, scene: Scene | None) -> str:
     if map_state.contradictions:
         count = len(map_state.contradictions)
         return f"{count} landmark{'s contradict' if count > 1 else ' contradicts'} the others"
-    percent = 100 * float(np.average(preview_map.trust < DOUBTFUL_TRUST, weights=scene.target.vertex_areas))
+    percent = 100 * float(np.average(preview_map.trust < DOUBTFUL_TRUST, weights=scene.target.surface.vertex_areas))
     doubts = f"{percent:.0f} % doubtful" if percent >= 0.5 else "no doubtful places"
     if landmarks:
         return f"{count_noun(len(landmarks), 'landmark')} met, {doubts}"
