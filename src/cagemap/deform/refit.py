@@ -16,11 +16,11 @@ from dataclasses import replace
 import numpy as np
 
 from cagemap.deform.config import RefitConfig
-from cagemap.deform.energy import ElasticEnergy, minimise_constant, rotations
+from cagemap.deform.energy import ElasticEnergy, deformed_normals, minimise_constant, rotations
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.placement import Placement
-from cagemap.deform.problem import Problem
+from cagemap.deform.problem import Clusters, Problem
 from cagemap.maps.masks import Masks
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
 from cagemap.surface.closest_points import build_tree, closest_points
@@ -59,6 +59,15 @@ def fit_from_shape(problem: Problem, shape: FloatArray) -> FloatArray:
     alike = replace(problem, prepared=replace(prepared, energy=moved))
     clusters = alike.clusters_with(stage=prepared.elastic.stiff_coarse)
     return fine_fit(alike, coarse_fit(alike, shape[clusters.vertices], clusters))
+
+
+def clusters_in_pose(clusters: Clusters, positions: FloatArray, config: RefitConfig = RefitConfig()) -> Clusters:
+    """Clusters whose rest shape is moved to a placement (k, 3), as rigidly as possible."""
+    energy, smoothing = clusters.energy, clusters.stage.smoothing
+    shape = rigid_pose(energy.graph, positions, config)
+    normals = deformed_normals(energy.graph.normals, energy.differentials(shape)[0])
+    graph = replace(energy.graph, positions=shape, normals=normals)
+    return replace(clusters, energy=ElasticEnergy.build(graph, smoothing, energy.admissible))
 
 
 def pose_difference(energy: ElasticEnergy, positions: FloatArray) -> float:

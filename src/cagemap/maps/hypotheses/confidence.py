@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cagemap.deform.constraints import PlacementConstraints
 from cagemap.deform.fit import coarse_fit
-from cagemap.deform.placement import Placement, distinct_placements
-from cagemap.deform.problem import PreparedPair, Problem
+from cagemap.deform.placement import Placement, distinct_placements, sort_by_cost
+from cagemap.deform.problem import Clusters, PreparedPair, Problem
+from cagemap.deform.refit import clusters_in_pose
 from cagemap.maps.hypotheses.rigid_starts import rigid_starts
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
@@ -39,7 +39,7 @@ class WarningSign:
 
 # In the order of a message. How each bound was chosen and judged: docs/lab/judge.md.
 WARNING_SIGNS: dict[str, WarningSign] = {
-    # Cost of the fit to the source, divided by the cost of a fit to the source's mirror image.
+    # `mirrored_gain`: cost, divided by the cost on the source's mirror image.
     "mirrored": WarningSign(
         1.2,
         "it fits the source's mirror image {value:.1f} times as well: a left part on a right one, or poses with left "
@@ -297,36 +297,48 @@ def distances_apart(distances: FloatArray, pairs: IndexArray) -> FloatArray:
 
 
 def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
-    """Cost on the source divided by cost on its mirror image, both on the small graph.
+    """Coarse cost of a placement (n, 3), divided by the least one found on the source's mirror image.
 
-    A left shoe on a right one folds no map and costs little more. Several starts are needed: from one alone, similar
-    bodies seem mirrored.
+    A left shoe on a right one folds no map and costs little more. But a body may stand as another one's mirror image:
+    where this costs less, both are fitted again from their poses, and the smaller quotient counts.
     """
-    small, source = problem.small_clusters, problem.prepared.source_surface
-    graph, constraints = small.energy.graph, small.constraints
-    config = problem.prepared.elastic.search
-    mirrored = TriangleSurface(source.positions * MIRROR_X, source.triangles[:, ::-1])
+    prepared, clusters, small = problem.prepared, problem.coarse_clusters, problem.small_clusters
+    source, graph, config = prepared.source_surface, small.energy.graph, prepared.elastic
+    mirror_image = TriangleSurface(source.positions * MIRROR_X, source.triangles[:, ::-1])
+    mirrored_problem = replace(problem, prepared=replace(prepared, source_surface=mirror_image))
+    on_mirror_image, small = mirrored_constraints(clusters), mirrored_constraints(small)
 
-    def least_cost(surface: TriangleSurface, constraints: PlacementConstraints, *known: FloatArray) -> float:
-        """Least cost of fits to a surface from the nearest rigid starts, and from known ones."""
-        onto = replace(problem, prepared=replace(problem.prepared, source_surface=surface))
-        clusters = replace(small, constraints=constraints)
+    def squared_distance(start: Placement) -> float:
+        return float(graph.areas @ closest_points(mirror_image.tree, start.positions)[2] ** 2)
 
-        def squared_distance(start: Placement) -> float:
-            return float(graph.areas @ closest_points(surface.tree, start.positions)[2] ** 2)
+    def small_fit(start: Placement) -> Placement:
+        with thread_limit(1):
+            return coarse_fit(mirrored_problem, start.positions, small)
 
-        def cost(start: FloatArray) -> float:
-            with thread_limit(1):
-                return coarse_fit(onto, start, clusters).cost
+    nearest = sorted(rigid_starts(graph.positions, graph.areas, mirror_image), key=squared_distance)
+    tried = distinct_placements(nearest, graph.areas, config.search.min_start_distance)[: config.search.mirrored_starts]
+    start = sort_by_cost(in_threads(small_fit, tried))[0].extrapolate_to(clusters.energy.graph, config.graph)
+    fits = (
+        (problem, clusters, coarse_fit(problem, positions[clusters.vertices], clusters)),
+        (mirrored_problem, on_mirror_image, coarse_fit(mirrored_problem, start, on_mirror_image)),
+    )
+    given, mirrored = (placed.cost for _, _, placed in fits)
+    if given <= mirrored:
+        return given / mirrored
+    given_posed, mirrored_posed = (
+        coarse_fit(onto, posed.energy.graph.positions, posed).cost
+        for onto, fitted, placed in fits
+        for posed in [clusters_in_pose(fitted, placed.positions, config.refit)]
+    )
+    return min(given / mirrored, given_posed / mirrored_posed)
 
-        nearest = sorted(rigid_starts(graph.positions, graph.areas, surface), key=squared_distance)
-        tried = distinct_placements(nearest, graph.areas, config.min_start_distance)[: config.mirrored_starts]
-        return min(in_threads(cost, [*known, *(start.positions for start in tried)]))
 
-    cost = least_cost(source, constraints, positions[small.vertices])
+def mirrored_constraints(clusters: Clusters) -> Clusters:
+    """Clusters with constraints on the source's mirror image."""
+    constraints = clusters.constraints
     curves = (
         replace(curve, source=Polyline(curve.source.positions * MIRROR_X, curve.source.closed))
         for curve in constraints.curves
     )
-    mirrored_constraints = replace(constraints, places=constraints.places * MIRROR_X, curves=tuple(curves))
-    return cost / least_cost(mirrored, mirrored_constraints)
+    constraints = replace(constraints, places=constraints.places * MIRROR_X, curves=tuple(curves))
+    return replace(clusters, constraints=constraints)
