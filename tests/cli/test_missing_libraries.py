@@ -28,7 +28,7 @@ from locations import ROOT
 
 
 def matched() -> MatchResult:
-    example = example_pair()
+    example = example_pair(64)
     levels = choose_level(example.target, 500), choose_level(example.source, 500)
     return match(*prepare_surfaces(example.target, example.source, levels), example.landmarks)
 
