@@ -159,7 +159,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp
 @pytest.fixture(scope="session")
 def built_in_pair() -> ExamplePair:
     """The deer, the pony and their landmarks."""
-    from cagemap.example import example_pair
+    from example_once import example_pair
 
     return example_pair(64)
 

@@ -13,7 +13,6 @@ from typer.testing import CliRunner
 
 from cagemap.cli.app import app
 from cagemap.errors import FormatError, InvalidLandmarksError
-from cagemap.example import example_pair
 from cagemap.files.landmarks.point_formats import write_points
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import write_mesh
@@ -31,6 +30,7 @@ from cagemap.spectral.surface import prepare_surface
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.tasks.requests.catalogue import COMMANDS
 
+from example_once import example_pair
 from example_result import identity_result, textured_cube
 
 JOB = """output = "night"
