@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import inspect
 import os
@@ -24,8 +25,9 @@ if TYPE_CHECKING:
 
     from command_line import Run
 
-# Before NumPy is loaded: test processes run side by side, and BLAS threads that wait for each other's cores spin.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Before NumPy is loaded: test processes run side by side, and threads that wait for each other's cores spin.
+for library in ("OPENBLAS", "OMP"):
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 gc.set_threshold(50_000)  # looking for cycles as often as usual takes a tenth of the processor time
 # Tests and the processes that they start load the same modules again and again: 6 of 10 s of collection is compiling.
 sys.dont_write_bytecode = False
@@ -34,14 +36,19 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """With ``-m slow`` or ``-m browser``, files without such tests are not imported."""
+    marks = {"slow", "browser"} & set(config.option.markexpr.split(" and "))
+    if not marks or not collection_path.match("test_*.py"):
+        return None
+    text = collection_path.read_text(encoding="utf-8")
+    return None if all(f"mark.{mark}" in text for mark in marks) else True
+
+
 def pytest_collection_finish() -> None:
-    """No cycles are looked for among what all tests share."""
+    """No cycles are looked for among what all tests share, before the process ends."""
     gc.freeze()
-
-
-def pytest_sessionfinish() -> None:
-    """OpenImageIO calls what is left at the end leaks."""
-    gc.unfreeze()
+    atexit.register(gc.unfreeze)  # OpenImageIO calls what is left at the end leaks
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -152,7 +159,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp
 @pytest.fixture(scope="session")
 def built_in_pair() -> ExamplePair:
     """The deer, the pony and their landmarks."""
-    from cagemap.example import example_pair
+    from example_once import example_pair
 
     return example_pair(64)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.pipeline import match
 
 from locations import ROOT
-from quick_match import QUICK
+from quick_match import QUICK, remembered
 
 sys.path.insert(0, str(ROOT))
 from benchmarks.public import measure, partial, sets
@@ -76,9 +77,12 @@ def shrec(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return root
 
 
-@pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(measure, "match", lambda *given: match(*given, QUICK))
+@pytest.fixture(scope="module")
+def quick() -> Iterator[None]:
+    """Quick matches, each computed once for all tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(measure, "match", remembered(lambda *given: match(*given, QUICK)))
+        yield
 
 
 def run(name: str, root: Path, output: Path, *more: str) -> list[dict]:

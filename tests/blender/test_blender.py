@@ -20,12 +20,12 @@ import pytest
 from examples.shapes import cube
 
 import cagemap
-from cagemap.example import example_pair
 from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
 
+from example_once import example_pair
 from locations import FIXTURES, ROOT
 from mesh_faults import flip
 

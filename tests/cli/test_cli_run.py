@@ -266,7 +266,7 @@ def test_a_job_is_exported_for_farms_and_runs_nothing(folder: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("jobs_in_threads", "quick_fit")
+@pytest.mark.usefixtures("jobs_in_threads", "quick_fit", "small_pages")
 def test_a_job_gives_what_single_commands_give_and_names_what_failed(folder: Path) -> None:
     first = run_job(folder, "--workers", "2", code=1)
     assert "broken" in first

@@ -167,7 +167,7 @@ def test_welds_and_masks_of_a_given_map_are_repeated(folder: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("jobs_in_threads", "quick_fit")
+@pytest.mark.usefixtures("jobs_in_threads", "quick_fit", "small_pages")
 def test_running_it_gives_the_same_map_and_image(folder: Path) -> None:
     runner = CliRunner()
     (folder / "RESULT").rmdir()

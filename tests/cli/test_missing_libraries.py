@@ -15,7 +15,6 @@ from examples.shapes import cube
 from packaging.requirements import Requirement
 
 from cagemap.errors import MissingLibraryError
-from cagemap.example import example_pair
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.numerics import factorization
 from cagemap.numerics.process import import_library
@@ -24,11 +23,12 @@ from cagemap.pipeline import MatchResult, choose_level, match, prepare_surfaces
 from cagemap.subdivision import level_triangles
 from cagemap.transfer.unwrap import unwrap
 
+from example_once import example_pair
 from locations import ROOT
 
 
 def matched() -> MatchResult:
-    example = example_pair()
+    example = example_pair(64)
     levels = choose_level(example.target, 500), choose_level(example.source, 500)
     return match(*prepare_surfaces(example.target, example.source, levels), example.landmarks)
 

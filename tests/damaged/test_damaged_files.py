@@ -21,7 +21,6 @@ from scipy.io import mmwrite
 
 from cagemap.character.joints import Skeleton
 from cagemap.errors import CagemapError, FormatError
-from cagemap.example import example_pair
 from cagemap.files.atomic import atomic_path
 from cagemap.files.images.image import read_image, read_image_form, write_image
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
@@ -57,6 +56,7 @@ from cagemap.tasks.run_job import cycle_notes
 from cagemap.tasks.transfer import run_transfer
 
 from damage import cases, mutated_arrays, mutated_bytes, mutated_entries, outcome
+from example_once import example_pair
 from example_result import identity_result, textured_cube
 from ply_text import write_text_ply
 

@@ -1,6 +1,6 @@
 """Damaged glTF, GLB and VRM files: a named error or a valid result, never another exception or a large array.
 
-Containers that are cut short: tests/files/test_gltf_read.py.
+Containers that are cut short: tests/files/gltf/test_gltf_document.py.
 """
 
 from __future__ import annotations

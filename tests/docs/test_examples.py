@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import re
 import runpy
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+import cagemap
+
 from locations import ROOT
+from quick_match import remembered
 
 SCRIPTS = sorted((ROOT / "examples").glob("[0-9][0-9]_*.py"))
 WRITES = {
@@ -24,10 +28,19 @@ WRITES = {
 }
 
 
+@pytest.fixture(scope="module")
+def matched_once() -> Iterator[None]:
+    """Most scripts begin with the same match."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cagemap, "match", remembered(cagemap.match))
+        yield
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("matched_once", "quick_fit", "small_pages")
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 def test_a_script_of_the_gallery_runs_and_writes_what_it_says(
-    script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_fit: None, small_pages: None
+    script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At level 1 and by quick fits; `make demo` matches as many vertices as the scripts do, with the usual one."""
     text = script.read_text(encoding="utf-8")

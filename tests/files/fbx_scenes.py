@@ -10,7 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from examples.shapes import cube
 
+from cagemap.character.poses import pose_at
+from cagemap.character.values import Character, skinned_positions
 from cagemap.mesh import ControlMesh
 
 SECOND = 46_186_158_000  # in FBX's unit of time
@@ -82,6 +85,10 @@ class Fbx:
         if to is not None:
             self.connect(number, to, by)
         return number
+
+    def named(self, kind: str) -> Node:
+        """The first object of a kind."""
+        return next(one for one in self.objects if one.name == kind)
 
     def connect(self, number: int, to: int, by: str = "") -> None:
         """Connect an object to another one, or to a property of it."""
@@ -225,3 +232,20 @@ def add_curve(
         Node("KeyAttrRefCount", (np.array([3], "<i4"),)),
     ]
     made.add("AnimationCurve", "", "", *keys, to=curve_node, by=name)
+
+
+def fbx_file(folder: Path, made: Fbx, name: str = "arm.fbx") -> Path:
+    """Path of the written file."""
+    path = folder / name
+    path.write_bytes(made.bytes())
+    return path
+
+
+def half_a_second_in(character: Character) -> np.ndarray:
+    """Positions of the first part at 0.5 s of the first animation."""
+    assert character.rig is not None
+    return skinned_positions(character.parts[0], character.rig, pose_at(character.rig, character.animations[0], 0.5))
+
+
+PNG = b"\x89PNG" + bytes(60)
+BOX = geometry(cube().positions, cube().face_indices.reshape(-1, 4))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +41,9 @@ class Maker:
         return len(self.accessors) - 1
 
     def document(self, file: Path = Path("made.glb"), **top: Any) -> Document:
-        json: dict[str, Any] = {"asset": {"version": "2.0"}, "bufferViews": self.views, "accessors": self.accessors}
-        json["buffers"] = [{"byteLength": len(self.data)}]
-        return Document(json | top, (self.data,), file)
+        entries: dict[str, Any] = {"asset": {"version": "2.0"}, "bufferViews": self.views, "accessors": self.accessors}
+        entries["buffers"] = [{"byteLength": len(self.data)}]
+        return Document(entries | top, (self.data,), file)
 
 
 def matrices(rows: np.ndarray) -> np.ndarray:
@@ -109,3 +111,8 @@ def arm(*, above: dict[str, Any] | None = None, bind: np.ndarray | None = None) 
             }
         ],
     )
+
+
+def changed(document: Document, **top: Any) -> Document:
+    """A copy with other entries at the top."""
+    return replace(document, json=json.loads(json.dumps(document.json)) | top)

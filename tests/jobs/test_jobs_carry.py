@@ -13,7 +13,6 @@ from typer.testing import CliRunner
 
 from cagemap.cli.app import app
 from cagemap.errors import FormatError, InvalidLandmarksError
-from cagemap.example import example_pair
 from cagemap.files.landmarks.point_formats import write_points
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import write_mesh
@@ -31,6 +30,7 @@ from cagemap.spectral.surface import prepare_surface
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.tasks.requests.catalogue import COMMANDS
 
+from example_once import example_pair
 from example_result import identity_result, textured_cube
 
 JOB = """output = "night"
@@ -219,7 +219,7 @@ def test_a_point_of_the_surface_has_a_point_of_the_cage_that_lies_there() -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("jobs_in_threads")
+@pytest.mark.usefixtures("jobs_in_threads", "small_pages")
 def test_a_job_carries_landmarks_and_takes_the_corrected_ones(tmp_path: Path) -> None:
     """Between two meshes of one surface, whose maps are found at once."""
     pair = example_pair(16)

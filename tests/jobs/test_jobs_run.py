@@ -254,10 +254,14 @@ def test_dead_workers_and_bad_tasks_cost_only_what_needs_them(tmp_path: Path) ->
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("forked_workers")
 def test_what_waits_on_a_worker_that_dies_is_not_blamed_for_it(tmp_path: Path) -> None:
+    import dask
+
     tasks = (task(tmp_path, "deadly", trouble="die"), *(task(tmp_path, f"good-{k}") for k in range(3)))
-    # All wait on the one that dies; of workers that start as forks do, Dask seldom blames the others.
-    with open_client(workers=1) as connect:
+    # All wait on the one that dies; of workers that start as fast as forks do, Dask seldom blames the others.
+    slow_start = {"distributed.worker.preload": ["import time; time.sleep(4)"]}
+    with dask.config.set(slow_start), open_client(workers=1) as connect:
         outcomes = run_plan(Plan(tmp_path, tasks, ()), write_name, connect)
     assert {name: outcome.state for name, outcome in outcomes.items()} == {
         "deadly": "failed",
@@ -279,6 +283,7 @@ def test_an_outcome_that_is_lost_with_its_worker_is_none() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("forked_workers")
 def test_a_worker_that_nobody_starts_again_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cagemap.jobs.run.LOST_WORKER_SECONDS", 1)
     with open_client(workers=1) as connect:

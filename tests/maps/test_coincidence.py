@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from cagemap import ControlMesh, Landmarks, Surface, match, prepare_surface, read_mesh, refine, update_match
 from cagemap.deform.problem import Problem
-from cagemap.example import example_pair
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps import coincidence
 from cagemap.maps.coincidence import SAME, Coincidence, unit_ratio
@@ -30,6 +29,7 @@ from cagemap.pipeline import MatchConfig, choose_level, pair_of, prepare_pair
 from cagemap.subdivision import finest_mesh
 from cagemap.transfer import combine, control_weights, prepare_transfer
 
+from example_once import example_pair
 from plain_meshes import animal
 
 MARKS = np.array([3, 50, 120, 200, 260])

@@ -7,10 +7,10 @@ import pytest
 from benchmarks.truth import compare_with_truth, true_map
 
 from cagemap import BasisConfig, Landmarks, match, prepare_surface, read_mesh, refine
-from cagemap.example import example_pair
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.surface.triangle_surface import TriangleSurface
 
+from example_once import example_pair
 from quick_match import SEARCHED
 
 

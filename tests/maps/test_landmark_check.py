@@ -13,7 +13,6 @@ from cagemap.deform.config import ElasticConfig, GraphConfig, LandmarkConfig
 from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem, level_graph
-from cagemap.example import example_pair
 from cagemap.files.result.manifest import landmark_messages
 from cagemap.maps.hypotheses.confidence import TWO
 from cagemap.maps.landmarks import check
@@ -34,6 +33,7 @@ from cagemap.mesh.topology import handle_count
 from cagemap.pipeline import prepare_pair
 from cagemap.subdivision import finest_mesh, refine
 
+from example_once import example_pair
 from quick_match import QUICK
 
 LEVEL = 1  # 1700 and 2200 vertices

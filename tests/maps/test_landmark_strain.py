@@ -12,9 +12,10 @@ from cagemap import Surface
 from cagemap.deform.energy import energy_matrix
 from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.deform.problem import level_graph
-from cagemap.example import example_pair
 from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, strained_pair
 from cagemap.subdivision import refine
+
+from example_once import example_pair
 
 
 @pytest.fixture(scope="module")

@@ -30,12 +30,12 @@ from cagemap import (
 )
 from cagemap.deform.config import StartConfig
 from cagemap.errors import InvalidLandmarksError, InvalidMeshError, ParameterError
-from cagemap.example import example_pair
 from cagemap.maps.pair import Pair
 from cagemap.paper.method import finer_level_pairs, search_levels
 from cagemap.subdivision import CatmullClark, Loop
 from cagemap.surface.triangle_surface import TriangleSurface
 
+from example_once import example_pair
 from quick_match import QUICK
 
 BASIS = BasisConfig(count=60)

@@ -11,11 +11,12 @@ import pytest
 from scipy import sparse
 
 from cagemap import BasisConfig, ControlMesh, Landmarks, Surface, match, prepare_surface, read_mesh, refine
-from cagemap.example import example_pair
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.maps.projection.project import control_points
 from cagemap.subdivision import finest_mesh, level_triangles
 from cagemap.surface.closest_points import build_tree, closest_points
+
+from example_once import example_pair
 
 SEED = 17
 FITTED_LEVELS = 2

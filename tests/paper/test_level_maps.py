@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cagemap.errors import FormatError, ParameterError
-from cagemap.example import example_pair
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import write_mesh
@@ -26,6 +25,7 @@ from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
+from example_once import example_pair
 from example_result import identity_result
 
 

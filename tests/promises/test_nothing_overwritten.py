@@ -15,7 +15,6 @@ import pytest
 from examples.shapes import cube
 
 from cagemap.errors import FormatError, ParameterError
-from cagemap.example import example_pair
 from cagemap.files.atomic import atomic_path
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.landmarks.pairs import write_landmarks
@@ -42,6 +41,7 @@ from cagemap.tasks.suggest import run_suggest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import run_wrap
 
+from example_once import example_pair
 from example_result import identity_result, textured_cube
 
 CUBE = """# modelled by hand

@@ -12,11 +12,11 @@ import cagemap
 from cagemap import BasisConfig, Landmarks, MatchResult
 from cagemap.deform.placement import Placement
 from cagemap.errors import ParameterError
-from cagemap.example import example_pair
 from cagemap.maps.hypotheses.confidence import Confidence
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.pipeline import other_answer
 
+from example_once import example_pair
 from quick_match import QUICK
 
 CONFIG = BasisConfig(count=40)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from examples.shapes import cube, icosahedron
 
-from cagemap.example import example_pair
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
@@ -20,6 +19,7 @@ from cagemap.report import draw_gallery
 from cagemap.report.figures import Gallery
 
 from command_line import Run
+from example_once import example_pair
 from example_result import identity_result
 
 SIZE = (90, 70)

@@ -36,7 +36,7 @@ def models(folder: Path) -> None:
 def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, browser: Any) -> None:
     models(tmp_path)
     asked = ["--target", str(tmp_path / "a.obj"), "--source", str(tmp_path / "b.obj")]
-    with studio(*asked, "--vertices", "800") as (_, address):
+    with studio(*asked, "--vertices", "800", forks=True) as (_, address):
         page = Page(browser, address)
         page.until(lambda: page.opened("target") == "object:body", "the largest parts")
         page.drawn()
@@ -71,7 +71,7 @@ def test_an_animated_source_poses_both_models(tmp_path: Path, browser: Any) -> N
     write_character(tmp_path / "C.glb", character(body))
     write_mesh(tmp_path / "B.glb", body)
     asked = ["--target", str(tmp_path / "B.glb"), "--source", str(tmp_path / "C.glb"), "--vertices", "800"]
-    with studio(*asked) as (_, address):
+    with studio(*asked, forks=True) as (_, address):
         page = Page(browser, address)
         page.until(lambda: page.revision() == 1, "the first map")
         page.drawn()

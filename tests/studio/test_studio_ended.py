@@ -45,7 +45,7 @@ def test_a_page_says_that_its_studio_ended_and_is_whole_again(
         running.process.kill()
         assert len(saved(files)) == count
         page.until(lambda: "has ended" in page.text("status"), f"{moment}: a word that it has ended")
-        running.process, address = running.begun.enter_context(studio(*arguments(files), "--port", port))
+        running.process, address = running.begun.enter_context(studio(*arguments(files), "--port", port, forks=True))
         assert address == page.address
         ready = time.monotonic()
         page.until(lambda: "has ended" not in page.text("status"), f"{moment}: the page again", WHOLE)

@@ -17,7 +17,6 @@ import trimesh
 from examples.shapes import creature, cube
 from scipy.spatial import cKDTree
 
-from cagemap.example import example_pair
 from cagemap.files.gltf.document import read_document
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
@@ -57,6 +56,7 @@ from cagemap.studio.state import Output, StudioState
 from cagemap.subdivision import refine
 from cagemap.tasks.requests.catalogue import all_options
 
+from example_once import example_pair
 from studio_boxes import landmarks, unwrapped_cube
 
 

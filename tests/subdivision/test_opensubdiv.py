@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,14 @@ class Case:
 
     def order(self, level: int) -> np.ndarray:
         """Reference vertex of each of our vertices."""
+        return self.orders[level]
+
+    @cached_property
+    def orders(self) -> dict[int, np.ndarray]:
+        """Orders of all levels."""
+        return {level: self._order(level) for level in (1, 2, 3)}
+
+    def _order(self, level: int) -> np.ndarray:
         distance, order = cKDTree(self.arrays[f"L{level}_V"]).query(self.refinement.levels[level].positions)
         assert distance.max() < self.tolerance
         assert len(np.unique(order)) == len(order) == len(self.arrays[f"L{level}_V"])

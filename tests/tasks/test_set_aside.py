@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from cagemap.character.values import Part
-from cagemap.example import example_pair
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.tasks.carry_character import Bodies, match_bodies
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.set_aside import lay_set_aside
+
+from example_once import example_pair
 
 pytestmark = pytest.mark.slow
 

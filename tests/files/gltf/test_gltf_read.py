@@ -1,0 +1,215 @@
+"""glTF and VRM files as meshes, characters and values: seams, shapes, and what `check` says."""
+
+from __future__ import annotations
+
+import base64
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import creature, cube
+
+from cagemap.errors import FormatError
+from cagemap.files.gltf.character import character_of, humanoid_bones, read_character
+from cagemap.files.gltf.document import glb_bytes, read_document, write_document
+from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.read import read_gltf
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.usd.prims import JOINT_WEIGHTS
+from cagemap.files.values.attributes import read_attributes
+from cagemap.files.values.part_numbering import FileRows
+from cagemap.files.values.rigs import read_shapes, read_skeleton, write_shapes
+from cagemap.mesh import Plain
+from cagemap.mesh.parts import extract_faces, find_part
+from cagemap.tasks.mesh_commands import run_check
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.mesh_commands import CheckRequest
+
+from gltf_scenes import Maker, arm, changed
+
+
+def _written(tmp_path: Path, document: Document, name: str = "made.glb") -> Path:
+    path = tmp_path / name
+    path.write_bytes(glb_bytes(document))
+    return path
+
+
+def test_what_was_split_at_seams_is_one_surface(tmp_path: Path) -> None:
+    body = creature()
+    corners = np.arange(len(body.face_indices))
+    body = body.with_uvs(np.random.default_rng(1).uniform(size=(len(corners), 2)), corners)
+    path = tmp_path / "body.glb"
+    write_mesh(path, body)
+    mesh = read_mesh(path)
+    assert mesh.n_vertices == body.n_vertices
+    assert isinstance(mesh.scheme, Plain)
+    assert mesh.file_vertices is None
+    np.testing.assert_allclose(mesh.positions.min(axis=0), body.positions.min(axis=0), atol=1e-6)
+    assert len(mesh.uvs) == len(corners)
+
+
+def test_seams_of_normals_are_no_seams_of_uvs(tmp_path: Path) -> None:
+    make = Maker()
+    box = cube()
+    corners = box.face_indices
+    indices = np.arange(24).reshape(6, 4)[:, [0, 1, 2, 0, 2, 3]].ravel()
+    attributes = {
+        "POSITION": make.add(box.positions[corners]),
+        "TEXCOORD_0": make.add(box.positions[corners][:, :2]),
+    }
+    mesh = {"primitives": [{"attributes": attributes, "indices": make.add(indices, "<u2")}]}
+    document = make.document(nodes=[{"mesh": 0}], meshes=[mesh])
+    read = read_gltf(_written(tmp_path, document))
+    assert read.n_vertices == 8
+    assert len(read.uvs) == 8
+
+
+def test_closed_lips_stay_apart() -> None:
+    make = Maker()
+    lips = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 0), (1, 0, 0), (0, -1, 0)])
+    opened = np.zeros((6, 3))
+    mesh = {"attributes": {"POSITION": make.add(lips)}, "indices": make.add([0, 1, 2, 3, 5, 4], "<u2")}
+    opened[:3, 1] = 0.5
+    targets = [{"POSITION": make.add(opened)}]
+    for shapes, expected in (({}, 4), ({"targets": targets}, 6)):
+        document = make.document(nodes=[{"mesh": 0}], meshes=[{"primitives": [mesh | shapes]}])
+        assert character_of(document).parts[0].mesh.n_vertices == expected
+
+
+def test_copies_of_an_instanced_mesh_are_left_out_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    maker = Maker()
+    attributes = {"POSITION": maker.add(np.eye(3))}
+    places = maker.add(np.arange(6.0).reshape(2, 3))
+    instances = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": places}}}
+    document = maker.document(
+        meshes=[{"primitives": [{"attributes": attributes}]}],
+        nodes=[{"mesh": 0, "name": "leaf", "extensions": instances}],
+        extensionsUsed=["EXT_mesh_gpu_instancing"],
+    )
+    assert len(character_of(document).parts) == 1
+    assert "copies of leaf by EXT_mesh_gpu_instancing are left out" in caplog.text
+
+
+def test_strips_and_fans() -> None:
+    make = Maker()
+    square = make.add([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)])
+    ring = make.add([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])
+    for mode, points in ((5, square), (6, ring)):
+        mesh = {"attributes": {"POSITION": points}, "mode": mode}
+        document = make.document(nodes=[{"mesh": 0}], meshes=[{"primitives": [mesh]}])
+        read = character_of(document).parts[0].mesh
+        a, b, c = (read.positions[read.face_indices[k::3]] for k in range(3))
+        np.testing.assert_allclose(np.cross(b - a, c - a), [[0, 0, 1]] * 2)
+
+
+def test_humanoid_bones_of_both_vrms() -> None:
+    older = {"VRM": {"humanoid": {"humanBones": [{"bone": "leftUpperArm", "node": 1}]}}}
+    newer = {"VRMC_vrm": {"humanoid": {"humanBones": {"leftUpperArm": {"node": 1}}}}}
+    for extensions in (older, newer):
+        assert humanoid_bones(changed(arm(), extensions=extensions)) == {"leftUpperArm": "upper"}
+    assert humanoid_bones(arm()) == {}
+
+
+@pytest.mark.slow
+def test_files_as_they_come(shared_data: Path) -> None:
+    """Counts of `inside.json`: welded vertices, joints, morphs; hair touches itself at one vertex and keeps both."""
+    place = shared_data / "characters" / "foreign"
+    inside = json.loads((place / "inside.json").read_text())
+    for name in ("Fox.glb", "MorphStressTest.gltf", "mh_male_young.vrm", "saturday06_skinned_morph_vrm0.vrm"):
+        character = read_character(place / name)
+        stated = inside[name]
+        welded: dict[str, int] = {}
+        for part in stated["parts"]:
+            welded[part["mesh"]] = welded.get(part["mesh"], 0) + part["welded"]
+        assert [part.mesh.n_vertices for part in character.parts] == list(welded.values())
+        assert [len(character.rig.names)] * len(stated["skins"]) == stated["skins"] if character.rig else True
+        assert {len(p.shapes) for p in character.parts if p.shapes} == set(stated["morph_targets"].values())
+        assert len(character.animations) == stated["animations"]
+    bones = humanoid_bones(read_document(place / "mh_male_young.vrm"))
+    assert len(bones) == 53
+    assert bones["head"] == "head"
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "arm.glb"
+    write_document(path, arm())
+    return path
+
+
+def test_weights_and_shapes_of_the_whole_and_of_a_part(file: Path) -> None:
+    whole = read_gltf(file)
+    table = read_attributes(file, whole)[JOINT_WEIGHTS]
+    assert table.shape == (9, 2)
+    np.testing.assert_allclose(table.sum(axis=1), 1.0)
+    part = extract_faces(whole, find_part(whole, "strip").faces)
+    rows = FileRows(part, whole)
+    np.testing.assert_allclose(read_attributes(file, part, rows)[JOINT_WEIGHTS], table[3:])
+    shapes = read_shapes([file], part, rows)
+    assert list(shapes) == ["raise"]
+    np.testing.assert_allclose(shapes["raise"].max(axis=0), [0, 0, 1])
+    assert read_shapes([file], whole)["raise"].shape == (9, 3)
+    with pytest.raises(FormatError, match="'raise'"):
+        read_shapes([file], part)
+
+
+def test_joints(file: Path) -> None:
+    skeleton = read_skeleton(file)
+    assert skeleton.names == ("upper", "lower")
+    assert skeleton.parents == ("", "upper")
+    np.testing.assert_allclose(skeleton.heads, [[0, 0, 0], [1, 0, 0]], atol=1e-6)
+    np.testing.assert_allclose(skeleton.tails, [[1, 0, 0], [1.5, 0, 0]], atol=1e-6)
+
+
+def test_a_file_without_a_skin_is_refused(tmp_path: Path) -> None:
+    make = Maker()
+    mesh = {"primitives": [{"attributes": {"POSITION": make.add([(0, 0, 0), (1, 0, 0), (0, 1, 0)])}}]}
+    path = tmp_path / "bare.glb"
+    write_document(path, make.document(nodes=[{"mesh": 0}], meshes=[mesh]))
+    for read in (read_skeleton, read_attributes):
+        with pytest.raises(FormatError, match=r"bare\.glb.*skin"):
+            read(path)
+
+
+def test_check_says_what_a_file_holds(file: Path, tmp_path: Path) -> None:
+    text, _ = run_check(CheckRequest((file,)), Stages())
+    for line in (
+        "arm.glb: strip\n",
+        "  vertices              6\n",
+        "body        strip: is matched",
+        "passengers  1 (ball): ride on the body",
+        "skeleton    2 joints, at most 2 a vertex: is carried, with its weights",
+        "shapes      1 (raise): are carried",
+        "animations  1 (bend (2 s)): are retargeted",
+    ):
+        assert line in text
+    for word in ("component:", "--weld", "set aside"):
+        assert word not in text
+    (held,) = json.loads(run_check(CheckRequest((file,), True), Stages())[0])
+    assert held["contents"]["joints"] == 2
+    write_mesh(tmp_path / "plain.obj", read_gltf(file))
+    assert "holds" not in run_check(CheckRequest((tmp_path / "plain.obj",)), Stages())[0]
+
+
+@pytest.mark.parametrize("output", ["shapes", "cube.npz"])
+def test_written_shapes_come_back_without_the_cage_at_rest(tmp_path: Path, output: str) -> None:
+    cage = replace(cube(), name="cube.obj")
+    shapes = {"smile": np.ones((8, 3)), "none": np.zeros((8, 3))}
+    write_shapes(tmp_path / output, shapes, cage, [])
+    found = read_shapes([tmp_path if output.endswith(".npz") else tmp_path / output], cage)
+    assert sorted(found) == ["none", "smile"]
+    np.testing.assert_allclose(found["smile"], 1.0)
+
+
+def test_check_reports_a_mesh_whose_image_is_missing(tmp_path: Path) -> None:
+    material = {"name": "skin", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    lost = {"materials": [material], "textures": [{"source": 0}], "images": [{"uri": "lost.png"}]}
+    document = arm()
+    buffer = "data:application/octet-stream;base64," + base64.b64encode(document.buffers[0]).decode()
+    top = document.json | lost | {"buffers": [{"byteLength": len(document.buffers[0]), "uri": buffer}]}
+    (tmp_path / "made.gltf").write_text(json.dumps(top))
+    text, _ = run_check(CheckRequest((tmp_path / "made.gltf",)), Stages())
+    assert "skin baseColor (cannot be read: lost.png)" in text
+    assert "faces" in text
