@@ -80,8 +80,8 @@ class Inputs:
 
 
 @dataclass(frozen=True, eq=False)
-class EarlierMatch:
-    """A match computed in the studio; it is written again if all inputs of a match are equal."""
+class ComputedMatch:
+    """A match computed in the studio; `match` writes it if all its inputs are equal."""
 
     result: MatchResult
     config: MatchConfig
@@ -90,20 +90,20 @@ class EarlierMatch:
         self, target: Surface, source: Surface, landmarks: Landmarks, config: MatchConfig
     ) -> MatchResult | None:
         """The result, if all inputs are equal; None if one differs, or there are masks or curves."""
-        earlier, pairs = self.result, ((self.result.target, target), (self.result.source, source))
-        if config.masks.any or earlier.masks.any or replace(config, masks=self.config.masks) != self.config:
+        computed, pairs = self.result, ((self.result.target, target), (self.result.source, source))
+        if config.masks.any or computed.masks.any or replace(config, masks=self.config.masks) != self.config:
             return None
-        if (landmarks.names, landmarks.places) != (earlier.landmarks.names, earlier.landmarks.places):
+        if (landmarks.names, landmarks.places) != (computed.landmarks.names, computed.landmarks.places):
             return None
-        if len(landmarks.curves) + len(earlier.landmarks.curves):
+        if len(landmarks.curves) + len(computed.landmarks.curves):
             return None
         if not all(_is_same_surface(one, two) for one, two in pairs):
             return None
-        points = earlier.point_map
+        points = computed.point_map
         point_map = PointMap.from_arrays(
             target.finest_triangles, source.finest_triangles, points.triangle, points.barycentric
         )
-        return replace(earlier, target=target, source=source, landmarks=landmarks, point_map=point_map)
+        return replace(computed, target=target, source=source, landmarks=landmarks, point_map=point_map)
 
 
 def _is_same_surface(one: Surface, two: Surface) -> bool:
@@ -126,25 +126,25 @@ class MatchSettings:
     config: MatchConfig  # without masks, which depend on the surfaces
     cache: Path | None = None  # folder of prepared surfaces
     entries: dict[str, Any] = field(default_factory=dict)  # for the manifest: parameters, inputs
-    before: MatchResult | None = None  # match of the source's last frame, from which the match starts
-    earlier: EarlierMatch | None = None  # is used if its inputs are equal
+    last_frame: MatchResult | None = None  # match of the source's last frame, from which the match starts
+    computed: ComputedMatch | None = None  # is used if its inputs are equal
 
 
-def run_match(request: MatchRequest, stages: Stages, earlier: EarlierMatch | None = None) -> Said:
+def run_match(request: MatchRequest, stages: Stages, computed: ComputedMatch | None = None) -> Said:
     """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
     started = time.perf_counter()
-    result = match_files(request, stages, earlier=earlier)
+    result = match_files(request, stages, computed=computed)
     text = summary(result, request.output, time.perf_counter() - started)
     return f"{text}\n{next_commands(result, request)}", warnings(result)
 
 
 def match_files(
-    request: MatchRequest, stages: Stages, before: MatchResult | None = None, earlier: EarlierMatch | None = None
+    request: MatchRequest, stages: Stages, last_frame: MatchResult | None = None, computed: ComputedMatch | None = None
 ) -> MatchResult:
     """Match two mesh files and write the RESULT folder.
 
-    ``before``, of the same target and the source's last frame, is the start of the match; its target is used again.
-    ``earlier`` replaces the computation if its inputs are equal.
+    ``last_frame``, of the same target, is the start of the match; its target is used again.
+    ``computed`` replaces the computation if its inputs are equal.
     """
     config = check_match(request)
     stages("read")
@@ -175,7 +175,9 @@ def match_files(
         **dict(zip(("target_part", "source_part"), parts, strict=True)),
     }
     entries = {"parameters": parameters, "inputs": stated}
-    result = match_inputs(inputs, MatchSettings(bases, levels, config, request.cache, entries, before, earlier), stages)
+    result = match_inputs(
+        inputs, MatchSettings(bases, levels, config, request.cache, entries, last_frame, computed), stages
+    )
     stages("write")
     write_result(request.output, result, force=request.force)
     note_match(request)
@@ -307,20 +309,20 @@ def _match_part(part: PartInputs, inputs: Inputs, settings: MatchSettings, stage
     for control, level in zip(controls, settings.levels, strict=True):
         _log.info("%s: level %d", control.name, level)
     prepare = prepare_checked if settings.cache is None else partial(prepared, settings.cache)
-    if settings.before is None:
+    if settings.last_frame is None:
         target, source = prepare_surfaces(*controls, settings.levels, settings.bases, prepare=prepare, progress=stages)
     else:
         stages(f"prepare {part.source.name}")
-        target, source = settings.before.target, prepare(part.source, settings.levels[1], settings.bases[1])
+        target, source = settings.last_frame.target, prepare(part.source, settings.levels[1], settings.bases[1])
     symmetries = tuple((symmetry_on(t, target.control), symmetry_on(s, source.control)) for t, s in config.symmetries)
     config = replace(config, symmetries=symmetries, masks=masks_on(inputs.masks, (target, source)))
-    earlier, given = settings.earlier, (target, source, part.landmarks, config)
-    if earlier is not None and (equal := earlier.on_surfaces(*given)) is not None:
+    computed, given = settings.computed, (target, source, part.landmarks, config)
+    if computed is not None and (equal := computed.on_surfaces(*given)) is not None:
         result = equal
-    elif settings.before is None:
+    elif settings.last_frame is None:
         result = match(target, source, part.landmarks, config, progress=stages)
     else:
-        result = match_next(settings.before, source, part.landmarks, config, progress=stages)
+        result = match_next(settings.last_frame, source, part.landmarks, config, progress=stages)
     repairs = [pair.repairs for pair in inputs.parts]
     provenance = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),

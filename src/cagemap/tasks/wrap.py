@@ -98,24 +98,24 @@ def _found(
     if len(sources) == 1:
         result = match_files(MatchRequest(target, sources[0], results[0], request.landmarks, **options), stages)
         return results, list(dict.fromkeys(result_warnings(result)))
-    before: MatchResult | None = None
+    last_frame: MatchResult | None = None
     for frame, (source, output) in enumerate(zip(sources, results, strict=True)):
         landmarks = None if frame else request.landmarks
-        result = match_files(MatchRequest(target, source, output, landmarks, **options), stages, before)
-        stages.note(f"frame {frame + 1} of {len(sources)}, {source.name}: {_frame_text(result, before)}")
+        result = match_files(MatchRequest(target, source, output, landmarks, **options), stages, last_frame)
+        stages.note(f"frame {frame + 1} of {len(sources)}, {source.name}: {_frame_text(result, last_frame)}")
         warnings += [f"{source.name}: {message}" for message in result_warnings(result)]
-        before = replace(result, prepared=None)
+        last_frame = replace(result, prepared=None)
     return results, list(dict.fromkeys(warnings))
 
 
-def _frame_text(result: MatchResult, before: MatchResult | None) -> str:
+def _frame_text(result: MatchResult, last_frame: MatchResult | None) -> str:
     """How a frame was matched, its folded area and how far it moved."""
     folded = f"{100 * result.quality.flipped_area:.2f} % folded"
-    if before is None:
+    if last_frame is None:
         return f"matched, {folded}"
     if result.confidence is not None:
         return f"matched afresh, since the map from the last frame folds too much; {folded}"
-    last, images = before.image() * before.source.scale, result.image() * before.source.scale
+    last, images = last_frame.image() * last_frame.source.scale, result.image() * last_frame.source.scale
     moved_by = 100 * float(np.linalg.norm(images - last, axis=1).mean())
     return f"follows the last frame, {folded}, moved by {moved_by:.2f} % of sqrt(area) on average"
 
