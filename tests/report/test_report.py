@@ -33,7 +33,7 @@ from cagemap.report import (
 )
 from cagemap.report.figures import BACKGROUND, display_image
 from cagemap.report.rig_panels import MAX_PANEL_POSES, cage_edges, control_edges
-from cagemap.tasks.match import summary, warnings
+from cagemap.tasks.match_summary import summary, warnings
 from cagemap.tasks.report import _baked_image
 
 from example_result import identity_result

@@ -32,15 +32,15 @@ from cagemap.numerics.threads import one_blas_thread
 from cagemap.tasks.detail_bakes import (
     bake_wrapped,
     outputs_beside,
-    require_bakeable,
     require_green,
+    require_wrappable,
     wrap_bakes,
 )
 from cagemap.tasks.import_map import run_map
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import mask_inputs, with_masks
-from cagemap.tasks.match import match_files
-from cagemap.tasks.match import warnings as result_warnings
+from cagemap.tasks.match import Inputs, match_files
+from cagemap.tasks.match_summary import warnings as result_warnings
 from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.catalogue import WRAP_IMAGES_OF, WRITTEN
 from cagemap.tasks.requests.import_map import MapRequest
@@ -95,13 +95,19 @@ def _found(
         options = _of_both(request, "weld")
         return results, run_map(MapRequest(request.map, target, sources[0], results[0], **options), stages)[1]
     options, warnings = _of_both(request, "scheme", "weld"), list[str]()
+
+    def require(inputs: Inputs) -> None:
+        require_wrappable(request, inputs.target, inputs.source)
+
     if len(sources) == 1:
-        result = match_files(MatchRequest(target, sources[0], results[0], request.landmarks, **options), stages)
+        single = MatchRequest(target, sources[0], results[0], request.landmarks, **options)
+        result = match_files(single, stages, require=require)
         return results, list(dict.fromkeys(result_warnings(result)))
     last_frame: MatchResult | None = None
     for frame, (source, output) in enumerate(zip(sources, results, strict=True)):
         landmarks = None if frame else request.landmarks
-        result = match_files(MatchRequest(target, source, output, landmarks, **options), stages, last_frame)
+        one = MatchRequest(target, source, output, landmarks, **options)
+        result = match_files(one, stages, last_frame, require=require)
         stages.note(f"frame {frame + 1} of {len(sources)}, {source.name}: {_frame_text(result, last_frame)}")
         warnings += [f"{source.name}: {message}" for message in result_warnings(result)]
         last_frame = replace(result, prepared=None)
@@ -196,7 +202,7 @@ def _run(request: WrapRequest, stages: Stages) -> Said:
     if request.blend_shapes:
         return _write_shapes(request, results, config, stages)
     result, folder = results[0], request.results[0]
-    detail = require_bakeable(request, result)
+    detail = require_wrappable(request, result.target.control, result.source.control)
     wrapped = _wrap(request, result, config, stages)
     original = input_file(folder, result.manifest, "target")
     stages("write")

@@ -6,6 +6,7 @@ Not read by a library, since the one that keeps quads is under the GPL.
 from __future__ import annotations
 
 import logging
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from cagemap.files.meshes.colors import as_shares
 from cagemap.files.meshes.obj import warn_of_bare_faces
 from cagemap.files.meshes.ply_records import Column, read_columns
 from cagemap.files.ownership import mark
-from cagemap.files.text import read_bytes
+from cagemap.files.text import named_image, read_bytes
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV
 from cagemap.mesh.faces import merged_corners
@@ -65,6 +66,13 @@ def read_ply(path: str | Path) -> ControlMesh:
     uvs, uv_indices = _uvs(file, vertices, faces.get("texcoord"), corners.lengths, indices)
     mesh = ControlMesh(positions, offsets, indices, uvs, uv_indices, name=file.name, vertex_colors=_colors(vertices))
     return _with_materials(file, mesh, {name: column for name, column in faces.items() if np.all(column.lengths == 1)})
+
+
+def ply_images(path: Path) -> list[Path]:
+    """Existing images that the header of a PLY file names (``comment TextureFile``)."""
+    header = read_bytes(path, "a PLY file").partition(b"end_header")[0].decode("utf-8", "replace")
+    names = re.findall(r"(?m)^comment TextureFile ([^\r\n]+)", header)
+    return [image for name in names if (image := named_image(path, name.strip())) is not None]
 
 
 def _with_materials(path: Path, mesh: ControlMesh, faces: dict[str, Column]) -> ControlMesh:
