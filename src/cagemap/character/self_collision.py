@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from cagemap.character.body_frames import neighbor_means
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
+from cagemap.numerics.kinds import Config
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.triangles import row_lengths, surface_area, vertex_normals
 from cagemap.transfer.textured_surface import plane_basis
@@ -18,7 +19,7 @@ _TILT = np.array([0.0123, 0.0071])
 
 
 @dataclass(frozen=True)
-class CollisionConfig:
+class CollisionConfig(Config):
     """Numbers of `move_apart`; lengths in units of sqrt(area). What was measured: docs/lab/characters.md."""
 
     reach: float = 0.02  # largest depth of a collision
