@@ -59,6 +59,8 @@ class StartConfig(Config):
     #: length of a unit normal in the search of a fit's closest points among as many samples, of sqrt(area)
     normal_length: float = 0.1
 
+    RANGES: ClassVar = {"samples": (1, np.inf)}
+
 
 @dataclass(frozen=True)
 class GraphConfig(Config):
