@@ -24,7 +24,8 @@ class CollisionConfig(Config):
 
     reach: float = 0.02  # largest depth of a collision
     lift: float = 1e-4  # of points over the vertices that are tested
-    tolerance: float = 2e-4  # depth that is left
+    max_depth: float = 2e-4  # depth that is left
+    min_move: float = 2e-4  # vertices that a shape moves by less are not tested
     max_rounds: int = 30
     spreading_rounds: int = 4  # in which a push spreads to neighbouring vertices
 
@@ -84,7 +85,7 @@ def move_apart(
     """
     size = np.sqrt(surface_area(rest, triangles))
     means = neighbor_means(triangles, len(rest))
-    vertices = np.flatnonzero(row_lengths(moved - rest) > config.tolerance * size)
+    vertices = np.flatnonzero(row_lengths(moved - rest) > config.min_move * size)
     tested = Collisions.find(moved, triangles, vertices, outward, config).vertices
     if not len(tested):
         return moved
@@ -92,7 +93,7 @@ def move_apart(
     for _ in range(config.max_rounds):
         tested = np.setdiff1d(tested, at_rest)
         found = Collisions.find(moved, triangles, tested, outward, config)
-        if row_lengths(found.exits).max(initial=0.0) < config.tolerance * size:
+        if row_lengths(found.exits).max(initial=0.0) < config.max_depth * size:
             break
         half, weights = 0.5 * found.exits, found.barycentric
         shares = weights / np.einsum("kc,kc->k", weights, weights)[:, None]
