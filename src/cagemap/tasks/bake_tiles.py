@@ -295,9 +295,10 @@ def base_size(request: TransferRequest, name: str = "") -> int | None:
     return max(read_image(files[0]).size) if files else None
 
 
-def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any]) -> Said:
-    """Record a bake in the manifest; returns a summary and warnings."""
+def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any], stages: Stages) -> Said:
+    """Record a bake, in the manifest too; returns a summary and warnings."""
     outputs = [udim_path(request.output, tile) for tile in prepared.tiles]
+    stages.record(size=entry["size"], tiles=prepared.tiles)
     level = {} if request.level is None else {"level": request.level}
     note_transfer(
         request.result, {**entry, **level, "output": outputs[0], "tiles": prepared.tiles, "mesh": prepared.mesh}

@@ -84,7 +84,7 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
         map_request = replace(request, output=output)
         image = _bake_map(map_request, result, prepared, name, path, stages, texture)
         entry = _entry("texture", path if atlas is None or given is None else given, image)
-        summary, warnings = finish(map_request, prepared, entry | ({"map": name} if name else {}))
+        summary, warnings = finish(map_request, prepared, entry | ({"map": name} if name else {}), stages)
     if given is not None and (tinted := tinted_materials(given, result.source.control)):
         colors = f"the colours that multiply the images of {first_few(tinted)} are not baked"
         warnings = [*warnings, f"{given}: {colors}; set them in the target's materials"]
@@ -212,8 +212,10 @@ def _carry(
     baked = bake_tiles(request, prepared, bound, stages)
     entry = _entry(kind, path, source_image) | more
     if not isinstance(baked, Displacement):
-        return finish(request, prepared, entry)
-    summary, warnings = finish(request, prepared, entry | {"midlevel": baked.midlevel, "scale": baked.scale})
+        return finish(request, prepared, entry, stages)
+    values = {"midlevel": baked.midlevel, "scale": baked.scale}
+    stages.record(**values)
+    summary, warnings = finish(request, prepared, entry | values, stages)
     what = "height" if channels == 1 else "vector"
     return f"{summary}\n  {what} = (value - {baked.midlevel:g}) * {baked.scale:.6g} in the target's units", warnings
 
@@ -232,7 +234,7 @@ def carry_material_colors(request: TransferRequest, result: MatchResult, stages:
 
     bake = partial(bake_face_colors, prepared.transfer, colors, size=size, dtype=dtype)
     bake_tiles(request, prepared, bake, stages)
-    return finish(request, prepared, {"kind": "material-colors", "size": size})
+    return finish(request, prepared, {"kind": "material-colors", "size": size}, stages)
 
 
 def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:

@@ -32,7 +32,7 @@ from cagemap.spectral.surface import DEFAULT_VERTICES, prepare_checked
 from cagemap.tasks.job_file import note_match
 from cagemap.tasks.masks import GivenMasks, mask_inputs, masks_on, read_masks
 from cagemap.tasks.match_parts import PartInputs, asked_parts, chosen_parts, ready_inputs
-from cagemap.tasks.match_summary import next_commands, summary, warnings
+from cagemap.tasks.match_summary import match_figures, next_commands, summary, warnings
 from cagemap.tasks.method import (
     SIDES,
     basis_parameters,
@@ -127,7 +127,8 @@ def run_match(request: MatchRequest, stages: Stages, computed: ComputedMatch | N
     """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
     started = time.perf_counter()
     result = match_files(request, stages, computed=computed)
-    text = summary(result, request.output, time.perf_counter() - started)
+    stages.record(**match_figures(result, time.perf_counter() - started))
+    text = summary(result, request.output, stages.figures)
     return f"{text}\n{next_commands(result, request)}", warnings(result)
 
 

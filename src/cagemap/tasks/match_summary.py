@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,13 +16,20 @@ from cagemap.pipeline import MatchResult
 from cagemap.tasks.requests.match import MatchRequest
 
 
-def summary(result: MatchResult, folder: Path, seconds: float) -> str:
-    """Summary of a match for the terminal."""
+def match_figures(result: MatchResult, seconds: float) -> dict[str, Any]:
+    """Figures of a match: numbers of vertices, seconds, and those of the manifest."""
     manifest = result.manifest
-    quality = manifest["quality"]
+    counts = {"target_vertices": len(result.target.vertices), "source_vertices": len(result.source.vertices)}
+    kept = {name: manifest[name] for name in ("quality", "confidence", "shared_area") if manifest.get(name) is not None}
+    return {**counts, "seconds": seconds, **kept}
+
+
+def summary(result: MatchResult, folder: Path, figures: Mapping[str, Any]) -> str:
+    """Summary of a match for the terminal, from its `match_figures`."""
+    manifest, quality = result.manifest, figures["quality"]
     lines = [
-        f"{result.source.control.name} -> {result.target.control.name}: {len(result.target.vertices):,} target and "
-        f"{len(result.source.vertices):,} source vertices in {seconds:.1f} s",
+        f"{result.source.control.name} -> {result.target.control.name}: {figures['target_vertices']:,} target and "
+        f"{figures['source_vertices']:,} source vertices in {figures['seconds']:.1f} s",
         "  " + "; ".join(filter(None, (landmark_summary(result), assurance(manifest)))),
         f"  {100 * quality['flipped_area']:.2f} % folded, {100 * quality['coverage']:.1f} % of the "
         f"source{'' if result.shared is None else ', as far as it is shared,'} covered",

@@ -261,7 +261,7 @@ def run_task(task: Task) -> dict[str, Any]:
     request = _request_of(task)
     _, warnings = runner_of(request)(request, stages)
     if task.kind != "match":
-        return {"warnings": warnings}
+        return {**stages.figures, "warnings": warnings}
     manifest = read_manifest(Path(task.request["output"]))
     warnings = [*landmark_messages(manifest), *manifest["quality"]["warnings"]]
     return {name: manifest[name] for name in ("quality", "timings", "notes") if name in manifest} | {

@@ -50,11 +50,9 @@ from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.transfer import carry_one
 from cagemap.tasks.usd_output import missing_file_warnings, write_usd_results
-from cagemap.wrap import Residual, WrapConfig, Wrapped, level_mesh, wrap
+from cagemap.tasks.wrap_figures import distances_text, fold_warnings, wrap_figures
+from cagemap.wrap import WrapConfig, Wrapped, level_mesh, wrap
 from cagemap.wrap.wrapping import NO_CAGE
-
-# Least share of the target's area without a counterpart that is reported; less is single triangles.
-_TOLD = 5e-4
 
 
 def run_wrap(request: WrapRequest, stages: Stages) -> Said:
@@ -208,11 +206,13 @@ def _run(request: WrapRequest, stages: Stages) -> Said:
     stages("write")
     space = _to_target(folder, result)
     written, warnings = _write(request, _through(wrapped, space), result, original, request.output)
-    note_transfer(folder, _entry(request, wrapped))
+    figures = wrap_figures(wrapped)
+    stages.record(**figures)
+    note_transfer(folder, {"kind": "wrap", "output": request.output, "amount": request.amount, **figures})
     note_output("wrap", folder, request)
     count = wrapped.mesh.n_vertices
     among = f", {count} of them wrapped" if written != count else ""
-    lines = [f"wrote {request.output}: {written} vertices{among} (level {wrapped.level})", _figures(wrapped)]
+    lines = [f"wrote {request.output}: {written} vertices{among} (level {wrapped.level})", distances_text(figures)]
     if request.mhclo is not None:
         places, triangles = wrapped.mesh.positions, wrapped.closest.triangle[: wrapped.mesh.n_vertices]
         write_mhclo(request.mhclo, bind_on(places, result.source, triangles), request.output, force=request.force)
@@ -223,7 +223,7 @@ def _run(request: WrapRequest, stages: Stages) -> Said:
         outside.append(
             f"images are in the source's units and axes; one of its units is {length:.6g} of {request.output.name}"
         )
-    return "\n".join(lines + more), warnings + outside + _warnings(wrapped)
+    return "\n".join(lines + more), warnings + outside + fold_warnings(figures)
 
 
 def _meshes_read(request: WrapRequest, results: list[MatchResult]) -> list[Path]:
@@ -331,8 +331,10 @@ def _write_shapes(request: WrapRequest, results: list[MatchResult], config: Wrap
             rest = replace(wrapped, mesh=level_mesh(result.target.refinement, wrapped.level))
             _write(replace(request, amount=1.0), rest, result, original, files[0])
         warnings += _write(request, _through(wrapped, _to_target(folder, result)), result, original, file)[1]
-        lines.append(f"wrote {file}\n{_figures(wrapped)}")
-        warnings += [f"{name}: {message}" for message in _warnings(wrapped)]
+        figures = wrap_figures(wrapped)
+        stages.record(**{name: figures})
+        lines.append(f"wrote {file}\n{distances_text(figures)}")
+        warnings += [f"{name}: {message}" for message in fold_warnings(figures)]
     for folder in request.results:
         note_output("wrap", folder, request)
     return "\n".join(lines), list(dict.fromkeys(warnings))
@@ -346,55 +348,3 @@ def _shape_files(request: WrapRequest, target: Path, sources: Sequence[Path]) ->
     if len(set(names)) < len(names):
         raise ParameterError(f"--blend-shapes: expected different names, got {', '.join(names)}. Rename the files.")
     return [request.output / f"{name}.obj" for name in names]
-
-
-def _entry(request: WrapRequest, wrapped: Wrapped) -> dict[str, Any]:
-    return {
-        "kind": "wrap",
-        "output": request.output,
-        "fit_level": wrapped.level,
-        "amount": request.amount,
-        "residual": _noted(wrapped.residual) | {"without_counterpart": wrapped.left_out},
-        "residual_with_counterpart": _noted(wrapped.followed),
-        "residual_from_source": _noted(wrapped.from_source),
-        "folded_faces": wrapped.folded,
-    }
-
-
-def _noted(residual: Residual) -> dict[str, Any]:
-    return {"mean": residual.mean, "p99": residual.p99, "max": residual.largest, "where": residual.where}
-
-
-def _figures(wrapped: Wrapped) -> str:
-    to_source, from_source = wrapped.residual, wrapped.from_source
-    source = wrapped.closest.source
-    lines = [
-        "  distances in % of sqrt(area), over all vertices:",
-        f"  of the wrap to the source: {_words(to_source, wrapped.surface[to_source.where])}",
-        "  of the source to the wrap: " + _words(from_source, source.positions[from_source.where] / source.scale),
-    ]
-    if wrapped.left_out > _TOLD:
-        followed = wrapped.followed
-        lines += [
-            f"  {100 * wrapped.left_out:.1f} % of the target has no counterpart and follows its surroundings",
-            f"  of the rest to the source: {_words(followed, wrapped.surface[followed.where])}",
-        ]
-    return "\n".join(lines)
-
-
-def _words(residual: Residual, place: FloatArray) -> str:
-    shown = ", ".join(f"{x:.3g}" for x in place)
-    return (
-        f"mean {100 * residual.mean:.4f}, 99 % within {100 * residual.p99:.3f}, largest "
-        f"{100 * residual.largest:.2f} at ({shown})"
-    )
-
-
-def _warnings(wrapped: Wrapped) -> list[str]:
-    if not len(wrapped.folded):
-        return []
-    shown = ", ".join(map(str, wrapped.folded[:10]))
-    return [
-        f"{len(wrapped.folded)} faces turn against the surface: {shown}{' ...' if len(wrapped.folded) > 10 else ''} "
-        "(numbers from 0). A larger --fairness keeps the net smoother."
-    ]
