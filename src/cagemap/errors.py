@@ -151,12 +151,19 @@ def _wrong_value(item: Mapping[str, Any]) -> str:
     return f"expected {next(known, item['msg'])}, got {got if len(got) <= 60 else f'{got[:57]}...'}. Correct it."
 
 
+def error_code(error: Exception) -> str:
+    """The code of an error that ended a task; "memory", "system" or "internal" for those of other libraries."""
+    if isinstance(error, CagemapError):
+        return error.code
+    return "memory" if isinstance(error, MemoryError) else "system" if isinstance(error, OSError) else "internal"
+
+
 def explain_error(error: Exception) -> str:
     """Message to the user for any error that ended a task."""
     if isinstance(error, CagemapError):
         return use_option_names(str(error))
     if isinstance(error, MemoryError):
-        return "not enough memory for surfaces of this size. Use a lower --level or fewer --vertices."
+        return "not enough memory for surfaces of this size. Use a lower --level, fewer --vertices or fewer --workers."
     if not isinstance(error, OSError):
         return (
             f"internal error, {type(error).__name__}: {error}. This is a fault of cagemap, please report it; "

@@ -8,14 +8,14 @@ from cagemap.deform.config import ElasticConfig, StartConfig
 from cagemap.errors import ParameterError
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import SymmetryPair
-from cagemap.numerics.kinds import Brief
+from cagemap.numerics.kinds import Config
 from cagemap.paper.hfm import HfmConfig
 from cagemap.paper.method import PaperConfig
 from cagemap.spectral.surface import METHODS
 
 
 @dataclass(frozen=True, repr=False)
-class MatchConfig(Brief):
+class MatchConfig(Config):
     """Parameters of a match of two prepared surfaces; the defaults are the measured ones.
 
     Attributes
@@ -57,14 +57,13 @@ class MatchConfig(Brief):
     masks: Masks = WHOLE
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.method not in METHODS:
             raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
         if not all(isinstance(pair, tuple | list) and len(pair) == 2 for pair in self.symmetries):
             raise ParameterError(
                 "symmetries: expected pairs of arrays, the target's images and the source's, got others"
             )
-        if self.answer < 0:
-            raise ParameterError(f"answer: expected 0 or more, got {self.answer}")
         if self.answer and self.method != "elastic":
             raise ParameterError(f"answer: expected the method elastic, which alone finds several, got {self.method!r}")
         if self.symmetries and self.method == "elastic":

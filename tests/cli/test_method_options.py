@@ -188,14 +188,14 @@ def test_parameters_reach_the_method_they_belong_to():
         ("hfm", "rounds=3", "expected NAME=VALUE with one of .*search_vertices.* for hfm, got 'rounds=3'"),
         ("paper", "laplacian", "expected NAME=VALUE"),
         ("paper", "rounds=2.5", "rounds: expected a whole number, got '2.5'"),
-        ("paper", "decay=-1", "decay of at least 0"),
+        ("paper", "decay=-1", "decay: expected a number of at least 0"),
         ("paper", "factor=2", "expected NAME=VALUE with one of .*rounds.* for paper"),
         ("elastic", "laplacian=0.1", "expected NAME=VALUE with one of .*search_vertices.* for elastic"),
         ("elastic", "last=2", "no fewer at last"),
         ("elastic", "factor=x", "factor: expected a number, got 'x'"),
         ("hfm", "factor=1", "a factor above 1"),
         ("hfm", "normal_weight=-1", "normal_weight: expected a number of at least 0"),
-        ("hfm", "signature_weight=-1", "signature_weight: expected at least 0"),
+        ("hfm", "signature_weight=-1", "signature_weight: expected a number of at least 0"),
     ],
 )
 def test_wrong_parameters_are_refused(method, setting, said):

@@ -114,9 +114,7 @@ def test_options_that_would_do_nothing_are_refused(place: Path, option: str, val
 @pytest.mark.parametrize("kind", [StartConfig, HfmConfig])
 def test_levels_are_not_sought_by_fewer_than_no_vertices(kind: type[StartConfig | HfmConfig]) -> None:
     for name in ("search_vertices", "source_search_vertices"):
-        with pytest.raises(
-            ParameterError, match=r"0 search vertices or more|search_vertices: expected a number of at least 0"
-        ):
+        with pytest.raises(ParameterError, match="search_vertices: expected a whole number of at least 0"):
             kind(**{name: -1})
 
 

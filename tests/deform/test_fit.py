@@ -185,7 +185,7 @@ def test_a_step_with_factors_of_another_matrix_is_solved_all_the_same():
 
 def test_counts_of_a_stage_are_checked() -> None:
     for wrong in ({"iterations": 0}, {"iterations": 3, "factored": 0}, {"iterations": 3, "patience": -1}):
-        with pytest.raises(ParameterError, match="a stage of the elastic fit"):
+        with pytest.raises(ParameterError, match=f"{list(wrong)[-1]}: expected"):
             Stage(**{"stiffness": (1e-3, 1e-4), "smoothing": 1e-3} | wrong)
 
 

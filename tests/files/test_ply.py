@@ -16,6 +16,7 @@ from cagemap.errors import FormatError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.meshes.ply import read_ply, write_ply
 from cagemap.mesh import ControlMesh
+from cagemap.numerics.srgb import encode_srgb
 
 from ply_text import write_text_ply
 
@@ -127,6 +128,29 @@ def test_faces_of_several_images_have_a_material_for_each(tmp_path: Path) -> Non
     mesh = read_bytes(tmp_path, header + BODY[:24] + "3 0 1 2 4\n3 0 2 3 1\n")
     assert [mesh.material_names[number] for number in mesh.face_materials] == ["texture 4", "texture 1"]
     assert read_bytes(tmp_path, header + BODY[:24] + "3 0 1 2 4\n3 0 2 3 4\n").material_names == ()
+
+
+COLORED_FACES = FACES.replace("end_", "".join(f"property uchar {c}\n" for c in ("red", "green", "blue")) + "end_")
+
+
+def test_faces_of_several_colours_have_a_material_for_each(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    mesh = read_bytes(tmp_path, HEADER + COLORED_FACES + BODY[:24] + "3 0 1 2 255 0 16\n3 0 2 3 1 128 0\n")
+    assert [mesh.material_names[number] for number in mesh.face_materials] == ["#ff0010", "#018000"]
+    colors = 255 * encode_srgb(mesh.material_colors[mesh.face_materials])
+    np.testing.assert_allclose(colors, [[255, 0, 16], [1, 128, 0]], rtol=0, atol=1e-9)
+    write_ply(tmp_path / "again.ply", mesh)  # they are written as well
+    again = read_ply(tmp_path / "again.ply")
+    assert (again.material_names, *again.face_materials) == (mesh.material_names, *mesh.face_materials)
+    one = read_bytes(tmp_path, HEADER + COLORED_FACES + BODY[:24] + "3 0 1 2 9 9 9\n3 0 2 3 9 9 9\n")
+    assert one.material_names == ()
+    assert not caplog.text
+
+
+def test_faces_of_too_many_colours_are_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    header = (HEADER + COLORED_FACES).replace("face 2", "face 257")
+    body = BODY[:24] + "".join(f"3 0 1 2 {k % 256} {k // 256} 0\n" for k in range(257))
+    assert read_bytes(tmp_path, header + body).material_names == ()
+    assert "the 257 colours of its faces are left out" in caplog.text
 
 
 @pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])

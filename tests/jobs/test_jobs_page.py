@@ -150,11 +150,16 @@ def test_rows_gather_what_the_tasks_of_a_pair_said(tmp_path: Path) -> None:
         ),
         tasks[1].name: TaskOutcome(tasks[1].name, "kept", "", 1.0, {}, ("a__b/shapes/x.obj", "a__b/shapes/y.obj")),
         tasks[2].name: TaskOutcome(tasks[2].name, "done", "", 2.0, {"quality": QUALITY, "warnings": []}),
-        tasks[3].name: TaskOutcome(tasks[3].name, "failed", "no texture"),
+        tasks[3].name: TaskOutcome(
+            tasks[3].name, "failed", "a.png: expected an image, got none. Export it again.", code="format"
+        ),
     }
     rows = pair_rows(Plan(tmp_path, tasks, pairs), outcomes, {("b", "a"): 0.5})
     assert [(row.source, row.target, row.verdict) for row in rows] == [("b", "a", "failed"), ("a", "b", "good")]
     assert rows[1].seconds == 3.0
     assert rows[1].cycle_error == 0.5  # of target b and source a
     assert rows[1].files == ("a__b/match.out", "a__b/shapes")  # a folder is one link
-    assert "no texture" in rows[0].messages[0]
+    assert "expected an image" in rows[0].messages[0]
+    failure = {"code": "format", "place": "a.png", "remedy": "Export it again."}
+    assert rows[0].failure == failure
+    assert [{name: row[name] for name in failure} for row in build_table(rows)] == [failure, dict.fromkeys(failure, "")]

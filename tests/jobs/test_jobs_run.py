@@ -173,14 +173,20 @@ def test_a_table_of_an_earlier_run_is_replaced_unless_edited(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("trouble", "words"),
-    [("bad mesh", "expected a mesh"), ("bug", "internal error, KeyError"), ("full disk", "No space left")],
+    ("trouble", "words", "code"),
+    [
+        ("bad mesh", "expected a mesh", "format"),
+        ("bug", "internal error, KeyError", "internal"),
+        ("full disk", "No space left", "system"),
+    ],
 )
-def test_a_failure_is_an_outcome_and_leaves_no_note(tmp_path: Path, trouble: str, words: str) -> None:
+def test_a_failure_is_an_outcome_and_leaves_no_note(tmp_path: Path, trouble: str, words: str, code: str) -> None:
     one = task(tmp_path, "one", trouble=trouble)
     outcome = execute(one, tmp_path, write_name)
     assert outcome.state == "failed"
     assert words in outcome.message
+    assert outcome.code == outcome.failure["code"] == code
+    assert str(outcome).startswith(f"one: failed ({code}): ")
     assert kept_outcome(tmp_path, one) is None
     after = execute(task(tmp_path, "two", needs=("one",)), tmp_path, write_name, outcome)
     assert after.state == "skipped"

@@ -352,3 +352,7 @@ def test_a_refusal_names_the_way_round_where_there_is_one() -> None:
     with pytest.raises(InvalidMeshError) as refused:
         require_valid(flat)
     assert "plain_mesh" not in str(refused.value)
+
+
+def test_places_far_from_the_origin_are_exact() -> None:
+    assert place_text((100000.25, 0.123456, -2.0)) == "(100000.25, 0.1235, -2)"

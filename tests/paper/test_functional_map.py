@@ -173,7 +173,7 @@ def test_data_that_cannot_be_compared_are_refused():
         Constraints(data(3, 4, np.eye(3)), data(3, 4))
     with pytest.raises(ParameterError, match="source: expected 3 rows"):
         Constraints(data(3, 4, np.eye(3)), data(3, 4, np.eye(4)))
-    with pytest.raises(ParameterError, match="decay of at least 0, got -1"):
+    with pytest.raises(ParameterError, match="decay: expected a number of at least 0, got -1"):
         MapWeights(decay=-1.0)
     with pytest.raises(ParameterError, match="known block"):
         solve_functional_map(Constraints(data(3, 4), data(3, 4)), MapWeights(), known=np.zeros((4, 2)))

@@ -184,7 +184,7 @@ def test_match_keeps_the_maps_of_all_levels():
 
 
 def test_wrong_parameters_are_refused():
-    with pytest.raises(ParameterError, match="rounds: expected 0 or more alternations, got -1"):
+    with pytest.raises(ParameterError, match="rounds: expected a whole number of at least 0, got -1"):
         PaperConfig(rounds=-1)
     with pytest.raises(ParameterError, match="first functions"):
         HfmConfig(zoomout=ZoomOutSchedule(first=2))

@@ -91,6 +91,14 @@ REFUSED = {
     "transfer R --bake normal -o o.png": "expected --detail, a detailed mesh that lies on the source",
     "transfer R --bake texture -o o.png": "expected both or neither, got one of them",
     "transfer BARE --texture t.png -o o.png": "expected texture coordinates of the source",
+    "transfer BARE --texture scan.stl -o o.png": "mesh without UVs and colours has no look to transfer",
+    "transfer BARE --material-colors -o o.png": "mesh without UVs and colours has no look to transfer",
+    "transfer COLORED --texture t.png -o o.png": "`transfer --bake colors`",
+    "transfer COLORED --material-colors -o o.png": "`transfer --bake colors`",
+    "transfer R --weights box.ply -o o.npz": "or in a glTF, FBX or USD file, got .ply. Export them",
+    "transfer R --joints box.ply -o o.json": "expected joints as .json, or in a glTF, FBX or USD file, got .ply",
+    "transfer R --normal-map box.ply -o o.png": "could not open it: it has another format. Export it again",
+    "transfer R --texture box.ply -o o.png": "expected a colour image on most of small.obj",
     "transfer R --texture t.png --texture h.exr -o o.png": "with a name of its own each",
     "transfer R --texture a/b=t.png --texture c=t.png -o o.png": "expected names of letters, digits, - and _",
     "transfer R --weights legs.csv --only toe -o o.npz": "--only: expected names of joints (hip, knee), got toe",
@@ -110,7 +118,10 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_result(folder / "R", identity_result())
     uneven = replace(cube(), positions=cube().positions * np.linspace(1, 2, 8)[:, None], name="bare.obj")
     write_result(folder / "BARE", identity_result(2, (uneven, uneven)))
+    colored = replace(uneven, vertex_colors=np.ones((8, 3)))
+    write_result(folder / "COLORED", identity_result(2, (colored, colored)))
     write_mesh(folder / "box.obj", cube())
+    write_mesh(folder / "box.ply", cube())
     write_image(folder / "t.png", np.zeros((8, 8, 3), np.uint8))
     for name, joints in (
         ("one", [JOINT]),

@@ -33,7 +33,7 @@ from cagemap.report import (
 )
 from cagemap.report.figures import BACKGROUND, display_image
 from cagemap.report.rig_panels import MAX_PANEL_POSES, cage_edges, control_edges
-from cagemap.tasks.match import summary, warnings
+from cagemap.tasks.match_summary import match_figures, summary, warnings
 from cagemap.tasks.report import _baked_image
 
 from example_result import identity_result
@@ -240,7 +240,9 @@ def test_how_sure_a_map_is_reads_alike_on_terminal_in_manifest_and_report(
         assert f'<p class="verdict fair">{verdict.capitalize()}: the target is aligned with the source one' in doubtful
         assert doubtful.count("aligned with the source one") == 1
     certain = replace(free, confidence=Confidence(SURE, answers[:1], deciding=0))
-    assert f"{SURE}: the target is aligned with the source one" in summary(certain, tmp_path, 1.0)
+    assert f"{SURE}: the target is aligned with the source one" in summary(
+        certain, tmp_path, match_figures(certain, 1.0)
+    )
     sure = build_page(certain, gallery)
     assert "The map looks sound." in sure
     assert f"<li>{SURE.capitalize()}: the target is aligned with the source one" in sure

@@ -79,23 +79,23 @@ def test_a_bake_writes_the_map_of_the_page_if_a_match_would_find_the_same(
     files, places = task.pair_files, landmarks(cache, *range(8))
     cache, shown = run_task(cache, FindMap(files, places), lambda _: None)
     _, updated = run_task(cache, FindMap(files, landmarks(cache, *range(7))), lambda _: None)
-    assert updated.earlier is None  # an update is not what a match from the start finds
-    earlier = pickle.loads(pickle.dumps(shown.earlier))  # the bake has a process of its own
+    assert updated.computed is None  # an update is not what a match from the start finds
+    computed = pickle.loads(pickle.dumps(shown.computed))  # the bake has a process of its own
     pairs = tmp_path / "pairs.json"
     write_landmarks(pairs, to_landmarks(places, cache.target.control, cache.source.control))
     request = MatchRequest(files.target, files.source, tmp_path / "R", pairs, vertices=300)
     run_match(request, Stages())
     searched = read_result(tmp_path / "R").point_map
     monkeypatch.setattr("cagemap.tasks.match.match", lambda *_, **__: pytest.fail("searched again"))
-    run_match(request, Stages(), earlier)
+    run_match(request, Stages(), computed)
     for name in ("triangle", "barycentric"):
         np.testing.assert_array_equal(getattr(read_result(tmp_path / "R").point_map, name), getattr(searched, name))
     for changed in ({"vertices": 1000}, {"landmarks": None}, {"trust_landmarks": True}, {"source": files.target}):
         with pytest.raises(pytest.fail.Exception, match="searched again"):
-            run_match(replace(request, **changed), Stages(), earlier)
-    renamed = replace(earlier.result.landmarks, names=tuple(f"{name} x" for name in earlier.result.landmarks.names))
+            run_match(replace(request, **changed), Stages(), computed)
+    renamed = replace(computed.result.landmarks, names=tuple(f"{name} x" for name in computed.result.landmarks.names))
     with pytest.raises(pytest.fail.Exception, match="searched again"):  # its messages name the landmarks
-        run_match(request, Stages(), replace(earlier, result=replace(earlier.result, landmarks=renamed)))
+        run_match(request, Stages(), replace(computed, result=replace(computed.result, landmarks=renamed)))
 
 
 @pytest.mark.slow

@@ -103,15 +103,15 @@ def test_a_bake_is_given_the_map_of_the_page_until_landmarks_change_it(
     opened.match_again()
     until(lambda: opened.state.map.revision > revision, opened)
     opened.finish(FinishOptions())
-    np.testing.assert_array_equal(started[0].earlier.result.triangle, opened.scene.preview_map.triangle)
+    np.testing.assert_array_equal(started[0].computed.result.triangle, opened.scene.preview_map.triangle)
     assert len(started) > 1
-    assert [command.earlier for command in started[1:]] == [None] * len(started[1:])
+    assert [command.computed for command in started[1:]] == [None] * len(started[1:])
     click(opened, "target", 2)
     opened.accept()
     until(lambda: opened.state.map.revision > revision + 1, opened)
     started.clear()
     opened.finish(FinishOptions())
-    assert started[0].earlier is None
+    assert started[0].computed is None
 
 
 def test_the_next_landmark_is_proposed_on_both_models(opened: Session) -> None:
@@ -307,26 +307,26 @@ def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session
     arrays = opened.state.files.result / "map.npz"
     written = arrays.stat().st_mtime_ns
     todo = opened.plan(replace(options, report=True))
-    left = [opened._last_map.remaining_commands(todo, opened.state)]
+    left = [opened._written_map.remaining_commands(todo, opened.state)]
     assert left == [todo[1:]]
     opened._change(messages=())
     opened.finish(replace(options, texture=False))
     until(lambda: said("Bake: done"), opened)
     assert [output.title for output in opened.state.outputs] == ["the map"]
     assert arrays.stat().st_mtime_ns == written
-    last = opened._last_map._written
+    last = opened._written_map._written
     other = opened.plan(options.with_values({("match", "vertices"): 301}))
     click(opened, "target", 0)
     opened.accept()
     moved, before_that = opened.state, replace(opened.state, history=opened.state.history.undo().undo())
-    assert opened._last_map.remaining_commands(todo, before_that) == todo[1:]
+    assert opened._written_map.remaining_commands(todo, before_that) == todo[1:]
     for commands, state in ((other, before_that), (todo, moved)):
-        opened._last_map._written = last
-        assert opened._last_map.remaining_commands(commands, state) == commands
+        opened._written_map._written = last
+        assert opened._written_map.remaining_commands(commands, state) == commands
     for changed in (opened.state.files.target, arrays):
-        opened._last_map._written, status = last, changed.stat()
+        opened._written_map._written, status = last, changed.stat()
         os.utime(changed, ns=(1, 1))
-        assert opened._last_map.remaining_commands(todo, before_that) == todo
+        assert opened._written_map.remaining_commands(todo, before_that) == todo
         os.utime(changed, ns=(status.st_atime_ns, status.st_mtime_ns))
     for path in files() - before:
         path.unlink()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import fields
 from pathlib import Path
 
@@ -41,6 +42,20 @@ def test_what_check_finds_is_no_success(box: Path) -> None:
     found = tasks.run(tasks.CheckRequest((box,)))
     assert not found.succeeded
     assert found.warnings == ()
+
+
+def test_a_task_returns_the_numbers_of_its_summary(box: Path) -> None:
+    folder = box.parent
+    matched = tasks.run(tasks.MatchRequest(box, box, folder / "R", level=2))
+    assert matched.figures["quality"]["coverage"] > 0.99
+    assert f"{matched.figures['target_vertices']} target and" in matched.summary
+    wrapped = tasks.run(tasks.WrapRequest((folder / "R",), folder / "w.obj"))
+    for name in ("residual", "residual_from_source"):
+        assert f"mean {100 * wrapped.figures[name]['mean']:.4f}, 99 % within" in wrapped.summary
+    np.savetxt(folder / "legs.csv", np.full((16, 2), 0.5), delimiter=",", header="hip,knee", comments="")
+    carried = tasks.run(tasks.TransferRequest(folder / "R", folder / "w.csv", weights=folder / "legs.csv"))
+    assert carried.figures == {"vertices": 16, "joints": 2, "influences": 2, "untrusted_vertices": 0}
+    json.dumps([matched.figures, wrapped.figures, carried.figures], allow_nan=False)
 
 
 def test_every_command_of_the_command_line_but_the_studio_has_a_request() -> None:

@@ -12,6 +12,7 @@ from examples.shapes import cube
 from scipy import sparse
 
 from cagemap.character.values import Character, Part, Rig
+from cagemap.errors import ParameterError
 from cagemap.files.gltf.document import write_document
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import write_mesh
@@ -144,3 +145,19 @@ REFUSED = {
 def test_what_files_do_not_allow_is_refused(name: str, tmp_path: Path) -> None:
     REFUSED[name].check(tmp_path)
     assert not list(tmp_path.glob("[noQ]*"))
+
+
+@pytest.mark.parametrize(
+    ("target", "options", "says"), [("a.glb", {}, "a cage to wrap"), ("a.obj", {"colors": "c.png"}, "colours")]
+)
+def test_what_cannot_be_wrapped_is_refused_before_the_match(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, target: str, options: dict[str, str], says: str
+) -> None:
+    for name in (target, "b.obj"):
+        write_mesh(tmp_path / name, textured_cube(name))
+    monkeypatch.setattr("cagemap.tasks.match.match_inputs", lambda *_: pytest.fail("matched first"))
+    images = {name: tmp_path / file for name, file in options.items()}
+    with pytest.raises(ParameterError, match=says):
+        run_wrap(
+            WrapRequest((), tmp_path / "o.obj", target=tmp_path / target, source=tmp_path / "b.obj", **images), Stages()
+        )

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cagemap.errors import ParameterError
+from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import read_image, write_image
-from cagemap.files.meshes.formats import read_mesh
+from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.files.usd.write import UsdResults, write_usd
 from cagemap.maps.masks import Masks
 from cagemap.mesh import ControlMesh
 from cagemap.tasks.carry_arrays import carry_values
-from cagemap.tasks.match import next_commands
+from cagemap.tasks.match_summary import next_commands
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.report import run_report
 from cagemap.tasks.requests.match import MatchRequest
@@ -29,7 +29,7 @@ from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.transfer.overlapping_uvs import overlapping_materials
 
-from example_result import identity_result
+from example_result import identity_result, textured_cube
 
 
 @pytest.mark.parametrize("shared", [0.6, 1.0])
@@ -240,3 +240,28 @@ def test_match_says_the_next_command_with_the_file_that_has_the_texture(tmp_path
     bare = replace(result, target=result.target.with_control(result.target.control.with_uvs(None, None)))
     text = next_commands(bare, replace(request, source=tmp_path / "box.gltf"))
     assert f"--texture {tmp_path}/box.gltf -o OUT.png --unwrap, or" in text
+
+
+def test_match_says_what_a_source_without_uvs_can_give(tmp_path: Path) -> None:
+    result, request = identity_result(), MatchRequest(tmp_path / "a.obj", tmp_path / "b.stl", tmp_path / "RESULT")
+    bare = result.source.control.with_uvs(None, None)
+    for colors, said in (
+        ({"vertex_colors": np.ones((8, 3))}, "transfer {} --bake colors -o OUT.png, or"),
+        ({}, "transfer {} --material-colors -o OUT.png, or"),
+        ({"face_materials": None, "material_names": (), "material_colors": None}, "wrap {} -o OUT.obj, or"),
+    ):
+        source = result.source.with_control(replace(bare, **colors))
+        assert said.format(request.output) in next_commands(replace(result, source=source), request)
+
+
+def test_the_image_that_a_ply_file_names_is_baked(tmp_path: Path) -> None:
+    write_result(tmp_path / "RESULT", identity_result())
+    write_mesh(tmp_path / "scan.ply", textured_cube("scan.ply"))
+    header, end, body = (tmp_path / "scan.ply").read_bytes().partition(b"element vertex")
+    (tmp_path / "scan.ply").write_bytes(header + b"comment TextureFile my skin.png\n" + end + body)
+    write_image(tmp_path / "my skin.png", np.full((8, 8, 3), 90, dtype=np.uint8))
+    run_transfer(TransferRequest(tmp_path / "RESULT", tmp_path / "o.png", texture=tmp_path / "scan.ply"), Stages())
+    assert read_image(tmp_path / "o.png").pixels.max() == 90
+    request = TransferRequest(tmp_path / "RESULT", tmp_path / "my skin.png", texture=tmp_path / "scan.ply", force=True)
+    with pytest.raises(FormatError, match="is an input too"):
+        run_transfer(request, Stages())

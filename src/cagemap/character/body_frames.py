@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
+from cagemap.numerics.kinds import Config
 from cagemap.numerics.threads import kept
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -17,7 +18,7 @@ from cagemap.surface.triangles import corner_sums, normalize_rows
 
 
 @dataclass(frozen=True)
-class FrameConfig:
+class FrameConfig(Config):
     """Numbers of `BodyFrames`; lengths in units of sqrt(area). What was tried: docs/lab/passengers.md."""
 
     smoothing_rounds: int = 20  # rounds of averaging over neighbouring vertices

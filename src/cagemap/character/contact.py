@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from cagemap.character.body_frames import BodyFrames, SignedDistances, neighbor_means
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
+from cagemap.numerics.kinds import Config
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import normalize_rows, row_lengths
 
 
 @dataclass(frozen=True)
-class ContactConfig:
+class ContactConfig(Config):
     """Numbers of `push_out`; lengths in units of sqrt(area). What was tried: docs/lab/passengers.md."""
 
     height_share: float = 0.5  # smallest height over the target, as a share of the height over the source

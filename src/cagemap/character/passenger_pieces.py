@@ -11,13 +11,14 @@ from scipy.spatial import cKDTree
 
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, label_components, nearest_rotations
+from cagemap.numerics.kinds import Config
 
 PassengerKind = Literal["cloth", "rigid", "similarity"]
 PASSENGER_KINDS: tuple[PassengerKind, ...] = ("cloth", "rigid", "similarity")
 
 
 @dataclass(frozen=True)
-class PieceConfig:
+class PieceConfig(Config):
     """Bounds that separate rigid pieces from cloth; lengths in units of sqrt(area)."""
 
     max_radius: float = 0.04  # of a button, a tooth or an eyeball

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from cagemap.character.body_frames import neighbor_means
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
+from cagemap.numerics.kinds import Config
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.triangles import row_lengths, surface_area, vertex_normals
 from cagemap.transfer.textured_surface import plane_basis
@@ -18,12 +19,13 @@ _TILT = np.array([0.0123, 0.0071])
 
 
 @dataclass(frozen=True)
-class CollisionConfig:
+class CollisionConfig(Config):
     """Numbers of `move_apart`; lengths in units of sqrt(area). What was measured: docs/lab/characters.md."""
 
     reach: float = 0.02  # largest depth of a collision
     lift: float = 1e-4  # of points over the vertices that are tested
-    tolerance: float = 2e-4  # depth that is left
+    max_depth: float = 2e-4  # depth that is left
+    min_move: float = 2e-4  # vertices that a shape moves by less are not tested
     max_rounds: int = 30
     spreading_rounds: int = 4  # in which a push spreads to neighbouring vertices
 
@@ -83,7 +85,7 @@ def move_apart(
     """
     size = np.sqrt(surface_area(rest, triangles))
     means = neighbor_means(triangles, len(rest))
-    vertices = np.flatnonzero(row_lengths(moved - rest) > config.tolerance * size)
+    vertices = np.flatnonzero(row_lengths(moved - rest) > config.min_move * size)
     tested = Collisions.find(moved, triangles, vertices, outward, config).vertices
     if not len(tested):
         return moved
@@ -91,7 +93,7 @@ def move_apart(
     for _ in range(config.max_rounds):
         tested = np.setdiff1d(tested, at_rest)
         found = Collisions.find(moved, triangles, tested, outward, config)
-        if row_lengths(found.exits).max(initial=0.0) < config.tolerance * size:
+        if row_lengths(found.exits).max(initial=0.0) < config.max_depth * size:
             break
         half, weights = 0.5 * found.exits, found.barycentric
         shares = weights / np.einsum("kc,kc->k", weights, weights)[:, None]

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.kinds import Brief
+from cagemap.numerics.kinds import Config
 from cagemap.spectral.zoomout import ZoomOutSchedule
 
 
 @dataclass(frozen=True)
-class Stage:
+class Stage(Config):
     """One run of `cagemap.deform.minimise.minimise`; lengths are of sqrt(area)."""
 
     iterations: int
@@ -32,13 +32,7 @@ class Stage:
     tolerance: float = 1e-9  #: relative residual at which these steps end early
     max_unsolved: float = 0.5  #: relative residual above which the matrix is factored anew
 
-    def __post_init__(self) -> None:
-        """Check the counts."""
-        if min(self.iterations, self.factored) < 1 or self.patience < 0:
-            raise ParameterError(
-                "a stage of the elastic fit: expected iterations and factored of at least 1, and "
-                f"no negative patience, got {self}"
-            )
+    RANGES: ClassVar = {"iterations": (1, np.inf), "factored": (1, np.inf), "ramp": (0, 1), "momentum": (0, 1)}
 
     def ramped(self) -> FloatArray:
         """(iterations + patience,) stiffness alpha of every iteration."""
@@ -49,7 +43,7 @@ class Stage:
 
 
 @dataclass(frozen=True, repr=False)
-class StartConfig(Brief):
+class StartConfig(Config):
     """Starts of the elastic fit by ZoomOut (`deform.multi_start`), from landmarks and from a fit's closest points."""
 
     #: least number of vertices of the target's deformed level and of the source's searched level
@@ -65,16 +59,11 @@ class StartConfig(Brief):
     #: length of a unit normal in the search of a fit's closest points among as many samples, of sqrt(area)
     normal_length: float = 0.1
 
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        if min(self.search_vertices, self.source_search_vertices) < 0:
-            raise ParameterError(
-                f"expected 0 search vertices or more, got {self.search_vertices} and {self.source_search_vertices}"
-            )
+    RANGES: ClassVar = {"samples": (1, np.inf)}
 
 
 @dataclass(frozen=True)
-class GraphConfig:
+class GraphConfig(Config):
     """The elastic graph of a mesh, its clusters, and differentials that fold or flatten a surface."""
 
     min_weight: float = 1e-2  #: least weight of an edge, as a share of the median; cotangents may be negative
@@ -86,9 +75,12 @@ class GraphConfig:
     flat: float = 0.2  #: a differential flattens the surface if its two tangential stretches have a smaller ratio
     min_stretch: float = 0.3  #: least singular value of a bounded differential, as a share of its largest
 
+    # Cells that are nearly all too small join until few are left.
+    RANGES: ClassVar = {"min_cell": (0, 0.5), "neighbours": (1, np.inf), "cell_rounds": (1, np.inf)}
+
 
 @dataclass(frozen=True)
-class DataConfig:
+class DataConfig(Config):
     """Data terms; lengths are of sqrt(area)."""
 
     samples: float = 2.0  #: source samples per vertex of the target's mesh; more change nothing
@@ -110,7 +102,7 @@ class DataConfig:
 
 
 @dataclass(frozen=True)
-class SearchConfig:
+class SearchConfig(Config):
     """Search over several starts (`maps.hypotheses.search`); lengths are of sqrt(area), costs relative.
 
     Measured in docs/lab/elastic.md and docs/lab/poses.md.
@@ -164,7 +156,7 @@ class SearchConfig:
 
 
 @dataclass(frozen=True)
-class RefitConfig:
+class RefitConfig(Config):
     """Refit in the source's pose, and the average with the inverse (docs/lab/elastic.md); lengths are of sqrt(area)."""
 
     min_pose_difference: float = 0.3  #: mean rotation, in radians, above which two poses differ
@@ -181,7 +173,7 @@ class RefitConfig:
 
 
 @dataclass(frozen=True)
-class CoincidenceConfig:
+class CoincidenceConfig(Config):
     """Test whether two surfaces coincide (`maps.coincidence`); lengths are in units of sqrt(source area).
 
     Chosen on seven cages of one body and on two other bodies.
@@ -207,7 +199,7 @@ class CoincidenceConfig:
 
 
 @dataclass(frozen=True)
-class LandmarkConfig:
+class LandmarkConfig(Config):
     """Which landmarks are left out or reported (`maps.landmarks`); lengths are of sqrt(area).
 
     Gains and misfits are mean |log ratios| of distances between landmarks on the two surfaces.
@@ -267,7 +259,7 @@ class LandmarkConfig:
 
 
 @dataclass(frozen=True)
-class ProjectionConfig:
+class ProjectionConfig(Config):
     """Projection of a fitted mesh, and removal of its folds; lengths are of sqrt(area), areas shares of the surface."""
 
     #: a closest point whose normal has a smaller cosine with the point's own is on the wrong side of a thin part
@@ -293,7 +285,7 @@ class ProjectionConfig:
 
 
 @dataclass(frozen=True, repr=False)
-class ElasticConfig(Brief):
+class ElasticConfig(Config):
     """Parameters of the fit; the defaults are the measured ones (docs/lab/fit_experiments.md)."""
 
     coarse_vertices: int = 1500  #: size of the coarse graph
@@ -324,13 +316,4 @@ class ElasticConfig(Brief):
     landmarks: LandmarkConfig = LandmarkConfig()
     projection: ProjectionConfig = ProjectionConfig()
 
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        if self.coarse_vertices < 4:
-            raise ParameterError(f"coarse_vertices: expected at least 4, got {self.coarse_vertices}; 1500 is usual")
-        weights = (
-            *(self.normal_weight, self.fine_normal_weight, self.landmark_weight, self.curve_weight),
-            *self.projection_normal_weights,
-        )
-        if not all(0.0 <= weight < np.inf for weight in weights):
-            raise ParameterError(f"weights of the elastic fit: expected numbers of 0 or more, got {weights}")
+    RANGES: ClassVar = {"coarse_vertices": (4, np.inf)}

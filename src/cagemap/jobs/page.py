@@ -34,6 +34,7 @@ _COLUMNS = (
     ("stretch", "dirichlet", 1.0, "{:.2f}"),
     ("trusted %", "trusted_area", 100.0, "{:.1f}"),
 )
+_NO_FAILURE = TaskOutcome("", "done")
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,9 @@ class PairRow:
     cycle_error: float | None = None  # error of the map by cycle consistency, of sqrt(area)
     files: tuple[str, ...] = ()  # written files, relative to the page
     picture: bytes = field(default=b"", repr=False)  # JPEG, empty if there is none
+    failure: dict[str, str] = field(
+        default_factory=lambda: _NO_FAILURE.failure
+    )  # code, place and remedy of the first failure
 
 
 def pair_rows(
@@ -65,7 +69,9 @@ def pair_rows(
         maps = [outcome for kind in ("compose", "match") for task, outcome in tasks_of_pair if task.kind == kind]
         match = next((outcome for outcome in maps if outcome is not None), None)
         figures = match.figures if match is not None else {}
-        failures = [f"{o.name}: {o.message}" for _, o in tasks_of_pair if o is not None and not o.usable]
+        failed = [outcome for _, outcome in tasks_of_pair if outcome is not None and not outcome.usable]
+        failures = [str(outcome) for outcome in failed]
+        causes = [outcomes[name] for task, _ in tasks_of_pair for name in task.needs if name in outcomes]
         warnings = [str(text) for text in figures.get("warnings", [])]
         quality = dict(figures.get("quality") or {})
         verdict = "failed" if failures or match is None else overall_verdict(rate_figures(quality), warnings)
@@ -83,6 +89,7 @@ def pair_rows(
                 None if cycle_errors is None else cycle_errors.get((pair[1], pair[0])),
                 tuple(name for name in files if not name.endswith(PICTURE_FILE)),
                 picture.read_bytes() if picture.is_file() else b"",
+                next((outcome for outcome in (*failed, *causes) if outcome.code), _NO_FAILURE).failure,
             )
         )
     return sorted(rows, key=_sort_key)
@@ -127,6 +134,7 @@ def build_table(rows: Sequence[PairRow]) -> list[dict[str, Any]]:
             "cycle_error": row.cycle_error,
             **flatten_entries("", {name: value for name, value in row.quality.items() if name != "warnings"}),
             "messages": " | ".join(row.messages),
+            **row.failure,
         }
         for row in rows
     ]

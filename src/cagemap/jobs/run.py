@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cagemap.errors import CagemapError, FormatError, ParameterError
+from cagemap.errors import CagemapError, FormatError, ParameterError, error_code, explain_error
 from cagemap.files.atomic import files_written, leftovers, write_whole
 from cagemap.files.ownership import is_own, mark
 from cagemap.files.result.manifest import file_hash
@@ -46,11 +46,22 @@ class TaskOutcome:
     seconds: float = 0.0
     figures: dict[str, Any] = field(default_factory=dict)  # figures of the result
     files: tuple[str, ...] = ()  # written files, relative to the job's output folder
+    code: str = ""  # kind of cause of a failure, see `cagemap.CagemapError`
 
     @property
     def usable(self) -> bool:
         """Whether its outputs exist."""
         return self.state in ("done", "kept")
+
+    @property
+    def failure(self) -> dict[str, str]:
+        """Code, place and remedy of a failure; empty texts if there is none."""
+        error = CagemapError(self.message if self.code else "")
+        return {"code": self.code, "place": error.place, "remedy": error.remedy}
+
+    def __str__(self) -> str:
+        cause = f" ({self.code})" if self.code else ""
+        return f"{self.name}: {self.state}{cause}{': ' * bool(self.message)}{self.message}"
 
 
 def run_plan(
@@ -143,15 +154,9 @@ def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: TaskOutco
             }
             write_whole(_note_path(root, task), json.dumps(note, indent=1))
             return TaskOutcome(task.name, "done", "", seconds, figures, tuple(outputs))
-    except CagemapError as error:
-        message = str(error)
-    except MemoryError:
-        message = "not enough memory. Use fewer vertices, or fewer workers."
-    except OSError as error:
-        message = f"{error.filename or 'file'}: {error.strerror or error}. Check the path and the room on the disk."
     except Exception as error:
-        message = f"internal error, {type(error).__name__}: {error}. This is a fault of cagemap, please report it."
-    return TaskOutcome(task.name, "failed", message, time.perf_counter() - start)
+        seconds = time.perf_counter() - start
+        return TaskOutcome(task.name, "failed", explain_error(error), seconds, code=error_code(error))
 
 
 def _run_tasks(
@@ -224,7 +229,7 @@ def _lost_outcome(task: Task, outcomes: dict[str, TaskOutcome]) -> TaskOutcome:
         if name in outcomes and not outcomes[name].usable:
             return TaskOutcome(task.name, "skipped", _skip_message(outcomes[name]))
     cause = f"its worker died {MAX_RETRIES + 1} times: killed, or out of memory. Use fewer workers"
-    return TaskOutcome(task.name, "failed", f"{cause}. {_REMEDY}")
+    return TaskOutcome(task.name, "failed", f"{cause}. {_REMEDY}", code="lost-worker")
 
 
 @contextmanager

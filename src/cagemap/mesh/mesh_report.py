@@ -38,8 +38,8 @@ def count_noun(count: int, what: str) -> str:
 
 
 def place_text(place: Iterable[float]) -> str:
-    """Three coordinates in brackets: "(1, 0.5, -2)"."""
-    return f"({', '.join(f'{x:.4g}' for x in place)})"
+    """Three coordinates in brackets: "(1, 0.5, -2)"; far from the origin with more digits."""
+    return f"({', '.join(f'{x:.4g}' if abs(x) < 1e3 else f'{x:.8g}' for x in place)})"
 
 
 @dataclass(frozen=True)

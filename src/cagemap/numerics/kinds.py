@@ -1,17 +1,18 @@
-"""Runtime argument type checks for the public API, and short representations of its configurations."""
+"""Runtime checks of arguments and configurations of the public API, and short representations."""
 
 from __future__ import annotations
 
 import operator
 import os
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields
 from functools import cache, wraps
 from inspect import signature
 from numbers import Real
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, ParamSpec, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
+from types import MappingProxyType, NoneType, UnionType
+from typing import Any, ClassVar, ParamSpec, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -109,3 +110,27 @@ class Brief:
             if not (type(value) is type(default) and value == default):
                 shown.append(f"{field.name}={value!r}")
         return f"{type(self).__name__}({', '.join(shown)})"
+
+
+class Config(Brief):
+    """Base of configurations: refuses numbers that are not whole where counted, or out of range.
+
+    Only limits (``max_...``) may be infinite.
+    """
+
+    #: Least and most values of fields; others are at least 0, or at least -1 if their default is negative.
+    RANGES: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})
+
+    def __post_init__(self) -> None:
+        """Check all numbers."""
+        for field in fields(self):  # type: ignore[arg-type]
+            value, default, kind = getattr(self, field.name), field.default, type(field.default)
+            numbers = [float(one) for one in (value if isinstance(value, tuple) else (value,)) if _is(one, float)]
+            negative = isinstance(default, int | float) and default < 0
+            least, most = self.RANGES.get(field.name, (-1.0 if negative else 0.0, np.inf))
+            fits = kind not in (int, float) or _is(value, kind)
+            largest = most if field.name.startswith("max_") else min(most, sys.float_info.max)
+            if not fits or not all(least <= number <= largest for number in numbers):
+                expected = f"{'a whole' if kind is int else 'a'} number "
+                expected += f"of at least {least:g}" if most == np.inf else f"from {least:g} to {most:g}"
+                raise ParameterError(f"{field.name}: expected {expected}, got {value!r}")

@@ -12,7 +12,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.pair import Pair
 from cagemap.maps.places import SurfaceCurve
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers
-from cagemap.numerics.kinds import Brief
+from cagemap.numerics.kinds import Config
 from cagemap.numerics.threads import in_threads
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors, normalise_columns, signatures
 from cagemap.paper.symmetries import check_symmetry, symmetry_at, symmetry_operator
@@ -48,7 +48,7 @@ class SpectralData:
 
 
 @dataclass(frozen=True)
-class MapWeights:
+class MapWeights(Config):
     """Weights of eq. 13, the same for all levels, relative to descriptors of unit norm."""
 
     laplacian: float = 0.001  #: alpha(Lambda~), for eigenvalues in units of their mean spacing (see `SPACING`)
@@ -56,12 +56,6 @@ class MapWeights:
     #: weight of ||C||^2. Rows of C that no descriptor determines then vanish and do not influence nearest neighbours;
     #: eq. 13 leaves noise in them. 0: eq. 13 as printed.
     decay: float = 3.0
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        for name, value in vars(self).items():
-            if not (np.isfinite(value) and value >= 0.0):
-                raise ParameterError(f"weights: expected {name} of at least 0, got {value}")
 
 
 @dataclass(frozen=True)
@@ -121,17 +115,12 @@ class Constraints:
 
 
 @dataclass(frozen=True, repr=False)
-class DescriptorConfig(Brief):
+class DescriptorConfig(Config):
     """Numbers and weights of descriptors; the defaults were found by measurement."""
 
     heat: int = 10  #: number of heat kernel filters, for landmarks and signatures
     wave: int = 20  #: number of wave kernel filters, for landmarks and signatures
     signature_weight: float = 3.0  #: norm of a signature, relative to 1 of a landmark kernel; 0: no signatures
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        if not (np.isfinite(self.signature_weight) and self.signature_weight >= 0.0):
-            raise ParameterError(f"signature_weight: expected at least 0, got {self.signature_weight}")
 
 
 def gather_constraints(pair: Pair, config: DescriptorConfig = DescriptorConfig()) -> Constraints:

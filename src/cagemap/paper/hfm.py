@@ -23,7 +23,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import facing_points
 from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.kinds import Brief
+from cagemap.numerics.kinds import Config
 from cagemap.paper.embeddings import functions_at, spectral_rows
 from cagemap.paper.equations import solve_functional_map
 from cagemap.paper.functional_constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
@@ -40,7 +40,7 @@ FACING_WEIGHTS = (0.03, 0.1)
 
 
 @dataclass(frozen=True, repr=False)
-class HfmConfig(Brief):
+class HfmConfig(Config):
     """Parameters of `hfm`; the defaults were found by measurement."""
 
     descriptors: DescriptorConfig = DescriptorConfig()
@@ -56,9 +56,7 @@ class HfmConfig(Brief):
         """Check the ranges."""
         if self.zoomout.first < FEWEST_FUNCTIONS:
             raise ParameterError(f"expected at least {FEWEST_FUNCTIONS} first functions, got {self.zoomout.first}")
-        for name, value in vars(self).items():
-            if isinstance(value, int | float) and not (np.isfinite(value) and value >= 0.0):
-                raise ParameterError(f"{name}: expected a number of at least 0, got {value}")
+        super().__post_init__()
 
 
 # Displacement of target points x to x R + Phi~1 tau: rotation R (3, 3), coefficients tau (k, 3).

@@ -14,7 +14,7 @@ from cagemap.maps.pair import LevelPair, Pair, Progress, no_progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.kinds import Brief
+from cagemap.numerics.kinds import Config
 from cagemap.paper.embeddings import (
     Rows,
     nearest_candidates,
@@ -39,17 +39,12 @@ SAMPLE_VERTICES = 30_000
 
 
 @dataclass(frozen=True, repr=False)
-class PaperConfig(Brief):
+class PaperConfig(Config):
     """Parameters of the paper's method. Our copy of the paper lacks section 6, which gives their values."""
 
     descriptors: DescriptorConfig = DescriptorConfig()
     weights: MapWeights = MapWeights()  #: alpha(O), the same on all levels
     rounds: int = 1  #: alternations of P and orthonormal C on every level (2.1.4); 0: keep C of eqs. 13-16
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        if self.rounds < 0:
-            raise ParameterError(f"rounds: expected 0 or more alternations, got {self.rounds}")
 
 
 def paper_map(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cagemap.errors import ParameterError
+from cagemap.numerics.kinds import Config
 from cagemap.operators.laplacian import named_laplacian
 from cagemap.subdivision import Refinement
 
@@ -97,7 +98,7 @@ PAPER_SCHEDULE = (40, 110)
 
 
 @dataclass(frozen=True)
-class SolverConfig:
+class SolverConfig(Config):
     """Numbers of the eigensolver."""
 
     dense_rows: int = 800  #: most rows for which a dense solve is faster than Lanczos

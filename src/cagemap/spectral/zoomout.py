@@ -14,6 +14,7 @@ from scipy import linalg
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.kinds import Config
 from cagemap.numerics.threads import in_threads, row_slices
 
 Embedding = NDArray[np.float32]
@@ -25,7 +26,7 @@ QUERY_BLOCK = 512
 
 
 @dataclass(frozen=True)
-class ZoomOutSchedule:
+class ZoomOutSchedule(Config):
     """Numbers of functions in ZoomOut: from ``first`` to ``last``, times ``factor`` (at least 1 more) in every step."""
 
     first: int = 20
@@ -34,6 +35,7 @@ class ZoomOutSchedule:
 
     def __post_init__(self) -> None:
         """Check the ranges."""
+        super().__post_init__()
         if not (1 <= self.first <= self.last and self.factor > 1.0):
             raise ParameterError(
                 f"ZoomOut: expected 1 function or more at first, no fewer at last and a factor above 1, got {self}"

@@ -33,7 +33,7 @@ from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_s
 from cagemap.studio.state import MapState
 from cagemap.studio.textures import textured
 from cagemap.subdivision import refine
-from cagemap.tasks.match import EarlierMatch
+from cagemap.tasks.match import ComputedMatch
 
 Progress = Callable[[str], None]
 
@@ -141,14 +141,14 @@ class MapUpdate:
         Target and source as drawn with the map; None: the source as before.
     map_state : MapState
         Without the revision.
-    earlier : EarlierMatch or None
+    computed : ComputedMatch or None
         The map as a match from the start; None after an update.
     """
 
     preview_map: PreviewMap
     skins: tuple[bytes, bytes | None]
     map_state: MapState
-    earlier: EarlierMatch | None = None
+    computed: ComputedMatch | None = None
 
 
 TaskResult = OpenedPair | MapUpdate | bytes | tuple[bytes, bytes]
@@ -299,7 +299,7 @@ def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:
     character = _source_character(cache)
     cache = replace(cache, character=character)
     config = None if len(result.landmarks.curves) else cache.config
-    earlier = None if config is None else EarlierMatch(result, config)
+    computed = None if config is None else ComputedMatch(result, config)
     map_state = MapState(
         answers=() if free is None else number_duplicates([answer.name for answer in free.answers]),
         chosen_answer=cache.chosen_answer,
@@ -309,9 +309,9 @@ def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:
         notes=tuple(result.landmark_check.notes) + tuple(result.quality.warnings),
         suggestion=_suggested_vertex(cache, result),
         poses=tuple(animation_poses(character)),
-        from_start=earlier is not None,
+        from_start=computed is not None,
     )
-    return cache, MapUpdate(preview_map, (skin, rotated_skin), map_state, earlier)
+    return cache, MapUpdate(preview_map, (skin, rotated_skin), map_state, computed)
 
 
 def _suggested_vertex(cache: PreviewCache, result: MatchResult) -> int | None:

@@ -15,7 +15,7 @@ from cagemap.files.usd.stages import USD_SUFFIXES
 from cagemap.studio.opening import part_slug
 from cagemap.studio.state import Files
 from cagemap.studio.workspace import Workspace
-from cagemap.tasks.match import EarlierMatch
+from cagemap.tasks.match import ComputedMatch
 from cagemap.tasks.requests.catalogue import (
     WRAP_IMAGES_OF,
     WRITTEN,
@@ -133,14 +133,14 @@ class Command:
         May write further files next to its output.
     output_title : str
         '' for the title.
-    earlier : EarlierMatch or None
+    computed : ComputedMatch or None
         For the match: the map on the page, which it writes if its inputs are equal.
     """
 
     title: str
     request: Request
     output_title: str = ""
-    earlier: EarlierMatch | None = field(default=None, compare=False)
+    computed: ComputedMatch | None = field(default=None, compare=False)
 
     @property
     def output(self) -> Path:

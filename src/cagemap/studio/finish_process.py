@@ -95,8 +95,8 @@ def run_command(command: Command, stages: Stages) -> RequestResult:
             try:
                 # `runner_of` loads libraries here, where it can be interrupted
                 run: Callable[..., tuple[str, Any]] = runner_of(command.request)
-                earlier = {} if command.earlier is None else {"earlier": command.earlier}
-                summary, warnings = run(command.request, stages, **earlier)
+                computed = {} if command.computed is None else {"computed": command.computed}
+                summary, warnings = run(command.request, stages, **computed)
                 collector.texts += warnings
             except Exception as error:
                 failure = explain_error(error)

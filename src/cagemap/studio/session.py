@@ -19,7 +19,6 @@ from cagemap.studio.finish_layout import explain_flags, in_page_words
 from cagemap.studio.landmark_edits import LandmarkEdits
 from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, load_landmarks, save_landmarks
 from cagemap.studio.landmarks import History, LandmarkList, Side, SideNames
-from cagemap.studio.last_map import LastMap
 from cagemap.studio.models import NO_SCHEME
 from cagemap.studio.opening import result_folder, with_parts
 from cagemap.studio.preview import Preview
@@ -40,7 +39,8 @@ from cagemap.studio.state import (
 )
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.studio.workspace import Workspace
-from cagemap.tasks.match import EarlierMatch
+from cagemap.studio.written_map import WrittenMap
+from cagemap.tasks.match import ComputedMatch
 from cagemap.tasks.requests.catalogue import Options
 
 log = logging.getLogger(__name__)
@@ -65,8 +65,8 @@ class Session(LandmarkEdits):
         self._upload_lock = threading.Lock()
         self._requested_parts: SideNames = (None, None)
         self._finish_inputs: tuple[object, ...] = ()
-        self._last_map = LastMap()
-        self._earlier: EarlierMatch | None = None
+        self._written_map = WrittenMap()
+        self._computed: ComputedMatch | None = None
         self._runner = Runner(lambda job: self._change(finish_job=job), self._on_output, self._on_message, self._on_end)
         self._preview = Preview(
             vertices,
@@ -222,8 +222,8 @@ class Session(LandmarkEdits):
             if self._state.history.present.has_constraints:
                 self._save()
             self.show(map_view(self._state.view))
-            commands = (replace(commands[0], earlier=self._earlier), *commands[1:])
-            remaining = self._last_map.remaining_commands(commands, self._state)
+            commands = (replace(commands[0], computed=self._computed), *commands[1:])
+            remaining = self._written_map.remaining_commands(commands, self._state)
             reused = () if remaining == commands else (Output(commands[0].output, commands[0].output_title),)
             self._change(outputs=reused, uv_set=options.option_values.get(("match", "target_uv_set")) or None)
             self._finish_inputs = self._state.map_inputs
@@ -242,7 +242,7 @@ class Session(LandmarkEdits):
     def _open_pair(self, files: Files, requested_parts: SideNames) -> None:
         """Open models; if that fails, `_apply_result` tries again with the requested parts."""
         with self._lock:
-            self._scene, self._earlier, self._requested_parts = None, None, requested_parts
+            self._scene, self._computed, self._requested_parts = None, None, requested_parts
             self._change(files=files, view=map_view(self._state.view), **INITIAL_FIELDS)
             self._preview.open(files)
 
@@ -260,7 +260,7 @@ class Session(LandmarkEdits):
 
     def _on_output(self, output: Output) -> None:
         with self._lock:
-            self._last_map.record(output)
+            self._written_map.record(output)
             if self._finish_inputs[:1] != self._state.map_inputs[:1]:
                 self._say("note", f"{output.path.name} was made of the models that were open before")
             elif output.path not in [other.path for other in self._state.outputs]:
@@ -318,7 +318,7 @@ class Session(LandmarkEdits):
                 before, (target, source) = self._scene, result.skins
                 scene = replace(before, preview_map=result.preview_map, skins=(target, source or before.skins[1]))
                 self._scene = scene = replace(scene, source=scene.aligned_source)
-                self._earlier = result.earlier
+                self._computed = result.computed
                 if before.preview_map is None or scene.source is not before.source:
                     scene.warm_up()  # not earlier: the page loads the models first
                 map_state = result.map_state.rename_landmarks(task.landmarks, self._state.history.present)

@@ -60,12 +60,15 @@ class Outcome:
         False if `check` found problems, or a task of a job failed: the command's exit code is 1.
     files : tuple of Path
         Files that were written; not those of the workers of a job.
+    figures : dict
+        Numbers of the summary, for JSON: quality of a match, distances of a wrap, sizes of an image, counts of weights.
     """
 
     summary: str
     warnings: tuple[str, ...]
     succeeded: bool
     files: tuple[Path, ...]
+    figures: dict[str, Any]
 
 
 def run(request: Any, progress: Callable[[str], None] | None = None) -> Outcome:
@@ -94,7 +97,8 @@ def run(request: Any, progress: Callable[[str], None] | None = None) -> Outcome:
     with files_written() as files, stages:
         summary, said = task(checked, stages)
     judged = isinstance(said, bool)
-    return Outcome(summary, () if judged else tuple(said), said if judged else True, tuple(dict.fromkeys(files)))
+    warnings, succeeded = ((), said) if judged else (tuple(said), True)
+    return Outcome(summary, warnings, succeeded, tuple(dict.fromkeys(files)), stages.figures)
 
 
 def runner_of(request: object) -> Callable[[Any, Stages], tuple[str, Any]]:

@@ -28,6 +28,7 @@ from cagemap.files.images.image import (
     with_udim_mark,
     write_image,
 )
+from cagemap.files.meshes.formats import referred_files
 from cagemap.files.meshes.obj_write import write_obj, write_obj_layout
 from cagemap.files.result.folder import ARRAYS
 from cagemap.files.result.manifest import MANIFEST, input_file, note_transfer, read_files
@@ -76,11 +77,12 @@ class SourceImage:
 
 
 def inputs_of(request: TransferRequest) -> list[Path]:
-    """Input files that the command line names."""
+    """Input files that the command line names, and those that these name."""
+    given = given_files(request, "usd")
     return [
         request.result / MANIFEST,
         request.result / ARRAYS,
-        *(file for path in given_files(request, "usd") for file in texture_files(path)),
+        *(file for path in given for file in (*texture_files(path), *referred_files(path))),
         *mask_inputs(request).values(),
     ]
 
@@ -106,8 +108,17 @@ def require_source_uvs(result: MatchResult) -> None:
     if result.source.control.uvs is None:
         raise ParameterError(
             f"{result.source.control.name}: expected texture coordinates of the source, over which its image lies, the "
-            "mesh has none. Match the file that the image was painted for, or carry --material-colors."
+            f"mesh has none. {colors_remedy(result.source.control)}"
         )
+
+
+def colors_remedy(mesh: ControlMesh) -> str:
+    """How to bake the colours that a mesh has, for messages."""
+    if mesh.vertex_colors is not None:
+        return "Bake the colours of its vertices: `transfer --bake colors`."
+    if mesh.material_colors is not None and np.isfinite(mesh.material_colors).any():
+        return "Bake the colours of its materials: `transfer --material-colors`."
+    return "Match a file that has them: a mesh without UVs and colours has no look to transfer."
 
 
 def prepare_bake(
@@ -284,9 +295,10 @@ def base_size(request: TransferRequest, name: str = "") -> int | None:
     return max(read_image(files[0]).size) if files else None
 
 
-def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any]) -> Said:
-    """Record a bake in the manifest; returns a summary and warnings."""
+def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any], stages: Stages) -> Said:
+    """Record a bake, in the manifest too; returns a summary and warnings."""
     outputs = [udim_path(request.output, tile) for tile in prepared.tiles]
+    stages.record(size=entry["size"], tiles=prepared.tiles)
     level = {} if request.level is None else {"level": request.level}
     note_transfer(
         request.result, {**entry, **level, "output": outputs[0], "tiles": prepared.tiles, "mesh": prepared.mesh}

@@ -11,8 +11,9 @@ from typing import Any
 from cagemap.errors import ParameterError
 from cagemap.files.gltf.material_images import MaterialImage, png_bytes, write_numbered
 from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern, udim_path
-from cagemap.files.inner_texture import SUFFIXES, color_texture, tinted_materials, write_texture
-from cagemap.files.meshes.formats import read_mesh
+from cagemap.files.inner_texture import color_texture, tinted_materials, write_texture
+from cagemap.files.meshes.formats import MESH_SUFFIXES, read_mesh
+from cagemap.files.meshes.ply import ply_images
 from cagemap.files.result.manifest import note_transfer
 from cagemap.files.usd.results import preview_inputs, unbound_maps
 from cagemap.files.usd.write import UsdResults
@@ -24,6 +25,7 @@ from cagemap.tasks.bake_tiles import (
     SourceImage,
     bake_tiles,
     base_size,
+    colors_remedy,
     finish,
     map_path,
     masking,
@@ -82,7 +84,7 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
         map_request = replace(request, output=output)
         image = _bake_map(map_request, result, prepared, name, path, stages, texture)
         entry = _entry("texture", path if atlas is None or given is None else given, image)
-        summary, warnings = finish(map_request, prepared, entry | ({"map": name} if name else {}))
+        summary, warnings = finish(map_request, prepared, entry | ({"map": name} if name else {}), stages)
     if given is not None and (tinted := tinted_materials(given, result.source.control)):
         colors = f"the colours that multiply the images of {first_few(tinted)} are not baked"
         warnings = [*warnings, f"{given}: {colors}; set them in the target's materials"]
@@ -108,9 +110,11 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
 
 def _image_file(path: Path, request: TransferRequest, result: MatchResult) -> tuple[Path, MaterialImage | None]:
     """An image file as given; or the image of a glTF, FBX or USD file, written into RESULT, and how it is laid."""
-    if path.suffix.lower() not in SUFFIXES:
+    if path.suffix.lower() not in MESH_SUFFIXES:
         return path, None
     require_source_uvs(result)
+    if path.suffix.lower() == ".ply" and len(images := ply_images(path)) == 1:
+        return images[0], None
     found = color_texture(path, result.source.control)
     image = None if found is None else write_texture(path, *found, request.result)
     if found is None or image is None:
@@ -208,24 +212,29 @@ def _carry(
     baked = bake_tiles(request, prepared, bound, stages)
     entry = _entry(kind, path, source_image) | more
     if not isinstance(baked, Displacement):
-        return finish(request, prepared, entry)
-    summary, warnings = finish(request, prepared, entry | {"midlevel": baked.midlevel, "scale": baked.scale})
+        return finish(request, prepared, entry, stages)
+    values = {"midlevel": baked.midlevel, "scale": baked.scale}
+    stages.record(**values)
+    summary, warnings = finish(request, prepared, entry | values, stages)
     what = "height" if channels == 1 else "vector"
     return f"{summary}\n  {what} = (value - {baked.midlevel:g}) * {baked.scale:.6g} in the target's units", warnings
 
 
 def carry_material_colors(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Bake colours of the source's materials."""
-    floats = request.output.suffix.lower() == ".exr"
+    source, floats = result.source.control, request.output.suffix.lower() == ".exr"
+    if source.material_colors is None:
+        remedy = "Put its .mtl beside it and match again." if source.material_names else colors_remedy(source)
+        raise ParameterError(f"{source.name}: expected materials with colours, found none. {remedy}")
     dtype = pixel_type(request.bits or (32 if floats else 8), request.output.suffix)
     check_writable(request.output, dtype, written_channels(request, result, 3))
-    colors = face_colors(result.source.control)
+    colors = face_colors(source)
     size = request.size or base_size(request) or DEFAULT_SIZE
     prepared = prepare_bake(request, result, stages, {"color": request.output})
 
     bake = partial(bake_face_colors, prepared.transfer, colors, size=size, dtype=dtype)
     bake_tiles(request, prepared, bake, stages)
-    return finish(request, prepared, {"kind": "material-colors", "size": size})
+    return finish(request, prepared, {"kind": "material-colors", "size": size}, stages)
 
 
 def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:

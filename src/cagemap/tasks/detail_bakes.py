@@ -28,10 +28,12 @@ from cagemap.files.meshes.formats import read_mesh
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.schemes import Plain
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import decode_srgb
+from cagemap.subdivision import default_scheme
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.bake_tiles import DEFAULT_SIZE, doubled_target, layout_tiles, write_tiles
+from cagemap.tasks.bake_tiles import DEFAULT_SIZE, colors_remedy, doubled_target, layout_tiles, write_tiles
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import WRITTEN
 from cagemap.tasks.requests.transfer import BakeKind, TransferRequest
@@ -51,6 +53,7 @@ from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.rays import ambient_occlusion
 from cagemap.transfer.texture import Filter, Pixels
 from cagemap.wrap import Wrapped, missing_detail, wrapped_transfer
+from cagemap.wrap.wrapping import NO_CAGE
 
 KINDS: tuple[BakeKind, ...] = get_args(BakeKind)
 # Kinds of the detail's offset or direction: empty for a surface over itself.
@@ -142,7 +145,7 @@ def vertex_colors(mesh: ControlMesh) -> FloatArray:
     if mesh.vertex_colors is None:
         raise ParameterError(
             f"{mesh.name}: expected colours at its vertices to bake, got none (OBJ: six numbers a `v` line; PLY: red, "
-            "green, blue)"
+            f"green, blue). {colors_remedy(mesh)}"
         )
     return mesh.vertex_colors
 
@@ -244,16 +247,18 @@ def textures_read(request: WrapRequest) -> list[Path]:
     return [file for path in given for file in texture_files(path)]
 
 
-def require_bakeable(request: WrapRequest, result: MatchResult) -> ControlMesh | None:
-    """Refuse images that cannot be baked, before wrapping; returns the detailed mesh, if any."""
-    images, control = wrap_bakes(request).images, result.target.control
-    if images and control.uvs is None:
+def require_wrappable(request: WrapRequest, target: ControlMesh, source: ControlMesh) -> ControlMesh | None:
+    """Refuse a plain target, and images that cannot be baked; returns the detailed mesh, if any."""
+    if isinstance(default_scheme(target), Plain):
+        raise ParameterError(f"{target.name}: {NO_CAGE}")
+    images = wrap_bakes(request).images
+    if images and target.uvs is None:
         raise ParameterError(
-            f"{control.name}: expected texture coordinates to bake into, the mesh has none. Unwrap it in your "
+            f"{target.name}: expected texture coordinates to bake into, the mesh has none. Unwrap it in your "
             "modelling program and match again."
         )
     if "colors" in images and request.detail is None:
-        vertex_colors(result.source.control)
+        vertex_colors(source)
     for texture in textures_read(request):
         read_image_form(texture)
     if request.detail is None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-import shlex
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -15,21 +15,13 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
-from cagemap.files.gltf.document import GLTF_SUFFIXES
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.landmarks.points import read_points, symmetry_on
 from cagemap.files.meshes.formats import read_mesh, read_whole
 from cagemap.files.result.folder import ARRAYS, check_result_folder, write_result
-from cagemap.files.result.manifest import (
-    MANIFEST,
-    assurance,
-    landmark_messages,
-    peak_memory,
-    stated_inputs,
-)
+from cagemap.files.result.manifest import MANIFEST, peak_memory, stated_inputs
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.files.result.surface_store import prepared
-from cagemap.files.result.verdicts import map_verdict
 from cagemap.files.usd.space import unit_notes
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
@@ -40,6 +32,7 @@ from cagemap.spectral.surface import DEFAULT_VERTICES, prepare_checked
 from cagemap.tasks.job_file import note_match
 from cagemap.tasks.masks import GivenMasks, mask_inputs, masks_on, read_masks
 from cagemap.tasks.match_parts import PartInputs, asked_parts, chosen_parts, ready_inputs
+from cagemap.tasks.match_summary import match_figures, next_commands, summary, warnings
 from cagemap.tasks.method import (
     SIDES,
     basis_parameters,
@@ -80,8 +73,8 @@ class Inputs:
 
 
 @dataclass(frozen=True, eq=False)
-class EarlierMatch:
-    """A match computed in the studio; it is written again if all inputs of a match are equal."""
+class ComputedMatch:
+    """A match computed in the studio; `match` writes it if all its inputs are equal."""
 
     result: MatchResult
     config: MatchConfig
@@ -90,20 +83,20 @@ class EarlierMatch:
         self, target: Surface, source: Surface, landmarks: Landmarks, config: MatchConfig
     ) -> MatchResult | None:
         """The result, if all inputs are equal; None if one differs, or there are masks or curves."""
-        earlier, pairs = self.result, ((self.result.target, target), (self.result.source, source))
-        if config.masks.any or earlier.masks.any or replace(config, masks=self.config.masks) != self.config:
+        computed, pairs = self.result, ((self.result.target, target), (self.result.source, source))
+        if config.masks.any or computed.masks.any or replace(config, masks=self.config.masks) != self.config:
             return None
-        if (landmarks.names, landmarks.places) != (earlier.landmarks.names, earlier.landmarks.places):
+        if (landmarks.names, landmarks.places) != (computed.landmarks.names, computed.landmarks.places):
             return None
-        if len(landmarks.curves) + len(earlier.landmarks.curves):
+        if len(landmarks.curves) + len(computed.landmarks.curves):
             return None
         if not all(_is_same_surface(one, two) for one, two in pairs):
             return None
-        points = earlier.point_map
+        points = computed.point_map
         point_map = PointMap.from_arrays(
             target.finest_triangles, source.finest_triangles, points.triangle, points.barycentric
         )
-        return replace(earlier, target=target, source=source, landmarks=landmarks, point_map=point_map)
+        return replace(computed, target=target, source=source, landmarks=landmarks, point_map=point_map)
 
 
 def _is_same_surface(one: Surface, two: Surface) -> bool:
@@ -126,25 +119,31 @@ class MatchSettings:
     config: MatchConfig  # without masks, which depend on the surfaces
     cache: Path | None = None  # folder of prepared surfaces
     entries: dict[str, Any] = field(default_factory=dict)  # for the manifest: parameters, inputs
-    before: MatchResult | None = None  # match of the source's last frame, from which the match starts
-    earlier: EarlierMatch | None = None  # is used if its inputs are equal
+    last_frame: MatchResult | None = None  # match of the source's last frame, from which the match starts
+    computed: ComputedMatch | None = None  # is used if its inputs are equal
 
 
-def run_match(request: MatchRequest, stages: Stages, earlier: EarlierMatch | None = None) -> Said:
+def run_match(request: MatchRequest, stages: Stages, computed: ComputedMatch | None = None) -> Said:
     """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
     started = time.perf_counter()
-    result = match_files(request, stages, earlier=earlier)
-    text = summary(result, request.output, time.perf_counter() - started)
+    result = match_files(request, stages, computed=computed)
+    stages.record(**match_figures(result, time.perf_counter() - started))
+    text = summary(result, request.output, stages.figures)
     return f"{text}\n{next_commands(result, request)}", warnings(result)
 
 
 def match_files(
-    request: MatchRequest, stages: Stages, before: MatchResult | None = None, earlier: EarlierMatch | None = None
+    request: MatchRequest,
+    stages: Stages,
+    last_frame: MatchResult | None = None,
+    computed: ComputedMatch | None = None,
+    require: Callable[[Inputs], object] = lambda inputs: None,
 ) -> MatchResult:
     """Match two mesh files and write the RESULT folder.
 
-    ``before``, of the same target and the source's last frame, is the start of the match; its target is used again.
-    ``earlier`` replaces the computation if its inputs are equal.
+    ``last_frame``, of the same target, is the start of the match; its target is used again.
+    ``computed`` replaces the computation if its inputs are equal.
+    ``require`` refuses inputs before they are matched.
     """
     config = check_match(request)
     stages("read")
@@ -158,6 +157,7 @@ def match_files(
     require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
     stated = stated_inputs(files, request.output)
     inputs = read_inputs(request)
+    require(inputs)
     levels = matched_levels(request, inputs)
     for part in inputs.parts:
         require_levels(request, (part.target, part.source), levels)
@@ -175,7 +175,9 @@ def match_files(
         **dict(zip(("target_part", "source_part"), parts, strict=True)),
     }
     entries = {"parameters": parameters, "inputs": stated}
-    result = match_inputs(inputs, MatchSettings(bases, levels, config, request.cache, entries, before, earlier), stages)
+    result = match_inputs(
+        inputs, MatchSettings(bases, levels, config, request.cache, entries, last_frame, computed), stages
+    )
     stages("write")
     write_result(request.output, result, force=request.force)
     note_match(request)
@@ -307,20 +309,20 @@ def _match_part(part: PartInputs, inputs: Inputs, settings: MatchSettings, stage
     for control, level in zip(controls, settings.levels, strict=True):
         _log.info("%s: level %d", control.name, level)
     prepare = prepare_checked if settings.cache is None else partial(prepared, settings.cache)
-    if settings.before is None:
+    if settings.last_frame is None:
         target, source = prepare_surfaces(*controls, settings.levels, settings.bases, prepare=prepare, progress=stages)
     else:
         stages(f"prepare {part.source.name}")
-        target, source = settings.before.target, prepare(part.source, settings.levels[1], settings.bases[1])
+        target, source = settings.last_frame.target, prepare(part.source, settings.levels[1], settings.bases[1])
     symmetries = tuple((symmetry_on(t, target.control), symmetry_on(s, source.control)) for t, s in config.symmetries)
     config = replace(config, symmetries=symmetries, masks=masks_on(inputs.masks, (target, source)))
-    earlier, given = settings.earlier, (target, source, part.landmarks, config)
-    if earlier is not None and (equal := earlier.on_surfaces(*given)) is not None:
+    computed, given = settings.computed, (target, source, part.landmarks, config)
+    if computed is not None and (equal := computed.on_surfaces(*given)) is not None:
         result = equal
-    elif settings.before is None:
+    elif settings.last_frame is None:
         result = match(target, source, part.landmarks, config, progress=stages)
     else:
-        result = match_next(settings.before, source, part.landmarks, config, progress=stages)
+        result = match_next(settings.last_frame, source, part.landmarks, config, progress=stages)
     repairs = [pair.repairs for pair in inputs.parts]
     provenance = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -330,68 +332,3 @@ def _match_part(part: PartInputs, inputs: Inputs, settings: MatchSettings, stage
         "peak_memory_bytes": peak_memory(),
     }
     return replace(result, timings=dict(stages.timings), provenance=provenance)
-
-
-def summary(result: MatchResult, folder: Path, seconds: float) -> str:
-    """Summary of a match for the terminal."""
-    manifest = result.manifest
-    quality = manifest["quality"]
-    lines = [
-        f"{result.source.control.name} -> {result.target.control.name}: {len(result.target.vertices):,} target and "
-        f"{len(result.source.vertices):,} source vertices in {seconds:.1f} s",
-        "  " + "; ".join(filter(None, (landmark_summary(result), assurance(manifest)))),
-        f"  {100 * quality['flipped_area']:.2f} % folded, {100 * quality['coverage']:.1f} % of the "
-        f"source{'' if result.shared is None else ', as far as it is shared,'} covered",
-        *_shared_summary(result),
-        f"wrote {folder}",
-    ]
-    return "\n".join(lines)
-
-
-def next_commands(result: MatchResult, request: MatchRequest) -> str:
-    """The commands to type next, with the source's file as texture if it is glTF and contains images."""
-    folder, file = shlex.quote(str(request.output)), request.source
-    textured = False
-    if file.suffix.lower() in GLTF_SUFFIXES:  # FBX and USD files would be converted once more, which takes seconds
-        from cagemap.files.inner_texture import color_texture  # here, since most matches need no reader of textures
-
-        textured = color_texture(file, result.source.control) is not None
-    image = shlex.quote(str(file)) if textured else "IMG"
-    unwrap = "" if result.target.control.has_layout else " --unwrap"
-    return f"next: cagemap transfer {folder} --texture {image} -o OUT.png{unwrap}, or cagemap report {folder}"
-
-
-def _shared_summary(result: MatchResult) -> list[str]:
-    """Line with the shared share of each surface; none without unshared parts."""
-    if result.shared is None:
-        return []
-    target, source = result.shared_shares
-    return [f"  shared: {100 * target:.0f} % of the target's area, {100 * source:.0f} % of the source's"]
-
-
-def landmark_summary(result: MatchResult) -> str:
-    """Text about errors of landmarks and curves, and about landmarks that were left out."""
-    left_out = sorted({suspect.pair for suspect in result.suspects})
-    errors = 100 * np.delete(result.landmark_errors, left_out)
-    parts = []
-    if len(errors):
-        used = f"{len(errors)} landmarks" if len(errors) > 1 else "1 landmark"
-        worst = f" (worst {errors.max():.2f} %)" if len(errors) > 1 else ""
-        parts.append(f"{used} missed by {errors.mean():.2f} % of the model's size{worst}")
-    if left_out:
-        missed = ", ".join(f"{100 * result.landmark_errors[pair]:.0f} %" for pair in left_out)
-        parts.append(f"{len(left_out)} left out, which the map misses by {missed}")
-    curves = result.curve_misses
-    if curves:
-        miss, most = 100 * np.array([[curve.mean, curve.worst] for curve in curves]).T
-        counted = f"{len(curves)} curves" if len(curves) > 1 else "1 curve"
-        parts.append(f"{counted} missed by {miss.mean():.2f} % (at most {most.max():.2f} %)")
-    return "; ".join(parts) or "no landmarks"
-
-
-def warnings(result: MatchResult) -> list[str]:
-    """Notes and warnings of a result, and the report's verdict on a poor map."""
-    manifest = result.manifest
-    verdict, sentence = map_verdict({**manifest, "confidence": None})  # the summary says why it is doubtful
-    poor = [sentence] if verdict == "poor" else []
-    return [*manifest["notes"], *landmark_messages(manifest), *manifest["quality"]["warnings"], *poor]

@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from cagemap.errors import ParameterError
 
@@ -27,6 +27,7 @@ class Stages:
             raise ParameterError(f"progress: expected a function of a text, got {tell!r}")
         self._tell = tell
         self.timings: dict[str, float] = {}  # seconds of every finished stage; a repeated one adds to its time
+        self.figures: dict[str, Any] = {}  # figures of the task's result, by name
         self._name: str | None = None
         self._start = 0.0
 
@@ -37,6 +38,10 @@ class Stages:
         _log.info("stage: %s", stage)
         if self._tell is not None:
             self._tell(stage)
+
+    def record(self, **figures: Any) -> None:
+        """Add figures of the task's result, which `cagemap.tasks.run` returns: numbers, texts, lists and tables."""
+        self.figures |= figures
 
     def show(self, text: str) -> None:
         """Show the progress of the running stage; nothing by default."""

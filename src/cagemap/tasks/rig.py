@@ -69,9 +69,11 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     columns = _limited(request, result, columns)
     if skeleton is not None and request.output.suffix.lower() != ".npy":
         columns = _by_joint(columns, skeleton)
+    vertices, joints = carried.shape
     most = int((weight_table(columns) > 0).sum(axis=1).max())
     filled = int(np.count_nonzero(~trusted_vertices(result)))
-    text = f"wrote {request.output}: {len(carried)} vertices, {carried.shape[1]} joints, at most {most} a vertex"
+    stages.record(vertices=vertices, joints=joints, influences=most, untrusted_vertices=filled)
+    text = f"wrote {request.output}: {vertices} vertices, {joints} joints, at most {most} a vertex"
     with all_or_nothing():
         write_attributes(request.output, in_file(request, columns, target_rows), force=request.force)
         if request.usd is not None:

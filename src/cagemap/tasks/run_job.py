@@ -101,7 +101,7 @@ def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stage
         for task in step.tasks[number - step.first]:
             stages(task.name)
             outcome = _done_alone(task.name, current)
-            lines.append(f"{number} {task.name}: {outcome.state}{': ' * bool(outcome.message)}{outcome.message}")
+            lines.append(f"{number} {outcome}")
             whole &= outcome.usable
     return use_option_names("\n".join(lines)), whole
 
@@ -232,7 +232,7 @@ def summary(plan: Plan, outcomes: dict[str, TaskOutcome], notes: list[str], page
         state: sum(o.state == state for o in outcomes.values()) for state in ("done", "kept", "failed", "skipped")
     }
     ended = ", ".join(f"{count} {state}" for state, count in states.items() if count)
-    failures = [f"  {o.name}: {o.state}: {o.message}" for o in outcomes.values() if not o.usable]
+    failures = [f"  {outcome}" for outcome in outcomes.values() if not outcome.usable]
     return "\n".join(
         [
             f"{count_noun(len(plan.pairs), 'pair')}, tasks: {ended}, in {seconds:.1f} s",
@@ -261,7 +261,7 @@ def run_task(task: Task) -> dict[str, Any]:
     request = _request_of(task)
     _, warnings = runner_of(request)(request, stages)
     if task.kind != "match":
-        return {"warnings": warnings}
+        return {**stages.figures, "warnings": warnings}
     manifest = read_manifest(Path(task.request["output"]))
     warnings = [*landmark_messages(manifest), *manifest["quality"]["warnings"]]
     return {name: manifest[name] for name in ("quality", "timings", "notes") if name in manifest} | {

@@ -32,15 +32,15 @@ from cagemap.numerics.threads import one_blas_thread
 from cagemap.tasks.detail_bakes import (
     bake_wrapped,
     outputs_beside,
-    require_bakeable,
     require_green,
+    require_wrappable,
     wrap_bakes,
 )
 from cagemap.tasks.import_map import run_map
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import mask_inputs, with_masks
-from cagemap.tasks.match import match_files
-from cagemap.tasks.match import warnings as result_warnings
+from cagemap.tasks.match import Inputs, match_files
+from cagemap.tasks.match_summary import warnings as result_warnings
 from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.catalogue import WRAP_IMAGES_OF, WRITTEN
 from cagemap.tasks.requests.import_map import MapRequest
@@ -50,11 +50,9 @@ from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.transfer import carry_one
 from cagemap.tasks.usd_output import missing_file_warnings, write_usd_results
-from cagemap.wrap import Residual, WrapConfig, Wrapped, level_mesh, wrap
+from cagemap.tasks.wrap_figures import distances_text, fold_warnings, wrap_figures
+from cagemap.wrap import WrapConfig, Wrapped, level_mesh, wrap
 from cagemap.wrap.wrapping import NO_CAGE
-
-# Least share of the target's area without a counterpart that is reported; less is single triangles.
-_TOLD = 5e-4
 
 
 def run_wrap(request: WrapRequest, stages: Stages) -> Said:
@@ -95,27 +93,33 @@ def _found(
         options = _of_both(request, "weld")
         return results, run_map(MapRequest(request.map, target, sources[0], results[0], **options), stages)[1]
     options, warnings = _of_both(request, "scheme", "weld"), list[str]()
+
+    def require(inputs: Inputs) -> None:
+        require_wrappable(request, inputs.target, inputs.source)
+
     if len(sources) == 1:
-        result = match_files(MatchRequest(target, sources[0], results[0], request.landmarks, **options), stages)
+        single = MatchRequest(target, sources[0], results[0], request.landmarks, **options)
+        result = match_files(single, stages, require=require)
         return results, list(dict.fromkeys(result_warnings(result)))
-    before: MatchResult | None = None
+    last_frame: MatchResult | None = None
     for frame, (source, output) in enumerate(zip(sources, results, strict=True)):
         landmarks = None if frame else request.landmarks
-        result = match_files(MatchRequest(target, source, output, landmarks, **options), stages, before)
-        stages.note(f"frame {frame + 1} of {len(sources)}, {source.name}: {_frame_text(result, before)}")
+        one = MatchRequest(target, source, output, landmarks, **options)
+        result = match_files(one, stages, last_frame, require=require)
+        stages.note(f"frame {frame + 1} of {len(sources)}, {source.name}: {_frame_text(result, last_frame)}")
         warnings += [f"{source.name}: {message}" for message in result_warnings(result)]
-        before = replace(result, prepared=None)
+        last_frame = replace(result, prepared=None)
     return results, list(dict.fromkeys(warnings))
 
 
-def _frame_text(result: MatchResult, before: MatchResult | None) -> str:
+def _frame_text(result: MatchResult, last_frame: MatchResult | None) -> str:
     """How a frame was matched, its folded area and how far it moved."""
     folded = f"{100 * result.quality.flipped_area:.2f} % folded"
-    if before is None:
+    if last_frame is None:
         return f"matched, {folded}"
     if result.confidence is not None:
         return f"matched afresh, since the map from the last frame folds too much; {folded}"
-    last, images = before.image() * before.source.scale, result.image() * before.source.scale
+    last, images = last_frame.image() * last_frame.source.scale, result.image() * last_frame.source.scale
     moved_by = 100 * float(np.linalg.norm(images - last, axis=1).mean())
     return f"follows the last frame, {folded}, moved by {moved_by:.2f} % of sqrt(area) on average"
 
@@ -196,17 +200,19 @@ def _run(request: WrapRequest, stages: Stages) -> Said:
     if request.blend_shapes:
         return _write_shapes(request, results, config, stages)
     result, folder = results[0], request.results[0]
-    detail = require_bakeable(request, result)
+    detail = require_wrappable(request, result.target.control, result.source.control)
     wrapped = _wrap(request, result, config, stages)
     original = input_file(folder, result.manifest, "target")
     stages("write")
     space = _to_target(folder, result)
     written, warnings = _write(request, _through(wrapped, space), result, original, request.output)
-    note_transfer(folder, _entry(request, wrapped))
+    figures = wrap_figures(wrapped)
+    stages.record(**figures)
+    note_transfer(folder, {"kind": "wrap", "output": request.output, "amount": request.amount, **figures})
     note_output("wrap", folder, request)
     count = wrapped.mesh.n_vertices
     among = f", {count} of them wrapped" if written != count else ""
-    lines = [f"wrote {request.output}: {written} vertices{among} (level {wrapped.level})", _figures(wrapped)]
+    lines = [f"wrote {request.output}: {written} vertices{among} (level {wrapped.level})", distances_text(figures)]
     if request.mhclo is not None:
         places, triangles = wrapped.mesh.positions, wrapped.closest.triangle[: wrapped.mesh.n_vertices]
         write_mhclo(request.mhclo, bind_on(places, result.source, triangles), request.output, force=request.force)
@@ -217,7 +223,7 @@ def _run(request: WrapRequest, stages: Stages) -> Said:
         outside.append(
             f"images are in the source's units and axes; one of its units is {length:.6g} of {request.output.name}"
         )
-    return "\n".join(lines + more), warnings + outside + _warnings(wrapped)
+    return "\n".join(lines + more), warnings + outside + fold_warnings(figures)
 
 
 def _meshes_read(request: WrapRequest, results: list[MatchResult]) -> list[Path]:
@@ -325,8 +331,10 @@ def _write_shapes(request: WrapRequest, results: list[MatchResult], config: Wrap
             rest = replace(wrapped, mesh=level_mesh(result.target.refinement, wrapped.level))
             _write(replace(request, amount=1.0), rest, result, original, files[0])
         warnings += _write(request, _through(wrapped, _to_target(folder, result)), result, original, file)[1]
-        lines.append(f"wrote {file}\n{_figures(wrapped)}")
-        warnings += [f"{name}: {message}" for message in _warnings(wrapped)]
+        figures = wrap_figures(wrapped)
+        stages.record(**{name: figures})
+        lines.append(f"wrote {file}\n{distances_text(figures)}")
+        warnings += [f"{name}: {message}" for message in fold_warnings(figures)]
     for folder in request.results:
         note_output("wrap", folder, request)
     return "\n".join(lines), list(dict.fromkeys(warnings))
@@ -340,55 +348,3 @@ def _shape_files(request: WrapRequest, target: Path, sources: Sequence[Path]) ->
     if len(set(names)) < len(names):
         raise ParameterError(f"--blend-shapes: expected different names, got {', '.join(names)}. Rename the files.")
     return [request.output / f"{name}.obj" for name in names]
-
-
-def _entry(request: WrapRequest, wrapped: Wrapped) -> dict[str, Any]:
-    return {
-        "kind": "wrap",
-        "output": request.output,
-        "fit_level": wrapped.level,
-        "amount": request.amount,
-        "residual": _noted(wrapped.residual) | {"without_counterpart": wrapped.left_out},
-        "residual_with_counterpart": _noted(wrapped.followed),
-        "residual_from_source": _noted(wrapped.from_source),
-        "folded_faces": wrapped.folded,
-    }
-
-
-def _noted(residual: Residual) -> dict[str, Any]:
-    return {"mean": residual.mean, "p99": residual.p99, "max": residual.largest, "where": residual.where}
-
-
-def _figures(wrapped: Wrapped) -> str:
-    to_source, from_source = wrapped.residual, wrapped.from_source
-    source = wrapped.closest.source
-    lines = [
-        "  distances in % of sqrt(area), over all vertices:",
-        f"  of the wrap to the source: {_words(to_source, wrapped.surface[to_source.where])}",
-        "  of the source to the wrap: " + _words(from_source, source.positions[from_source.where] / source.scale),
-    ]
-    if wrapped.left_out > _TOLD:
-        followed = wrapped.followed
-        lines += [
-            f"  {100 * wrapped.left_out:.1f} % of the target has no counterpart and follows its surroundings",
-            f"  of the rest to the source: {_words(followed, wrapped.surface[followed.where])}",
-        ]
-    return "\n".join(lines)
-
-
-def _words(residual: Residual, place: FloatArray) -> str:
-    shown = ", ".join(f"{x:.3g}" for x in place)
-    return (
-        f"mean {100 * residual.mean:.4f}, 99 % within {100 * residual.p99:.3f}, largest "
-        f"{100 * residual.largest:.2f} at ({shown})"
-    )
-
-
-def _warnings(wrapped: Wrapped) -> list[str]:
-    if not len(wrapped.folded):
-        return []
-    shown = ", ".join(map(str, wrapped.folded[:10]))
-    return [
-        f"{len(wrapped.folded)} faces turn against the surface: {shown}{' ...' if len(wrapped.folded) > 10 else ''} "
-        "(numbers from 0). A larger --fairness keeps the net smoother."
-    ]

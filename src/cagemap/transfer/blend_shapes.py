@@ -62,8 +62,8 @@ class ShapeCarrier:
     masses: FloatArray  # (s,)
     rotations: FloatArray  # (t, 3, 3) Q, from the target to the source
     vertex_rotations: FloatArray  # (s, 3, 3)
-    ratio: float  # length on the target for a length of 1 on the source, both at unit area
-    own: sparse.csr_array  # (c1, c2) weights of the source's control values at the target's control vertices
+    length_ratio: float  # length on the target for a length of 1 on the source, both at unit area
+    control_weights: sparse.csr_array  # (c1, c2) target control vertices from source control vertices
     ridge: sparse.dia_array  # (c1, c1)
     matrix: sparse.csc_array  # (c1, c1)
     factors: Factorization
@@ -73,19 +73,21 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
     """Linear system that carries shapes from a source to a target, both refined up to the levels of the map."""
     level = min(max(target.coarsest_level(_SAMPLES), 1), target.finest_level)
     triangles = level_triangles(target, level)
-    count = target.levels[level].n_vertices
-    places, images = point_map.target.positions[:count], point_map.images.positions[:count]
-    gradient, areas = _gradients(places, triangles)
-    masses = corner_sums(triangles, areas[:, None], count)[:, 0] / 3
-    rotations = _rotations(gradient, places, point_map.images.at(slice(count)), triangles)
-    around = corner_sums(triangles, (areas[:, None, None] * rotations).reshape(-1, 9), count).reshape(-1, 3, 3)
-    samples = target.rows(slice(count), target.finest_level, 0)
-    weighted = gradient.T @ sparse.diags_array(np.repeat(areas, 3)) @ gradient
-    n = target.control.n_vertices
+    n_samples = target.levels[level].n_vertices
+    positions, images = point_map.target.positions[:n_samples], point_map.images.positions[:n_samples]
+    gradient, areas = _gradients(positions, triangles)
+    masses = corner_sums(triangles, areas[:, None], n_samples)[:, 0] / 3
+    rotations = _rotations(gradient, positions, point_map.images.at(slice(n_samples)), triangles)
+    rotation_sums = corner_sums(triangles, (areas[:, None, None] * rotations).reshape(-1, 9), n_samples).reshape(
+        -1, 3, 3
+    )
+    samples = target.rows(slice(n_samples), target.finest_level, 0)
+    stiffness = gradient.T @ sparse.diags_array(np.repeat(areas, 3)) @ gradient
+    n_control = target.control.n_vertices
     control = source.control
     linear = interpolate_linearly(control, control.face_indices, control.n_vertices, source.finest_level, source.scheme)
     ridge = sparse.diags_array(_SHAPE_RIDGE * _ANCHOR * (samples.T @ masses))
-    matrix = samples.T @ (weighted + _ANCHOR * sparse.diags_array(masses)) @ samples + ridge
+    matrix = samples.T @ (stiffness + _ANCHOR * sparse.diags_array(masses)) @ samples + ridge
     return ShapeCarrier(
         point_map,
         source,
@@ -95,9 +97,9 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
         areas,
         masses,
         rotations,
-        nearest_rotations(around),
+        nearest_rotations(rotation_sums),
         _length_ratio(areas, triangle_areas(images, triangles)),
-        linear.at(point_map.triangle[:n], point_map.barycentric[:n]),
+        linear.at(point_map.triangle[:n_control], point_map.barycentric[:n_control]),
         ridge,
         sparse.csc_array(matrix),
         factor(sparse.csc_array(matrix)),
@@ -121,113 +123,133 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
             f"shape: expected {expected[0]} finite displacements, one a control vertex of the source, got an array of "
             f"shape {np.shape(displacement)}"
         )
-    source_surface, maps = carrier.point_map.source, carrier.point_map
-    moved = source_surface.scale * carrier.source.prolong(np.asarray(displacement), 0, carrier.source.finest_level)
-    images = maps.images.at(slice(len(carrier.masses)))
-    image_moves = images.interpolate(moved)
+    source_surface, point_map = carrier.point_map.source, carrier.point_map
+    moves = source_surface.scale * carrier.source.prolong(np.asarray(displacement), 0, carrier.source.finest_level)
+    images = point_map.images.at(slice(len(carrier.masses)))
+    image_moves = images.interpolate(moves)
     deformation = _deformation(images.positions, images.positions + image_moves, carrier.triangles)
-    change = deformation - np.eye(3)
-    wanted = np.einsum("tba,tbc,tcd->tad", carrier.rotations, change, carrier.rotations)  # Q^T (F - I) Q
-    rotated_moves = carrier.ratio * np.einsum("sba,sb->sa", carrier.vertex_rotations, image_moves)
-    flow = (carrier.areas[:, None, None] * wanted).transpose(0, 2, 1).reshape(-1, 3)  # rows (t, direction)
-    right = carrier.samples.T @ (carrier.gradient.T @ flow + _ANCHOR * carrier.masses[:, None] * rotated_moves)
-    control_moves = carrier.ratio * source_surface.scale * (carrier.own @ np.asarray(displacement, dtype=np.float64))
-    right = right + carrier.ridge @ np.einsum(
+    # (t, 3, 3) gradients of the displacement: F - I on the source, Q^T (F - I) Q on the target
+    image_gradients = deformation - np.eye(3)
+    target_gradients = np.einsum("tba,tbc,tcd->tad", carrier.rotations, image_gradients, carrier.rotations)
+    rotated_moves = carrier.length_ratio * np.einsum("sba,sb->sa", carrier.vertex_rotations, image_moves)
+    # (3 t, 3), rows (t, direction)
+    weighted_gradients = (carrier.areas[:, None, None] * target_gradients).transpose(0, 2, 1).reshape(-1, 3)
+    right_side = carrier.samples.T @ (
+        carrier.gradient.T @ weighted_gradients + _ANCHOR * carrier.masses[:, None] * rotated_moves
+    )
+    control_moves = (
+        carrier.length_ratio
+        * source_surface.scale
+        * (carrier.control_weights @ np.asarray(displacement, dtype=np.float64))
+    )
+    right_side = right_side + carrier.ridge @ np.einsum(
         "nba,nb->na", carrier.vertex_rotations[: len(control_moves)], control_moves
     )
     factors = carrier.factors
-    first, second, closing = contacts(carrier, moved)
+    first, second, relative_moves = contacts(carrier, moves)
     if len(first):
         rows = carrier.samples[first] - carrier.samples[second]
         weights = sparse.diags_array(0.5 * _ANCHOR * _CONTACT * (carrier.masses[first] + carrier.masses[second]))
         factors = factor(sparse.csc_array(carrier.matrix + rows.T @ weights @ rows))
-        right = right + rows.T @ (weights @ closing)
-    return np.asarray(factors.solve(np.ascontiguousarray(right))) / maps.target.scale
+        right_side = right_side + rows.T @ (weights @ relative_moves)
+    return np.asarray(factors.solve(np.ascontiguousarray(right_side))) / point_map.target.scale
 
 
-def contacts(carrier: ShapeCarrier, moved: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
+def contacts(carrier: ShapeCarrier, moves: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
     """Pairs of samples (k,), (k,) in contact in a source shape, and their relative displacement (k, 3).
 
-    Samples are in contact if their images, displaced by ``moved`` (n, 3) at unit area, are close, face each other and
+    Samples are in contact if their images, displaced by ``moves`` (n, 3) at unit area, are close, face each other and
     are not neighbours: closed lips and eyelids. Samples that come into contact get the gap of the source's shape. The
     gap of samples in contact at rest changes as it does on the source: if the source does not move, the target does not
     either.
     """
-    source_surface, count = carrier.point_map.source, len(carrier.masses)
-    images = carrier.point_map.images.at(slice(count))
-    shaped = source_surface.positions + moved
-    places = images.interpolate(shaped)
-    normals = images.interpolate(vertex_normals(shaped, source_surface.triangles))
-    edges = np.sqrt(2 * carrier.masses)
-    distance, nearest = cKDTree(places).query(places, k=16, distance_upper_bound=_CONTACT_DISTANCE * float(edges.max()))
-    nearest = np.minimum(nearest, count - 1)
-    close = np.isfinite(distance) & (distance < _CONTACT_DISTANCE * edges[:, None])
-    facing = np.einsum("sd,skd->sk", normals, normals[nearest]) < _CONTACT_COSINE
-    # Neighbours across a sharp fold of the target are not in contact: they are close at rest.
-    apart = np.linalg.norm(
-        carrier.point_map.target.positions[nearest] - carrier.point_map.target.positions[:count, None], axis=2
+    source_surface, n_samples = carrier.point_map.source, len(carrier.masses)
+    images = carrier.point_map.images.at(slice(n_samples))
+    positions = source_surface.positions + moves
+    shaped_images = images.interpolate(positions)
+    normals = images.interpolate(vertex_normals(positions, source_surface.triangles))
+    edge_lengths = np.sqrt(2 * carrier.masses)
+    distance, nearest = cKDTree(shaped_images).query(
+        shaped_images, k=16, distance_upper_bound=_CONTACT_DISTANCE * float(edge_lengths.max())
     )
-    touching = close & facing & ((apart > 3 * edges[:, None]) | (distance < 0.1 * edges[:, None]))
-    in_contact = touching.any(axis=1)
+    nearest = np.minimum(nearest, n_samples - 1)
+    is_near = np.isfinite(distance) & (distance < _CONTACT_DISTANCE * edge_lengths[:, None])
+    is_opposed = np.einsum("sd,skd->sk", normals, normals[nearest]) < _CONTACT_COSINE
+    # Neighbours across a sharp fold of the target are not in contact: they are close at rest.
+    target_distance = np.linalg.norm(
+        carrier.point_map.target.positions[nearest] - carrier.point_map.target.positions[:n_samples, None], axis=2
+    )
+    is_contact = (
+        is_near
+        & is_opposed
+        & ((target_distance > 3 * edge_lengths[:, None]) | (distance < 0.1 * edge_lengths[:, None]))
+    )
+    in_contact = is_contact.any(axis=1)
     first = np.flatnonzero(in_contact)
-    second = nearest[first, np.argmax(touching[first], axis=1)]
+    second = nearest[first, np.argmax(is_contact[first], axis=1)]
     first, second = np.unique(np.sort(np.stack([first, second], axis=1), axis=1), axis=0).T
-    before = images.positions[first] - images.positions[second]
-    gap = places[first] - places[second]
-    at_rest = np.linalg.norm(before, axis=1) < _CONTACT_DISTANCE * np.maximum(edges[first], edges[second])
+    rest_gap = images.positions[first] - images.positions[second]
+    gap = shaped_images[first] - shaped_images[second]
+    was_in_contact = np.linalg.norm(rest_gap, axis=1) < _CONTACT_DISTANCE * np.maximum(
+        edge_lengths[first], edge_lengths[second]
+    )
     rotations = 0.5 * (carrier.vertex_rotations[first] + carrier.vertex_rotations[second])
-    rotated = np.einsum("kba,kb->ka", rotations, np.where(at_rest[:, None], gap - before, gap))
-    rotated *= carrier.ratio
+    relative_moves = np.einsum("kba,kb->ka", rotations, np.where(was_in_contact[:, None], gap - rest_gap, gap))
+    relative_moves *= carrier.length_ratio
     target_gap = carrier.point_map.target.positions[first] - carrier.point_map.target.positions[second]
-    return first, second, np.where(at_rest[:, None], rotated, rotated - target_gap)
+    return first, second, np.where(was_in_contact[:, None], relative_moves, relative_moves - target_gap)
 
 
-def _gradients(places: FloatArray, triangles: IndexArray) -> tuple[sparse.csr_array, FloatArray]:
+def _gradients(positions: FloatArray, triangles: IndexArray) -> tuple[sparse.csr_array, FloatArray]:
     """(3 t, n) gradients of functions that are linear on triangles, rows (t, direction); and areas (t,)."""
-    normals = triangle_normals(places, triangles)
-    doubled = np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
+    normals = triangle_normals(positions, triangles)
+    doubled_areas = np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
     # The gradient of a corner's hat function is normal x opposite edge / (2 area).
-    unit = normals / doubled[:, None]
-    hats = [
-        np.cross(unit, places[triangles[:, (k + 2) % 3]] - places[triangles[:, (k + 1) % 3]]) / doubled[:, None]
+    unit = normals / doubled_areas[:, None]
+    hat_gradients = [
+        np.cross(unit, positions[triangles[:, (k + 2) % 3]] - positions[triangles[:, (k + 1) % 3]])
+        / doubled_areas[:, None]
         for k in range(3)
     ]
     t = len(triangles)
     rows = np.repeat(np.arange(3 * t), 3)
     columns = np.repeat(triangles, 3, axis=0).reshape(-1)
-    values = np.stack(hats, axis=2).reshape(-1)  # (t, direction, corner)
-    return sparse.csr_array((values, (rows, columns)), shape=(3 * t, len(places))), 0.5 * doubled
+    values = np.stack(hat_gradients, axis=2).reshape(-1)  # (t, direction, corner)
+    return sparse.csr_array((values, (rows, columns)), shape=(3 * t, len(positions))), 0.5 * doubled_areas
 
 
 def _rotations(
-    gradient: sparse.csr_array, places: FloatArray, images: SurfacePoints, triangles: IndexArray
+    gradient: sparse.csr_array, positions: FloatArray, images: SurfacePoints, triangles: IndexArray
 ) -> FloatArray:
     """(t, 3, 3) rotation of the map's differential, target to source, of every triangle; normals go to normals.
 
     Where an image has no area, or is flipped and not at vertices alone, its normal is the mean of those at its corners.
     """
     differential = (gradient @ images.positions).reshape(-1, 3, 3).transpose(0, 2, 1)
-    normals, across = (normalize_rows(triangle_normals(side, triangles)) for side in (places, images.positions))
-    between = (images.barycentric.max(axis=1) < 1.0)[triangles].any(axis=1)  # normals at sharp vertices mislead
-    unsure = (flipped_triangles(images, triangles) & between) | ~across.any(axis=1)
-    across[unsure] = normalize_rows(images.normals[triangles[unsure]].mean(axis=1))
+    normals, image_normals = (
+        normalize_rows(triangle_normals(side, triangles)) for side in (positions, images.positions)
+    )
+    # Normals at sharp vertices mislead.
+    is_between_vertices = (images.barycentric.max(axis=1) < 1.0)[triangles].any(axis=1)
+    is_uncertain = (flipped_triangles(images, triangles) & is_between_vertices) | ~image_normals.any(axis=1)
+    image_normals[is_uncertain] = normalize_rows(images.normals[triangles[is_uncertain]].mean(axis=1))
     stretch = np.sqrt(np.einsum("tab,tab->t", differential, differential) / 2)
-    return nearest_rotations(differential + stretch[:, None, None] * across[:, :, None] * normals[:, None, :])
+    return nearest_rotations(differential + stretch[:, None, None] * image_normals[:, :, None] * normals[:, None, :])
 
 
 def _deformation(before: FloatArray, after: FloatArray, triangles: IndexArray) -> FloatArray:
     """(t, 3, 3) linear maps F of triangles: edges go to edges, the unit normal to the unit normal."""
 
-    def frame(places: FloatArray) -> FloatArray:
-        a, b, c = (places[triangles[:, k]] for k in range(3))
+    def frame(positions: FloatArray) -> FloatArray:
+        a, b, c = (positions[triangles[:, k]] for k in range(3))
         normal = np.cross(b - a, c - a)
         normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
         return np.stack([b - a, c - a, normal], axis=2)
 
     rest = frame(before)
-    size = np.linalg.norm(rest[:, :, :2], axis=(1, 2))
-    sound = np.abs(np.linalg.det(rest)) > 1e-9 * size**2
-    rest[~sound] = np.eye(3)
+    edge_length = np.linalg.norm(rest[:, :, :2], axis=(1, 2))
+    is_regular = np.abs(np.linalg.det(rest)) > 1e-9 * edge_length**2
+    rest[~is_regular] = np.eye(3)
     maps = frame(after) @ np.linalg.inv(rest)
-    maps[~sound] = np.eye(3)
+    maps[~is_regular] = np.eye(3)
     return maps

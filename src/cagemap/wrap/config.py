@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from cagemap.deform.config import GraphConfig
 from cagemap.errors import ParameterError
+from cagemap.numerics.kinds import Config
 
 
 @dataclass(frozen=True)
-class MendConfig:
+class MendConfig(Config):
     """Mending of faces that fold or grow thin; a face is small where all of its corners are."""
 
     rounds: int = 20  #: most rounds of mending
@@ -35,7 +34,7 @@ class MendConfig:
 
 
 @dataclass(frozen=True)
-class WrapConfig:
+class WrapConfig(Config):
     """Configuration of a wrap: how closely the net follows the source (docs/lab/elastic.md).
 
     Areas are shares of the whole, lengths are of sqrt(area).
@@ -72,9 +71,6 @@ class WrapConfig:
     mending: MendConfig = MendConfig()
 
     def __post_init__(self) -> None:
-        if self.level < 0 or self.rounds < 0:
-            raise ParameterError(f"level and rounds: expected 0 or more, got {self.level} and {self.rounds}")
-        if not 0 < self.fairness < np.inf:
-            raise ParameterError(f"fairness: expected a number above 0, got {self.fairness}; the default is 1e-4")
-        if not 0 <= self.anchor < np.inf:
-            raise ParameterError(f"anchor: expected 0 or more, got {self.anchor}; the default is 0.003")
+        super().__post_init__()
+        if not self.fairness:
+            raise ParameterError("fairness: expected a number above 0, got 0; the default is 1e-4")

@@ -391,4 +391,6 @@ def pixel_type(bits: int, suffix: str) -> np.dtype[Any]:
 def _reason(message: str) -> str:
     """A library's error message as one line with a full stop."""
     text = " ".join(str(message).split())
+    if "could not find a format reader" in text:  # the library then asks whether it knows the format
+        text = "it has another format"
     return (text or "no reason given").rstrip(".") + "."

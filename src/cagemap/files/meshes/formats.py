@@ -24,7 +24,7 @@ from cagemap.files.meshes.obj import material_files, read_obj
 from cagemap.files.meshes.obj_materials import obj_images
 from cagemap.files.meshes.obj_write import obj_files, write_obj
 from cagemap.files.meshes.off import read_off, write_off
-from cagemap.files.meshes.ply import read_ply, write_ply
+from cagemap.files.meshes.ply import ply_images, read_ply, write_ply
 from cagemap.files.meshes.stl import read_stl
 from cagemap.files.text import file_in, read_text
 from cagemap.files.usd.read import read_usd
@@ -113,8 +113,8 @@ def mesh_files(path: str | Path, mesh: ControlMesh, like: Path | None = None) ->
 def referred_files(path: Path) -> list[Path]:
     """Existing files that a mesh file names; empty if it cannot be read.
 
-    OBJ: material files and their colour images. glTF: buffers and images. USD: layers and images. FBX: textures. Other
-    formats: none.
+    OBJ: material files and their colour images. glTF: buffers and images. USD: layers and images. FBX, PLY: textures.
+    Other formats: none.
     """
     suffix = path.suffix.lower()
     try:
@@ -125,8 +125,8 @@ def referred_files(path: Path) -> list[Path]:
             words = re.findall(r'"uri"\s*:\s*("(?:[^"\\]|\\.){1,1000}")', text)
             names = [unquote(json.loads(word)).replace("\\", "/") for word in words]
             return [file for name in names if os.path.isfile(file := file_in(path.parent, name))]
-        if suffix == ".fbx":
-            return named_textures(path)
+        if suffix in (".fbx", ".ply"):
+            return named_textures(path) if suffix == ".fbx" else ply_images(path)
         return other_files(path) if suffix in USD_SUFFIXES else []
     except (FormatError, OSError, ValueError):  # its reader reports it
         return []

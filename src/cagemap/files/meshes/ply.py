@@ -5,6 +5,8 @@ Not read by a library, since the one that keeps quads is under the GPL.
 
 from __future__ import annotations
 
+import logging
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,16 +19,21 @@ from cagemap.files.meshes.colors import as_shares
 from cagemap.files.meshes.obj import warn_of_bare_faces
 from cagemap.files.meshes.ply_records import Column, read_columns
 from cagemap.files.ownership import mark
-from cagemap.files.text import read_bytes
+from cagemap.files.text import named_image, read_bytes
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV
 from cagemap.mesh.faces import merged_corners
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.srgb import decode_srgb, encode_srgb
+
+_log = logging.getLogger(__name__)
 
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 _COLORS = ("red", "green", "blue")
-_VERTEX_COLORS = (_COLORS, ("diffuse_red", "diffuse_green", "diffuse_blue"))
+_COLOR_NAMES = (_COLORS, ("diffuse_red", "diffuse_green", "diffuse_blue"))
+# Faces of more colours than this are a picture rather than materials.
+_MOST_MATERIALS = 256
 _VERTEX_UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 
@@ -36,7 +43,8 @@ def read_ply(path: str | Path) -> ControlMesh:
     Texture coordinates are those of the faces' ``texcoord`` lists, else of the vertices (``s t``, ``u v`` or
     ``texture_u texture_v``). Vertex colours ``red green blue`` are divided by the largest number of their type if it
     has one or two bytes; otherwise they are from 0 to 1, or bytes (`as_shares`). Faces of several images
-    (``texnumber``) have a material for each image. Other elements are ignored.
+    (``texnumber``) or colours have a material for each; of more than 256 colours, none, with a warning. Other elements
+    are ignored.
     """
     file = Path(path)
     columns = read_columns(file, read_bytes(file, "a PLY file"))
@@ -56,25 +64,46 @@ def read_ply(path: str | Path) -> ControlMesh:
     offsets = np.concatenate([[0], np.cumsum(corners.lengths)]).astype(np.int64)
     indices = _indices(file, corners, len(positions))
     uvs, uv_indices = _uvs(file, vertices, faces.get("texcoord"), corners.lengths, indices)
-    mesh = ControlMesh(
-        positions, offsets, indices, uvs, uv_indices, name=file.name, vertex_colors=_vertex_colors(vertices)
-    )
-    images = faces.get("texnumber")
-    if images is None or np.any(images.lengths != 1):
+    mesh = ControlMesh(positions, offsets, indices, uvs, uv_indices, name=file.name, vertex_colors=_colors(vertices))
+    return _with_materials(file, mesh, {name: column for name, column in faces.items() if np.all(column.lengths == 1)})
+
+
+def ply_images(path: Path) -> list[Path]:
+    """Existing images that the header of a PLY file names (``comment TextureFile``)."""
+    header = read_bytes(path, "a PLY file").partition(b"end_header")[0].decode("utf-8", "replace")
+    names = re.findall(r"(?m)^comment TextureFile ([^\r\n]+)", header)
+    return [image for name in names if (image := named_image(path, name.strip())) is not None]
+
+
+def _with_materials(path: Path, mesh: ControlMesh, faces: dict[str, Column]) -> ControlMesh:
+    """The mesh with a material for each image or colour of its faces, if they have several."""
+    colors = None
+    if "texnumber" in faces:
+        numbers, materials = np.unique(faces["texnumber"].values, return_inverse=True)
+        names = tuple(f"texture {number:g}" for number in numbers)
+    elif (given := _as_bytes(_colors(faces))) is not None:
+        shades, materials = np.unique(given, axis=0, return_inverse=True)
+        if len(shades) > _MOST_MATERIALS:
+            text = "%s: the %d colours of its faces are left out: expected at most %d. Give the vertices colours."
+            _log.warning(text, path, len(shades), _MOST_MATERIALS)
+            return mesh
+        names = tuple("#{:02x}{:02x}{:02x}".format(*shade) for shade in shades.tolist())
+        colors = decode_srgb(shades / 255.0)
+    else:
         return mesh
-    numbers, materials = np.unique(images.values, return_inverse=True)
-    names = tuple(f"texture {number:g}" for number in numbers)
-    return replace(mesh, face_materials=materials, material_names=names) if len(names) > 1 else mesh
+    if len(names) < 2:
+        return mesh
+    return replace(mesh, face_materials=materials.ravel(), material_names=names, material_colors=colors)
 
 
-def _vertex_colors(vertices: dict[str, Column]) -> FloatArray | None:
-    """Colours of the vertices, NaN at vertices without one; None if the file has no colours."""
-    names = next((names for names in _VERTEX_COLORS if all(name in vertices for name in names)), None)
+def _colors(columns: dict[str, Column]) -> FloatArray | None:
+    """(n, 3) colours of vertices or faces, NaN for those without one; None if there are no colours."""
+    names = next((names for names in _COLOR_NAMES if all(name in columns for name in names)), None)
     if names is None:
         return None
-    colors = np.column_stack([vertices[name].values.astype(np.float64) for name in names])
+    colors = np.column_stack([columns[name].values.astype(np.float64) for name in names])
     colors[~np.isfinite(colors).all(axis=1)] = np.nan
-    stated = np.dtype(vertices[names[0]].stated)
+    stated = np.dtype(columns[names[0]].stated)
     return as_shares(colors, float(np.iinfo(stated).max) if stated.kind in "iu" and stated.itemsize < 4 else None)
 
 
@@ -138,7 +167,7 @@ def _uvs(
 def write_ply(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
     """Write a mesh as binary little-endian PLY, with float64 positions and ``texcoord`` at corners.
 
-    Vertex colours are bytes, which every program reads. PLY has no materials; they are not written.
+    Colours of vertices and faces are bytes, which every program reads. Of materials, colours are written.
     """
     content = _header(mesh).encode("ascii") + _binary_vertices(mesh) + _binary_faces(mesh)
     write_whole(path, content, force=force)
@@ -157,24 +186,37 @@ def _header(mesh: ControlMesh) -> str:
         f"comment {mark()}",
         f"element vertex {mesh.n_vertices}",
         *(f"property double {axis}" for axis in "xyz"),
-        *([f"property uchar {color}" for color in _COLORS] if _color_bytes(mesh) is not None else []),
+        *_color_properties(_as_bytes(mesh.vertex_colors)),
         f"element face {mesh.n_faces}",
         f"property list {count} int vertex_indices",
         *([f"property list {count} double texcoord"] if mesh.uvs is not None else []),
+        *_color_properties(_face_bytes(mesh)),
         "end_header\n",
     ]
     return "\n".join(lines)
 
 
-def _color_bytes(mesh: ControlMesh) -> NDArray[np.uint8] | None:
-    """(n, 3) vertex colours as bytes; None if a vertex has no colour."""
-    colors = mesh.vertex_colors
-    known = colors is not None and np.isfinite(colors).all()
-    return np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8) if colors is not None and known else None
+def _color_properties(colors: NDArray[np.uint8] | None) -> list[str]:
+    return [] if colors is None else [f"property uchar {color}" for color in _COLORS]
+
+
+def _as_bytes(colors: FloatArray | None) -> NDArray[np.uint8] | None:
+    """(n, 3) colours as bytes; None if one is unknown."""
+    if colors is None or not np.isfinite(colors).all():
+        return None
+    return np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8)
+
+
+def _face_bytes(mesh: ControlMesh) -> NDArray[np.uint8] | None:
+    """(f, 3) colours of the faces' materials as bytes; None if one is unknown, or all are equal."""
+    if mesh.face_materials is None or mesh.material_colors is None:
+        return None
+    colors = _as_bytes(encode_srgb(mesh.material_colors[mesh.face_materials]))
+    return None if colors is None or (colors == colors[0]).all() else colors
 
 
 def _binary_vertices(mesh: ControlMesh) -> bytes:
-    colors = _color_bytes(mesh)
+    colors = _as_bytes(mesh.vertex_colors)
     if colors is None:
         return mesh.positions.astype("<f8").tobytes()
     table = np.zeros(mesh.n_vertices, dtype=[("place", "<f8", (3,)), ("color", "u1", (3,))])
@@ -185,12 +227,13 @@ def _binary_vertices(mesh: ControlMesh) -> bytes:
 def _binary_faces(mesh: ControlMesh) -> bytes:
     """Bytes of all faces in order; records of equal face sizes are filled together."""
     uvs = None if mesh.uvs is None or mesh.uv_indices is None else mesh.uvs[mesh.uv_indices]
-    count_type = _count_type(mesh)[1]
+    count_type, colors = _count_type(mesh)[1], _face_bytes(mesh)
     sizes = mesh.face_sizes
     layouts = {}
     for size in np.unique(sizes).tolist():
         fields = [("n", count_type), ("v", "<i4", (size,))]
-        layouts[size] = np.dtype(fields + ([("m", count_type), ("uv", "<f8", (2 * size,))] if uvs is not None else []))
+        fields += [("m", count_type), ("uv", "<f8", (2 * size,))] if uvs is not None else []
+        layouts[size] = np.dtype(fields + ([("color", "u1", (3,))] if colors is not None else []))
     widths = np.zeros(mesh.n_faces, dtype=np.int64)
     for size, layout in layouts.items():
         widths[sizes == size] = layout.itemsize
@@ -203,5 +246,7 @@ def _binary_faces(mesh: ControlMesh) -> bytes:
         table["n"], table["v"] = size, mesh.face_indices[corners]
         if uvs is not None:
             table["m"], table["uv"] = 2 * size, uvs[corners].reshape(-1, 2 * size)
+        if colors is not None:
+            table["color"] = colors[faces]
         data[starts[faces][:, None] + np.arange(layout.itemsize)] = table.view(np.uint8).reshape(len(faces), -1)
     return data.tobytes()

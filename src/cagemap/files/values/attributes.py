@@ -48,7 +48,11 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: 
         return _read_usd(file, control)
     if file.suffix.lower() in SCENE_SUFFIXES:
         return to_part({JOINT_WEIGHTS: gltf_weights(file)}, rows)
-    check_attribute_path(file)
+    if file.suffix.lower() not in VALUE_SUFFIXES:
+        raise FormatError(
+            f"{file}: expected values as {', '.join(VALUE_SUFFIXES)}, or in a glTF, FBX or USD file, got "
+            f"{file.suffix or 'no suffix'}. Export them in one of these."
+        )
     if file.suffix.lower() == ".json":
         if control is None:
             raise FormatError(f"{file}: vertex groups are not taken here. Write a .csv or .npz with a row a vertex.")

@@ -16,7 +16,7 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path, check_outputs, require_writable_folder, write_whole
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.read import gltf_shapes, gltf_skeleton
-from cagemap.files.meshes.formats import mesh_files, read_mesh, write_mesh
+from cagemap.files.meshes.formats import MESH_SUFFIXES, mesh_files, read_mesh, write_mesh
 from cagemap.files.npz import read_npz, write_npz
 from cagemap.files.ownership import mark
 from cagemap.files.text import read_text
@@ -47,6 +47,11 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
                 f"{file}: expected a mesh bound to a skeleton, it is bound to none. Export it with its rig."
             )
         return skeleton
+    if file.suffix.lower() in MESH_SUFFIXES:
+        raise FormatError(
+            f"{file}: expected joints as .json, or in a glTF, FBX or USD file, got {file.suffix}, which holds none. "
+            "Export the character as GLB."
+        )
     text = read_text(file, "a skeleton")
     try:
         stated = json.loads(text)

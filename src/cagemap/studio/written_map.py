@@ -17,7 +17,7 @@ _MASK_FIELDS = ("target_mask", "source_mask")
 FileStamp = tuple[int, int] | None
 
 
-class LastMap:
+class WrittenMap:
     """Remembers the inputs and files of the last finish's map."""
 
     def __init__(self) -> None:

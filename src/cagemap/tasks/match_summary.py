@@ -1,0 +1,91 @@
+"""What `cagemap match` prints at its end: a summary, warnings and the commands to type next."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.result.manifest import assurance, landmark_messages
+from cagemap.files.result.verdicts import map_verdict
+from cagemap.pipeline import MatchResult
+from cagemap.tasks.requests.match import MatchRequest
+
+
+def match_figures(result: MatchResult, seconds: float) -> dict[str, Any]:
+    """Figures of a match: numbers of vertices, seconds, and those of the manifest."""
+    manifest = result.manifest
+    counts = {"target_vertices": len(result.target.vertices), "source_vertices": len(result.source.vertices)}
+    kept = {name: manifest[name] for name in ("quality", "confidence", "shared_area") if manifest.get(name) is not None}
+    return {**counts, "seconds": seconds, **kept}
+
+
+def summary(result: MatchResult, folder: Path, figures: Mapping[str, Any]) -> str:
+    """Summary of a match for the terminal, from its `match_figures`."""
+    manifest, quality = result.manifest, figures["quality"]
+    lines = [
+        f"{result.source.control.name} -> {result.target.control.name}: {figures['target_vertices']:,} target and "
+        f"{figures['source_vertices']:,} source vertices in {figures['seconds']:.1f} s",
+        "  " + "; ".join(filter(None, (landmark_summary(result), assurance(manifest)))),
+        f"  {100 * quality['flipped_area']:.2f} % folded, {100 * quality['coverage']:.1f} % of the "
+        f"source{'' if result.shared is None else ', as far as it is shared,'} covered",
+        *_shared_summary(result),
+        f"wrote {folder}",
+    ]
+    return "\n".join(lines)
+
+
+def next_commands(result: MatchResult, request: MatchRequest) -> str:
+    """The commands to type next, with the image or the colours that the source has."""
+    folder, file, source = shlex.quote(str(request.output)), request.source, result.source.control
+    look = "--texture IMG" if source.has_layout else "--bake colors" if source.vertex_colors is not None else None
+    if look is None and source.material_colors is not None:
+        look = "--material-colors"
+    if file.suffix.lower() in GLTF_SUFFIXES:  # FBX and USD files would be converted once more, which takes seconds
+        from cagemap.files.inner_texture import color_texture  # here, since most matches need no reader of textures
+
+        if color_texture(file, source) is not None:
+            look = f"--texture {shlex.quote(str(file))}"
+    unwrap = "" if result.target.control.has_layout else " --unwrap"
+    carry = "wrap {} -o OUT.obj" if look is None else f"transfer {{}} {look} -o OUT.png{unwrap}"
+    return f"next: cagemap {carry.format(folder)}, or cagemap report {folder}"
+
+
+def _shared_summary(result: MatchResult) -> list[str]:
+    """Line with the shared share of each surface; none without unshared parts."""
+    if result.shared is None:
+        return []
+    target, source = result.shared_shares
+    return [f"  shared: {100 * target:.0f} % of the target's area, {100 * source:.0f} % of the source's"]
+
+
+def landmark_summary(result: MatchResult) -> str:
+    """Text about errors of landmarks and curves, and about landmarks that were left out."""
+    left_out = sorted({suspect.pair for suspect in result.suspects})
+    errors = 100 * np.delete(result.landmark_errors, left_out)
+    parts = []
+    if len(errors):
+        used = f"{len(errors)} landmarks" if len(errors) > 1 else "1 landmark"
+        worst = f" (worst {errors.max():.2f} %)" if len(errors) > 1 else ""
+        parts.append(f"{used} missed by {errors.mean():.2f} % of the model's size{worst}")
+    if left_out:
+        missed = ", ".join(f"{100 * result.landmark_errors[pair]:.0f} %" for pair in left_out)
+        parts.append(f"{len(left_out)} left out, which the map misses by {missed}")
+    curves = result.curve_misses
+    if curves:
+        miss, most = 100 * np.array([[curve.mean, curve.worst] for curve in curves]).T
+        counted = f"{len(curves)} curves" if len(curves) > 1 else "1 curve"
+        parts.append(f"{counted} missed by {miss.mean():.2f} % (at most {most.max():.2f} %)")
+    return "; ".join(parts) or "no landmarks"
+
+
+def warnings(result: MatchResult) -> list[str]:
+    """Notes and warnings of a result, and the report's verdict on a poor map."""
+    manifest = result.manifest
+    verdict, sentence = map_verdict({**manifest, "confidence": None})  # the summary says why it is doubtful
+    poor = [sentence] if verdict == "poor" else []
+    return [*manifest["notes"], *landmark_messages(manifest), *manifest["quality"]["warnings"], *poor]

@@ -1,0 +1,46 @@
+"""Configurations refuse numbers outside their ranges where they are made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cagemap.character.self_collision import CollisionConfig
+from cagemap.deform.config import ElasticConfig, GraphConfig, LandmarkConfig, ProjectionConfig, Stage
+from cagemap.errors import ParameterError
+from cagemap.match_config import MatchConfig
+from cagemap.numerics.kinds import Config
+from cagemap.spectral.config import SOLVER
+from cagemap.wrap.config import MendConfig, WrapConfig
+
+REFUSED: dict[str, Callable[[], object]] = {
+    "min_cell: expected a number from 0 to 0.5, got 0.9": lambda: GraphConfig(min_cell=0.9, joining_rounds=9),
+    "neighbours: expected a whole number of at least 1, got 0": lambda: GraphConfig(neighbours=0),
+    "cell_counts: expected a number of at least 0": lambda: GraphConfig(cell_counts=(-0.1, 1.2)),
+    "flat: expected a number of at least 0, got nan": lambda: GraphConfig(flat=np.nan),
+    "factored: expected a whole number of at least 1": lambda: Stage(3, (1.0, 1.0), 0.1, factored=0),
+    "coarse_vertices: expected a whole number of at least 4": lambda: ElasticConfig(coarse_vertices=3),
+    "min_cosine: expected a number of at least 0": lambda: ProjectionConfig(min_cosine=-0.1),
+    "min_side_gain: expected a number of at least -1": lambda: LandmarkConfig(min_side_gain=-2.0),
+    "answer: expected a whole number": lambda: MatchConfig(answer=True),
+    "rounds: expected a whole number of at least 0, got 2.5": lambda: MendConfig(rounds=2.5),  # type: ignore[arg-type]
+    "smoothing: expected a number of at least 0, got inf": lambda: WrapConfig(smoothing=np.inf),
+    "seed: expected a whole number of at least 0": lambda: replace(SOLVER, seed=-1),
+    "reach: expected a number of at least 0, got '1'": lambda: CollisionConfig(reach="1"),  # type: ignore[arg-type]
+}
+
+
+@pytest.mark.parametrize("message", REFUSED)
+def test_numbers_out_of_range_are_refused(message: str) -> None:
+    with pytest.raises(ParameterError) as found:
+        REFUSED[message]()
+    assert str(found.value).startswith(message)
+
+
+def test_numbers_of_numpy_and_infinite_limits_are_accepted() -> None:
+    config: Config = GraphConfig(neighbours=np.int64(3), flat=np.float32(0.1))  # type: ignore[arg-type]
+    assert config == GraphConfig(neighbours=3, flat=float(np.float32(0.1)))
+    assert WrapConfig(max_distance=np.inf).max_distance == np.inf  # no limit
