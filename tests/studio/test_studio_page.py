@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -81,6 +82,24 @@ def test_the_status_says_what_is_asked_of_the_user() -> None:
     assert said["cancel"]
 
 
+def test_every_stage_of_a_bake_is_said_in_words_of_the_page() -> None:
+    tasks = resources.files("cagemap.tasks")
+    modules = ("match", "transfer", "bake_tiles", "detail_bakes", "carry_images", "wrap", "report")
+    sources = "".join((tasks / f"{name}.py").read_text(encoding="utf-8") for name in modules)
+    stages = {"bake", *re.findall(r'stages\(f?"([^"{ ][^"{]*)', sources)}
+    assert len(stages) > 10
+    for stage in stages:
+        said = status_entries(StudioState(finish_job=RunningJob("finish 1/3", f"texture: {stage}", 0.1)))["text"]
+        assert said.startswith("Baking, step 1/3, texture: ")
+        assert not said.endswith(f": {stage}"), f"{stage}: no words for it in page/words.py"
+
+
+def test_a_computation_says_how_long_it_has_run() -> None:
+    job = RunningJob("Matching", "elastic alignment", begun=time.monotonic() - 40)
+    assert 40 <= status_entries(StudioState(preview_job=job))["seconds"] < 50
+    assert "seconds" not in status_entries(StudioState())
+
+
 def test_an_error_leaves_the_status_after_the_next_action(opened: Session) -> None:
     for _ in range(2):
         sent(opened, do="open")
@@ -99,7 +118,7 @@ def test_how_sure_a_map_is_is_said_in_words() -> None:
     scene.target.surface.vertex_areas = np.array([0.3, 0.1, 0.3, 0.3])
     assert verdict(StudioState(), scene) == ""
     known = MapState(revision=1, confidence="sure: the target is aligned as filed; no other alignment fits")
-    assert verdict(StudioState(map=known), scene) == "Sure, 10 % doubtful"
+    assert verdict(StudioState(map=known), scene) == "Alignment sure, 10 % stretched or folded"
     doubt = replace(known, confidence="two answers: as filed (`answer=1`). A landmark at target vertex 12 decides")
     assert verdict(StudioState(map=doubt), scene).startswith("Two answers")
     placed = doubt.confidence.replace("12", "12 at (1, -2.5, 3)")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -162,11 +163,14 @@ class RunningJob:
         Current stage.
     fraction : float or None
         Share that is done, from 0 to 1; None if unknown.
+    begun : float
+        When the computation began, of `time.monotonic`.
     """
 
     title: str
     stage: str = ""
     fraction: float | None = None
+    begun: float = field(default_factory=time.monotonic, compare=False)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import {Views} from './view.js';
 
 const $ = id => document.getElementById(id);
 const SIDES = ['target', 'source'], AGAIN = 500, AS_FILED = [['', 'as the file says']];
-let socket = null, state = null, fixed = null, listing = [], options = () => ({}), shownFiles = '', picked = false, typed = null;
+let socket = null, state = null, fixed = null, listing = [], options = () => ({}), shownFiles = '', picked = false, typed = null, received = 0;
 
 const hint = (...texts) => $('empty').replaceChildren(...texts.map(words => element('p', {textContent: words})));
 hint('This browser draws no 3D. Turn WebGL on, or open the page in another browser.');
@@ -26,7 +26,7 @@ function connect() {
     if (said.fixed && !fixed) options = buildForm(said.form, $('first'), $('folds'));  // what is typed stays on a reconnect
     fixed = said.fixed ?? fixed;
     if (said.listing) showFiles(listing = said.listing);
-    if (said.status) state = said;
+    if (said.status) [state, received] = [said, performance.now()];
     if (state) show();
   };
   one.onclose = () => {
@@ -34,6 +34,7 @@ function connect() {
       + 'this page comes back by itself, and nothing is lost.';
     document.querySelector('footer').dataset.kind = 'gone';
     $('progress').hidden = $('cancel').hidden = true;
+    showSeconds();
     setTimeout(connect, AGAIN);
   };
 }
@@ -55,6 +56,7 @@ function show() {
   if (status.fraction === null) $('progress').removeAttribute('value');
   else $('progress').value = status.fraction;
   $('cancel').hidden = !status.cancel;
+  showSeconds();
   text('verdict', state.verdict);
   showMessages();
   showViews();
@@ -68,6 +70,11 @@ function show() {
   $('symmetric').parentElement.title = state.symmetric || !models ? 'Also place the mirror image of each new landmark'
     : 'Needs two models whose meshes are mirror symmetric';
 }
+function showSeconds() {  // beside the status, which screen readers say
+  const busy = document.querySelector('footer').dataset.kind === 'busy';
+  text('seconds', busy ? `${Math.round(state.status.seconds + (performance.now() - received) / 1000)} s` : '');
+}
+setInterval(showSeconds, 1000);
 function text(id, words) { if ($(id).textContent !== words) $(id).textContent = words; }
 
 function showMessages() {
@@ -274,9 +281,12 @@ drop.addEventListener('dragleave', () => drop.classList.remove('dropping'));
 drop.addEventListener('drop', event => {
   event.preventDefault();
   drop.classList.remove('dropping');
-  const rank = file => [meshes, images].findIndex(kind => matching([file.name], kind).length);  // what meshes name comes first
-  const {meshes, images} = fixed.kinds;
-  for (const file of [...event.dataTransfer.files].sort((a, b) => rank(a) - rank(b))) add(file, half(event));
+  const {meshes, images} = fixed.kinds, files = [...event.dataTransfer.files], side = half(event);
+  const is = (file, kind) => matching([file.name], kind).length > 0;
+  // Images beside a mesh belong to its materials, but a single one is the source's texture. What meshes name comes first.
+  const named = files.some(file => is(file, meshes)) && (side === 'target' || files.filter(file => is(file, images)).length > 1);
+  const rank = file => is(file, meshes) ? 1 : is(file, images) && !named ? 2 : 0;
+  for (const file of files.sort((a, b) => rank(a) - rank(b))) add(file, named && is(file, images) ? null : side);
 });
 
 document.addEventListener('keydown', event => {
