@@ -111,11 +111,16 @@ def test_files_are_added_faults_are_named_and_a_scan_is_taken_as_it_is(
     page.until(lambda: page.run("return document.querySelector('[name=texture]').value") == "pony.png", "the image")
     assert page.run("return document.getElementById('scheme-target').value") == ""
     page.set("scheme-source", "bilinear")
-    page.set("up-target", "z")
-    page.set("up-source", "y")
     page.press("open-now")
-    chosen = "const files = window.studio.state.files; return [files.target, files.schemes[1], ...files.ups]"
-    page.until(lambda: page.run(chosen) == ["deer.obj", "bilinear", "z", "y"], "the pair as it was chosen")
+    chosen = "const files = window.studio.state.files; return [files.target, files.schemes[1]]"
+    page.until(lambda: page.run(chosen) == ["deer.obj", "bilinear"], "the pair as it was chosen")
     page.until(lambda: page.state("models"), "the pair")
     page.press("plain-source")
-    page.until(lambda: page.run(chosen) == ["deer.obj", "none", "z", "y"], "the source as it is")
+    page.until(lambda: page.run(chosen) == ["deer.obj", "none"], "the source as it is")
+    for side, button in (("target", "turn-target"), ("source", "turn-source")):
+        page.until(lambda: page.state("models"), "both models")
+        page.drawn()
+        tall = f"return window.studio.views.sides.{side}.tall"
+        before = page.run(tall)
+        page.press(button)
+        page.until(lambda tall=tall, before=before: abs(page.run(tall) - before) > 0.01, f"the {side} on its side")

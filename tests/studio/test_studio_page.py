@@ -254,9 +254,9 @@ def test_another_image_of_the_open_models_keeps_their_landmarks(opened: Session,
     Actions(session).handle(image)
     assert begun.pop() == replace(files, texture=boxes / "other.png")
     names = {"target": "a.obj", "source": "b.obj", "texture": ""}
-    sent(session, do="open", **names, schemes=["none", ""], ups=["", ""])
-    assert begun.pop() == replace(files, texture=None, schemes=("none", None), ups=(None, None))
-    sent(session, do="open", **names | {"source": "a.obj"}, schemes=["", ""], ups=["", ""])
+    sent(session, do="open", **names, schemes=["none", ""])
+    assert begun.pop() == replace(files, texture=None, schemes=("none", None))
+    sent(session, do="open", **names | {"source": "a.obj"}, schemes=["", ""])
     assert begun.pop().landmarks.name == "a__a.json"
     (boxes / "other.png").unlink()
 

@@ -104,6 +104,14 @@ class Session(LandmarkEdits):
             target, source = files.schemes
             self.open(replace(files, schemes=("none", source) if side == "target" else (target, "none")))
 
+    def turn_up(self, side: Side) -> None:
+        """Show a model that lies on its side with the other of its file's axes y and z up."""
+        with self.report_errors(), self._lock:
+            files, scene = self._require_open()
+            up = "y" if abs(scene.shape(side).rotation[2, 1]) > 0.5 else "z"
+            target, source = files.ups
+            self.open(replace(files, ups=(up, source) if side == "target" else (target, up)))
+
     def save(self, name: str | Path = "") -> None:
         """Save the complete landmarks, by default to their file."""
         with self.report_errors(), self._lock:

@@ -81,6 +81,7 @@ function showMessages() {
   const lines = [...state.messages].reverse().map(one => element('li', {className: one.kind, textContent: one.text}));
   $('log').querySelector('ol').replaceChildren(...lines);
   $('log').hidden = !lines.length;
+  text('log-title', `Messages (${lines.length})`);
 }
 
 function showViews() {
@@ -189,7 +190,6 @@ function showModels() {
   if (!opened) return;
   SIDES.forEach((side, i) => {
     fill($(`scheme-${side}`), [...AS_FILED, ...fixed.schemes], files?.schemes[i] ?? '');
-    fill($(`up-${side}`), [...AS_FILED, 'y', 'z'], files?.ups[i] ?? '');
   });
   fill($('file-form'), fixed.forms.map(([name, ending]) => [ending, name]), fixed.forms[0][1]);
   $('file').value = files?.landmarks ?? '';
@@ -255,16 +255,16 @@ form.elements.source.addEventListener('change', () => {  // an image named after
 });
 SIDES.forEach((side, i) => {  // how the open model is taken is not said of another one
   form.elements[side].addEventListener('change', () => {
-    for (const [id, stated] of [[`scheme-${side}`, state.files?.schemes], [`up-${side}`, state.files?.ups]])
-      if ($(id).value === (stated?.[i] ?? '')) $(id).value = '';
+    if ($(`scheme-${side}`).value === (state.files?.schemes[i] ?? '')) $(`scheme-${side}`).value = '';
   });
   on(`part-${side}`, 'change', () => send('part', {side, part: $(`part-${side}`).value || null}));
   on(`plain-${side}`, 'click', () => send('as_it_is', {side}));
+  on(`turn-${side}`, 'click', () => send('turn_up', {side}));
 });
 on('models', 'close', () => {
   if ($('models').returnValue === 'open') send('open', {
     ...Object.fromEntries(['target', 'source', 'texture'].map(name => [name, form.elements[name].value])),
-    schemes: SIDES.map(side => $(`scheme-${side}`).value), ups: SIDES.map(side => $(`up-${side}`).value)});
+    schemes: SIDES.map(side => $(`scheme-${side}`).value)});
   $('models').returnValue = '';
   [picked, shownFiles] = [false, ''];
   if (state) showModels();

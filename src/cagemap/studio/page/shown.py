@@ -110,7 +110,7 @@ def _segments(name: str, points: FloatArray, ends: Any, colors: FloatArray) -> M
 def _file_entries(files: Files, workspace: Workspace) -> dict[str, Any]:
     paths = {name: getattr(files, name) for name in ("target", "source", "texture", "landmarks")}
     names = {name: "" if path is None else workspace.display_name(path) for name, path in paths.items()}
-    return names | {"schemes": files.schemes, "ups": files.ups}
+    return names | {"schemes": files.schemes}
 
 
 def _model_entry(scene: Scene, side: Side) -> dict[str, Any]:
