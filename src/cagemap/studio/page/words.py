@@ -10,6 +10,7 @@ import numpy as np
 
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO
 from cagemap.mesh.mesh_report import VERTEX, count_noun
+from cagemap.studio.finish import DEFAULT_VERTICES
 from cagemap.studio.preview import OPENING_TITLE
 from cagemap.studio.scene import Scene
 from cagemap.studio.skins import DOUBTFUL_TRUST
@@ -86,18 +87,13 @@ def bake_hint(state: StudioState, scene: Scene | None) -> str:
     """What a bake does with the map, and how long that takes; '' before the first map."""
     if scene is None or not state.map.first_seconds:
         return ""
-    shapes = scene.target, scene.source
-    vertices = max(len(shape.positions) for shape in shapes)
-    if state.map.from_start and all(len(shape.positions) == shape.n_control for shape in shapes):  # plain meshes
+    seconds = f"from the start, which takes {state.map.first_seconds:.0f} s or longer"
+    if state.map.from_start:
         return (
-            "The map shown has full resolution: a bake uses it, but computes one from the start after new landmarks or "
-            "other options of the match."
+            f"The map shown is baked. More vertices, such as {DEFAULT_VERTICES}, are finer. For them, and after other "
+            f"changes, a bake computes a map {seconds}."
         )
-    return (
-        f"The map shown has {vertices:,} vertices and took {state.map.first_seconds:.0f} s. A bake computes it again "
-        "from the start, with the vertices chosen above, which takes as long or longer; the next bake of the same "
-        "landmarks uses it again."
-    )
+    return f"A bake computes the map {seconds}; the next bake of the same landmarks uses it again."
 
 
 def status_entries(state: StudioState) -> dict[str, Any]:
