@@ -12,6 +12,7 @@ from tests.fixtures.browser_page import Page, chromium, studio
 
 from benchmarks.accuracy.data import DATA
 from benchmarks.processor import tree_time
+from benchmarks.studio.waits import FULL_SIZE
 
 TARGET, SOURCE = [DATA / "animals" / "cow.obj"], sorted((DATA / "animals").glob("spot[._]*"))
 # Seconds that a step may last.
@@ -92,7 +93,7 @@ def walk(target: list[Path] = TARGET, source: list[Path] = SOURCE, pictures: Pat
     """Drop both models, wait for the map, bake; rows of the table."""
     with (
         tempfile.TemporaryDirectory() as folder,
-        chromium("--force-device-scale-factor=1") as browser,
+        chromium(FULL_SIZE) as browser,
         studio("--folder", folder) as (process, address),
     ):
         steps = Walk(Page(browser, address), process.pid, pictures)
@@ -105,6 +106,7 @@ def walk(target: list[Path] = TARGET, source: list[Path] = SOURCE, pictures: Pat
         steps.row(steps.page.text("bake-hint"))
         steps.page.press("start")
         ended = "!state.baking && state.messages.some(one => one.text.startsWith('Bake:'))"
+        steps.wait("picture", f"state.view.mode == 'baked' || {ended}")
         steps.wait("bake", f"{ended} && state.status.kind != 'busy'")
         steps.row("; ".join(f"{one['what']} {one['name']}" for one in steps.page.state("outputs")))
         steps.row(f"baked picture: {steps.page.state('images') or 'none'}")

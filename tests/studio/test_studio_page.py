@@ -119,6 +119,8 @@ def test_how_sure_a_map_is_is_said_in_words() -> None:
     assert verdict(StudioState(), scene) == ""
     known = MapState(revision=1, confidence="sure: the target is aligned as filed; no other alignment fits")
     assert verdict(StudioState(map=known), scene) == "Alignment sure, 10 % stretched or folded"
+    poor = replace(known, poor="10 % of the target is folded over")
+    assert verdict(StudioState(map=poor), scene) == "Poor map: 10 % of the target is folded over"
     doubt = replace(known, confidence="two answers: as filed (`answer=1`). A landmark at target vertex 12 decides")
     assert verdict(StudioState(map=doubt), scene).startswith("Two answers")
     placed = doubt.confidence.replace("12", "12 at (1, -2.5, 3)")

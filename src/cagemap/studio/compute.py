@@ -12,6 +12,7 @@ from cagemap.character.values import Character
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.problem import PreparedPair
 from cagemap.errors import ParameterError
+from cagemap.files.result.verdicts import rate_figures
 from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.point_map import PointMap
 from cagemap.pictures import UP_AXES
@@ -204,10 +205,9 @@ def run_task(
     if cache is None or isinstance(task, OpenModels) or cache.pair_files != task.pair_files:
         turned = None if cache is None else _turned(cache, task.pair_files)
         cache = turned or PreviewCache(task.pair_files, *open_models(task.pair_files, progress))
-    target, source = cache.target, cache.source
     match task:
-        case OpenModels():
-            return cache, OpenedPair(target, source, _posed_skins(cache, ShowPosed(task.pair_files, "", None)))
+        case OpenModels(files):
+            return cache, OpenedPair(cache.target, cache.source, _posed_skins(cache, ShowPosed(files, "", None)))
         case FindMap():
             return find_map(cache, task, progress, show)
         case ShowBaked():
@@ -306,11 +306,11 @@ def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:
     target, source = cache.target, cache.source
     shape = align_facing(source.shape, target.shape, preview_map)
     rotated_skin = None if shape is source.shape else source_skin(shape, source.look)
-    cache = replace(cache, source=replace(source, shape=shape))
     skin = target_skin(target.shape, target.look, shape, source.look, preview_map)
     free = None if cache.free_match is None else cache.free_match.confidence
     character = _source_character(cache)
-    cache = replace(cache, character=character)
+    cache = replace(cache, source=replace(source, shape=shape), character=character)
+    worst = max(rate_figures(result.quality.summary()), key=lambda rating: rating.severity)
     config = None if len(result.landmarks.curves) else cache.config
     earlier = None if config is None else EarlierMatch(result, config)
     map_state = MapState(
@@ -323,6 +323,7 @@ def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:
         suggestion=_suggested_vertex(cache, result),
         poses=tuple(animation_poses(character)),
         from_start=earlier is not None,
+        poor=worst.finding if worst.verdict == "poor" else "",
     )
     return cache, MapUpdate(preview_map, (skin, rotated_skin), map_state, earlier)
 

@@ -121,6 +121,8 @@ class MapState:
         Whether this is a rough map while the search goes on.
     from_start : bool
         Whether a match with these landmarks finds this map; False for a map that was only updated.
+    poor : str
+        Worst finding of a map that should not be used as it is; '' for others.
     poses : tuple of str
         Names of poses of the source's animations.
     first_seconds : float
@@ -137,6 +139,7 @@ class MapState:
     suggestion: int | None = None
     rough: bool = False
     from_start: bool = False
+    poor: str = ""
     poses: tuple[str, ...] = ()
     first_seconds: float = 0.0
 

@@ -73,6 +73,8 @@ def verdict(state: StudioState, scene: Scene | None) -> str:
     if map_state.contradictions:
         count = len(map_state.contradictions)
         return f"{count} landmark{'s contradict' if count > 1 else ' contradicts'} the others"
+    if map_state.poor:
+        return f"Poor map: {map_state.poor}"
     percent = 100 * float(np.average(preview_map.trust < DOUBTFUL_TRUST, weights=scene.target.surface.vertex_areas))
     doubts = f"{percent:.0f} % stretched or folded" if percent >= 0.5 else "nothing stretched or folded"
     if landmarks:
@@ -143,4 +145,4 @@ def _next_step(state: StudioState) -> str:
         return "Both models are posed, the target by the joints and weights that the map gives it."
     if state.view.mode == "baked":
         return "The baked image is on the target."
-    return "Map found. Where it is wrong, click that place on one model, then on the other."
+    return "Map found. Press Bake, or where it is wrong, click that place on one model, then on the other."
