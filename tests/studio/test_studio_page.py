@@ -147,6 +147,8 @@ def test_a_bake_says_beforehand_that_it_matches_again_and_how_long_the_map_took(
     for from_start, words in ((True, "The map shown is baked."), (False, "A bake computes the map from the start")):
         state = replace(opened.state, map=replace(opened.state.map, from_start=from_start))
         assert bake_hint(state, opened.scene).startswith(words)
+    state = replace(opened.state, map=MapState(), preview_job=RunningJob("Matching"))
+    assert bake_hint(state, opened.scene) == "A bake uses the map that is being computed."
 
 
 def test_every_control_of_the_page_is_used_in_a_browser() -> None:

@@ -154,7 +154,8 @@ function showLandmarks() {
 }
 
 function showBake() {
-  $('start').disabled = !state.models || state.baking;
+  const first = !state.revision && state.status.kind === 'busy';  // a bake beside the first match would match twice
+  $('start').disabled = !state.models || state.baking || first;
   text('bake-hint', state.bake_hint);
   const links = state.outputs.map(({what, name, page}) => {
     const link = element('a', {href: `files/${encodeURIComponent(name)}`, textContent: name});

@@ -86,9 +86,9 @@ def verdict(state: StudioState, scene: Scene | None) -> str:
 
 
 def bake_hint(state: StudioState, scene: Scene | None) -> str:
-    """What a bake does with the map, and how long that takes; '' before the first map."""
+    """What a bake does with the map, and how long that takes; '' without a map."""
     if scene is None or not state.map.first_seconds:
-        return ""
+        return "" if scene is None or state.preview_job is None else "A bake uses the map that is being computed."
     seconds = f"from the start, which takes {state.map.first_seconds:.0f} s or longer"
     if state.map.from_start:
         return (
