@@ -316,6 +316,7 @@ def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:
     map_state = MapState(
         answers=() if free is None else number_duplicates([answer.name for answer in free.answers]),
         chosen_answer=cache.chosen_answer,
+        poor=worst.finding if worst.verdict == "poor" else "",
         confidence="" if result.confidence is None or cache.chosen_answer else result.confidence.message,
         strain=_landmark_strain(result),
         contradictions={suspect.name: str(suspect) for suspect in result.suspects},
@@ -323,7 +324,6 @@ def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:
         suggestion=_suggested_vertex(cache, result),
         poses=tuple(animation_poses(character)),
         from_start=earlier is not None,
-        poor=worst.finding if worst.verdict == "poor" else "",
     )
     return cache, MapUpdate(preview_map, (skin, rotated_skin), map_state, earlier)
 
