@@ -65,7 +65,7 @@ function show() {
   showBake();
   showModels();
   for (const name of ['doubts', 'cages', 'linked', 'rest', 'symmetric']) $(name).checked = view[name];
-  $('rest-line').hidden = !state.rest;
+  $('rest-line').hidden = !SIDES.some(side => views.sides[side].parts.rest);
   $('symmetric').disabled = !state.symmetric;
   $('symmetric').parentElement.title = state.symmetric || !models ? 'Also place the mirror image of each new landmark'
     : 'Needs two models whose meshes are mirror symmetric';

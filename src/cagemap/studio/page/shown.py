@@ -53,7 +53,6 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "files": None if state.files is None else _file_entries(state.files, workspace),
         "models": None if scene is None else {side: _model_entry(scene, side) for side in SIDES},
         "symmetric": scene is not None and scene.has_mirrors,
-        "rest": scene is not None and scene.has_other_parts,
         "drawn": keys,
         "view": {name: getattr(view, name) for name in _VIEW_FIELDS},
         "poses": map_state.poses,
