@@ -7,8 +7,12 @@ from pathlib import Path
 
 
 def children_time() -> float:
-    """Processor time of the processes that this one started and theirs, as far as they run."""
-    ours = {os.getpid()}
+    """Processor time of the processes that this one started and theirs."""
+    return tree_time(os.getpid()) - sum(os.times()[:2])
+
+
+def tree_time(root: int) -> float:
+    """Processor time of a process and its descendants, with those that have ended and were waited for."""
     parents = {}
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
@@ -16,11 +20,10 @@ def children_time() -> float:
                 fields = (entry / "stat").read_text().rpartition(")")[2].split()
             except OSError:
                 continue
-            parents[int(entry.name)] = (int(fields[1]), int(fields[11]) + int(fields[12]))
-    grown = True
+            parents[int(entry.name)] = (int(fields[1]), sum(map(int, fields[11:15])))
+    tree, grown = {root}, True
     while grown:
-        more = {pid for pid, (parent, _) in parents.items() if parent in ours} - ours
-        ours |= more
+        more = {pid for pid, (parent, _) in parents.items() if parent in tree} - tree
+        tree |= more
         grown = bool(more)
-    ticks = sum(parents[pid][1] for pid in ours - {os.getpid()} if pid in parents)
-    return ticks / os.sysconf("SC_CLK_TCK")
+    return sum(parents[pid][1] for pid in tree if pid in parents) / os.sysconf("SC_CLK_TCK")

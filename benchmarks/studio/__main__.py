@@ -12,7 +12,6 @@ import shutil
 import tempfile
 import traceback
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 from benchmarks.accuracy.data import DATA
@@ -68,7 +67,6 @@ def main() -> None:
     parser.add_argument("--vertices", type=int, default=25_000, help="of each model of the live map")
     parser.add_argument("--many", type=int, default=250_000, help="of each model beside itself: two triangles a vertex")
     parser.add_argument("--landmarks", type=int, default=200)
-    parser.add_argument("--finish", type=int, default=None, help="vertices of the walk's bake")
     parser.add_argument("-o", "--output", type=Path, default=RESULTS)
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -81,7 +79,7 @@ def main() -> None:
                 lambda: table(many_rows(head(Path(folder)), asked.many, asked.landmarks)),
             ),
             "report": ("The report", lambda: table(report_rows(bodies(Path(folder)), asked.displayed // 2))),
-            "walk": ("Spot to cow, from nothing to a baked texture", partial(walk, asked.finish)),
+            "walk": ("Spot to cow, from nothing to a baked texture", walk),
         }
         lines = ["# The studio", ""]
         for part in asked.parts:

@@ -24,6 +24,8 @@ from cagemap.tasks.requests.catalogue import all_options
 Rows = list[tuple[str, str]]
 # Seconds that a wait may last, which is what is measured.
 LONG = 300.0
+# Of the browser: as many pixels as a user's page has; tests draw a quarter as many.
+FULL_SIZE = "--force-device-scale-factor=1"
 # Mean brightness, of 255, above which a half of the canvas shows a model.
 DRAWN = 3.0
 # Pictures a second while a model turns.
@@ -74,7 +76,7 @@ def started(files: Files, vertices: int, *, landmarks: bool = True) -> Iterator[
     named = ["--target", files.target, "--source", files.source, "--vertices", vertices, "--result", files.result]
     named += ["--texture", files.texture] if files.texture is not None else []
     named += ["--landmarks", files.landmarks] if landmarks else []
-    with chromium() as browser:
+    with chromium(FULL_SIZE) as browser:
         begin, before = time.perf_counter(), children_time()
         with studio(*map(str, named)) as (_, address):
             page = Page(browser, address)
@@ -192,7 +194,7 @@ def report_rows(files: Files, vertices: int) -> Rows:
     words = ["--target", files.target, "--source", files.source, "--vertices", vertices, "-o", files.result]
     for command in (["match", *words], ["report", files.result, "-o", page]):
         subprocess.run([sys.executable, "-m", "cagemap", *map(str, command)], check=True, capture_output=True)
-    with chromium() as browser:
+    with chromium(FULL_SIZE) as browser:
         begin = time.perf_counter()
         browser.get(page.as_uri())
         while browser.execute_script("return document.getElementById('viewer').dataset.ready") != "yes":

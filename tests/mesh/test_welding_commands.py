@@ -196,7 +196,7 @@ def test_the_studio_opens_the_welded_whole(folder: Path) -> None:
     assert model.control.n_faces == split.n_faces
     assert model.part_choices.opened is None
     assert any("became 1 piece" in note for note in model.notes)
-    assert not model.shape.has_other_parts
+    assert model.look.other_parts is None
     own = model.shape.to_control_vertices(np.arange(split.n_vertices))
     np.testing.assert_array_equal(model.control.positions[own], split.positions)
     numbers = model.shape.to_file_vertices(np.arange(model.control.n_vertices))

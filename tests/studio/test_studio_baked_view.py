@@ -45,8 +45,10 @@ def baked(session: Session, boxes: Path) -> Path:
     """An image as a bake leaves it, on the model."""
     image = boxes.resolve() / "b.png"
     with session._lock:
-        session._change(outputs=(Output(image, "texture"),))
+        session._change(outputs=())
         session._finish_inputs = session.state.map_inputs
+        session._on_output(Output(image, "texture"))
+        assert (session.state.view.mode, session.state.view.baked) == ("baked", image)  # while the report is written
         session._on_end(Message("note", "Bake: done"))
     assert (session.state.view.mode, session.state.view.baked) == ("baked", image)
     return image

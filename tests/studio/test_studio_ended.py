@@ -88,13 +88,16 @@ def test_files_are_added_faults_are_named_and_a_scan_is_taken_as_it_is(
     page.run("const at = document.querySelector('[name=target]'); at.value = 'broken.obj';")
     page.press("open-now")
     page.until(lambda: "broken.obj, line 4" in page.text("status"), "what is wrong with it")
-    # A file that is dropped on a half is opened there.
+    # A file that is dropped on a half is opened there; an image dropped with a target is the target's own.
     drop = """const data = new DataTransfer(); data.items.add(new File([arguments[0]], 'dropped.obj'));
+        data.items.add(new File(['none'], 'own.png'));
         const at = document.getElementById('target').getBoundingClientRect();
         document.getElementById('views').dispatchEvent(new DragEvent('drop', {dataTransfer: data, bubbles: true,
             cancelable: true, clientX: at.left + 5, clientY: at.top + 5}))"""
     page.run(drop, (tmp_path / "scan.obj").read_text())
     page.until(lambda: page.state("models") and page.state("models")["target"]["name"] == "dropped.obj", "the drop")
+    assert (files.target.parent / "own.png").is_file()
+    assert page.state("files")["texture"] != "own.png"
     dense_target = "return window.studio.state.models?.target.dense"
     page.until(lambda: page.run(dense_target), "the offer")
     page.press("cancel")  # its map as a cage
@@ -108,11 +111,16 @@ def test_files_are_added_faults_are_named_and_a_scan_is_taken_as_it_is(
     page.until(lambda: page.run("return document.querySelector('[name=texture]').value") == "pony.png", "the image")
     assert page.run("return document.getElementById('scheme-target').value") == ""
     page.set("scheme-source", "bilinear")
-    page.set("up-target", "z")
-    page.set("up-source", "y")
     page.press("open-now")
-    chosen = "const files = window.studio.state.files; return [files.target, files.schemes[1], ...files.ups]"
-    page.until(lambda: page.run(chosen) == ["deer.obj", "bilinear", "z", "y"], "the pair as it was chosen")
+    chosen = "const files = window.studio.state.files; return [files.target, files.schemes[1]]"
+    page.until(lambda: page.run(chosen) == ["deer.obj", "bilinear"], "the pair as it was chosen")
     page.until(lambda: page.state("models"), "the pair")
     page.press("plain-source")
-    page.until(lambda: page.run(chosen) == ["deer.obj", "none", "z", "y"], "the source as it is")
+    page.until(lambda: page.run(chosen) == ["deer.obj", "none"], "the source as it is")
+    for side, button in (("target", "turn-target"), ("source", "turn-source")):
+        page.until(lambda: page.state("models"), "both models")
+        page.drawn()
+        tall = f"return window.studio.views.sides.{side}.tall"
+        before = page.run(tall)
+        page.press(button)
+        page.until(lambda tall=tall, before=before: abs(page.run(tall) - before) > 0.01, f"the {side} on its side")

@@ -8,6 +8,8 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+from unittest.mock import MagicMock
 
 import imageio.v3 as imageio
 import numpy as np
@@ -149,6 +151,31 @@ def test_a_bake_in_a_new_layout_lies_on_the_model_as_it_is_shown(tmp_path: Path)
         (plain,), (shown,) = (read_back(one) for one in (opened.skins[0], skin))
         assert b'"baked"' in skin
         assert cKDTree(plain.vertices).query(shown.vertices)[0].max() < 1e-6
+
+
+def test_other_up_axes_keep_the_map(tmp_path: Path) -> None:
+    for name in ("a.obj", "b.obj"):
+        write_mesh(tmp_path / name, creature())
+    opening = PairFiles(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, tmp_path, schemes=("none", None))
+    cache, _ = run_task(None, OpenModels(opening), lambda _: None)
+    known: Any = MagicMock()
+    cache = replace(cache, free_match=known)
+    turned, shown = run_task(cache, OpenModels(replace(opening, ups=("z", None))), lambda _: None)
+    assert turned.free_match is known
+    np.testing.assert_array_equal(shown.target.shape.rotation, Z_UP)
+    np.testing.assert_array_equal(shown.source.shape.rotation, cache.source.shape.rotation)
+    for other in (opening, replace(opening, schemes=(None, None), ups=("z", None))):
+        assert run_task(cache, OpenModels(other), lambda _: None)[0].free_match is None
+
+
+def test_pieces_that_are_set_aside_are_drawn_in_grey(tmp_path: Path) -> None:
+    large, small = creature(), cube()
+    positions = np.vstack([large.positions, small.positions + 2 * large.positions.max(0)])
+    faces = [*cage_triangles(large)[0], *(len(large.positions) + cage_triangles(small)[0])]
+    trimesh.Trimesh(positions, faces, process=False).export(tmp_path / "a.stl")
+    model = open_model(tmp_path / "a.stl", "none", None, 300)
+    assert len(model.look.other_parts.triangles) == 12
+    np.testing.assert_allclose(model.look.other_parts.positions.min(0), positions[-8:].min(0), rtol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -81,6 +82,24 @@ def test_the_status_says_what_is_asked_of_the_user() -> None:
     assert said["cancel"]
 
 
+def test_every_stage_of_a_bake_is_said_in_words_of_the_page() -> None:
+    tasks = resources.files("cagemap.tasks")
+    modules = ("match", "transfer", "bake_tiles", "detail_bakes", "carry_images", "wrap", "report")
+    sources = "".join((tasks / f"{name}.py").read_text(encoding="utf-8") for name in modules)
+    stages = {"bake", *re.findall(r'stages\(f?"([^"{ ][^"{]*)', sources)}
+    assert len(stages) > 10
+    for stage in stages:
+        said = status_entries(StudioState(finish_job=RunningJob("finish 1/3", f"texture: {stage}", 0.1)))["text"]
+        assert said.startswith("Baking, step 1/3, texture: ")
+        assert not said.endswith(f": {stage}"), f"{stage}: no words for it in page/words.py"
+
+
+def test_a_computation_says_how_long_it_has_run() -> None:
+    job = RunningJob("Matching", "elastic alignment", begun=time.monotonic() - 40)
+    assert 40 <= status_entries(StudioState(preview_job=job))["seconds"] < 50
+    assert "seconds" not in status_entries(StudioState())
+
+
 def test_an_error_leaves_the_status_after_the_next_action(opened: Session) -> None:
     for _ in range(2):
         sent(opened, do="open")
@@ -99,7 +118,9 @@ def test_how_sure_a_map_is_is_said_in_words() -> None:
     scene.target.surface.vertex_areas = np.array([0.3, 0.1, 0.3, 0.3])
     assert verdict(StudioState(), scene) == ""
     known = MapState(revision=1, confidence="sure: the target is aligned as filed; no other alignment fits")
-    assert verdict(StudioState(map=known), scene) == "Sure, 10 % doubtful"
+    assert verdict(StudioState(map=known), scene) == "Alignment sure, 10 % stretched or folded"
+    poor = replace(known, poor="10 % of the target is folded over")
+    assert verdict(StudioState(map=poor), scene) == "Poor map: 10 % of the target is folded over"
     doubt = replace(known, confidence="two answers: as filed (`answer=1`). A landmark at target vertex 12 decides")
     assert verdict(StudioState(map=doubt), scene).startswith("Two answers")
     placed = doubt.confidence.replace("12", "12 at (1, -2.5, 3)")
@@ -117,21 +138,17 @@ def test_how_sure_a_map_is_is_said_in_words() -> None:
 @pytest.mark.slow
 def test_a_bake_says_beforehand_that_it_matches_again_and_how_long_the_map_took(opened: Session) -> None:
     hint = page_state(opened.state, opened.scene, opened.workspace, {})["bake_hint"]
-    assert f"took {opened.state.map.first_seconds:.0f} s" in hint
-    assert f"{len(opened.scene.target.positions)} vertices" in hint
+    assert f"takes {opened.state.map.first_seconds:.0f} s" in hint
     assert opened.state.map.first_seconds > 0
     opened.match_again()
     until(lambda: opened.state.map.revision > 1, opened)
     assert page_state(opened.state, opened.scene, opened.workspace, {})["bake_hint"] == hint
     assert page_state(StudioState(), None, opened.workspace, {})["bake_hint"] == ""
-    # The models as plain meshes: shown as they are.
-    target, source = (
-        replace(one, positions=one.positions[: one.n_control]) for one in (opened.scene.target, opened.scene.source)
-    )
-    plain = replace(opened.scene, target=target, source=source)
-    assert "a bake uses it" in bake_hint(opened.state, plain)
-    updated = replace(opened.state, map=replace(opened.state.map, from_start=False))
-    assert "computes it again" in bake_hint(updated, plain)
+    for from_start, words in ((True, "The map shown is baked."), (False, "A bake computes the map from the start")):
+        state = replace(opened.state, map=replace(opened.state.map, from_start=from_start))
+        assert bake_hint(state, opened.scene).startswith(words)
+    state = replace(opened.state, map=MapState(), preview_job=RunningJob("Matching"))
+    assert bake_hint(state, opened.scene) == "A bake uses the map that is being computed."
 
 
 def test_every_control_of_the_page_is_used_in_a_browser() -> None:
@@ -235,9 +252,9 @@ def test_another_image_of_the_open_models_keeps_their_landmarks(opened: Session,
     Actions(session).handle(image)
     assert begun.pop() == replace(files, texture=boxes / "other.png")
     names = {"target": "a.obj", "source": "b.obj", "texture": ""}
-    sent(session, do="open", **names, schemes=["none", ""], ups=["", ""])
-    assert begun.pop() == replace(files, texture=None, schemes=("none", None), ups=(None, None))
-    sent(session, do="open", **names | {"source": "a.obj"}, schemes=["", ""], ups=["", ""])
+    sent(session, do="open", **names, schemes=["none", ""])
+    assert begun.pop() == replace(files, texture=None, schemes=("none", None))
+    sent(session, do="open", **names | {"source": "a.obj"}, schemes=["", ""])
     assert begun.pop().landmarks.name == "a__a.json"
     (boxes / "other.png").unlink()
 
@@ -263,7 +280,7 @@ def test_models_dropped_one_after_the_other_are_opened_together(tmp_path: Path, 
 
 def test_the_form_has_every_option_that_the_page_shows() -> None:
     options = all_options()
-    shown = form_fields(options)["form"]
+    shown = form_fields(options, 6000)["form"]
     rows = [*shown["first"], *(line for fold in shown["folds"] for line in fold["fields"])]
     keys = [line["key"] for line in rows]
     assert len(keys) == len(set(keys))
@@ -272,6 +289,7 @@ def test_the_form_has_every_option_that_the_page_shows() -> None:
     assert not {".".join(key) for key in OMITTED_OPTIONS} & set(keys)
     json.dumps(shown)
     assert all(line["hint"] for line in rows)
+    assert next(line for line in rows if line["key"] == "match.vertices")["value"] == 6000
     for line in rows:
         if line["kind"] in ("choice", "several"):
             assert line["choices"], line

@@ -100,7 +100,6 @@ def test_the_largest_part_is_open_and_the_others_are_offered(folder: Path) -> No
 def test_what_is_left_alone_is_drawn_apart(folder: Path) -> None:
     model = open_model(folder / "a.obj", None, None, 300)
     rest = model.look.other_parts
-    assert model.shape.has_other_parts
     # The hat lies five above, the eye inside.
     assert rest.positions[:, 1].max() > 5
     assert b'"rest"' in source_skin(model.shape, model.look)

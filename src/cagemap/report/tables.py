@@ -10,8 +10,10 @@ import numpy as np
 from cagemap.files.result.verdicts import Rating
 from cagemap.maps.regions import RegionFigures, region_figures
 from cagemap.maps.result import MatchResult
+from cagemap.mesh.schemes import Plain, scheme_name
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures import distinct_colors
+from cagemap.subdivision import Refinement
 
 MIN_NOTED_ASPECT_RATIO = 1.5  # least median of a region that is called stretched
 
@@ -104,7 +106,7 @@ def provenance_table(result: MatchResult) -> str:
     for side_name, side in (("source", result.source), ("target", result.target)):
         entries[side_name] = (
             f"{side.control.name}: {side.control.n_vertices} control vertices, {side.control.n_faces} faces, "
-            f"{side.refinement.scheme} to level {side.refinement.finest_level}"
+            f"{_subdivision(side.refinement)}"
         )
     for group in ("parameters", "versions", "inputs"):
         entries |= flatten_entries(group, manifest.get(group) or {})
@@ -114,6 +116,12 @@ def provenance_table(result: MatchResult) -> str:
         if value is not None
     ]
     return f'<table class="facts">{"".join(rows)}</table>'
+
+
+def _subdivision(refinement: Refinement) -> str:
+    """How a surface is subdivided, for users."""
+    scheme, level = refinement.scheme, refinement.finest_level
+    return "not subdivided" if isinstance(scheme, Plain) else f"{scheme_name(scheme)} to level {level}"
 
 
 def flatten_entries(prefix: str, value: Any) -> dict[str, Any]:

@@ -12,8 +12,10 @@ from cagemap.character.values import Character
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.problem import PreparedPair
 from cagemap.errors import ParameterError
+from cagemap.files.result.verdicts import rate_figures
 from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.point_map import PointMap
+from cagemap.pictures import UP_AXES
 from cagemap.pipeline import (
     MatchConfig,
     MatchResult,
@@ -201,21 +203,32 @@ def run_task(
         If files or landmarks are wrong.
     """
     if cache is None or isinstance(task, OpenModels) or cache.pair_files != task.pair_files:
-        cache = PreviewCache(task.pair_files, *open_models(task.pair_files, progress))
-    target, source = cache.target, cache.source
+        turned = None if cache is None else _turned(cache, task.pair_files)
+        cache = turned or PreviewCache(task.pair_files, *open_models(task.pair_files, progress))
     match task:
-        case OpenModels():
-            skins = (
-                target_skin(target.shape, target.look, source.shape, source.look, None),
-                source_skin(source.shape, source.look),
-            )
-            return cache, OpenedPair(target, source, skins)
+        case OpenModels(files):
+            return cache, OpenedPair(cache.target, cache.source, _posed_skins(cache, ShowPosed(files, "", None)))
         case FindMap():
             return find_map(cache, task, progress, show)
         case ShowBaked():
             return cache, _baked_skin(cache, task)
         case ShowPosed():
             return cache, _posed_skins(cache, task)
+
+
+def _turned(cache: PreviewCache, files: PairFiles) -> PreviewCache | None:
+    """The same models and maps with other up axes; None if anything else differs, or nothing."""
+    target, source = cache.target, cache.source
+    opened = (target.path, source.path, source.texture, (target.scheme, source.scheme))
+    parts = target.part_choices.opened, source.part_choices.opened
+    same = (*opened, parts) == (files.target, files.source, files.texture, files.schemes, files.parts)
+    if not same or files.ups == cache.pair_files.ups:
+        return None
+    target, source = (
+        model if up is None else replace(model, shape=replace(model.shape, rotation=UP_AXES[up]))
+        for model, up in zip((target, source), files.ups, strict=True)
+    )
+    return replace(cache, pair_files=files, target=target, source=source)
 
 
 def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, OpenedModel]:
@@ -293,16 +306,17 @@ def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:
     target, source = cache.target, cache.source
     shape = align_facing(source.shape, target.shape, preview_map)
     rotated_skin = None if shape is source.shape else source_skin(shape, source.look)
-    cache = replace(cache, source=replace(source, shape=shape))
     skin = target_skin(target.shape, target.look, shape, source.look, preview_map)
     free = None if cache.free_match is None else cache.free_match.confidence
     character = _source_character(cache)
-    cache = replace(cache, character=character)
+    cache = replace(cache, source=replace(source, shape=shape), character=character)
+    worst = max(rate_figures(result.quality.summary()), key=lambda rating: rating.severity)
     config = None if len(result.landmarks.curves) else cache.config
     computed = None if config is None else ComputedMatch(result, config)
     map_state = MapState(
         answers=() if free is None else number_duplicates([answer.name for answer in free.answers]),
         chosen_answer=cache.chosen_answer,
+        poor=worst.finding if worst.verdict == "poor" else "",
         confidence="" if result.confidence is None or cache.chosen_answer else result.confidence.message,
         strain=_landmark_strain(result),
         contradictions={suspect.name: str(suspect) for suspect in result.suspects},

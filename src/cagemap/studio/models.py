@@ -227,7 +227,10 @@ def _open_plain(
     plain = plain_mesh(selected.mesh)
     vertex_of = np.where(selected.vertex_of < 0, -1, plain.vertex_of[selected.vertex_of])
     shape = refined_shape(refine(plain.mesh, 0), OriginalMesh(file_mesh, vertex_of), rotation)
-    look = replace(_material_look(plain.mesh), other_parts=other_parts_surface(whole, selected.other_faces, 0))
+    faces = np.setdiff1d(np.arange(whole.n_faces), selected.other_faces)
+    is_left_out = plain.vertex_of[selected.mesh.face_indices] < 0  # corners of pieces that are set aside
+    other_faces = np.union1d(selected.other_faces, faces[selected.mesh.corner_faces[is_left_out]])
+    look = replace(_material_look(plain.mesh), other_parts=other_parts_surface(whole, other_faces, 0))
     return OpenedModel(0, shape, look, None, plain.notes, selected.part_choices, NO_SCHEME)
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cagemap
 from cagemap.studio.compute import FindMap, OpenModels, PairFiles, ShowBaked, ShowPosed, Task
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.skins import PreviewMap
@@ -17,10 +19,10 @@ from cagemap.studio.worker import Worker
 OPENING_TITLE, MATCHING_TITLE, BAKED_TITLE = "Opening the models", "Matching", "Showing the baked image"
 POSE_TITLE = "Showing a pose"
 _TITLES = {OpenModels: OPENING_TITLE, FindMap: MATCHING_TITLE, ShowBaked: BAKED_TITLE, ShowPosed: POSE_TITLE}
+# Follows the titles where nothing was compiled yet.
+_COMPILE_NOTE = " (about a minute longer the first time after installing)"
 # Kinds of requests, in the order in which they are computed.
 _KINDS = ("models", "map", "answer", "pose", "baked")
-# Appended to the first title of a kind: the first run compiles.
-_COMPILE_NOTE = " (some seconds longer on the first run after installing)"
 
 
 class Preview:
@@ -54,10 +56,12 @@ class Preview:
         self._pair_files: PairFiles | None = None
         self._requests: dict[str, tuple[Any, ...]] = {}  # those that wait: arguments by kind
         self._closed = False
-        self._title = ""
+        self._job = RunningJob("")
+        compiled = any(Path(cagemap.__file__).parent.rglob("*.nbi"))  # Numba's cache
+        self._note = "" if compiled else _COMPILE_NOTE
         self._task: Task | None = None
         self._worker = Worker(
-            lambda stage: on_job(RunningJob(self._title, stage)), on_early_result=self._on_early_result
+            lambda stage: on_job(replace(self._job, stage=stage)), on_early_result=self._on_early_result
         )
         self._worker.start()
         threading.Thread(target=self._run_tasks, name="studio preview", daemon=True).start()
@@ -118,14 +122,12 @@ class Preview:
             self._on_result(self._task, result)
 
     def _run_tasks(self) -> None:
-        not_run = {OpenModels, FindMap}
         while (task := self._next_task()) is not None:
-            self._title = _TITLES[type(task)] + (_COMPILE_NOTE if type(task) in not_run else "")
-            self._on_job(RunningJob(self._title))
+            self._job = RunningJob(_TITLES[type(task)] + self._note)
+            self._on_job(self._job)
             self._task = task
             result = self._worker.run(task)
             self._task = None
-            not_run.discard(type(task))
             if self._closed:
                 return
             self._on_result(task, result)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -40,13 +41,14 @@ class Runner:
         self._on_job, self._on_output, self._on_message, self._on_end = on_job, on_output, on_message, on_end
         self._worker = Worker(self._on_stage, serve)
         self._title, self._number, self._count = "", 0, 1  # of the running command
-        self._remaining = 1.0
+        self._remaining, self._begun = 1.0, 0.0
         self._cancelled = False
 
     def start(self, commands: tuple[Command, ...]) -> None:
         """Start the commands and return; if the map fails, the others are not run."""
         self._cancelled = False
-        self._on_job(RunningJob("finish", "starting", 0.0))
+        self._begun = time.monotonic()
+        self._on_job(RunningJob("finish", "starting", 0.0, self._begun))
         threading.Thread(target=self._run_commands, args=(commands,), name="studio finish", daemon=True).start()
 
     def cancel(self) -> None:
@@ -96,7 +98,7 @@ class Runner:
 
     def _report_stage(self, stage: str) -> None:
         fraction = (self._number + 1 - self._remaining) / self._count
-        self._on_job(RunningJob(f"finish {self._number + 1}/{self._count}", stage, fraction))
+        self._on_job(RunningJob(f"finish {self._number + 1}/{self._count}", stage, fraction, self._begun))
 
 
 def command_outputs(command: Command, files: tuple[Path, ...]) -> tuple[Output, ...]:

@@ -65,11 +65,6 @@ class Scene:
         """Whether both models have a mirror plane."""
         return all(mirror is not None for mirror in self.mirrors)
 
-    @property
-    def has_other_parts(self) -> bool:
-        """Whether a file has parts that are not open."""
-        return any(shape.has_other_parts for shape in (self.target, self.source))
-
     def warm_up(self) -> None:
         """Compile and compute what the first click needs, in a thread."""
 

@@ -104,6 +104,14 @@ class Session(LandmarkEdits):
             target, source = files.schemes
             self.open(replace(files, schemes=("none", source) if side == "target" else (target, "none")))
 
+    def turn_up(self, side: Side) -> None:
+        """Show a model that lies on its side with the other of its file's axes y and z up."""
+        with self.report_errors(), self._lock:
+            files, scene = self._require_open()
+            up = "y" if abs(scene.shape(side).rotation[2, 1]) > 0.5 else "z"
+            target, source = files.ups
+            self.open(replace(files, ups=(up, source) if side == "target" else (target, up)))
+
     def save(self, name: str | Path = "") -> None:
         """Save the complete landmarks, by default to their file."""
         with self.report_errors(), self._lock:
@@ -186,31 +194,30 @@ class Session(LandmarkEdits):
     def plan(self, options: FinishOptions) -> tuple[Command, ...]:
         """Commands of a finish.
 
-        Without an image the source's material colours are baked, or else the wrapped mesh is made.
+        Without an image the source's material colours are baked, or else its ambient occlusion, and a cage is wrapped.
 
         Raises
         ------
         ParameterError
-            If the target cannot be wrapped and nothing else is to be made, or a value is refused.
+            If the target cannot be wrapped, or a value is refused.
         """
         files, scene = self._require_open()
+        is_plain = files.schemes[0] == NO_SCHEME
         has_constraints = self._state.history.present.has_constraints
         answer = 0 if has_constraints else self._state.map.chosen_answer
         unwrap = not scene.target.control.has_layout
         options = options.with_values({("transfer", "unwrap"): unwrap, ("match", "answer"): answer})
         if options.texture and files.texture is None and scene.has_colors:
             options = options.with_values({("transfer", "material_colors"): True})
-        elif options.texture and files.texture is None and files.schemes[0] != NO_SCHEME:
-            options = replace(options, wrap=True)
-        commands = plan_commands(self.options, self.workspace, files, options, use_landmarks=has_constraints)
-        is_empty = options.texture and {command.title for command in commands} <= {"match", "report"}
-        if files.schemes[0] == NO_SCHEME and (options.wrap or is_empty):
+        elif options.texture and files.texture is None:
+            kinds = options.option_values.get(("transfer", "bake")) or ("ao",)
+            options = replace(options, wrap=options.wrap or not is_plain).with_values({("transfer", "bake"): kinds})
+        if is_plain and options.wrap:
             raise ParameterError(
-                f"{'' if options.wrap else f'{files.source.name} has no image and no colours to bake. '}"
-                f"{files.target.name} is open as a plain mesh, which cannot be wrapped. Press Open…: choose an image, "
-                "or how the target is subdivided (Options). Or choose something else to make below."
+                f"{files.target.name} is open as a plain mesh, which cannot be wrapped. Press Open… and choose how the "
+                "target is subdivided (Options). Or choose something else to make below."
             )
-        return commands
+        return plan_commands(self.options, self.workspace, files, options, use_landmarks=has_constraints)
 
     def finish(self, options: FinishOptions) -> None:
         """Save the landmarks; then map at full resolution, bake and report."""
@@ -227,9 +234,11 @@ class Session(LandmarkEdits):
             reused = () if remaining == commands else (Output(commands[0].output, commands[0].output_title),)
             self._change(outputs=reused, uv_set=options.option_values.get(("match", "target_uv_set")) or None)
             self._finish_inputs = self._state.map_inputs
-            if options.texture and files.texture is None and (scene.has_colors or files.schemes[0] != NO_SCHEME):
-                substitute = "the colours of its materials are" if scene.has_colors else "the wrapped mesh is"
-                self._say("note", f"the source has no image: {substitute} made instead")
+            if options.texture and files.texture is None:
+                titles = [command.title for command in commands]
+                made = "the colours of its materials are" if scene.has_colors else "its ambient occlusion is"
+                wrapped = ", and the wrapped mesh is made" if "wrap" in titles and not scene.has_colors else ""
+                self._say("note", f"the source has no image: {made} baked instead{wrapped}")
             self._runner.start(remaining)
 
     def close(self) -> None:
@@ -264,7 +273,10 @@ class Session(LandmarkEdits):
             if self._finish_inputs[:1] != self._state.map_inputs[:1]:
                 self._say("note", f"{output.path.name} was made of the models that were open before")
             elif output.path not in [other.path for other in self._state.outputs]:
+                has_image = bool(self._state.baked_images)
                 self._change(outputs=(*self._state.outputs, output))
+                if self._state.baked_images and not has_image and self._finish_inputs == self._state.map_inputs:
+                    self.show_baked_image(self._state.baked_images[0])
 
     def _on_message(self, message: Message) -> None:
         self._say(message.kind, explain_flags(self.options, in_page_words(message.text)))
@@ -277,9 +289,7 @@ class Session(LandmarkEdits):
         with self._lock:
             self._say(message.kind, message.text)
             self._say_all(differences, "error")  # last: the status line shows it
-            if self._state.baked_images and self._finish_inputs == self._state.map_inputs:
-                self.show_baked_image(self._state.baked_images[0])
-            elif self._state.baked_images:
+            if self._state.baked_images and self._finish_inputs != self._state.map_inputs:
                 self._say("note", "the baked images show the map before the last changes; press Bake for the new map")
 
     def _preview_inputs(self) -> tuple[LandmarkList, PreviewMap | None]:

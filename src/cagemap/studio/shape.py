@@ -82,11 +82,6 @@ class Shape:
         return self.control.name
 
     @property
-    def has_other_parts(self) -> bool:
-        """Whether the file has further parts."""
-        return self.original is not None and self.original.mesh.n_faces > self.control.n_faces
-
-    @property
     def n_control(self) -> int:
         """Number of control vertices."""
         return self.control.n_vertices

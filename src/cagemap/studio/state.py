@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -120,6 +121,8 @@ class MapState:
         Whether this is a rough map while the search goes on.
     from_start : bool
         Whether a match with these landmarks finds this map; False for a map that was only updated.
+    poor : str
+        Worst finding of a map that should not be used as it is; '' for others.
     poses : tuple of str
         Names of poses of the source's animations.
     first_seconds : float
@@ -136,6 +139,7 @@ class MapState:
     suggestion: int | None = None
     rough: bool = False
     from_start: bool = False
+    poor: str = ""
     poses: tuple[str, ...] = ()
     first_seconds: float = 0.0
 
@@ -162,11 +166,14 @@ class RunningJob:
         Current stage.
     fraction : float or None
         Share that is done, from 0 to 1; None if unknown.
+    begun : float
+        When the computation began, of `time.monotonic`.
     """
 
     title: str
     stage: str = ""
     fraction: float | None = None
+    begun: float = field(default_factory=time.monotonic, compare=False)
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,7 @@ class Actions:
             "list": lambda _: None,  # `StudioApp` replies
             "open": self._open,
             "part": lambda sent: session.choose_part(_read_side(sent), sent["part"]),
+            "turn_up": lambda sent: session.turn_up(_read_side(sent)),
             "as_it_is": lambda sent: session.open_plain(_read_side(sent)),
             "click": lambda sent: session.click(_read_side(sent), *_read_ray(sent)),
             "probe": lambda sent: session.probe(_read_side(sent), *_read_ray(sent)),
@@ -82,12 +83,9 @@ class Actions:
         paths = {name: self._session.workspace.resolve(sent[name]) for name in _FILES if sent.get(name)}
         if not {"target", "source"} <= set(paths):
             raise ParameterError("expected a target and a source, got one of them or none. Choose both.")
-        (target_scheme, source_scheme), (target_up, source_up) = (
-            (name or None for name in sent[key]) for key in ("schemes", "ups")
-        )
+        target_scheme, source_scheme = (name or None for name in sent["schemes"])
         files = self._pair_files(paths["target"], paths["source"], paths.get("texture"))
-        schemes, ups = (target_scheme, source_scheme), (target_up, source_up)
-        self._session.open(replace(files, schemes=schemes, ups=ups))
+        self._session.open(replace(files, schemes=(target_scheme, source_scheme)))
 
     def _add_file(self, message: bytes) -> None:
         """Add a file to the workspace; with a role, also open it."""

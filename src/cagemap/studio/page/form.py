@@ -21,8 +21,11 @@ _NAME_HINT = "beginning of all file names; another name keeps the files of an ea
 _DEFAULTS = FinishOptions()
 
 
-def form_fields(options: Options) -> dict[str, Any]:
-    """Entries of the form: key, label, hint, kind, value, choices and suffixes."""
+def form_fields(options: Options, vertices: int) -> dict[str, Any]:
+    """Entries of the form: key, label, hint, kind, value, choices and suffixes.
+
+    ``vertices``: of the map shown, which a bake uses where nothing else is typed.
+    """
     vertices_hint = "of each model in the final map, approximately; more is finer and slower"
     first = [
         _entry("texture", "Texture", "flag", _DEFAULTS.texture, "bake the open image into the target's layout"),
@@ -32,7 +35,7 @@ def form_fields(options: Options) -> dict[str, Any]:
             hint="width and height in texels; default: as the source's image",
             choices=SIZES,
         ),
-        _option_entry(options, Field(VERTICES_KEY, "Vertices", (), vertices_hint, 1000), value=DEFAULT_VERTICES),
+        _option_entry(options, Field(VERTICES_KEY, "Vertices", (), vertices_hint, 1000), value=vertices),
     ]
     finish_entries: dict[str, list[dict[str, Any]]] = {
         MORE_IMAGES: [_entry("maps", "Maps", "named files", "", _MAPS_HINT, suffixes=IMAGE_SUFFIXES)],

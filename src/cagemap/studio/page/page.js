@@ -4,7 +4,7 @@ import {Views} from './view.js';
 
 const $ = id => document.getElementById(id);
 const SIDES = ['target', 'source'], AGAIN = 500, AS_FILED = [['', 'as the file says']];
-let socket = null, state = null, fixed = null, listing = [], options = () => ({}), shownFiles = '', picked = false, typed = null;
+let socket = null, state = null, fixed = null, listing = [], options = () => ({}), shownFiles = '', picked = false, typed = null, received = 0;
 
 const hint = (...texts) => $('empty').replaceChildren(...texts.map(words => element('p', {textContent: words})));
 hint('This browser draws no 3D. Turn WebGL on, or open the page in another browser.');
@@ -26,7 +26,7 @@ function connect() {
     if (said.fixed && !fixed) options = buildForm(said.form, $('first'), $('folds'));  // what is typed stays on a reconnect
     fixed = said.fixed ?? fixed;
     if (said.listing) showFiles(listing = said.listing);
-    if (said.status) state = said;
+    if (said.status) [state, received] = [said, performance.now()];
     if (state) show();
   };
   one.onclose = () => {
@@ -34,6 +34,7 @@ function connect() {
       + 'this page comes back by itself, and nothing is lost.';
     document.querySelector('footer').dataset.kind = 'gone';
     $('progress').hidden = $('cancel').hidden = true;
+    showSeconds();
     setTimeout(connect, AGAIN);
   };
 }
@@ -55,6 +56,7 @@ function show() {
   if (status.fraction === null) $('progress').removeAttribute('value');
   else $('progress').value = status.fraction;
   $('cancel').hidden = !status.cancel;
+  showSeconds();
   text('verdict', state.verdict);
   showMessages();
   showViews();
@@ -63,17 +65,23 @@ function show() {
   showBake();
   showModels();
   for (const name of ['doubts', 'cages', 'linked', 'rest', 'symmetric']) $(name).checked = view[name];
-  $('rest-line').hidden = !state.rest;
+  $('rest-line').hidden = !SIDES.some(side => views.sides[side].parts.rest);
   $('symmetric').disabled = !state.symmetric;
   $('symmetric').parentElement.title = state.symmetric || !models ? 'Also place the mirror image of each new landmark'
     : 'Needs two models whose meshes are mirror symmetric';
 }
+function showSeconds() {  // beside the status, which screen readers say
+  const busy = document.querySelector('footer').dataset.kind === 'busy';
+  text('seconds', busy ? `${Math.round(state.status.seconds + (performance.now() - received) / 1000)} s` : '');
+}
+setInterval(showSeconds, 1000);
 function text(id, words) { if ($(id).textContent !== words) $(id).textContent = words; }
 
 function showMessages() {
   const lines = [...state.messages].reverse().map(one => element('li', {className: one.kind, textContent: one.text}));
   $('log').querySelector('ol').replaceChildren(...lines);
   $('log').hidden = !lines.length;
+  text('log-title', `Messages (${lines.length})`);
 }
 
 function showViews() {
@@ -146,7 +154,8 @@ function showLandmarks() {
 }
 
 function showBake() {
-  $('start').disabled = !state.models || state.baking;
+  const first = !state.revision && state.status.kind === 'busy';  // a bake beside the first match would match twice
+  $('start').disabled = !state.models || state.baking || first;
   text('bake-hint', state.bake_hint);
   const links = state.outputs.map(({what, name, page}) => {
     const link = element('a', {href: `files/${encodeURIComponent(name)}`, textContent: name});
@@ -182,7 +191,6 @@ function showModels() {
   if (!opened) return;
   SIDES.forEach((side, i) => {
     fill($(`scheme-${side}`), [...AS_FILED, ...fixed.schemes], files?.schemes[i] ?? '');
-    fill($(`up-${side}`), [...AS_FILED, 'y', 'z'], files?.ups[i] ?? '');
   });
   fill($('file-form'), fixed.forms.map(([name, ending]) => [ending, name]), fixed.forms[0][1]);
   $('file').value = files?.landmarks ?? '';
@@ -248,16 +256,16 @@ form.elements.source.addEventListener('change', () => {  // an image named after
 });
 SIDES.forEach((side, i) => {  // how the open model is taken is not said of another one
   form.elements[side].addEventListener('change', () => {
-    for (const [id, stated] of [[`scheme-${side}`, state.files?.schemes], [`up-${side}`, state.files?.ups]])
-      if ($(id).value === (stated?.[i] ?? '')) $(id).value = '';
+    if ($(`scheme-${side}`).value === (state.files?.schemes[i] ?? '')) $(`scheme-${side}`).value = '';
   });
   on(`part-${side}`, 'change', () => send('part', {side, part: $(`part-${side}`).value || null}));
   on(`plain-${side}`, 'click', () => send('as_it_is', {side}));
+  on(`turn-${side}`, 'click', () => send('turn_up', {side}));
 });
 on('models', 'close', () => {
   if ($('models').returnValue === 'open') send('open', {
     ...Object.fromEntries(['target', 'source', 'texture'].map(name => [name, form.elements[name].value])),
-    schemes: SIDES.map(side => $(`scheme-${side}`).value), ups: SIDES.map(side => $(`up-${side}`).value)});
+    schemes: SIDES.map(side => $(`scheme-${side}`).value)});
   $('models').returnValue = '';
   [picked, shownFiles] = [false, ''];
   if (state) showModels();
@@ -274,9 +282,12 @@ drop.addEventListener('dragleave', () => drop.classList.remove('dropping'));
 drop.addEventListener('drop', event => {
   event.preventDefault();
   drop.classList.remove('dropping');
-  const rank = file => [meshes, images].findIndex(kind => matching([file.name], kind).length);  // what meshes name comes first
-  const {meshes, images} = fixed.kinds;
-  for (const file of [...event.dataTransfer.files].sort((a, b) => rank(a) - rank(b))) add(file, half(event));
+  const {meshes, images} = fixed.kinds, files = [...event.dataTransfer.files], side = half(event);
+  const is = (file, kind) => matching([file.name], kind).length > 0;
+  // Images beside a mesh belong to its materials, but a single one is the source's texture. What meshes name comes first.
+  const named = files.some(file => is(file, meshes)) && (side === 'target' || files.filter(file => is(file, images)).length > 1);
+  const rank = file => is(file, meshes) ? 1 : is(file, images) && !named ? 2 : 0;
+  for (const file of files.sort((a, b) => rank(a) - rank(b))) add(file, named && is(file, images) ? null : side);
 });
 
 document.addEventListener('keydown', event => {

@@ -53,7 +53,6 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "files": None if state.files is None else _file_entries(state.files, workspace),
         "models": None if scene is None else {side: _model_entry(scene, side) for side in SIDES},
         "symmetric": scene is not None and scene.has_mirrors,
-        "rest": scene is not None and scene.has_other_parts,
         "drawn": keys,
         "view": {name: getattr(view, name) for name in _VIEW_FIELDS},
         "poses": map_state.poses,
@@ -110,7 +109,7 @@ def _segments(name: str, points: FloatArray, ends: Any, colors: FloatArray) -> M
 def _file_entries(files: Files, workspace: Workspace) -> dict[str, Any]:
     paths = {name: getattr(files, name) for name in ("target", "source", "texture", "landmarks")}
     names = {name: "" if path is None else workspace.display_name(path) for name, path in paths.items()}
-    return names | {"schemes": files.schemes, "ups": files.ups}
+    return names | {"schemes": files.schemes}
 
 
 def _model_entry(scene: Scene, side: Side) -> dict[str, Any]:

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import re
+import time
 from typing import Any
 
 import numpy as np
 
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO
 from cagemap.mesh.mesh_report import VERTEX, count_noun
+from cagemap.studio.finish import DEFAULT_VERTICES
 from cagemap.studio.preview import OPENING_TITLE
 from cagemap.studio.scene import Scene
 from cagemap.studio.skins import DOUBTFUL_TRUST
 from cagemap.studio.state import RunningJob, StudioState
 
-# Beginning of a stage's name, its text on the page, and the share of the task done before it.
+# Beginning of a stage's name, its text on the page, and the share of the task done before it; None for those of a bake.
 STAGES = (
+    ("read result", "reading the map", None),
     ("reading the models", "reading the files", 0.1),
     ("reading the texture", "reading the image", 0.6),
     ("prepare ", "measuring the shapes", 0.05),
@@ -32,6 +35,20 @@ STAGES = (
     ("map without doubtful landmarks", "matching without doubtful landmarks", 0.82),
     ("test landmarks", "checking the landmarks", 0.85),
     ("quality", "checking the map", 0.9),
+    ("read", "reading the files", None),
+    ("merge parts", "joining the parts", None),
+    ("unwrap", "laying out UVs", None),
+    ("prepare", "preparing the image", None),
+    ("bake", "painting the image", None),
+    ("carry values", "carrying the values", None),
+    ("texture coordinates", "carrying the UVs", None),
+    ("passenger", "fitting the passenger", None),
+    ("detail", "finding the detailed mesh", None),
+    ("ambient occlusion", "measuring ambient occlusion", None),
+    ("range of ", "measuring the heights", None),
+    ("wrap ", "fitting the mesh", None),
+    ("write", "writing the files", None),
+    ("draw", "drawing the pictures", None),
 )
 # Parts of the package's messages that the page's buttons and colours replace.
 _ANSWER_HINT = re.compile(r" \(`answer=\d+`\)|, worst at \([^)]*\) of the target's file")
@@ -56,40 +73,40 @@ def verdict(state: StudioState, scene: Scene | None) -> str:
     if map_state.contradictions:
         count = len(map_state.contradictions)
         return f"{count} landmark{'s contradict' if count > 1 else ' contradicts'} the others"
+    if map_state.poor:
+        return f"Poor map: {map_state.poor}"
     percent = 100 * float(np.average(preview_map.trust < DOUBTFUL_TRUST, weights=scene.target.surface.vertex_areas))
-    doubts = f"{percent:.0f} % doubtful" if percent >= 0.5 else "no doubtful places"
+    doubts = f"{percent:.0f} % stretched or folded" if percent >= 0.5 else "nothing stretched or folded"
     if landmarks:
         return f"{count_noun(len(landmarks), 'landmark')} met, {doubts}"
     if not map_state.confidence:
         return doubts.capitalize()
-    confidence = next((known for known in (TWO, LOOK) if f"{known}: " in map_state.confidence), SURE)
+    confidence = next((known for known in (TWO, LOOK) if f"{known}: " in map_state.confidence), f"alignment {SURE}")
     return f"{confidence.capitalize()}, {doubts}"
 
 
 def bake_hint(state: StudioState, scene: Scene | None) -> str:
-    """What a bake does with the map, and how long that takes; '' before the first map."""
+    """What a bake does with the map, and how long that takes; '' without a map."""
     if scene is None or not state.map.first_seconds:
-        return ""
-    shapes = scene.target, scene.source
-    vertices = max(len(shape.positions) for shape in shapes)
-    if state.map.from_start and all(len(shape.positions) == shape.n_control for shape in shapes):  # plain meshes
+        return "" if scene is None or state.preview_job is None else "A bake uses the map that is being computed."
+    seconds = f"from the start, which takes {state.map.first_seconds:.0f} s or longer"
+    if state.map.from_start:
         return (
-            "The map shown has full resolution: a bake uses it, but computes one from the start after new landmarks or "
-            "other options of the match."
+            f"The map shown is baked. More vertices, such as {DEFAULT_VERTICES}, are finer. For them, and after other "
+            f"changes, a bake computes a map {seconds}."
         )
-    return (
-        f"The map shown has {vertices:,} vertices and took {state.map.first_seconds:.0f} s. A bake computes it again "
-        "from the start, with the vertices chosen above, which takes as long or longer; the next bake of the same "
-        "landmarks uses it again."
-    )
+    return f"A bake computes the map {seconds}; the next bake of the same landmarks uses it again."
 
 
 def status_entries(state: StudioState) -> dict[str, Any]:
-    """Text, kind ("busy", "error", "ask", "ready"), fraction done or None, and whether it can be cancelled."""
-    if state.finish_job is not None:
-        return {"kind": "busy", "cancel": True} | _finish_progress(state.finish_job)
-    if state.preview_job is not None:
-        return {"kind": "busy", "cancel": True} | _preview_progress(state.preview_job)
+    """Text, kind ("busy", "error", "ask", "ready"), fraction done or None, and whether it can be cancelled.
+
+    If busy, also the seconds since the beginning.
+    """
+    job = state.finish_job or state.preview_job
+    if job is not None:
+        progress = _preview_progress(job) if state.finish_job is None else _finish_progress(job)
+        return {"kind": "busy", "cancel": True, "seconds": time.monotonic() - job.begun} | progress
     text, kind = _next_step(state), "ready"
     if state.error is not None:
         text, kind = state.error.text, "error"
@@ -100,8 +117,8 @@ def status_entries(state: StudioState) -> dict[str, Any]:
 
 def _finish_progress(job: RunningJob) -> dict[str, Any]:
     command, _, stage = job.stage.partition(": ")
-    text, _ = _stage_text(stage or command)
-    return {"text": f"Baking, step {job.title.removeprefix('finish ')}: {text}", "fraction": job.fraction}
+    text = f": {_stage_text(stage)[0]}" if stage else ""
+    return {"text": f"Baking, step {job.title.removeprefix('finish ')}, {command}{text}", "fraction": job.fraction}
 
 
 def _preview_progress(job: RunningJob) -> dict[str, Any]:
@@ -128,4 +145,4 @@ def _next_step(state: StudioState) -> str:
         return "Both models are posed, the target by the joints and weights that the map gives it."
     if state.view.mode == "baked":
         return "The baked image is on the target."
-    return "Map found. Where it is wrong, click that place on one model, then on the other."
+    return "Map found. Press Bake, or where it is wrong, click that place on one model, then on the other."
