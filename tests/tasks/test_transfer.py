@@ -13,6 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError, ParameterError
+from cagemap.files import inner_texture
+from cagemap.files.gltf.document import read_document
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
@@ -265,3 +267,12 @@ def test_the_image_that_a_ply_file_names_is_baked(tmp_path: Path) -> None:
     request = TransferRequest(tmp_path / "RESULT", tmp_path / "my skin.png", texture=tmp_path / "scan.ply", force=True)
     with pytest.raises(FormatError, match="is an input too"):
         run_transfer(request, Stages())
+
+
+def test_a_model_file_is_read_once_for_its_texture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_result(tmp_path / "RESULT", identity_result())
+    write_textured_scene(tmp_path)
+    read = list[Path]()
+    monkeypatch.setattr(inner_texture, "read_document", lambda path: (read.append(path), read_document(path))[1])
+    run_transfer(TransferRequest(tmp_path / "RESULT", tmp_path / "o.png", texture=tmp_path / "box.gltf"), Stages())
+    assert read == [tmp_path / "box.gltf"]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.files import IMAGE_SUFFIXES
-from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document
+from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.material_images import MaterialImage, material_images, write_numbered
 from cagemap.files.gltf.primitives import material_names
@@ -26,30 +26,37 @@ def color_image(document: Document, material: str) -> MaterialImage | None:
     return next(iter(material_images(document, material, _COLOR_SLOT)), None)
 
 
-def color_texture(path: Path, control: ControlMesh, *, of_any: bool = False) -> tuple[Document, MaterialImage] | None:
-    """The colour texture of most of a mesh's faces in its file, and the file's document.
+def material_document(path: Path, control: ControlMesh) -> Document | None:
+    """A mesh's file, or its materials alone, as a glTF document; None if its faces cannot show an image of it."""
+    if path.suffix.lower() not in SUFFIXES or control.face_materials is None or control.uvs is None:
+        return None
+    if path.suffix.lower() == ".obj":
+        return obj_document(path)
+    return usd_document(path) if is_usd(path) else read_document(path)
+
+
+def color_texture(document: Document | None, control: ControlMesh, *, of_any: bool = False) -> MaterialImage | None:
+    """The colour texture of most of a mesh's faces in its `material_document`.
 
     None without one, or if it belongs to another UV set than that in use.
     ``of_any``: if the material of most faces has none, take that of the next.
     """
-    if path.suffix.lower() not in SUFFIXES or control.face_materials is None or control.uvs is None:
+    if document is None or control.face_materials is None:
         return None
-    document = _document(path)
     counts = np.bincount(control.face_materials + 1, minlength=2)[1:]
     order = np.argsort(-counts, kind="stable")[: np.count_nonzero(counts) if of_any else 1]
     names = [control.material_names[number] for number in order.tolist()]
     images = (color_image(document, name) for name in names if name in material_names(document))
     found = next((image for image in images if image is not None), None)
     in_use = control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0"
-    return None if found is None or found.uv_set != in_use else (document, found)
+    return None if found is None or found.uv_set != in_use else found
 
 
-def tinted_materials(path: Path, control: ControlMesh) -> list[str]:
+def tinted_materials(document: Document, control: ControlMesh) -> list[str]:
     """Materials whose image glTF multiplies by a colour (``baseColorFactor``), with that colour."""
-    found = color_texture(path, control, of_any=True) if path.suffix.lower() in GLTF_SUFFIXES else None
-    if found is None or control.face_materials is None:
+    if control.face_materials is None or color_texture(document, control, of_any=True) is None:
         return []
-    document, names = found[0], material_names(found[0])
+    names = material_names(document)
     used = {control.material_names[number] for number in np.unique(control.face_materials).tolist() if number >= 0}
     tinted = []
     for name in sorted(used.intersection(names)):
@@ -60,19 +67,13 @@ def tinted_materials(path: Path, control: ControlMesh) -> list[str]:
     return tinted
 
 
-def _document(path: Path) -> Document:
-    """A file, or its materials alone, as a glTF document."""
-    if path.suffix.lower() == ".obj":
-        return obj_document(path)
-    return usd_document(path) if is_usd(path) else read_document(path)
-
-
 def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | None:
     """Write the image of a mesh's `color_texture`; None if repeating it over the UVs does not show the texture."""
-    found = color_texture(path, control)
-    if found is None or control.uvs is None or not found[1].is_repeated_over(control.uvs):
+    document = material_document(path, control)
+    found = color_texture(document, control)
+    if document is None or found is None or control.uvs is None or not found.is_repeated_over(control.uvs):
         return None
-    return write_texture(path, *found, folder)
+    return write_texture(path, document, found, folder)
 
 
 def write_texture(path: Path, document: Document, texture: MaterialImage, folder: Path) -> Path | None:

@@ -180,11 +180,16 @@ class ControlMesh:
     @property
     def has_layout(self) -> bool:
         """Whether texture coordinates span an area: some exporters write one for all corners."""
-        if self.uvs is None or self.uv_indices is None:
-            return False
-        corners = self.uvs[fan_triangles(self.face_offsets, self.uv_indices)[0]]
+        corners = self.uv_corners()[0]
         a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         return bool((np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) > MIN_UV_AREA).any())
+
+    def uv_corners(self) -> tuple[FloatArray, IndexArray]:
+        """(t, 3, 2) texture coordinates of the corners of all triangles, and the (t,) face of each; no UVs: none."""
+        if self.uvs is None or self.uv_indices is None:
+            return np.zeros((0, 3, 2)), np.zeros(0, dtype=np.int64)
+        triangles, faces = fan_triangles(self.face_offsets, self.uv_indices)
+        return self.uvs[triangles], faces
 
     @property
     def partitions(self) -> tuple[tuple[str, IndexArray | None, tuple[str, ...]], ...]:

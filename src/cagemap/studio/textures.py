@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cagemap.files.gltf.material_images import png_bytes, write_numbered
-from cagemap.files.inner_texture import SUFFIXES, extract_texture
+from cagemap.files.inner_texture import SUFFIXES, extract_texture, material_document
 from cagemap.studio.models import OpenedModel, with_texture
 from cagemap.studio.shape import refined_shape
 from cagemap.subdivision import refine
@@ -18,7 +18,7 @@ Progress = Callable[[str], None]
 
 def textured(source: OpenedModel, holder: Path, folder: Path, progress: Progress) -> OpenedModel:
     """The source with an image, or with those in a model's file: several materials' are one image in the page."""
-    atlas = material_atlas(holder, source.control)
+    atlas = material_atlas(material_document(holder, source.control), source.control)
     if atlas is not None:
         progress("reading the textures")
         image = write_numbered(folder / f"{holder.stem}_texture.png", png_bytes(atlas.image))

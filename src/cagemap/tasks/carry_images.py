@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from cagemap.errors import ParameterError
+from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import MaterialImage, png_bytes, write_numbered
 from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern, udim_path
-from cagemap.files.inner_texture import color_texture, tinted_materials, write_texture
+from cagemap.files.inner_texture import color_texture, material_document, tinted_materials, write_texture
 from cagemap.files.meshes.formats import MESH_SUFFIXES, read_mesh
 from cagemap.files.meshes.ply import ply_images
 from cagemap.files.result.manifest import note_transfer
@@ -64,14 +66,15 @@ FEWEST_NORMALS = 0.3
 
 def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
     """Carry one image, or all maps of a material, with one prepared bake."""
-    given = request.texture
-    atlas = None if given is None else material_atlas(given, result.source.control)
+    given, source = request.texture, result.source.control
+    document = None if given is None else material_document(given, source)
+    atlas = material_atlas(document, source)
     if given is not None and atlas is not None:
         joined = write_numbered(request.result / f"{given.stem}_texture.png", png_bytes(atlas.image))
         result = replace(result, source=result.source.with_control(atlas.control))
         request = replace(request, texture=joined, size=request.size or base_size(request) or atlas.size)
     images = request.maps if request.texture is None else (("", request.texture),)
-    maps = [(name, *_image_file(path, request, result)) for name, path in images]
+    maps = [(name, *_image_file(path, request, result, document if path == given else None)) for name, path in images]
     outputs = [map_path(request.output, name) for name, *_ in maps]
     for output, (name, path, _) in zip(outputs, maps, strict=True):
         dtype, channels = read_image_form(path)
@@ -85,7 +88,8 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
         image = _bake_map(map_request, result, prepared, name, path, stages, texture)
         entry = _entry("texture", path if atlas is None or given is None else given, image)
         summary, warnings = finish(map_request, prepared, entry | ({"map": name} if name else {}), stages)
-    if given is not None and (tinted := tinted_materials(given, result.source.control)):
+    is_gltf = given is not None and given.suffix.lower() in GLTF_SUFFIXES
+    if is_gltf and document is not None and (tinted := tinted_materials(document, source)):
         colors = f"the colours that multiply the images of {first_few(tinted)} are not baked"
         warnings = [*warnings, f"{given}: {colors}; set them in the target's materials"]
     if request.usd is not None:
@@ -108,21 +112,24 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
     return summary, warnings
 
 
-def _image_file(path: Path, request: TransferRequest, result: MatchResult) -> tuple[Path, MaterialImage | None]:
+def _image_file(
+    path: Path, request: TransferRequest, result: MatchResult, document: Document | None
+) -> tuple[Path, MaterialImage | None]:
     """An image file as given; or the image of a glTF, FBX or USD file, written into RESULT, and how it is laid."""
     if path.suffix.lower() not in MESH_SUFFIXES:
         return path, None
     require_source_uvs(result)
     if path.suffix.lower() == ".ply" and len(images := ply_images(path)) == 1:
         return images[0], None
-    found = color_texture(path, result.source.control)
-    image = None if found is None else write_texture(path, *found, request.result)
+    document = document or material_document(path, result.source.control)
+    found = color_texture(document, result.source.control)
+    image = None if document is None or found is None else write_texture(path, document, found, request.result)
     if found is None or image is None:
         raise ParameterError(
             f"{path}: expected a colour image on most of {result.source.control.name} for its UV set in use, found "
             "none. Match with another --source-uv-set, give an image made for these UVs, or bake --material-colors."
         )
-    return image, found[1]
+    return image, found
 
 
 def _bake_map(

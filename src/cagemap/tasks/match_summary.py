@@ -46,9 +46,12 @@ def next_commands(result: MatchResult, request: MatchRequest) -> str:
     if look is None and source.material_colors is not None:
         look = "--material-colors"
     if file.suffix.lower() in GLTF_SUFFIXES:  # FBX and USD files would be converted once more, which takes seconds
-        from cagemap.files.inner_texture import color_texture  # here, since most matches need no reader of textures
+        from cagemap.files.inner_texture import (
+            color_texture,
+            material_document,
+        )  # here, since most matches need no reader of textures
 
-        if color_texture(file, source) is not None:
+        if color_texture(material_document(file, source), source) is not None:
             look = f"--texture {shlex.quote(str(file))}"
     unwrap = "" if result.target.control.has_layout else " --unwrap"
     carry = "wrap {} -o OUT.obj" if look is None else f"transfer {{}} {look} -o OUT.png{unwrap}"

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import MaterialImage, read_material_image
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.images.image import Image, Pixels
@@ -34,17 +34,18 @@ class MaterialAtlas:
     size: int  # largest side of a material's image, in texels
 
 
-def material_atlas(path: Path, control: ControlMesh) -> MaterialAtlas | None:
-    """The colour images of a mesh's materials in its file, side by side; colours for materials without an image.
+def material_atlas(document: Document | None, control: ControlMesh) -> MaterialAtlas | None:
+    """The colour images of a mesh's `material_document`, side by side; colours for materials without an image.
 
     Materials that the file does not have get the image that most faces have. None if all faces have the same image,
     without UVs or materials, if an image belongs to another UV set than that in use or holds floats, or if the images,
     as often as UVs repeat them, take too many texels.
     """
-    textured = color_texture(path, control, of_any=True)
-    if textured is None or control.face_materials is None or control.uvs is None or control.uv_indices is None:
+    most = color_texture(document, control, of_any=True)
+    if document is None or most is None or control.face_materials is None:
         return None
-    document, most = textured
+    if control.uvs is None or control.uv_indices is None:
+        return None
     used, material_of_face = np.unique(control.face_materials, return_inverse=True)
     named = [number >= 0 and control.material_names[number] in material_names(document) for number in used.tolist()]
     found = [

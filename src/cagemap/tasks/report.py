@@ -13,6 +13,7 @@ import numpy as np
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.images.image import UDIM_MARK, Image, Pixels, read_image, read_texture
+from cagemap.files.inner_texture import material_document
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, input_file
@@ -56,7 +57,8 @@ def run_report(request: ReportRequest, stages: Stages) -> Said:
         texture = folder / known[-1]["image"] if known else None
     if texture is not None:
         check_outputs([output], [texture], force=force)
-    atlas = None if texture is None else material_atlas(texture, result.source.control)
+    source = result.source.control
+    atlas = None if texture is None else material_atlas(material_document(texture, source), source)
     if atlas is not None:
         result = replace(result, source=result.source.with_control(atlas.control))
     shown_texture = None if texture is None else read_texture(texture) if atlas is None else atlas.image

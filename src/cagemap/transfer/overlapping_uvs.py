@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.surface.triangles import fan_triangles
 from cagemap.transfer.texels import lay_out, rasterize_band
 from cagemap.transfer.texture import OVERHANG, tile_cells
 
@@ -26,7 +25,7 @@ def overlapping_share(control: ControlMesh) -> float:
 
     Faces across several tiles, as with repeated textures, are ignored.
     """
-    corners, faces = _uv_triangles(control)
+    corners, faces = control.uv_corners()
     masks = _covered(corners)
     inside = np.concatenate([chosen for chosen, _ in masks]) if masks else np.zeros(0, dtype=np.int64)
     a, b = corners[inside, 1] - corners[inside, 0], corners[inside, 2] - corners[inside, 0]
@@ -40,7 +39,7 @@ def overlapping_materials(control: ControlMesh, min_share: float) -> tuple[str, 
     """Names of materials whose layout overlaps that of other materials by more than ``min_share``."""
     if control.face_materials is None or len(control.material_names) < 2:
         return ()
-    corners, faces = _uv_triangles(control)
+    corners, faces = control.uv_corners()
     materials = control.face_materials[faces]
     owners: dict[tuple[float, float], list[tuple[int, NDArray[np.bool_]]]] = {}
     for material in np.unique(materials).tolist():
@@ -60,14 +59,6 @@ def overlapping_materials(control: ControlMesh, min_share: float) -> tuple[str, 
         for name, part, whole in zip(control.material_names, overlapping, covered, strict=True)
         if part > min_share * whole
     )
-
-
-def _uv_triangles(control: ControlMesh) -> tuple[FloatArray, IndexArray]:
-    """(t, 3, 2) texture coordinates of the corners of all triangles, and the (t,) face of each."""
-    if control.uvs is None or control.uv_indices is None:
-        return np.zeros((0, 3, 2)), np.zeros(0, dtype=np.int64)
-    triangles, faces = fan_triangles(control.face_offsets, control.uv_indices)
-    return control.uvs[triangles], faces
 
 
 def _covered(corners: FloatArray) -> list[tuple[IndexArray, NDArray[np.bool_]]]:
