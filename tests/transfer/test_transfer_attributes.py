@@ -260,7 +260,7 @@ def test_columns_may_be_separated_as_spreadsheets_do(tmp_path: Path, delimiter: 
         ("a.csv", b"", "found none"),
         ("a.npy", b"no array", "no array of numbers"),
         ("a.npz", b"no archive", "no archive of arrays"),
-        ("a.txt", b"1", "ending in"),
+        ("a.txt", b"1", r"expected values as \.npy"),
         ("a.csv", b"x,x\n1,2\n", "different names"),
         ("a.csv", b"x\n" + b"1" * 200_000 + b"\n", "could not read|finite"),
         ("a.csv", b"x\n" + b"9" * 400 + b"\n", "finite"),
