@@ -21,6 +21,9 @@ from cagemap.files.result.folder import write_result
 from cagemap.files.usd.write import UsdResults, write_usd
 from cagemap.maps.masks import Masks
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.schemes import Plain
+from cagemap.spectral import BasisConfig, Surface
+from cagemap.subdivision import refine
 from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.match_summary import next_commands
 from cagemap.tasks.progress import Stages
@@ -254,6 +257,11 @@ def test_match_says_what_a_source_without_uvs_can_give(tmp_path: Path) -> None:
     ):
         source = result.source.with_control(replace(bare, **colors))
         assert said.format(request.output) in next_commands(replace(result, source=source), request)
+    plain = Surface(
+        refine(replace(result.target.control, scheme=Plain()), 0), BasisConfig(count=5)
+    )  # which `wrap` refuses
+    text = next_commands(replace(result, target=plain, source=source), request)
+    assert text == f"next: cagemap report {request.output}"
 
 
 def test_the_image_that_a_ply_file_names_is_baked(tmp_path: Path) -> None:

@@ -46,16 +46,17 @@ def next_commands(result: MatchResult, request: MatchRequest) -> str:
     if look is None and source.material_colors is not None:
         look = "--material-colors"
     if file.suffix.lower() in GLTF_SUFFIXES:  # FBX and USD files would be converted once more, which takes seconds
-        from cagemap.files.inner_texture import (
-            color_texture,
-            material_document,
-        )  # here, since most matches need no reader of textures
+        from cagemap.files import inner_texture  # here, since most matches need no reader of textures
 
-        if color_texture(material_document(file, source), source) is not None:
+        if inner_texture.color_texture(inner_texture.material_document(file, source), source) is not None:
             look = f"--texture {shlex.quote(str(file))}"
-    unwrap = "" if result.target.control.has_layout else " --unwrap"
-    carry = "wrap {} -o OUT.obj" if look is None else f"transfer {{}} {look} -o OUT.png{unwrap}"
-    return f"next: cagemap {carry.format(folder)}, or cagemap report {folder}"
+    report = f"cagemap report {folder}"
+    if look is not None:
+        unwrap = "" if result.target.control.has_layout else " --unwrap"
+        return f"next: cagemap transfer {folder} {look} -o OUT.png{unwrap}, or {report}"
+    if result.target.refinement.is_plain:
+        return f"next: {report}"
+    return f"next: cagemap wrap {folder} -o OUT.obj, or {report}"
 
 
 def _shared_summary(result: MatchResult) -> list[str]:
