@@ -34,6 +34,7 @@ from cagemap.studio.compute import (
     OpenModels,
     PairFiles,
     ShowBaked,
+    ShowPosed,
     run_task,
 )
 from cagemap.studio.downloads import textured_model
@@ -157,15 +158,18 @@ def test_other_up_axes_keep_the_map(tmp_path: Path) -> None:
     for name in ("a.obj", "b.obj"):
         write_mesh(tmp_path / name, creature())
     opening = PairFiles(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, tmp_path, schemes=("none", None))
-    cache, _ = run_task(None, OpenModels(opening), lambda _: None)
+    cache, opened = run_task(None, OpenModels(opening), lambda _: None)
     known: Any = MagicMock()
     cache = replace(cache, free_match=known)
-    turned, shown = run_task(cache, OpenModels(replace(opening, ups=("z", None))), lambda _: None)
+    turned, skins = run_task(cache, ShowPosed(replace(opening, ups=("z", None)), "", None), lambda _: None)
     assert turned.free_match is known
-    np.testing.assert_array_equal(shown.target.shape.rotation, Z_UP)
-    np.testing.assert_array_equal(shown.source.shape.rotation, cache.source.shape.rotation)
-    for other in (opening, replace(opening, schemes=(None, None), ups=("z", None))):
-        assert run_task(cache, OpenModels(other), lambda _: None)[0].free_match is None
+    np.testing.assert_array_equal(turned.target.shape.rotation, Z_UP)
+    np.testing.assert_array_equal(turned.source.shape.rotation, cache.source.shape.rotation)
+    assert skins[0] != opened.skins[0]
+    assert skins[1] == opened.skins[1]
+    other = replace(opening, schemes=(None, None), ups=("z", None))
+    for task in (OpenModels(opening), ShowPosed(other, "", None)):
+        assert run_task(cache, task, lambda _: None)[0].free_match is None
 
 
 def test_pieces_that_are_set_aside_are_drawn_in_grey(tmp_path: Path) -> None:

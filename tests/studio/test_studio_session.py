@@ -15,7 +15,8 @@ from examples.shapes import cube
 
 from cagemap.errors import ParameterError
 from cagemap.files.result.manifest import note_transfer
-from cagemap.studio.compute import FindMap, MapUpdate, OpenModels, Task
+from cagemap.pictures import Z_UP
+from cagemap.studio.compute import FindMap, MapUpdate, OpenModels, ShowPosed, Task
 from cagemap.studio.finish import Command, FinishOptions
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.places import vertex_place
@@ -23,11 +24,11 @@ from cagemap.studio.preview import Preview
 from cagemap.studio.scene import map_point
 from cagemap.studio.session import Session
 from cagemap.studio.skins import PreviewMap
-from cagemap.studio.state import Files, MapState, RunningJob, StudioState
+from cagemap.studio.state import Files, MapState, Output, RunningJob, StudioState
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.surface.closest_points import build_tree, closest_points
 
-from studio_boxes import Idle, click, click_between, until
+from studio_boxes import Idle, at_rest, click, click_between, until
 
 
 def test_it_starts_with_a_map_and_follows_clicks(opened: Session) -> None:
@@ -73,6 +74,64 @@ def test_a_source_that_the_map_turns_is_turned_in_the_view(opened: Session) -> N
     opened._receive(FindMap(opened._preview.pair_files, LandmarkList()), answer)
     np.testing.assert_array_equal(opened.scene.source.rotation, np.diag([-1.0, 1.0, -1.0]))
     assert opened.scene.skins == (b"target", b"source")
+
+
+def test_a_turn_keeps_the_map_the_history_and_what_was_baked(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    click(opened, "target", 2)
+    opened.accept()
+    opened.select(1)
+    until(lambda: opened.state.map.strain and at_rest(opened), opened)
+    opened._change(outputs=(Output(Path("a.png"), "texture"),))
+    tasks = list[Task]()
+    run = opened._preview._worker.run
+    monkeypatch.setattr(opened._preview._worker, "run", lambda task: tasks.append(task) or run(task))
+    before, scene = opened.state, opened.scene
+    opened.turn_up("target")
+    opened.turn_up("source")
+    until(lambda: opened.state.files.ups == ("z", "z") and at_rest(opened), opened)
+    assert {type(task) for task in tasks} == {ShowPosed}
+    assert replace(opened.state, files=before.files) == before
+    assert opened.scene.preview_map is scene.preview_map
+    np.testing.assert_array_equal(opened.scene.target.rotation, Z_UP)
+    assert opened.scene.skins[0] != scene.skins[0]
+    for up in ("y", "z"):
+        opened.turn_up("target")
+        until(lambda up=up: opened.state.files.ups[0] == up and at_rest(opened), opened)
+
+
+def test_a_map_that_is_computed_during_a_turn_is_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, goes_on = queue.Queue[Task](), threading.Event()
+
+    class Slow(Idle):
+        def run(self, task: Task) -> None:
+            begun.put(task)
+            assert goes_on.wait(10)
+            goes_on.clear()
+
+        def cancel(self, _: Task) -> None:
+            goes_on.set()
+
+    monkeypatch.setattr("cagemap.studio.preview.Worker", Slow)
+    preview = Preview(100, Path(), lambda: (LandmarkList(), None), lambda _: None, lambda *_: None)
+    preview.open(Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT")))
+    assert isinstance(begun.get(timeout=10), OpenModels)
+    goes_on.set()
+    for ask, side, ups in (
+        (lambda: preview.find(fresh=True), "target", ("z", None)),
+        (lambda: preview.choose(1), "source", ("z", "z")),
+    ):
+        ask()
+        search = begun.get(timeout=10)
+        preview.turn(side, "z", "")
+        drawing = begun.get(timeout=10)
+        goes_on.set()
+        again = begun.get(timeout=10)
+        goes_on.set()
+        assert isinstance(drawing, ShowPosed)
+        assert drawing.pair_files.ups == ups
+        assert again == replace(search, pair_files=drawing.pair_files)
+    preview.close()
+    goes_on.set()
 
 
 def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:

@@ -15,7 +15,6 @@ from cagemap.errors import ParameterError
 from cagemap.files.result.verdicts import rate_figures
 from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.point_map import PointMap
-from cagemap.pictures import UP_AXES
 from cagemap.pipeline import (
     MatchConfig,
     MatchResult,
@@ -202,11 +201,15 @@ def run_task(
     CagemapError
         If files or landmarks are wrong.
     """
-    if cache is None or isinstance(task, OpenModels) or cache.pair_files != task.pair_files:
-        turned = None if cache is None else _turned(cache, task.pair_files)
-        cache = turned or PreviewCache(task.pair_files, *open_models(task.pair_files, progress))
+    files = task.pair_files
+    if cache is None or isinstance(task, OpenModels) or replace(cache.pair_files, ups=files.ups) != files:
+        cache = PreviewCache(files, *open_models(files, progress))
+    elif cache.pair_files != files:
+        sides = zip((cache.target, cache.source), files.ups, strict=True)
+        target, source = (replace(model, shape=model.shape.with_up(up)) for model, up in sides)
+        cache = replace(cache, pair_files=files, target=target, source=source)
     match task:
-        case OpenModels(files):
+        case OpenModels():
             return cache, OpenedPair(cache.target, cache.source, _posed_skins(cache, ShowPosed(files, "", None)))
         case FindMap():
             return find_map(cache, task, progress, show)
@@ -214,21 +217,6 @@ def run_task(
             return cache, _baked_skin(cache, task)
         case ShowPosed():
             return cache, _posed_skins(cache, task)
-
-
-def _turned(cache: PreviewCache, files: PairFiles) -> PreviewCache | None:
-    """The same models and maps with other up axes; None if anything else differs, or nothing."""
-    target, source = cache.target, cache.source
-    opened = (target.path, source.path, source.texture, (target.scheme, source.scheme))
-    parts = target.part_choices.opened, source.part_choices.opened
-    same = (*opened, parts) == (files.target, files.source, files.texture, files.schemes, files.parts)
-    if not same or files.ups == cache.pair_files.ups:
-        return None
-    target, source = (
-        model if up is None else replace(model, shape=replace(model.shape, rotation=UP_AXES[up]))
-        for model, up in zip((target, source), files.ups, strict=True)
-    )
-    return replace(cache, pair_files=files, target=target, source=source)
 
 
 def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, OpenedModel]:

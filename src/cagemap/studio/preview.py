@@ -10,7 +10,7 @@ from typing import Any
 
 import cagemap
 from cagemap.studio.compute import FindMap, OpenModels, PairFiles, ShowBaked, ShowPosed, Task
-from cagemap.studio.landmarks import LandmarkList
+from cagemap.studio.landmarks import LandmarkList, Side
 from cagemap.studio.skins import PreviewMap
 from cagemap.studio.state import Files, RunningJob
 from cagemap.studio.worker import Worker
@@ -22,7 +22,7 @@ _TITLES = {OpenModels: OPENING_TITLE, FindMap: MATCHING_TITLE, ShowBaked: BAKED_
 # Follows the titles where nothing was compiled yet.
 _COMPILE_NOTE = " (about a minute longer the first time after installing)"
 # Kinds of requests, in the order in which they are computed.
-_KINDS = ("models", "map", "answer", "pose", "baked")
+_KINDS = ("models", "pose", "map", "answer", "baked")
 
 
 class Preview:
@@ -84,6 +84,16 @@ class Preview:
         """The pair that is open or about to be."""
         return self._pair_files
 
+    def turn(self, side: Side, up: str, pose: str) -> None:
+        """Draw the open models with another axis of a file up, in a pose; a running map is computed again."""
+        with self._condition:
+            assert self._pair_files is not None
+            target, source = self._pair_files.ups
+            self._pair_files = replace(self._pair_files, ups=(up, source) if side == "target" else (target, up))
+            if isinstance(self._task, FindMap):
+                self._worker.cancel(self._task)
+            self._request("pose", pose)
+
     def find(self, *, fresh: bool) -> None:
         """Compute the map, by an update if there is one and ``fresh`` is not set."""
         with self._condition:
@@ -130,7 +140,17 @@ class Preview:
             self._task = None
             if self._closed:
                 return
+            self._repeat_turned(task)
             self._on_result(task, result)
+
+    def _repeat_turned(self, task: Task) -> None:
+        """Request a map again if the models were turned meanwhile: its drawings are of the view before."""
+        with self._condition:
+            files = self._pair_files
+            assert files is not None
+            if isinstance(task, FindMap) and task.pair_files != files == replace(task.pair_files, ups=files.ups):
+                kind, argument = ("map", task.fresh) if task.answer is None else ("answer", task.answer)
+                self._requests.setdefault(kind, (argument,))
 
     def _next_task(self) -> Task | None:
         """Wait for a request: models first, images last."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.studio.file_parts import NO_PARTS, PartChoices
-from cagemap.studio.landmarks import LandmarkList, Place, Proposal, Side, mirror, opposite_side
+from cagemap.studio.landmarks import LandmarkList, Place, Proposal, Side, SideNames, mirror, opposite_side
 from cagemap.studio.places import cage_places, nearest_place
 from cagemap.studio.shape import Hit, Shape
 from cagemap.studio.skins import PreviewMap, align_facing
@@ -59,6 +59,11 @@ class Scene:
     def aligned_source(self) -> Shape:
         """The source, rotated in the view to face as the target does."""
         return align_facing(self.source, self.target, self.preview_map)
+
+    def turned(self, ups: SideNames) -> Scene:
+        """The scene with other axes of the files up; see `cagemap.studio.state.Files`."""
+        scene = replace(self, target=self.target.with_up(ups[0]), source=self.source.with_up(ups[1]))
+        return replace(scene, source=scene.aligned_source)
 
     @property
     def has_mirrors(self) -> bool:

@@ -61,7 +61,7 @@ class Session(LandmarkEdits):
     def __init__(self, workspace: Workspace, vertices: int, options: Options) -> None:
         super().__init__()
         self.workspace, self.options = workspace, options
-        self._cancelled, self._opened_at = False, 0.0
+        self._cancelled = False
         self._upload_lock = threading.Lock()
         self._requested_parts: SideNames = (None, None)
         self._finish_inputs: tuple[object, ...] = ()
@@ -107,10 +107,11 @@ class Session(LandmarkEdits):
     def turn_up(self, side: Side) -> None:
         """Show a model that lies on its side with the other of its file's axes y and z up."""
         with self.report_errors(), self._lock:
-            files, scene = self._require_open()
+            view, (_, scene) = self._state.view, self._require_open()
             up = "y" if abs(scene.shape(side).rotation[2, 1]) > 0.5 else "z"
-            target, source = files.ups
-            self.open(replace(files, ups=(up, source) if side == "target" else (target, up)))
+            self._preview.turn(side, up, view.pose)
+            if view.baked is not None:
+                self._preview.show_baked(view.baked, layout_mesh(self._state, view.baked), self._state.uv_set)
 
     def save(self, name: str | Path = "") -> None:
         """Save the complete landmarks, by default to their file."""
@@ -308,6 +309,10 @@ class Session(LandmarkEdits):
         cancelled, self._cancelled = self._cancelled, self._cancelled and is_rough
         if task.pair_files != self._preview.pair_files or (is_rough and cancelled):  # other models are open by now
             return
+        files, ups = self._state.files, task.pair_files.ups
+        if files is not None and self._scene is not None and files.ups != ups and not isinstance(result, Failure):
+            self._scene = self._scene.turned(ups)
+            self._change(files=replace(files, ups=ups))
         match result:
             case Failure() if result.kind == CANCELLED_KIND:  # the same models were opened again
                 pass
@@ -316,7 +321,6 @@ class Session(LandmarkEdits):
             case Failure():
                 is_ours = result.kind.isidentifier()  # the text of an internal error names its class
                 self._say("error", result.message if is_ours else f"{result.kind}: {result.message}")
-                files = self._state.files
                 if isinstance(task, OpenModels) and files is not None and files.parts != self._requested_parts:
                     # The parts of the autosave do not exist any more.
                     self._open_pair(replace(files, parts=self._requested_parts), self._requested_parts)
@@ -332,8 +336,9 @@ class Session(LandmarkEdits):
                 if before.preview_map is None or scene.source is not before.source:
                     scene.warm_up()  # not earlier: the page loads the models first
                 map_state = result.map_state.rename_landmarks(task.landmarks, self._state.history.present)
-                shown = self._state.map
-                first = shown.first_seconds or (0.0 if map_state.rough else time.monotonic() - self._opened_at)
+                shown, job = self._state.map, self._state.preview_job
+                seconds = 0.0 if job is None or map_state.rough else time.monotonic() - job.begun
+                first = shown.first_seconds or seconds
                 revision = shown.revision + (not map_state.rough)
                 map_state = replace(map_state, revision=revision, first_seconds=first)
                 self._change(map=map_state, proposal=propose_place(scene, self._state.history.present))
@@ -351,7 +356,7 @@ class Session(LandmarkEdits):
     def _apply_models(self, opened: OpenedPair) -> None:
         """Show opened models, and record how they were opened for the finish."""
         target, source = opened.target, opened.source
-        self._scene, self._opened_at = opened.scene, time.monotonic()
+        self._scene = opened.scene
         if self._state.files is not None:
             files = with_parts(self._state.files, (target.part_choices.opened, source.part_choices.opened))
             schemes, welds = (target.scheme, source.scheme), (target.weld, source.weld)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.topology import mesh_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import kept
+from cagemap.pictures import UP_AXES
 from cagemap.subdivision import Refinement, level_triangles, limit_normals, limit_positions, triangles
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import triangle_areas
@@ -113,6 +114,10 @@ class Shape:
     def radius(self) -> float:
         """Half the diagonal of the bounding box."""
         return float(0.5 * np.linalg.norm(np.ptp(self.positions, axis=0)))
+
+    def with_up(self, up: str | None) -> Shape:
+        """The same shape with an axis of its file up in the view, "y" or "z"; None: as it is."""
+        return self if up is None else replace(self, rotation=UP_AXES[up])
 
     def to_view(self, points: FloatArray) -> FloatArray:
         """Transform points from file units to the view (centre 0, radius 1)."""
