@@ -16,7 +16,7 @@ import pytest
 
 from cagemap.studio.compute import FindMap, OpenModels, run_task
 from cagemap.studio.downloads import textured_model, textured_model_name
-from cagemap.studio.finish import DEFAULT_VERTICES, FinishOptions
+from cagemap.studio.finish import FinishOptions
 from cagemap.studio.finish_layout import OMITTED_OPTIONS, sections
 from cagemap.studio.landmarks import History, Landmark, LandmarkList, Proposal
 from cagemap.studio.opening import default_files
@@ -290,6 +290,8 @@ def test_the_form_has_every_option_that_the_page_shows() -> None:
     json.dumps(shown)
     assert all(line["hint"] for line in rows)
     assert next(line for line in rows if line["key"] == "match.vertices")["value"] == 6000
+    hints = [form_fields(options, count)["form"]["first"][2]["hint"] for count in (6000, 300_000)]
+    assert ["such as 200000" in hint for hint in hints] == [True, False]
     for line in rows:
         if line["kind"] in ("choice", "several"):
             assert line["choices"], line
@@ -303,7 +305,7 @@ def test_values_of_the_form_are_those_of_the_command_line(tmp_path: Path) -> Non
     options = all_options()
     (tmp_path / "n.png").touch()
     resolve = Workspace.of(tmp_path).resolve
-    assert read_form(options, {}, resolve) == FinishOptions(option_values={("match", "vertices"): DEFAULT_VERTICES})
+    assert read_form(options, {"match.vertices": ""}, resolve) == read_form(options, {}, resolve) == FinishOptions()
     sent_values = {
         "texture": False,
         "maps": "roughness=r.png, n.png",
@@ -320,8 +322,6 @@ def test_values_of_the_form_are_those_of_the_command_line(tmp_path: Path) -> Non
     assert asked.option_values[("match", "vertices")] == 3000
     assert asked.option_values[("transfer", "bake")] == ("normal",)
     assert asked.option_values[("match", "trust_landmarks")] is True
-    level = read_form(options, {"match.level": "2", "match.vertices": "3000"}, resolve)
-    assert ("match", "vertices") not in level.option_values
     with pytest.raises(Exception, match="Functions: expected a whole number or nothing, got 'many'"):
         read_form(options, {"match.k": "many"}, resolve)
 

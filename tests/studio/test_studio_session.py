@@ -292,6 +292,13 @@ def test_cancelling_ends_what_runs(opened: Session) -> None:
     opened._listeners.remove(cancel)
 
 
+def test_a_bake_has_the_vertices_of_the_map_shown_unless_others_or_a_level_are_asked_for(opened: Session) -> None:
+    level, vertices = ("match", "level"), ("match", "vertices")
+    for given, count in (({}, 300), ({vertices: None}, 300), ({vertices: 2000}, 2000), ({level: 2, vertices: 9}, None)):
+        request = opened.plan(FinishOptions().with_values(given))[0].request
+        assert (request.vertices, request.level) == (count, given.get(level))
+
+
 def test_a_target_without_uvs_is_laid_out(opened: Session) -> None:
     # The boxes have none.
     assert opened.scene.target.uvs is None

@@ -28,7 +28,6 @@ from cagemap.tasks.requests.catalogue import (
     request_of,
 )
 
-DEFAULT_VERTICES = 200_000
 # Options of several commands that the page shows once: (command, field), and the one that is shown.
 SHARED_OPTIONS: dict[Key, Key] = {
     **{("wrap", name): ("transfer", name) for name in ("space", "green", "rays", "size", "detail", "detail_texture")},
@@ -235,8 +234,6 @@ class _CommandBuilder:
             "target_part": files.parts[0],
             "source_part": files.parts[1],
         }
-        if values["level"] is None and values["vertices"] is None:
-            values["vertices"] = DEFAULT_VERTICES
         return Command("match", request_of("match", values), MAP_TITLE)
 
     def transfer(self, transfer: Transfer, used_outputs: list[Path]) -> Command | None:

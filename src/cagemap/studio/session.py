@@ -60,7 +60,7 @@ class Session(LandmarkEdits):
 
     def __init__(self, workspace: Workspace, vertices: int, options: Options) -> None:
         super().__init__()
-        self.workspace, self.options = workspace, options
+        self.workspace, self.vertices, self.options = workspace, vertices, options
         self._cancelled = False
         self._upload_lock = threading.Lock()
         self._requested_parts: SideNames = (None, None)
@@ -193,7 +193,7 @@ class Session(LandmarkEdits):
     # Finish
 
     def plan(self, options: FinishOptions) -> tuple[Command, ...]:
-        """Commands of a finish.
+        """Commands of a finish, by default with as many vertices as the map shown.
 
         Without an image the source's material colours are baked, or else its ambient occlusion, and a cage is wrapped.
 
@@ -207,7 +207,12 @@ class Session(LandmarkEdits):
         has_constraints = self._state.history.present.has_constraints
         answer = 0 if has_constraints else self._state.map.chosen_answer
         unwrap = not scene.target.control.has_layout
-        options = options.with_values({("transfer", "unwrap"): unwrap, ("match", "answer"): answer})
+        values = options.option_values
+        has_level = values.get(("match", "level")) is not None
+        vertices = None if has_level else values.get(("match", "vertices")) or self.vertices
+        options = options.with_values(
+            {("transfer", "unwrap"): unwrap, ("match", "answer"): answer, ("match", "vertices"): vertices}
+        )
         if options.texture and files.texture is None and scene.has_colors:
             options = options.with_values({("transfer", "material_colors"): True})
         elif options.texture and files.texture is None:

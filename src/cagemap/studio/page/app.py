@@ -69,7 +69,7 @@ class StudioApp:
 
     def __init__(self, request: PageRequest) -> None:
         self.session = Session(Workspace.of(*request.folders), request.vertices, request.options)
-        self._actions, self._vertices = Actions(self.session), request.vertices
+        self._actions = Actions(self.session)
         self._drawings: dict[str, tuple[object, Callable[[], bytes]]] = {}
         self._key_count, self._drawings_lock = itertools.count(1), threading.Lock()
         self._changed, self._closed = threading.Event(), False
@@ -139,7 +139,7 @@ class StudioApp:
 
     def _first_messages(self) -> Iterator[str]:
         workspace, options = self.session.workspace, self.session.options
-        yield json.dumps(constant_entries() | listing_entries(workspace) | form_fields(options, self._vertices))
+        yield json.dumps(constant_entries() | listing_entries(workspace) | form_fields(options, self.session.vertices))
         yield self._state()
 
     def _on_message(self, message: str | bytes, reply: Callable[[str], None]) -> None:

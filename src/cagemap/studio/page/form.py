@@ -9,7 +9,8 @@ from typing import Any
 
 from cagemap.errors import ParameterError
 from cagemap.files import IMAGE_SUFFIXES
-from cagemap.studio.finish import DEFAULT_VERTICES, FinishOptions
+from cagemap.spectral.surface import DEFAULT_VERTICES
+from cagemap.studio.finish import FinishOptions
 from cagemap.studio.finish_layout import FILES, MORE_IMAGES, SIZE_KEY, VERTICES_KEY, WRAP, Field, sections
 from cagemap.tasks.requests.catalogue import CommandOption, Key, NamedFiles, Options, Value
 
@@ -26,7 +27,8 @@ def form_fields(options: Options, vertices: int) -> dict[str, Any]:
 
     ``vertices``: of the map shown, which a bake uses where nothing else is typed.
     """
-    vertices_hint = "of each model in the final map, approximately; more is finer and slower"
+    more = f"more, such as {DEFAULT_VERTICES}," if vertices < DEFAULT_VERTICES else "more"
+    vertices_hint = f"of each model in the final map, approximately; {more} is finer and slower"
     first = [
         _entry("texture", "Texture", "flag", _DEFAULTS.texture, "bake the open image into the target's layout"),
         _option_entry(
@@ -76,7 +78,7 @@ def read_form(options: Options, sent: Mapping[str, Any], resolve: Any) -> Finish
     """
     labels = {field.key: field.label for section in sections(options) for field in section.fields}
     labels |= {VERTICES_KEY: "Vertices", SIZE_KEY: "Image size"}
-    option_values: dict[Key, Value] = {VERTICES_KEY: DEFAULT_VERTICES}
+    option_values: dict[Key, Value] = {}
     finish_values: dict[str, Any] = {}
     for name, sent_value in sent.items():
         command, dot, option = name.partition(".")
@@ -92,8 +94,6 @@ def read_form(options: Options, sent: Mapping[str, Any], resolve: Any) -> Finish
             )
         else:
             raise ParameterError(f"{name}: expected an option of this page, got another name. Reload the page.")
-    if option_values.get(("match", "level")) is not None:
-        del option_values[VERTICES_KEY]
     return FinishOptions(**finish_values, option_values=option_values)
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO
 from cagemap.mesh.mesh_report import VERTEX, count_noun
-from cagemap.studio.finish import DEFAULT_VERTICES
 from cagemap.studio.preview import OPENING_TITLE
 from cagemap.studio.scene import Scene
 from cagemap.studio.skins import DOUBTFUL_TRUST
@@ -92,8 +91,8 @@ def bake_hint(state: StudioState, scene: Scene | None) -> str:
     seconds = f"from the start, which takes {state.map.first_seconds:.0f} s or longer"
     if state.map.from_start:
         return (
-            f"The map shown is baked. More vertices, such as {DEFAULT_VERTICES}, are finer. For them, and after other "
-            f"changes, a bake computes a map {seconds}."
+            "The map shown is baked. More vertices are finer. For them, and after other changes, a bake computes a map "
+            f"{seconds}."
         )
     return f"A bake computes the map {seconds}; the next bake of the same landmarks uses it again."
 
