@@ -16,6 +16,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from ending_processes import die, hang_up, leave
+from examples.shapes import cube
 from hypothesis import given
 from hypothesis import strategies as st
 from test_obj import QUICK
@@ -46,6 +47,7 @@ from cagemap.studio.shape import refined_shape
 from cagemap.studio.skins import PreviewMap
 from cagemap.studio.state import Message, Output, RunningJob, add_message
 from cagemap.studio.workspace import Workspace
+from cagemap.tasks.bake_tiles import colors_remedy
 from cagemap.tasks.detail_bakes import KINDS
 from cagemap.tasks.masks import mask_file
 from cagemap.tasks.requests.catalogue import COMMANDS, CommandOption, Key, Value, all_options
@@ -240,6 +242,12 @@ def test_messages_name_what_to_press_on_the_page_not_options_of_the_command_line
     (note,) = repairs.sentences()
     assert in_page_words(note).endswith("there. To open another piece, press Open… and choose it under Part")
     assert "--" not in in_page_words(use_option_names(note))
+    halves = {"face_materials": np.zeros(6, dtype=np.int64), "material_names": ("skin",)}
+    for colors, label in (
+        ({"vertex_colors": np.ones((8, 3))}, "Bake, Detailed mesh, Bake, colors"),
+        (halves | {"material_colors": np.ones((1, 3))}, "Bake, More images, Material colours"),
+    ):
+        assert in_page_words(colors_remedy(replace(cube(), **colors))).endswith(f": {label}.")
     for python, option in OPTION_NAMES.items():
         words = in_page_words(f"a ({python} x)")
         assert python not in words

@@ -321,11 +321,24 @@ def test_without_an_image_colours_or_ambient_occlusion_are_baked(
     begun: list[list[str]] = []
     monkeypatch.setattr(opened._runner, "start", lambda todo: begun.append([command.title for command in todo]))
     opened._change(files=replace(opened.state.files, texture=None))
-    for colored, made in ((True, ["material colours"]), (False, ["detail", "wrap"])):
-        opened._scene = replace(opened.scene, has_colors=colored)
-        opened.finish(FinishOptions(report=False))
-        assert begun[-1] == ["match", *made]
-        assert "the source has no image" in opened.state.messages[-1].text
+    bake, plain = ("transfer", "bake"), opened.scene
+    control = replace(plain.source.control, vertex_colors=np.full((plain.source.n_control, 3), 0.5))
+    painted = replace(plain, source=replace(plain.source, control=control), has_colors=False)
+    occlusion = "ambient occlusion, the wrapped mesh"
+    for scene, kinds, titles, made in (
+        (replace(plain, has_colors=True), (), ["material colours"], "the colours of its materials"),
+        (replace(plain, has_colors=False), (), ["detail", "wrap"], occlusion),
+        (painted, (), ["detail"], "vertex colours"),
+        (painted, ("ao",), ["detail", "wrap"], occlusion),
+        (painted, ("normal",), ["detail", "wrap"], "normal, the wrapped mesh"),
+    ):
+        opened._scene = scene
+        opened.finish(FinishOptions(report=False).with_values({bake: kinds}))
+        assert begun[-1] == ["match", *titles]
+        assert opened.state.messages[-1].text == f"the source has no image; made instead: {made}"
+    detailed = FinishOptions().with_values({("transfer", "detail"): opened.state.files.source})
+    assert opened.plan(detailed)[1].request.bake == ("ao",)  # the detailed mesh has no colours
+    opened._scene = plain
     opened._change(messages=())
     opened.finish(FinishOptions(texture=False))
     assert begun[-1] == ["match", "report"]

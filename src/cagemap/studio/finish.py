@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -27,6 +27,8 @@ from cagemap.tasks.requests.catalogue import (
     Value,
     request_of,
 )
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.wrap import WrapRequest
 
 # Options of several commands that the page shows once: (command, field), and the one that is shown.
 SHARED_OPTIONS: dict[Key, Key] = {
@@ -37,6 +39,8 @@ SHARED_OPTIONS: dict[Key, Key] = {
 MAP_TITLE = "the map"
 # Name of the open texture among other images of its material.
 COLOR_MAP = "color"
+# Kinds of bakes in messages, where they have other words.
+_KIND_WORDS = {"ao": "ambient occlusion", "colors": "vertex colours"}
 _IMAGE_FIELDS = ("size", "bits", "filter", "unwrap", "bases", "force")
 
 
@@ -189,6 +193,15 @@ def finish_commands(
     commands += [builder.wrap()] if finish_options.wrap else []
     commands += [builder.report()] if finish_options.report else []
     return tuple(commands)
+
+
+def made_of(commands: Sequence[Command]) -> list[str]:
+    """Colours, bakes and mesh that a finish makes of a source without an image, in words."""
+    requests = [command.request for command in commands]
+    bakes = [request for request in requests if isinstance(request, TransferRequest)]
+    made = ["the colours of its materials" for bake in bakes if bake.material_colors]
+    made += [_KIND_WORDS.get(kind, kind) for bake in bakes for kind in bake.bake]
+    return made + ["the wrapped mesh" for request in requests if isinstance(request, WrapRequest)]
 
 
 @dataclass(frozen=True)

@@ -245,6 +245,8 @@ PAGE_WORDS = {
     "--trust-landmarks": "Bake, Match, Trust landmarks",
     "--force": "Bake, Files, Overwrite",
     "--answer 1": "the other button above Match again",
+    "`transfer --bake colors`": "Bake, Detailed mesh, Bake, colors",
+    "`transfer --material-colors`": "Bake, More images, Material colours",
     "--unwrap": "the studio does this when it bakes",
 }
 

@@ -8,13 +8,15 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.agreement import map_difference_notes
 from cagemap.studio.autosave import autosave_path, move_aside, read_autosave_parts
 from cagemap.studio.compute import FindMap, MapUpdate, OpenedPair, OpenModels, ShowBaked, ShowPosed, Task
-from cagemap.studio.finish import Command, FinishOptions, plan_commands
+from cagemap.studio.finish import Command, FinishOptions, made_of, plan_commands
 from cagemap.studio.finish_layout import explain_flags, in_page_words
 from cagemap.studio.landmark_edits import LandmarkEdits
 from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, load_landmarks, save_landmarks
@@ -195,7 +197,8 @@ class Session(LandmarkEdits):
     def plan(self, options: FinishOptions) -> tuple[Command, ...]:
         """Commands of a finish, by default with as many vertices as the map shown.
 
-        Without an image the source's material colours are baked, or else its ambient occlusion, and a cage is wrapped.
+        Without an image the source's material or vertex colours are baked, or else its ambient occlusion, and a cage is
+        wrapped.
 
         Raises
         ------
@@ -216,8 +219,11 @@ class Session(LandmarkEdits):
         if options.texture and files.texture is None and scene.has_colors:
             options = options.with_values({("transfer", "material_colors"): True})
         elif options.texture and files.texture is None:
-            kinds = options.option_values.get(("transfer", "bake")) or ("ao",)
-            options = replace(options, wrap=options.wrap or not is_plain).with_values({("transfer", "bake"): kinds})
+            colors = None if values.get(("transfer", "detail")) else scene.source.control.vertex_colors
+            default = ("ao",) if colors is None or np.isnan(colors).all() else ("colors",)
+            kinds = values.get(("transfer", "bake")) or default
+            wrap = options.wrap or not (is_plain or kinds == ("colors",))
+            options = replace(options, wrap=wrap).with_values({("transfer", "bake"): kinds})
         if is_plain and options.wrap:
             raise ParameterError(
                 f"{files.target.name} is open as a plain mesh, which cannot be wrapped. Press Open… and choose how the "
@@ -230,7 +236,7 @@ class Session(LandmarkEdits):
         with self.report_errors(), self._lock:
             if self._state.finish_job is not None:
                 raise ParameterError("a bake is running; cancel it or wait for its end")
-            files, scene = self._require_open()
+            files, _ = self._require_open()
             commands = self.plan(options)
             if self._state.history.present.has_constraints:
                 self._save()
@@ -241,10 +247,7 @@ class Session(LandmarkEdits):
             self._change(outputs=reused, uv_set=options.option_values.get(("match", "target_uv_set")) or None)
             self._finish_inputs = self._state.map_inputs
             if options.texture and files.texture is None:
-                titles = [command.title for command in commands]
-                made = "the colours of its materials are" if scene.has_colors else "its ambient occlusion is"
-                wrapped = ", and the wrapped mesh is made" if "wrap" in titles and not scene.has_colors else ""
-                self._say("note", f"the source has no image: {made} baked instead{wrapped}")
+                self._say("note", f"the source has no image; made instead: {', '.join(made_of(commands))}")
             self._runner.start(remaining)
 
     def close(self) -> None:
