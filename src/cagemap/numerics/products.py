@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -53,3 +54,9 @@ def multiply(matrix: sparse.csr_array, block: RealArray) -> RealArray:
     bounds: list[int] = [0, *np.searchsorted(matrix.indptr, shares[1:-1]).tolist(), matrix.shape[0]]
     in_threads(lambda rows: _multiply_rows(*pattern, entries, values, *rows, out), list(pairwise(bounds)))
     return out
+
+
+def is_compiled() -> bool:
+    """Whether Numba's cache, wherever it is, has the product: every map computes some."""
+    folder = _multiply_rows.stats.cache_path
+    return folder is not None and any(Path(folder).glob("*.nbi"))

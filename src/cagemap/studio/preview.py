@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cagemap
+from cagemap.numerics.products import is_compiled
 from cagemap.studio.compute import FindMap, OpenModels, PairFiles, ShowBaked, ShowPosed, Task
 from cagemap.studio.landmarks import LandmarkList, Side
 from cagemap.studio.skins import PreviewMap
@@ -19,7 +19,7 @@ from cagemap.studio.worker import Worker
 OPENING_TITLE, MATCHING_TITLE, BAKED_TITLE = "Opening the models", "Matching", "Showing the baked image"
 POSE_TITLE = "Showing a pose"
 _TITLES = {OpenModels: OPENING_TITLE, FindMap: MATCHING_TITLE, ShowBaked: BAKED_TITLE, ShowPosed: POSE_TITLE}
-# Follows the titles where nothing was compiled yet.
+# Follows the titles until a first map has compiled all functions.
 _COMPILE_NOTE = " (about a minute longer the first time after installing)"
 # Kinds of requests, in the order in which they are computed.
 _KINDS = ("models", "pose", "map", "answer", "baked")
@@ -57,8 +57,6 @@ class Preview:
         self._requests: dict[str, tuple[Any, ...]] = {}  # those that wait: arguments by kind
         self._closed = False
         self._job = RunningJob("")
-        compiled = any(Path(cagemap.__file__).parent.rglob("*.nbi"))  # Numba's cache
-        self._note = "" if compiled else _COMPILE_NOTE
         self._task: Task | None = None
         self._worker = Worker(
             lambda stage: on_job(replace(self._job, stage=stage)), on_early_result=self._on_early_result
@@ -133,7 +131,7 @@ class Preview:
 
     def _run_tasks(self) -> None:
         while (task := self._next_task()) is not None:
-            self._job = RunningJob(_TITLES[type(task)] + self._note)
+            self._job = RunningJob(_TITLES[type(task)] + ("" if is_compiled() else _COMPILE_NOTE))
             self._on_job(self._job)
             self._task = task
             result = self._worker.run(task)
