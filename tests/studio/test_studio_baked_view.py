@@ -13,7 +13,7 @@ from cagemap.studio.finish import FinishOptions
 from cagemap.studio.session import Session
 from cagemap.studio.state import Message, Output, View
 
-from studio_boxes import click, until
+from studio_boxes import at_rest, click, until
 
 
 def test_a_view_computes_nothing(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -33,6 +33,12 @@ def test_a_baked_image_is_shown_and_the_map_after_it(opened: Session, boxes: Pat
     opened._preview.kill()  # a killed computation reads the models again
     baked(opened, boxes)
     until(lambda: opened.scene.skins[0] != before[0], opened)
+    shown = opened.scene.skins[0]
+    opened.turn_up("target")
+    until(lambda: opened.state.files.ups[0] == "z" and at_rest(opened), opened)
+    assert opened.state.view.mode == "baked"
+    assert b"baked" in opened.scene.skins[0]
+    assert opened.scene.skins[0] != shown
     revision = opened.state.map.revision
     click(opened, "target", 1)
     opened.accept()
