@@ -75,6 +75,12 @@ def ply_images(path: Path) -> list[Path]:
     return [image for name in names if (image := named_image(path, name.strip())) is not None]
 
 
+def ply_image(path: Path) -> Path:
+    """The image that a PLY file names, if there is one alone; else the given file."""
+    images = ply_images(path) if path.suffix.lower() == ".ply" else []
+    return images[0] if len(images) == 1 else path
+
+
 def _with_materials(path: Path, mesh: ControlMesh, faces: dict[str, Column]) -> ControlMesh:
     """The mesh with a material for each image of its faces, if there are several, or for each colour."""
     images = np.unique(faces["texnumber"].values) if "texnumber" in faces else np.zeros(1)

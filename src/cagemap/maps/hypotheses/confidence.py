@@ -297,10 +297,11 @@ def distances_apart(distances: FloatArray, pairs: IndexArray) -> FloatArray:
 
 
 def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
-    """Coarse cost of a placement (n, 3), divided by the least one found on the source's mirror image.
+    """Cost of a placement (n, 3), divided by that of its best fit to the source's mirror image.
 
-    A left shoe on a right one folds no map and costs little more. But a body may stand as another one's mirror image:
-    where this costs less, both are fitted again from their poses, and the smaller quotient counts.
+    A left shoe on a right one folds no map and costs little more. Costs are those of coarse clusters. A body may stand
+    as another one's mirror image: if the fit to the mirror image costs less, both are fitted again in their poses, and
+    the smaller of the two quotients is returned.
     """
     prepared, clusters, small = problem.prepared, problem.coarse_clusters, problem.small_clusters
     source, graph, config = prepared.source_surface, small.energy.graph, prepared.elastic
