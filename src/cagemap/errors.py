@@ -163,7 +163,8 @@ def explain_error(error: Exception) -> str:
     if isinstance(error, CagemapError):
         return use_option_names(str(error))
     if isinstance(error, MemoryError):
-        return "not enough memory for surfaces of this size. Use a lower --level, fewer --vertices or fewer --workers."
+        remedy = "Use a lower --level, fewer --vertices or, in a job, fewer --workers"
+        return f"not enough memory for surfaces of this size. {remedy}."
     if not isinstance(error, OSError):
         return (
             f"internal error, {type(error).__name__}: {error}. This is a fault of cagemap, please report it; "

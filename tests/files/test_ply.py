@@ -142,8 +142,34 @@ def test_faces_of_several_colours_have_a_material_for_each(tmp_path: Path, caplo
     again = read_ply(tmp_path / "again.ply")
     assert (again.material_names, *again.face_materials) == (mesh.material_names, *mesh.face_materials)
     one = read_bytes(tmp_path, HEADER + COLORED_FACES + BODY[:24] + "3 0 1 2 9 9 9\n3 0 2 3 9 9 9\n")
-    assert one.material_names == ()
+    assert one.material_names == ("#090909",)
     assert not caplog.text
+    floats = COLORED_FACES.replace("uchar red", "float red").replace("uchar green", "float green")
+    floats = floats.replace("uchar blue", "float blue")
+    some = read_bytes(tmp_path, HEADER + floats + BODY[:24] + "3 0 1 2 1 0 0\n3 0 2 3 nan 0 0\n")
+    assert [some.material_names[number] for number in some.face_materials] == ["#ff0000", "no colour"]
+    images = COLORED_FACES.replace("end_", "property int texnumber\nend_")
+    assert read_bytes(tmp_path, HEADER + images + BODY[:24] + "3 0 1 2 1 2 3 0\n3 0 2 3 1 2 3 0\n").material_names
+    assert not caplog.text
+    read_bytes(tmp_path, HEADER + images + BODY[:24] + "3 0 1 2 1 2 3 0\n3 0 2 3 1 2 3 1\n")
+    assert "colours of its faces are left out, since" in caplog.text
+
+
+def test_faces_without_a_colour_are_written_grey(tmp_path: Path) -> None:
+    """Of a material without one, or without a material (-1)."""
+    mesh = replace(
+        cube(),
+        face_materials=np.array([0, 1, -1, 0, 0, 0]),
+        material_names=("red", "unknown"),
+        material_colors=np.array([[1.0, 0.0, 0.0], [np.nan] * 3]),
+    )
+    write_ply(tmp_path / "some.ply", mesh)
+    again = read_ply(tmp_path / "some.ply")
+    assert [again.material_names[number] for number in again.face_materials] == [
+        "#ff0000",
+        *["#e7e7e7"] * 2,
+        *["#ff0000"] * 3,
+    ]
 
 
 def test_faces_of_too_many_colours_are_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -256,6 +256,7 @@ def test_dead_workers_and_bad_tasks_cost_only_what_needs_them(tmp_path: Path) ->
     after = {"done": "done", "failed": "skipped"}
     assert states == expected | {f"after-{name}": after[state] for name, state in expected.items()}
     assert "worker died" in outcomes["deadly"].message
+    assert outcomes["deadly"].failure["place"] == ""
     assert sorted(finished) == sorted(states)
 
 

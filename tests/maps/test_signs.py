@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from cagemap import pipeline
 from cagemap.deform.placement import Placement
-from cagemap.deform.problem import PreparedPair
+from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.maps.hypotheses.confidence import (
     JUMPING,
@@ -20,6 +20,7 @@ from cagemap.maps.hypotheses.confidence import (
     TWO,
     WARNING_SIGNS,
     Confidence,
+    answer_confidence,
     describe_signs,
     image_pairs,
     jump_lengths,
@@ -111,6 +112,21 @@ def test_the_distortion_of_a_stretched_grid_is_that_of_most_columns() -> None:
     target, source = (TriangleSurface.from_faces(places, faces) for places in (plane.positions, moved))
     found = PointMap.from_vertices(target, source, np.arange(target.n))
     assert median_distortion(found) == pytest.approx(np.sqrt((7 * 1.25 + 3 * 5.0) / 10))
+
+
+def test_masked_area_does_not_count_as_stretched() -> None:
+    """All but the first third of a strip is compressed by 3 and masked."""
+    strip = prepare_surface(grid(30, 10), 1)
+    mesh = strip.triangles(strip.finest_level)
+    places, x = mesh.positions.copy(), mesh.positions[:, 0]
+    third = x.min() + np.ptp(x) / 3
+    places[:, 0] = np.where(x < third, x, third + (x - third) / 3)
+    masks = Masks((x < third).astype(float), None)
+    problem = Problem.of_landmarks(prepare_pair(strip, strip, MatchConfig(masks=masks)), Landmarks.none())
+    found = PointMap(mesh, SurfacePoints.nearest(mesh, places))
+    answers = (Placement(problem.prepared.mesh.positions, 1.0),)  # too costly to be sure: nothing is fitted
+    confidence = answer_confidence(problem, found, answers, None, np.zeros(problem.prepared.mesh.n))
+    assert confidence.signs["stretched"] == pytest.approx(1.0)
 
 
 def test_a_strip_s_last_third_on_its_first_jumps_on_both() -> None:

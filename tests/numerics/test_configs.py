@@ -19,16 +19,28 @@ from cagemap.wrap.config import MendConfig, WrapConfig
 REFUSED: dict[str, Callable[[], object]] = {
     "min_cell: expected a number from 0 to 0.5, got 0.9": lambda: GraphConfig(min_cell=0.9, joining_rounds=9),
     "neighbours: expected a whole number of at least 1, got 0": lambda: GraphConfig(neighbours=0),
-    "cell_counts: expected a number of at least 0": lambda: GraphConfig(cell_counts=(-0.1, 1.2)),
+    "cell_counts: expected numbers of at least 0": lambda: GraphConfig(cell_counts=(-0.1, 1.2)),
     "flat: expected a number of at least 0, got nan": lambda: GraphConfig(flat=np.nan),
     "factored: expected a whole number of at least 1": lambda: Stage(3, (1.0, 1.0), 0.1, factored=0),
     "coarse_vertices: expected a whole number of at least 4": lambda: ElasticConfig(coarse_vertices=3),
-    "min_cosine: expected a number of at least 0": lambda: ProjectionConfig(min_cosine=-0.1),
+    "min_cosine: expected a number from -1 to 1": lambda: ProjectionConfig(min_cosine=-1.1),
     "min_side_gain: expected a number of at least -1": lambda: LandmarkConfig(min_side_gain=-2.0),
     "answer: expected a whole number": lambda: MatchConfig(answer=True),
     "rounds: expected a whole number of at least 0, got 2.5": lambda: MendConfig(rounds=2.5),  # type: ignore[arg-type]
-    "smoothing: expected a number of at least 0, got inf": lambda: WrapConfig(smoothing=np.inf),
+    "smoothing: expected a finite number of at least 0, got inf": lambda: WrapConfig(smoothing=np.inf),
     "seed: expected a whole number of at least 0": lambda: replace(SOLVER, seed=-1),
+    "projection_normal_weights: expected numbers of at least 0, got [-1.0]": lambda: ElasticConfig(
+        projection_normal_weights=[-1.0]  # type: ignore[arg-type]
+    ),
+    "projection_normal_weights: expected numbers of at least 0, got ('a',)": lambda: ElasticConfig(
+        projection_normal_weights=("a",)  # type: ignore[arg-type]
+    ),
+    "coarse_vertices: expected a whole number of at least 4, got array(-3)": lambda: ElasticConfig(
+        coarse_vertices=np.array(-3)  # type: ignore[arg-type]
+    ),
+    "coarse_vertices: expected a whole number of at least 4, got 1000": lambda: ElasticConfig(coarse_vertices=10**400),
+    "iterations: expected a whole number of at least 1, got 2.5": lambda: Stage(2.5, (1.0, 1.0), 0.1),  # type: ignore[arg-type]
+    "search: expected a SearchConfig, got None": lambda: ElasticConfig(search=None),  # type: ignore[arg-type]
     "reach: expected a number of at least 0, got '1'": lambda: CollisionConfig(reach="1"),  # type: ignore[arg-type]
 }
 

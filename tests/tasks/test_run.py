@@ -55,7 +55,10 @@ def test_a_task_returns_the_numbers_of_its_summary(box: Path) -> None:
     np.savetxt(folder / "legs.csv", np.full((16, 2), 0.5), delimiter=",", header="hip,knee", comments="")
     carried = tasks.run(tasks.TransferRequest(folder / "R", folder / "w.csv", weights=folder / "legs.csv"))
     assert carried.figures == {"vertices": 16, "joints": 2, "influences": 2, "untrusted_vertices": 0}
-    json.dumps([matched.figures, wrapped.figures, carried.figures], allow_nan=False)
+    output, images = folder / "i.png", ("ao", "normal")
+    baked = tasks.run(tasks.TransferRequest(folder / "R", output, bake=images, detail=box, size=16, unwrap=True))
+    assert baked.figures == {kind: {"size": 16, "tiles": [0]} for kind in images}
+    json.dumps([matched.figures, wrapped.figures, carried.figures, baked.figures], allow_nan=False)
 
 
 def test_every_command_of_the_command_line_but_the_studio_has_a_request() -> None:

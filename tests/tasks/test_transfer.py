@@ -243,8 +243,9 @@ def test_match_says_the_next_command_with_the_file_that_has_the_texture(tmp_path
     request = MatchRequest(tmp_path / "a.obj", tmp_path / "my.obj", output=tmp_path / "RESULT")
     assert f"transfer {tmp_path}/RESULT --texture IMG -o OUT.png, or" in next_commands(result, request)
     bare = replace(result, target=result.target.with_control(result.target.control.with_uvs(None, None)))
-    text = next_commands(bare, replace(request, source=tmp_path / "box.gltf"))
-    assert f"--texture {tmp_path}/box.gltf -o OUT.png --unwrap, or" in text
+    scene = (tmp_path / "box.gltf").rename(tmp_path / "{box}.gltf")
+    text = next_commands(bare, replace(request, source=scene))
+    assert f"--texture '{scene}' -o OUT.png --unwrap, or" in text
 
 
 def test_match_says_what_a_source_without_uvs_can_give(tmp_path: Path) -> None:

@@ -34,7 +34,6 @@ _COLUMNS = (
     ("stretch", "dirichlet", 1.0, "{:.2f}"),
     ("trusted %", "trusted_area", 100.0, "{:.1f}"),
 )
-_NO_FAILURE = TaskOutcome("", "done")
 
 
 @dataclass(frozen=True)
@@ -50,9 +49,7 @@ class PairRow:
     cycle_error: float | None = None  # error of the map by cycle consistency, of sqrt(area)
     files: tuple[str, ...] = ()  # written files, relative to the page
     picture: bytes = field(default=b"", repr=False)  # JPEG, empty if there is none
-    failure: dict[str, str] = field(
-        default_factory=lambda: _NO_FAILURE.failure
-    )  # code, place and remedy of the first failure
+    failure: dict[str, str] = field(default_factory=dict)  # code, place and remedy of the first failure, if any
 
 
 def pair_rows(
@@ -89,7 +86,7 @@ def pair_rows(
                 None if cycle_errors is None else cycle_errors.get((pair[1], pair[0])),
                 tuple(name for name in files if not name.endswith(PICTURE_FILE)),
                 picture.read_bytes() if picture.is_file() else b"",
-                next((outcome for outcome in (*failed, *causes) if outcome.code), _NO_FAILURE).failure,
+                next((outcome.failure for outcome in (*failed, *causes) if outcome.code), {}),
             )
         )
     return sorted(rows, key=_sort_key)
@@ -134,7 +131,7 @@ def build_table(rows: Sequence[PairRow]) -> list[dict[str, Any]]:
             "cycle_error": row.cycle_error,
             **flatten_entries("", {name: value for name, value in row.quality.items() if name != "warnings"}),
             "messages": " | ".join(row.messages),
-            **row.failure,
+            **{name: row.failure.get(name, "") for name in ("code", "place", "remedy")},
         }
         for row in rows
     ]

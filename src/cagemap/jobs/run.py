@@ -228,7 +228,7 @@ def _lost_outcome(task: Task, outcomes: dict[str, TaskOutcome]) -> TaskOutcome:
     for name in task.needs:
         if name in outcomes and not outcomes[name].usable:
             return TaskOutcome(task.name, "skipped", _skip_message(outcomes[name]))
-    cause = f"its worker died {MAX_RETRIES + 1} times: killed, or out of memory. Use fewer workers"
+    cause = f"its worker died {MAX_RETRIES + 1} times, killed or out of memory. Use fewer workers"
     return TaskOutcome(task.name, "failed", f"{cause}. {_REMEDY}", code="lost-worker")
 
 

@@ -15,7 +15,11 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, offsets_of
 from cagemap.surface.triangles import fan_triangles
 
 # Texture coordinates of all corners of faces that have none, where other faces of the mesh have some.
+# Linear grey of faces whose material has no colour.
+UNKNOWN_COLOR = 0.8
 NO_UV = (0.5, 0.5)
+# Linear grey of faces whose material has no colour; the default of most programs.
+UNKNOWN_COLOR = 0.8
 # Triangles of a layout with less area are degenerate: sides of about 1e-6. Texels of a 16k image have 6e-5.
 MIN_UV_AREA = 1e-12
 
@@ -199,6 +203,14 @@ class ControlMesh:
             ("group", self.face_groups, self.group_names),
             ("material", self.face_materials, self.material_names),
         )
+
+    @property
+    def face_colors(self) -> FloatArray | None:
+        """(m, 3) linear RGB colour of every face by its material, NaN where there is none; None if no face has one."""
+        if self.face_materials is None or self.material_colors is None or not len(self.material_colors):
+            return None
+        colors = np.where(self.face_materials[:, None] < 0, np.nan, self.material_colors[self.face_materials])
+        return colors if np.isfinite(colors).any() else None
 
     @property
     def is_triangle_mesh(self) -> bool:

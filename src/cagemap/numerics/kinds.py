@@ -113,9 +113,9 @@ class Brief:
 
 
 class Config(Brief):
-    """Base of configurations: refuses numbers that are not whole where counted, or out of range.
+    """Base of configurations: refuses what is no number, no whole one where counted, or out of range.
 
-    Only limits (``max_...``) may be infinite.
+    Only limits (``max_...``) may be infinite. Cosines and agreements are from -1 to 1.
     """
 
     #: Least and most values of fields; others are at least 0, or at least -1 if their default is negative.
@@ -124,13 +124,23 @@ class Config(Brief):
     def __post_init__(self) -> None:
         """Check all numbers."""
         for field in fields(self):  # type: ignore[arg-type]
-            value, default, kind = getattr(self, field.name), field.default, type(field.default)
-            numbers = [float(one) for one in (value if isinstance(value, tuple) else (value,)) if _is(one, float)]
-            negative = isinstance(default, int | float) and default < 0
-            least, most = self.RANGES.get(field.name, (-1.0 if negative else 0.0, np.inf))
-            fits = kind not in (int, float) or _is(value, kind)
+            value, default, annotation = getattr(self, field.name), field.default, str(field.type)
+            several, kind = annotation.startswith("tuple["), annotation.removeprefix("tuple[").split(",")[0].rstrip("]")
+            if isinstance(default, Config) and not isinstance(value, type(default)):
+                raise ParameterError(f"{field.name}: expected a {type(default).__name__}, got {value!r}")
+            if field.name.endswith(("cosine", "agreement")):
+                least, most = -1.0, 1.0
+            else:
+                negative = isinstance(default, int | float) and default < 0
+                least, most = self.RANGES.get(field.name, (-1.0 if negative else 0.0, np.inf))
+            given = tuple(value) if several and isinstance(value, tuple | list | np.ndarray) else (value,)
+            given = tuple(one.item() if isinstance(one, np.generic) else one for one in given)
+            numbers = [one for one in given if _is(one, int if kind == "int" else float)]
+            fits = kind not in ("int", "float") or len(numbers) == len(given)
             largest = most if field.name.startswith("max_") else min(most, sys.float_info.max)
             if not fits or not all(least <= number <= largest for number in numbers):
-                expected = f"{'a whole' if kind is int else 'a'} number "
-                expected += f"of at least {least:g}" if most == np.inf else f"from {least:g} to {most:g}"
-                raise ParameterError(f"{field.name}: expected {expected}, got {value!r}")
+                noun = f"{'finite ' * (np.inf in numbers)}{'whole ' * (kind == 'int')}number"
+                limits = f"of at least {least:g}" if most == np.inf else f"from {least:g} to {most:g}"
+                raise ParameterError(
+                    f"{field.name}: expected {noun + 's' if several else 'a ' + noun} {limits}, got {value!r}"
+                )

@@ -116,7 +116,7 @@ def colors_remedy(mesh: ControlMesh) -> str:
     """How to bake the colours that a mesh has, for messages."""
     if mesh.vertex_colors is not None:
         return "Bake the colours of its vertices: `transfer --bake colors`."
-    if mesh.material_colors is not None and np.isfinite(mesh.material_colors).any():
+    if mesh.face_colors is not None:
         return "Bake the colours of its materials: `transfer --material-colors`."
     return "Match a file that has them: a mesh without UVs and colours has no look to transfer."
 
@@ -298,7 +298,7 @@ def base_size(request: TransferRequest, name: str = "") -> int | None:
 def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any], stages: Stages) -> Said:
     """Record a bake, in the manifest too; returns a summary and warnings."""
     outputs = [udim_path(request.output, tile) for tile in prepared.tiles]
-    stages.record(size=entry["size"], tiles=prepared.tiles)
+    stages.record({"size": entry["size"], "tiles": prepared.tiles}, of=str(entry.get("map", "")))
     level = {} if request.level is None else {"level": request.level}
     note_transfer(
         request.result, {**entry, **level, "output": outputs[0], "tiles": prepared.tiles, "mesh": prepared.mesh}

@@ -15,7 +15,7 @@ from cagemap.files.gltf.material_images import MaterialImage, png_bytes, write_n
 from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern, udim_path
 from cagemap.files.inner_texture import color_texture, material_document, tinted_materials, write_texture
 from cagemap.files.meshes.formats import MESH_SUFFIXES, read_mesh
-from cagemap.files.meshes.ply import ply_images
+from cagemap.files.meshes.ply import ply_image
 from cagemap.files.result.manifest import note_transfer
 from cagemap.files.usd.results import preview_inputs, unbound_maps
 from cagemap.files.usd.write import UsdResults
@@ -119,8 +119,8 @@ def _image_file(
     if path.suffix.lower() not in MESH_SUFFIXES:
         return path, None
     require_source_uvs(result)
-    if path.suffix.lower() == ".ply" and len(images := ply_images(path)) == 1:
-        return images[0], None
+    if (image_file := ply_image(path)) != path:
+        return image_file, None
     document = document or material_document(path, result.source.control)
     found = color_texture(document, result.source.control)
     image = None if document is None or found is None else write_texture(path, document, found, request.result)
@@ -221,7 +221,7 @@ def _carry(
     if not isinstance(baked, Displacement):
         return finish(request, prepared, entry, stages)
     values = {"midlevel": baked.midlevel, "scale": baked.scale}
-    stages.record(**values)
+    stages.record(values)
     summary, warnings = finish(request, prepared, entry | values, stages)
     what = "height" if channels == 1 else "vector"
     return f"{summary}\n  {what} = (value - {baked.midlevel:g}) * {baked.scale:.6g} in the target's units", warnings
@@ -279,6 +279,7 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     for kind, path in images.items():
         entry = {"kind": f"bake-{kind}", "output": udim_path(path, prepared.tiles[0]), "tiles": prepared.tiles}
         entry |= {"size": bakes.size, "space": request.space, "mesh": prepared.mesh}
+        stages.record({"size": bakes.size, "tiles": prepared.tiles}, of=kind if len(kinds) > 1 else "")
         note_transfer(request.result, entry)
     if prepared.mesh is not None:
         lines.append(f"wrote {prepared.mesh}")

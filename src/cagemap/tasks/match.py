@@ -127,7 +127,7 @@ def run_match(request: MatchRequest, stages: Stages, computed: ComputedMatch | N
     """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
     started = time.perf_counter()
     result = match_files(request, stages, computed=computed)
-    stages.record(**match_figures(result, time.perf_counter() - started))
+    stages.record(match_figures(result, time.perf_counter() - started))
     text = summary(result, request.output, stages.figures)
     return f"{text}\n{next_commands(result, request)}", warnings(result)
 

@@ -43,7 +43,7 @@ def next_commands(result: MatchResult, request: MatchRequest) -> str:
     """The commands to type next, with the image or the colours that the source has."""
     folder, file, source = shlex.quote(str(request.output)), request.source, result.source.control
     look = "--texture IMG" if source.has_layout else "--bake colors" if source.vertex_colors is not None else None
-    if look is None and source.material_colors is not None:
+    if look is None and source.face_colors is not None:
         look = "--material-colors"
     if file.suffix.lower() in GLTF_SUFFIXES:  # FBX and USD files would be converted once more, which takes seconds
         from cagemap.files import inner_texture  # here, since most matches need no reader of textures

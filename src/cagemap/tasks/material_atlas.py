@@ -13,9 +13,9 @@ from cagemap.files.gltf.primitives import material_names
 from cagemap.files.images.image import Image, Pixels
 from cagemap.files.inner_texture import color_image, color_texture
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import UNKNOWN_COLOR
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import encode_srgb
-from cagemap.transfer.attributes import UNKNOWN_COLOR
 from cagemap.transfer.baking import to_dtype, unit
 
 # Width in texels of the border around each image, which repeats its edge: neighbours do not mix when it is filtered.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Any, Self
 
@@ -39,9 +39,12 @@ class Stages:
         if self._tell is not None:
             self._tell(stage)
 
-    def record(self, **figures: Any) -> None:
-        """Add figures of the task's result, which `cagemap.tasks.run` returns: numbers, texts, lists and tables."""
-        self.figures |= figures
+    def record(self, figures: Mapping[str, Any], of: str = "") -> None:
+        """Add figures of the task's result, or of one of its files: numbers, texts, lists and tables.
+
+        `cagemap.tasks.run` returns them.
+        """
+        self.figures |= {of: dict(figures)} if of else figures
 
     def show(self, text: str) -> None:
         """Show the progress of the running stage; nothing by default."""

@@ -15,6 +15,7 @@ from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.images.image import UDIM_MARK, Image, Pixels, read_image, read_texture
 from cagemap.files.inner_texture import material_document
 from cagemap.files.meshes.formats import read_mesh
+from cagemap.files.meshes.ply import ply_image
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, input_file
 from cagemap.files.usd.space import upright_turn
@@ -56,6 +57,7 @@ def run_report(request: ReportRequest, stages: Stages) -> Said:
         known = [entry for entry in known if (folder / entry["image"]).is_file()]
         texture = folder / known[-1]["image"] if known else None
     if texture is not None:
+        texture = ply_image(texture)
         check_outputs([output], [texture], force=force)
     source = result.source.control
     atlas = None if texture is None else material_atlas(material_document(texture, source), source)

@@ -72,7 +72,8 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     vertices, joints = carried.shape
     most = int((weight_table(columns) > 0).sum(axis=1).max())
     filled = int(np.count_nonzero(~trusted_vertices(result)))
-    stages.record(vertices=vertices, joints=joints, influences=most, untrusted_vertices=filled)
+    figures = {"vertices": vertices, "joints": joints, "influences": most, "untrusted_vertices": filled}
+    stages.record(figures)
     text = f"wrote {request.output}: {vertices} vertices, {joints} joints, at most {most} a vertex"
     with all_or_nothing():
         write_attributes(request.output, in_file(request, columns, target_rows), force=request.force)

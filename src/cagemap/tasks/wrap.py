@@ -207,7 +207,7 @@ def _run(request: WrapRequest, stages: Stages) -> Said:
     space = _to_target(folder, result)
     written, warnings = _write(request, _through(wrapped, space), result, original, request.output)
     figures = wrap_figures(wrapped)
-    stages.record(**figures)
+    stages.record(figures)
     note_transfer(folder, {"kind": "wrap", "output": request.output, "amount": request.amount, **figures})
     note_output("wrap", folder, request)
     count = wrapped.mesh.n_vertices
@@ -332,7 +332,7 @@ def _write_shapes(request: WrapRequest, results: list[MatchResult], config: Wrap
             _write(replace(request, amount=1.0), rest, result, original, files[0])
         warnings += _write(request, _through(wrapped, _to_target(folder, result)), result, original, file)[1]
         figures = wrap_figures(wrapped)
-        stages.record(**{name: figures})
+        stages.record(figures, of=name)
         lines.append(f"wrote {file}\n{distances_text(figures)}")
         warnings += [f"{name}: {message}" for message in fold_warnings(figures)]
     for folder in request.results:

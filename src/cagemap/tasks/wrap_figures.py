@@ -10,7 +10,7 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.wrap import Residual, Wrapped
 
 # Least share of the target's area without a counterpart that is reported; less is single triangles.
-_TOLD = 5e-4
+_MIN_LEFT_OUT = 5e-4
 
 
 def wrap_figures(wrapped: Wrapped) -> dict[str, Any]:
@@ -44,7 +44,7 @@ def distances_text(figures: Mapping[str, Any]) -> str:
         f"  of the wrap to the source: {_words(figures['residual'])}",
         f"  of the source to the wrap: {_words(figures['residual_from_source'])}",
     ]
-    if left_out > _TOLD:
+    if left_out > _MIN_LEFT_OUT:
         lines += [
             f"  {100 * left_out:.1f} % of the target has no counterpart and follows its surroundings",
             f"  of the rest to the source: {_words(figures['residual_with_counterpart'])}",

@@ -9,6 +9,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import UNKNOWN_COLOR
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
 from cagemap.numerics.srgb import encode_srgb
 from cagemap.surface.triangles import triangle_areas
@@ -18,8 +19,6 @@ from cagemap.transfer.texture import Pixels
 
 # Samples along a texel's side at borders of materials: 16 levels between two colours.
 _EDGE_SAMPLES = 4
-# Linear grey for materials without a colour; the default of most programs.
-UNKNOWN_COLOR = 0.8
 
 
 def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces: int | None = None) -> NDArray[Any]:
@@ -78,11 +77,11 @@ def largest_share(owners: IndexArray, labels: NDArray[Any], shares: FloatArray, 
 
 def face_colors(control: ControlMesh) -> FloatArray:
     """(m, 3) linear RGB colour of every control face by its material; grey for materials without a colour."""
-    if control.face_materials is None or control.material_colors is None or len(control.material_colors) == 0:
+    colors = control.face_colors
+    if colors is None:
         raise ParameterError(
             f"{control.name}: expected materials with colours, found none; check that the .mtl lies beside the .obj"
         )
-    colors = control.material_colors[control.face_materials]
     return np.where(np.isfinite(colors), colors, UNKNOWN_COLOR)
 
 

@@ -21,7 +21,7 @@ from cagemap.files.meshes.ply_records import Column, read_columns
 from cagemap.files.ownership import mark
 from cagemap.files.text import named_image, read_bytes
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.control_mesh import NO_UV
+from cagemap.mesh.control_mesh import NO_UV, UNKNOWN_COLOR
 from cagemap.mesh.faces import merged_corners
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -43,8 +43,8 @@ def read_ply(path: str | Path) -> ControlMesh:
     Texture coordinates are those of the faces' ``texcoord`` lists, else of the vertices (``s t``, ``u v`` or
     ``texture_u texture_v``). Vertex colours ``red green blue`` are divided by the largest number of their type if it
     has one or two bytes; otherwise they are from 0 to 1, or bytes (`as_shares`). Faces of several images
-    (``texnumber``) or colours have a material for each; of more than 256 colours, none, with a warning. Other elements
-    are ignored.
+    (``texnumber``), or of one or more colours, have a material for each; of more than 256 colours, none, with a
+    warning. Other elements are ignored.
     """
     file = Path(path)
     columns = read_columns(file, read_bytes(file, "a PLY file"))
@@ -75,25 +75,33 @@ def ply_images(path: Path) -> list[Path]:
     return [image for name in names if (image := named_image(path, name.strip())) is not None]
 
 
+def ply_image(path: Path) -> Path:
+    """The image that a PLY file names, if there is one alone; else the given file."""
+    images = ply_images(path) if path.suffix.lower() == ".ply" else []
+    return images[0] if len(images) == 1 else path
+
+
 def _with_materials(path: Path, mesh: ControlMesh, faces: dict[str, Column]) -> ControlMesh:
-    """The mesh with a material for each image or colour of its faces, if they have several."""
-    colors = None
-    if "texnumber" in faces:
-        numbers, materials = np.unique(faces["texnumber"].values, return_inverse=True)
-        names = tuple(f"texture {number:g}" for number in numbers)
-    elif (given := _as_bytes(_colors(faces))) is not None:
-        shades, materials = np.unique(given, axis=0, return_inverse=True)
-        if len(shades) > _MOST_MATERIALS:
-            text = "%s: the %d colours of its faces are left out: expected at most %d. Give the vertices colours."
-            _log.warning(text, path, len(shades), _MOST_MATERIALS)
-            return mesh
-        names = tuple("#{:02x}{:02x}{:02x}".format(*shade) for shade in shades.tolist())
-        colors = decode_srgb(shades / 255.0)
-    else:
+    """The mesh with a material for each image of its faces, if there are several, or for each colour."""
+    images = np.unique(faces["texnumber"].values) if "texnumber" in faces else np.zeros(1)
+    given = _colors(faces)
+    if len(images) > 1:
+        if given is not None:
+            _log.warning("%s: the colours of its faces are left out, since its faces have several images", path)
+        materials = np.searchsorted(images, faces["texnumber"].values)
+        return replace(mesh, face_materials=materials, material_names=tuple(f"texture {k:g}" for k in images))
+    if given is None:
         return mesh
-    if len(names) < 2:
+    red, green, blue = _as_bytes(np.nan_to_num(given)).astype(np.int64).T
+    keys, materials = np.unique(np.where(np.isnan(given[:, 0]), -1, red << 16 | green << 8 | blue), return_inverse=True)
+    if len(keys) > _MOST_MATERIALS:
+        text = "%s: the %d colours of its faces are left out: expected at most %d. Give the vertices colours."
+        _log.warning(text, path, len(keys), _MOST_MATERIALS)
         return mesh
-    return replace(mesh, face_materials=materials.ravel(), material_names=names, material_colors=colors)
+    shades = decode_srgb(np.column_stack([keys >> 16, keys >> 8 & 255, keys & 255]) / 255.0)
+    shades[keys < 0] = np.nan
+    names = tuple("no colour" if key < 0 else f"#{key:06x}" for key in keys.tolist())
+    return replace(mesh, face_materials=materials, material_names=names, material_colors=shades)
 
 
 def _colors(columns: dict[str, Column]) -> FloatArray | None:
@@ -186,7 +194,7 @@ def _header(mesh: ControlMesh) -> str:
         f"comment {mark()}",
         f"element vertex {mesh.n_vertices}",
         *(f"property double {axis}" for axis in "xyz"),
-        *_color_properties(_as_bytes(mesh.vertex_colors)),
+        *_color_properties(_vertex_bytes(mesh)),
         f"element face {mesh.n_faces}",
         f"property list {count} int vertex_indices",
         *([f"property list {count} double texcoord"] if mesh.uvs is not None else []),
@@ -200,23 +208,26 @@ def _color_properties(colors: NDArray[np.uint8] | None) -> list[str]:
     return [] if colors is None else [f"property uchar {color}" for color in _COLORS]
 
 
-def _as_bytes(colors: FloatArray | None) -> NDArray[np.uint8] | None:
-    """(n, 3) colours as bytes; None if one is unknown."""
-    if colors is None or not np.isfinite(colors).all():
-        return None
+def _as_bytes(colors: FloatArray) -> NDArray[np.uint8]:
+    """(n, 3) colours as bytes."""
     return np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8)
 
 
-def _face_bytes(mesh: ControlMesh) -> NDArray[np.uint8] | None:
-    """(f, 3) colours of the faces' materials as bytes; None if one is unknown, or all are equal."""
-    if mesh.face_materials is None or mesh.material_colors is None:
+def _vertex_bytes(mesh: ControlMesh) -> NDArray[np.uint8] | None:
+    """(n, 3) colours of the vertices as bytes; None if one is unknown."""
+    if mesh.vertex_colors is None or not np.isfinite(mesh.vertex_colors).all():
         return None
-    colors = _as_bytes(encode_srgb(mesh.material_colors[mesh.face_materials]))
-    return None if colors is None or (colors == colors[0]).all() else colors
+    return _as_bytes(mesh.vertex_colors)
+
+
+def _face_bytes(mesh: ControlMesh) -> NDArray[np.uint8] | None:
+    """(f, 3) colours of the faces' materials as bytes, grey for those without one; None if no face has one."""
+    colors = mesh.face_colors
+    return None if colors is None else _as_bytes(encode_srgb(np.where(np.isfinite(colors), colors, UNKNOWN_COLOR)))
 
 
 def _binary_vertices(mesh: ControlMesh) -> bytes:
-    colors = _as_bytes(mesh.vertex_colors)
+    colors = _vertex_bytes(mesh)
     if colors is None:
         return mesh.positions.astype("<f8").tobytes()
     table = np.zeros(mesh.n_vertices, dtype=[("place", "<f8", (3,)), ("color", "u1", (3,))])

@@ -1,6 +1,6 @@
-"""Confidence in a map that its landmarks do not determine: signs of a wrong map, verdict, other alignments.
+"""Confidence in a map without ground truth: signs of a wrong map, verdict, other alignments.
 
-Signs are measured without ground truth; each has a bound (`WARNING_SIGNS`).
+Each sign has a bound (`WARNING_SIGNS`).
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ class WarningSign:
 
 # In the order of a message. How each bound was chosen and judged: docs/lab/judge.md.
 WARNING_SIGNS: dict[str, WarningSign] = {
-    # `mirrored_gain`: cost, divided by the cost on the source's mirror image.
+    # `mirrored_gain`: cost on the source, divided by the cost on its mirror image.
     "mirrored": WarningSign(
         1.2,
         "it fits the source's mirror image {value:.1f} times as well: a left part on a right one, or poses with left "
         "and right exchanged. If so, mirror one of the files",
     ),
-    # Share of the target's area at which the map jumps: its parts cover the source twice.
+    # Share of the target's area at which the map jumps: distant parts of the target are on one place of the source.
     "jumps": WarningSign(0.03, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
     # Median `distortion`, by the target's area.
     "stretched": WarningSign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
@@ -58,7 +58,7 @@ WARNING_SIGNS: dict[str, WarningSign] = {
     # Cost divided by that of the best different alignment; 0 if there is none.
     "runner_up": WarningSign(1 / 1.3, "another alignment fits almost as well"),
 }
-# Least `runner_up` for the verdict of two answers.
+# Least `runner_up` for the verdict 'two answers'.
 TIE = 1 / 1.12
 # Least jump, of sqrt(area): a distance along the target, less twice the distance of the images along the source.
 JUMP = 0.2
@@ -163,13 +163,13 @@ def answer_confidence(
 ) -> Confidence:
     """Confidence in the map of the first of several answers, from the `WARNING_SIGNS` of a wrong map.
 
-    ``jumps`` are the map's `jump_lengths` (n,). Area that is not shared tells nothing about the map.
+    ``jumps`` are the map's `jump_lengths` (n,). Area that is masked or not shared is ignored.
     """
     prepared, controls = problem.prepared, problem.prepared.target.control.n_vertices
-    weights = None if shared is None else prepared.masks.within(shared).of_target(point_map.target.n)
+    weights = prepared.masks.within(shared).of_target(point_map.target.n)
     signs = {"jumps": jump_share(prepared, jumps), "stretched": median_distortion(point_map, weights)}
     confidence = Confidence.of(answers, controls, signs)
-    if confidence.verdict == SURE:  # takes as long as all other signs
+    if confidence.verdict == SURE:  # as slow as all other signs: only where none of them is beyond its bound
         signs["mirrored"] = mirrored_gain(problem, answers[0].positions)
         confidence = Confidence.of(answers, controls, signs)
     if signs["jumps"] > WARNING_SIGNS["jumps"].bound:  # a landmark at the jump decides, not where answers differ
@@ -297,10 +297,11 @@ def distances_apart(distances: FloatArray, pairs: IndexArray) -> FloatArray:
 
 
 def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
-    """Coarse cost of a placement (n, 3), divided by the least one found on the source's mirror image.
+    """Cost of a placement (n, 3), divided by that of its best fit to the source's mirror image.
 
-    A left shoe on a right one folds no map and costs little more. But a body may stand as another one's mirror image:
-    where this costs less, both are fitted again from their poses, and the smaller quotient counts.
+    A left shoe on a right one has no folds and costs little more. Costs are those of coarse clusters. The pose of a
+    body may resemble the mirrored pose of another one: if the fit to the mirror image costs less, both are fitted again
+    with rest shapes in their poses, and the smaller of the two quotients is returned.
     """
     prepared, clusters, small = problem.prepared, problem.coarse_clusters, problem.small_clusters
     source, graph, config = prepared.source_surface, small.energy.graph, prepared.elastic
@@ -322,15 +323,16 @@ def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
         (problem, clusters, coarse_fit(problem, positions[clusters.vertices], clusters)),
         (mirrored_problem, on_mirror_image, coarse_fit(mirrored_problem, start, on_mirror_image)),
     )
-    given, mirrored = (placed.cost for _, _, placed in fits)
-    if given <= mirrored:
-        return given / mirrored
-    given_posed, mirrored_posed = (
-        coarse_fit(onto, posed.energy.graph.positions, posed).cost
-        for onto, fitted, placed in fits
-        for posed in [clusters_in_pose(fitted, placed.positions, config.refit)]
-    )
-    return min(given / mirrored, given_posed / mirrored_posed)
+    cost, mirrored_cost = (placed.cost for _, _, placed in fits)
+    if cost <= mirrored_cost:
+        return cost / mirrored_cost
+
+    def cost_in_pose(onto: Problem, fitted: Clusters, placed: Placement) -> float:
+        posed = clusters_in_pose(fitted, placed.positions, config.refit)
+        return coarse_fit(onto, posed.energy.graph.positions, posed).cost
+
+    posed_cost, mirrored_posed_cost = (cost_in_pose(*fit) for fit in fits)
+    return min(cost / mirrored_cost, posed_cost / mirrored_posed_cost)
 
 
 def mirrored_constraints(clusters: Clusters) -> Clusters:
