@@ -12,7 +12,7 @@ from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.material_images import MaterialImage, material_images, write_numbered
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.meshes.obj_materials import obj_document
-from cagemap.files.meshes.ply import ply_images
+from cagemap.files.meshes.ply import ply_image
 from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
 from cagemap.mesh import ControlMesh
@@ -73,9 +73,8 @@ def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | No
 
     The image that a PLY file names is not written again.
     """
-    if path.suffix.lower() == ".ply":
-        images = [] if control.uvs is None else ply_images(path)
-        return images[0] if len(images) == 1 else None
+    if control.uvs is not None and (image := ply_image(path)) != path:
+        return image
     document = material_document(path, control)
     found = color_texture(document, control)
     if document is None or found is None or control.uvs is None or not found.is_repeated_over(control.uvs):
