@@ -15,8 +15,6 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, offsets_of
 from cagemap.surface.triangles import fan_triangles
 
 # Texture coordinates of all corners of faces that have none, where other faces of the mesh have some.
-# Linear grey of faces whose material has no colour.
-UNKNOWN_COLOR = 0.8
 NO_UV = (0.5, 0.5)
 # Linear grey of faces whose material has no colour; the default of most programs.
 UNKNOWN_COLOR = 0.8
