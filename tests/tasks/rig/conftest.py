@@ -35,7 +35,7 @@ def matched_once(kept: dict[object, Bodies], monkeypatch: pytest.MonkeyPatch) ->
     def match_or_take(target: Part, source: Part, landmarks: Landmarks, stages: Stages) -> Bodies:
         meshes = (target.mesh, source.mesh)
         arrays = ((mesh.positions.tobytes(), mesh.face_indices.tobytes(), mesh.material_names) for mesh in meshes)
-        key = (landmarks.names, landmarks.places, *arrays)
+        key = (landmarks.names, *landmarks.places, *arrays)
         if key not in kept:
             kept[key] = match_bodies(target, source, landmarks, stages)
         return replace(kept[key], given=(target, source))
