@@ -80,6 +80,7 @@ def test_landmarks_of_a_frame_are_held() -> None:
 
 @pytest.mark.slow
 def test_a_map_that_folds_is_matched_afresh(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(RefitConfig, "RANGES", {"max_folded_frame": (-1.0, 1.0)})
     config = replace(QUICK, elastic=replace(QUICK.elastic, refit=RefitConfig(max_folded_frame=-1.0)))
     still, moving = (prepare_surface(frame(angle, seed)[0], LEVEL) for seed, angle in enumerate(ANGLES[:2]))
     before, asked = match_pair(prepare_pair(still, still)), list[object]()

@@ -182,7 +182,7 @@ def test_a_kill_of_the_session_loses_nothing(opened: Session, boxes: Path) -> No
         other.open(opened.state.files)
         until(lambda: other.state.history.present.items, other)
         assert other.state.history.present == opened.state.history.present
-        assert any("recovered" in message.text for message in other.state.messages)
+        until(lambda: any("recovered" in message.text for message in other.state.messages), other)
     finally:
         other.close()
 
