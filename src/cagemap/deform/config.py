@@ -75,7 +75,7 @@ class GraphConfig(Config):
     flat: float = 0.2  #: a differential flattens the surface if its two tangential stretches have a smaller ratio
     min_stretch: float = 0.3  #: least singular value of a bounded differential, as a share of its largest
 
-    # Cells that are nearly all too small join until few are left.
+    # A larger ``min_cell`` calls nearly all cells too small; they would be joined until a few are left.
     RANGES: ClassVar = {"min_cell": (0, 0.5), "neighbours": (1, np.inf), "cell_rounds": (1, np.inf)}
 
 

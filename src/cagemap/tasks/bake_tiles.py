@@ -37,6 +37,7 @@ from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.threads import ThreadPool
 from cagemap.tasks.masks import mask_inputs
+from cagemap.tasks.match_summary import colors_option
 from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.options import given_files
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
@@ -113,12 +114,12 @@ def require_source_uvs(result: MatchResult) -> None:
 
 
 def colors_remedy(mesh: ControlMesh) -> str:
-    """How to bake the colours that a mesh has, for messages."""
-    if mesh.vertex_colors is not None:
-        return "Bake the colours of its vertices: `transfer --bake colors`."
-    if mesh.face_colors is not None:
-        return "Bake the colours of its materials: `transfer --material-colors`."
-    return "Match a file that has them: a mesh without UVs and colours has no look to transfer."
+    """Text for messages: the command that bakes the colours of a mesh."""
+    option = colors_option(mesh)
+    if option is None:
+        return "Match a file that has them: a mesh without UVs and colours has no look to transfer."
+    holders = "vertices" if mesh.vertex_colors is not None else "materials"
+    return f"Bake the colours of its {holders}: `transfer {option}`."
 
 
 def prepare_bake(

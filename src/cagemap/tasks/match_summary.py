@@ -12,7 +12,8 @@ import numpy as np
 from cagemap.files.gltf.document import GLTF_SUFFIXES
 from cagemap.files.result.manifest import assurance, landmark_messages
 from cagemap.files.result.verdicts import map_verdict
-from cagemap.pipeline import MatchResult
+from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
 from cagemap.tasks.requests.match import MatchRequest
 
 
@@ -39,12 +40,17 @@ def summary(result: MatchResult, folder: Path, figures: Mapping[str, Any]) -> st
     return "\n".join(lines)
 
 
+def colors_option(mesh: ControlMesh) -> str | None:
+    """Option of `cagemap transfer` that bakes the colours of a mesh's vertices or materials; None without colours."""
+    if mesh.vertex_colors is not None:
+        return "--bake colors"
+    return None if mesh.face_colors is None else "--material-colors"
+
+
 def next_commands(result: MatchResult, request: MatchRequest) -> str:
     """The commands to type next, with the image or the colours that the source has."""
     folder, file, source = shlex.quote(str(request.output)), request.source, result.source.control
-    look = "--texture IMG" if source.has_layout else "--bake colors" if source.vertex_colors is not None else None
-    if look is None and source.face_colors is not None:
-        look = "--material-colors"
+    look = "--texture IMG" if source.has_layout else colors_option(source)
     if file.suffix.lower() in GLTF_SUFFIXES:  # FBX and USD files would be converted once more, which takes seconds
         from cagemap.files import inner_texture  # here, since most matches need no reader of textures
 
@@ -60,7 +66,7 @@ def next_commands(result: MatchResult, request: MatchRequest) -> str:
 
 
 def _shared_summary(result: MatchResult) -> list[str]:
-    """Line with the shared share of each surface; none without unshared parts."""
+    """Line that states the share of each surface's area that both surfaces have; none if that is all area."""
     if result.shared is None:
         return []
     target, source = result.shared_shares
