@@ -1,10 +1,11 @@
 // Both models in one canvas: looks, comparison, overlay, marks, clicks, drags and cameras.
-import {DEPTHS, FRAGMENT, LINES, MARKS, parsed, texture, VERTEX} from './gl.js';
+import {COPY, FRAGMENT, LINES, MARKS, parsed, texture, VERTEX} from './gl.js';
 
 const SIDES = ['target', 'source'];
 const LOOKS = {texture: 0, colours: 1, checker: 2, plain: 3, baked: 4};
 const FIELD_OF_VIEW = 0.6;  // radians, vertically: little perspective, as modellers like it
 const FIRST = [1.85, 0.69, 2.64], AXES = {1: [0, 0, 1], 3: [1, 0, 0], 7: [0, 1, 0.001]};
+const NO_BLENDING = 0, ALWAYS = 1;  // of three.js
 const MARK = 48, GRIP = 9, STILL = 4;  // pixels: square of a mark, how close grips it, what is no drag
 
 export class Views {
@@ -26,10 +27,13 @@ export class Views {
       linked: true, rest: true, pose: ''};
     this.fit = Math.hypot(...FIRST);
     this.blank = texture(new ImageData(1, 1), true);
-    this.depths = new THREE.WebGLRenderTarget(1, 1, {depthTexture: new THREE.DepthTexture(1, 1)});
-    this.depthsOnly = new THREE.ShaderMaterial({vertexShader: DEPTHS[0], fragmentShader: DEPTHS[1], uniforms: {morph: {value: 0}}});
+    [this.samples, this.anisotropy] = slow ? [0, 1] : [4, 8];
     this.sides = Object.fromEntries(SIDES.map(name => [name, this.side(name, root.querySelector(`#${name}`))]));
     new ResizeObserver(() => this.resize()).observe(root);
+    this.canvas.addEventListener('webglcontextrestored', () => {
+      for (const side of Object.values(this.sides)) side.pictured = '';
+      this.changed();
+    });
     this.resize();
   }
 
@@ -38,8 +42,10 @@ export class Views {
     camera.position.set(...FIRST);
     const controls = new THREE.OrbitControls(camera, pane);
     Object.assign(controls, {enableDamping: false, minDistance: 0.15, maxDistance: 20});
-    const side = {name, pane, camera, controls, world: new THREE.Scene(), parts: {}, images: {}, loaded: {}, marks: [],
-      points: null, drawn: 0, tall: 0.5, wide: 0.5};
+    const depthTexture = new THREE.DepthTexture(1, 1), picture = new THREE.WebGLRenderTarget(1, 1, {depthTexture, samples: this.samples});
+    const side = {name, pane, camera, controls, world: new THREE.Scene(), over: new THREE.Scene(), picture, pictured: '', parts: {},
+      images: {}, loaded: {}, marks: [], points: null, drawn: 0, tall: 0.5, wide: 0.5};
+    side.over.add(this.copy(picture));
     controls.addEventListener('change', () => this.turned(side));
     pane.addEventListener('pointerdown', event => this.pressed(side, event), {capture: true});
     pane.addEventListener('pointermove', event => this.moved(side, event));
@@ -48,6 +54,18 @@ export class Views {
     pane.addEventListener('pointerleave', () => { this.tip.hidden = true; });
     pane.addEventListener('keydown', event => this.key(side, event));
     return side;
+  }
+
+  // What draws a side's picture onto the canvas: one triangle that covers it.
+  copy({texture, depthTexture}) {
+    const geometry = new THREE.BufferGeometry(), values = (list, columns) => new THREE.BufferAttribute(new Float32Array(list), columns);
+    geometry.setAttribute('position', values([-1, -1, 0, 3, -1, 0, -1, 3, 0], 3));
+    geometry.setAttribute('uv', values([0, 0, 2, 0, 0, 2], 2));
+    const uniforms = {picture: {value: texture}, depths: {value: depthTexture}};
+    const mesh = new THREE.Mesh(geometry, new THREE.ShaderMaterial({vertexShader: COPY[0], fragmentShader: COPY[1], uniforms,
+      blending: NO_BLENDING, depthFunc: ALWAYS}));
+    mesh.frustumCulled = false;
+    return mesh;
   }
 
   // Shaders' values of a part; a part that has no values of some kind gets constant ones.
@@ -61,12 +79,12 @@ export class Views {
     if (!has('shown')) geometry.setAttribute('shown', has('plain'));
     if (!has('place')) geometry.setAttribute('place', has('position'));
     if (!has('placeNormal')) geometry.setAttribute('placeNormal', has('normal'));
-    const pictured = !!has('uv');
+    const PICTURED = +!!has('uv');
     for (const key of ['uv', 'own']) if (!has(key)) geometry.setAttribute(key, constant(2, 0));
     if (!has('trust')) geometry.setAttribute('trust', constant(1, 1));
-    const values = {look: 3, other: -1, split: 0, opacity: 1, doubts: false, pictured, picture: this.blank, baked: this.blank, morph: 0};
+    const values = {split: 0, opacity: 1, picture: this.blank, baked: this.blank, morph: 0};
     const uniforms = Object.fromEntries(Object.entries(values).map(([key, value]) => [key, {value}]));
-    const material = new THREE.ShaderMaterial({vertexShader: VERTEX, fragmentShader: FRAGMENT, side: THREE.DoubleSide, uniforms});
+    const material = new THREE.ShaderMaterial({vertexShader: VERTEX, fragmentShader: FRAGMENT, side: THREE.DoubleSide, uniforms, defines: {PICTURED}});
     material.transparent = name === 'rest';
     return new THREE.Mesh(geometry, material);
   }
@@ -92,7 +110,7 @@ export class Views {
     if (kind === 'skin') {
       this.measure(side, meshes.find(one => one.name === 'model').geometry.getAttribute('position').array);
       for (const image of Object.values(side.images)) image.dispose();
-      side.images = Object.fromEntries(Object.entries(images).map(([id, image]) => [id, texture(image, id === 'seams')]));
+      side.images = Object.fromEntries(Object.entries(images).map(([id, image]) => [id, texture(image, id === 'seams', this.anisotropy)]));
       side.drawn += 1;
     }
     for (const one of meshes) {
@@ -106,7 +124,6 @@ export class Views {
 
   forget() { for (const side of Object.values(this.sides)) side.loaded = {}; }
 
-  // Drawing both models takes a processor 0.2 s: what is shown already is not drawn again.
   set(shown) {
     if (Object.entries(shown).every(([key, value]) => this.shown[key] === value)) return;
     Object.assign(this.shown, shown);
@@ -132,7 +149,7 @@ export class Views {
     pen.scale(ratio, ratio);
     marks.forEach((mark, i) => this.draw(pen, mark, MARK * (i % cells + 0.5), MARK * (Math.floor(i / cells) + 0.5)));
     if (side.points) {
-      side.world.remove(side.points);
+      side.over.remove(side.points);
       side.points.geometry.dispose();
       side.points.material.uniforms.atlas.value.dispose();
       side.points.material.dispose();
@@ -145,13 +162,13 @@ export class Views {
         geometry.setAttribute(name, values(marks.map(mark => (mark[of] ?? mark.at).slice(from, from + 3)), 3));
       geometry.setAttribute('cell', values(marks.map((_, i) => [i % cells, Math.floor(i / cells)]), 2));
       const uniforms = {atlas: {value: texture(paper, true)}, cells: {value: cells}, size: {value: cell}, morph: {value: 0},
-        depths: {value: this.depths.depthTexture}};
+        depths: {value: side.picture.depthTexture}};
       const material = new THREE.ShaderMaterial({vertexShader: MARKS[0], fragmentShader: MARKS[1], uniforms, transparent: true,
         depthTest: false, depthWrite: false});
       side.points = new THREE.Points(geometry, material);
       side.points.frustumCulled = false;
       side.points.renderOrder = 2;
-      side.world.add(side.points);
+      side.over.add(side.points);
     }
     this.changed();
   }
@@ -260,17 +277,18 @@ export class Views {
     });
   }
 
+  // Drawing both models takes a processor 0.2 s: the picture of each is drawn again only if that changes it, marks every time.
   render() {
     const height = this.canvas.clientHeight, left = this.canvas.getBoundingClientRect().left;
     this.renderer.setScissorTest(true);
     for (const side of Object.values(this.sides)) {
       const box = side.pane.getBoundingClientRect(), at = [box.left - left, height - box.height, box.width, box.height];
+      this.drawPicture(side, at);
       this.renderer.setViewport(...at);
       this.renderer.setScissor(...at);
       this.renderer.clear();
-      this.prepare(side, at, 1);
-      if (side.points) this.measureDepths(side, at);
-      this.renderer.render(side.world, side.camera);
+      if (side.points) side.points.material.uniforms.morph.value = side.name === 'target' ? this.shown.morph : 0;
+      this.renderer.render(side.over, side.camera);
       if (side.name === 'target' && this.shown.overlay) {
         this.prepare(this.sides.source, at, 0.45);
         for (const only of [true, false]) {  // depths first: only the nearest surface is half transparent
@@ -282,19 +300,19 @@ export class Views {
     this.frames = (this.frames ?? 0) + 1;
   }
 
-  // Depths of a side's models, at half the resolution: they decide which marks are drawn.
-  measureDepths(side, [, , w, h]) {
-    const {world, camera, points} = side;
-    this.depths.setSize(Math.max(1, Math.round(w / 2)), Math.max(1, Math.round(h / 2)));
-    world.overrideMaterial = this.depthsOnly;
-    this.depthsOnly.uniforms.morph.value = points.material.uniforms.morph.value;
-    points.visible = false;
-    this.renderer.setRenderTarget(this.depths);
+  // A side's own models.
+  drawPicture(side, [, , w, h]) {
+    const {camera: {position, quaternion}, parts} = side, ratio = this.renderer.getPixelRatio();
+    const images = Object.values(this.sides).flatMap(one => Object.values(one.images));
+    const pictured = JSON.stringify([w, h, ratio, position, quaternion, this.shown, [...Object.values(parts), ...images].map(one => one.uuid)]);
+    if (side.pictured === pictured) return;
+    side.pictured = pictured;
+    side.picture.setSize(Math.max(1, Math.round(w * ratio)), Math.max(1, Math.round(h * ratio)));
+    this.renderer.setRenderTarget(side.picture);
     this.renderer.clear();
-    this.renderer.render(world, camera);
+    this.prepare(side, [0, 0, w], 1);
+    this.renderer.render(side.world, side.camera);
     this.renderer.setRenderTarget(null);
-    points.visible = true;
-    world.overrideMaterial = null;
   }
 
   prepare(side, [x, , w], opacity) {
@@ -307,16 +325,19 @@ export class Views {
       if (name === 'cage' || name === 'curves') continue;
       const picture = name === 'seams' ? side.images.seams : this.sides.source.images.texture ?? this.blank;
       const known = name => name === 'baked' && !side.images.baked ? (side.name === 'source' ? 'texture' : 'plain') : name;
-      const values = {look: LOOKS[known(shown.look)], other: shown.other ? LOOKS[known(shown.other)] : -1, morph, picture,
-        split: (x + shown.split * w) * ratio, doubts: shown.doubts, baked: side.images.baked ?? this.blank,
+      const values = {morph, picture, split: (x + shown.split * w) * ratio, baked: side.images.baked ?? this.blank,
         opacity: name === 'rest' ? 0.3 : opacity};
       for (const [key, value] of Object.entries(values)) uniforms[key].value = value;
+      const LOOK = LOOKS[known(shown.look)], OTHER = shown.other ? LOOKS[known(shown.other)] : -1;
+      this.define(mesh.material, {LOOK, OTHER, DOUBTS: +shown.doubts, MORPH: +(morph > 0)});
       mesh.material.transparent = over || name === 'rest';
     }
-    if (side.points) {
-      side.points.visible = !over;
-      side.points.material.uniforms.morph.value = morph;
-    }
+  }
+
+  // A material is compiled again only for other constants.
+  define(material, values) {
+    material.needsUpdate ||= Object.entries(values).some(([key, value]) => material.defines[key] !== value);
+    Object.assign(material.defines, values);
   }
 
   // Clicks and drags
