@@ -14,7 +14,7 @@ from cagemap.numerics.threads import kept
 from cagemap.pictures import UP_AXES
 from cagemap.subdivision import Refinement, level_triangles, limit_normals, limit_positions, triangles
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import triangle_areas
+from cagemap.surface.triangles import triangle_areas, triangle_frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +104,11 @@ class Shape:
         return TriangleSurface(
             self.surface.positions[: self.n_control], cage_triangles(self.control)[0], self.surface.scale
         )
+
+    @kept
+    def frames(self) -> FloatArray:
+        """First corner and gradients of the barycentric coordinates of each triangle: see `triangle_frames`."""
+        return triangle_frames(self.positions, self.triangles)
 
     @kept
     def centre(self) -> FloatArray:

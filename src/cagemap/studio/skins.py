@@ -16,7 +16,6 @@ from cagemap.pictures.camera import turn_angle
 from cagemap.studio.file_parts import OtherParts
 from cagemap.studio.glb import MeshPart, pack_glb
 from cagemap.studio.shape import Shape
-from cagemap.surface.triangles import triangle_frames
 from cagemap.transfer.locate import walk_from
 
 # Displayed colour of a model without materials.
@@ -196,8 +195,7 @@ def _sample_image(corners: IndexArray, source: Shape, look: Look, preview_map: P
     points = np.einsum("sc,tcd->tsd", weights, corner_images)
     nearest_corner = np.argmax(weights, axis=1)
     starts = preview_map.triangle[corners][:, nearest_corner]
-    frames = triangle_frames(source.positions, source.triangles)
-    triangle, barycentric = walk_from(frames, source.surface.neighbors, starts.ravel(), points.reshape(-1, 3))
+    triangle, barycentric = walk_from(source.frames, source.surface.neighbors, starts.ravel(), points.reshape(-1, 3))
     colors = _source_colors(source, look, triangle, barycentric).reshape(len(corners), side, side, 3)
     per_row = int(np.ceil(np.sqrt(len(corners))))
     squares = np.zeros((per_row * per_row, side, side, 3), dtype=np.uint8)
@@ -255,5 +253,4 @@ def _uv_jacobians(source: Shape) -> FloatArray:
     assert source.uvs is not None
     assert source.uv_triangles is not None
     uvs = source.uvs[source.uv_triangles]
-    gradients = triangle_frames(source.positions, source.triangles)[:, 1:]
-    return np.asarray(np.einsum("tki,tkj->tij", uvs[:, 1:] - uvs[:, :1], gradients))
+    return np.asarray(np.einsum("tki,tkj->tij", uvs[:, 1:] - uvs[:, :1], source.frames[:, 1:]))
