@@ -175,7 +175,10 @@ def run_refine(request: RefineRequest, stages: Stages) -> Said:
     require_valid(control, allowed=UNREFINED)
     require_size(control, level)
     refinement = refine_mesh(control, level)
-    write_mesh(output, finest_mesh(refinement), like=path, force=request.force)
+    finest = finest_mesh(refinement)
+    if control.vertex_colors is not None and finest.vertex_colors is None:
+        notes = (*notes, f"note: {control.name}: its vertex colours are left out, since some vertices have none")
+    write_mesh(output, finest, like=path, force=request.force)
     tolerance = weld_tolerance(control)
     seams = "" if tolerance is None else f"note: {control.name} is split at seams, --weld {tolerance:g} joins them"
     return "\n".join(filter(None, [*notes, str(refinement), seams, f"wrote {output}"])), []
