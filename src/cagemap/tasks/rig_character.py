@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -92,6 +93,7 @@ def run_rig(request: RigRequest, stages: Stages) -> Said:
             _write_report(request.report, carried, source, of, baked, force=request.force)
     confidence = carried.result.confidence
     doubt = [] if confidence is None or confidence.verdict == SURE else [_DOUBT]
+    stages.record(_figures(dressed) | {"trusted_area": carried.result.quality.trusted_area})
     return _summary(request, dressed), [*split, *carried.notes, *notes, *doubt]
 
 
@@ -284,6 +286,18 @@ def _poses(
             for body, rig, animation, body_rows in zip(bodies, (source.rig, made.rig), pair, rows, strict=True)
         ]
         yield Pose(f"{pair[0].name}, {share * end:.2g} s", both[0], both[1])
+
+
+def _figures(character: Character) -> dict[str, Any]:
+    """Figures of a character whose first part is its body."""
+    body, *others = character.parts
+    return {
+        "vertices": body.mesh.n_vertices,
+        "joints": 0 if character.rig is None else len(character.rig.names),
+        "animations": [animation.name for animation in character.animations],
+        "shapes": list(body.shapes),
+        "passengers": [part.name for part in others],
+    }
 
 
 def _summary(request: RigRequest, character: Character) -> str:
