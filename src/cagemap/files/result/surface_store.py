@@ -32,7 +32,6 @@ from cagemap.files.text import require_file
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.pipeline import MAP_BASIS, prepare_surface
 from cagemap.spectral import BasisConfig, HierarchicalBasis, Surface
-from cagemap.spectral.surface import Progress, no_progress
 from cagemap.subdivision import Scheme, default_scheme, refine
 from cagemap.subdivision.refinement import vertex_counts
 
@@ -105,7 +104,6 @@ def prepared(
     level: int,
     config: BasisConfig = MAP_BASIS,
     *,
-    progress: Progress = no_progress,
     prepare: Prepare = prepare_surface,
 ) -> Surface:
     """A prepared surface from a folder of stored ones; if missing, prepared now and stored.
@@ -118,7 +116,6 @@ def prepared(
     key = surface_key(control, level, default_scheme(control), config)
     place = _usable_folder(Path(folder)) / (key + SUFFIX)
     if place.is_file():
-        progress(f"read prepared {control.name}")
         try:
             if is_own(place):
                 return load_surface(place, control)
@@ -126,9 +123,7 @@ def prepared(
         except FormatError as error:
             problem = str(error)
         logger.warning("%s is prepared again, its stored surface cannot be used: %s", control.name, problem)
-        progress(f"prepare {control.name} again, its stored file is damaged")
-    surface = prepare(control, level, config, progress=progress)
-    progress(f"store prepared {control.name}")
+    surface = prepare(control, level, config)
     save_surface(place, surface, force=True)  # its name is a hash of its inputs: any older file may be replaced
     return surface
 
