@@ -22,9 +22,7 @@ from cagemap.report.page import build_page as build_page
 from cagemap.report.rig_panels import NO_DATA
 from cagemap.report.rig_panels import BakedImage as BakedImage
 from cagemap.report.rig_panels import CarriedData as CarriedData
-from cagemap.report.rig_panels import CarriedShape as CarriedShape
-from cagemap.report.rig_panels import Passenger as Passenger
-from cagemap.report.rig_panels import Pose as Pose
+from cagemap.report.rig_panels import CarriedItem as CarriedItem
 from cagemap.report.rig_panels import Weights as Weights
 from cagemap.report.rig_panels import draw_carried as draw_carried
 from cagemap.report.viewpoints import choose_viewpoints
