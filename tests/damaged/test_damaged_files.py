@@ -348,7 +348,7 @@ def test_a_damaged_prepared_surface_is_made_again_with_a_word(tmp_path: Path, ca
     (file,) = tmp_path.iterdir()
     with np.load(file) as stored:
         arrays = dict(stored)
-    np.savez(file, **arrays | {"indices_1": np.full(len(arrays["indices_1"]), np.nan)})
+    np.savez(file, **arrays | {"indices": np.full(len(arrays["indices"]), np.nan)})
     again = prepared(tmp_path, control, 2, config)
     np.testing.assert_array_equal(again.basis.eigenvalues, first.basis.eigenvalues)
     assert "is prepared again" in caplog.text

@@ -37,9 +37,8 @@ from cagemap.files.values.rigs import read_skeleton, write_shapes
 from cagemap.mesh import Plain
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.operators import Operators
 from cagemap.pipeline import prepare_surface
-from cagemap.spectral import BasisConfig, Surface
+from cagemap.spectral import BasisConfig
 
 from example_result import identity_result, textured_cube
 from gltf_scenes import arm
@@ -112,13 +111,6 @@ def of_another_mesh(place: Path) -> None:
     faces = cube().face_indices.copy()
     faces[:4] = faces[:4][::-1]
     load_surface(place / "s.npz", replace(cube(), face_indices=faces))
-
-
-def of_two_patterns(place: Path) -> None:
-    surface = prepare_surface(cube(), 2, BasisConfig(count=5))
-    kept = surface.operators
-    other = Operators(kept.mass, (kept.mass[0] * 0 + kept.mass[0] @ kept.mass[0], *kept.stiffness[1:]), kept.scale)
-    save_surface(place / "s.npz", Surface.of(surface.refinement, other, surface.basis))
 
 
 def picture(name: str, kind: Any, **stated: int) -> Callable[[Path], object]:
@@ -295,7 +287,7 @@ REFUSED = {
         "parts:  ... expected all to have the same level and scheme, got different ones ... match one by one",
     ),
     "a plain mesh of more levels": Refusal(
-        lambda place: stored(place, plain=True, level=3), "s.npz: its plain mesh has ... coarse levels, not 3", AGAIN
+        lambda place: stored(place, plain=True, level=3), "s.npz: level 3 of its mesh has not ... vertices", AGAIN
     ),
     "a surface of another mesh": Refusal(of_another_mesh, "s.npz: its arrays do not belong to one surface (", AGAIN),
     "a surface of more functions than bands": Refusal(
@@ -306,11 +298,6 @@ REFUSED = {
     "arrays that are no surface": Refusal(
         lambda place: (write_npz(place / "s.npz", {"a": np.ones(3)}), load_surface(place / "s.npz")),
         "s.npz: expected a surface stored by cagemap ... got something else ... Give another file.",
-    ),
-    "operators of two patterns": Refusal(
-        of_two_patterns,
-        "level 0:  ... expected mass and stiffness with the same pattern of nonzeros",
-        "Build the operators with cagemap.operators.build_operators.",
     ),
     "the name of an object with a tab": Refusal(
         lambda place: write_mesh(

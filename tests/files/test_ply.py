@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from test_obj import QUICK, polygon_meshes, read_damaged
 
 from cagemap.errors import FormatError
+from cagemap.files.meshes import ply
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.meshes.ply import read_ply, write_ply
 from cagemap.mesh import ControlMesh
@@ -265,3 +266,23 @@ def test_vertex_colours_come_back_as_bytes(tmp_path: Path, text: bool) -> None:
         read = read_ply(tmp_path / "c.ply")
         np.testing.assert_allclose(read.vertex_colors, colors, rtol=0, atol=1e-12)
         np.testing.assert_array_equal(read.positions, cube().positions)
+
+
+def test_images_are_found_without_reading_the_body(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """``end_header`` in a comment does not end the header."""
+    (tmp_path / "a.png").write_bytes(b"image")
+    head = b"ply\ncomment before end_header\ncomment TextureFile a.png\nend_header\n"
+    (tmp_path / "scan.ply").write_bytes(head + bytes(3 << 20))
+    read = list[int]()
+    whole = ply.read_bytes
+    monkeypatch.setattr(ply, "read_bytes", lambda *given: (content := whole(*given), read.append(len(content)))[0])
+    assert ply.ply_images(tmp_path / "scan.ply") == [tmp_path / "a.png"]
+    assert max(read) <= 1 << 20
+
+
+def test_colours_become_bytes_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    converted = list[int]()
+    as_bytes = ply._as_bytes
+    monkeypatch.setattr(ply, "_as_bytes", lambda colors: (converted.append(len(colors)), as_bytes(colors))[1])
+    write_ply(tmp_path / "m.ply", replace(cube(), vertex_colors=np.full((8, 3), 0.5)))
+    assert converted == [8]

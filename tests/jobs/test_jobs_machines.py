@@ -77,7 +77,7 @@ def test_a_disk_that_fills_costs_only_what_does_not_fit(folder: Path) -> None:
     (folder / "job.toml").write_text(JOB.format(output="disk/night"))
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
     done = subprocess.run(
-        [unshare, "-rm", sys.executable, str(HERE / "disk_runner.py"), str(folder), "64m", str(5_000_000)],
+        [unshare, "-rm", sys.executable, str(HERE / "disk_runner.py"), str(folder), "64m", str(4_100_000)],
         env=environment, capture_output=True, text=True, check=False, timeout=500,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

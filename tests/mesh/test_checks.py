@@ -356,3 +356,9 @@ def test_a_refusal_names_the_way_round_where_there_is_one() -> None:
 
 def test_places_far_from_the_origin_are_exact() -> None:
     assert place_text((100000.25, 0.123456, -2.0)) == "(100000.25, 0.1235, -2)"
+
+
+def test_a_problem_says_whether_its_elements_are_vertices() -> None:
+    mesh = pyramid()
+    loose = check_mesh(ControlMesh.from_faces([*mesh.positions, [7.0, 8.0, 9.25]], faces_of(mesh)))
+    assert [problem.of_vertices for problem in (*loose.problems, *check_mesh(flip(mesh, 1)).problems)] == [True, False]

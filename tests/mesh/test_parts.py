@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import creature, cube, grid, icosahedron, poles, pyramid, torus
+from examples.shapes import creature, cube, grid, icosahedron, poles, pyramid, torus, triangulated
 
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.images.image import read_image, write_image
@@ -84,6 +84,15 @@ def test_parts_are_found_by_name() -> None:
     paths = replace(scene, object_names=("/hero/body", "/hero/eye_left", "/hero/eye_right"))
     for name in ("eye_right", "hero/eye_right"):
         assert find_part(paths, name).name == "/hero/eye_right"
+
+
+@pytest.mark.parametrize(("scale", "faces"), [(1.0, 20), (9.0, 12)])
+def test_the_largest_part_has_most_area_among_those_of_about_as_many_faces(scale: float, faces: int) -> None:
+    """A spider's body has fewer faces than a leg; the ground has the largest area and a single face."""
+    body = triangulated(cube())
+    body = body.with_positions(scale * body.positions)
+    ground = ControlMesh.from_faces([[-99, 0, -99], [-99, 0, 99], [99, 0, 99], [99, 0, -99]], [[0, 1, 2, 3]])
+    assert len(find_part(join_meshes([ground, icosahedron(), body]), "largest").faces) == faces
 
 
 def test_titles_of_components_are_unique_where_objects_are_named_by_numbers() -> None:

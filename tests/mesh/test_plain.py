@@ -102,6 +102,17 @@ def test_inwards_is_turned_and_faces_of_all_sizes_are_split() -> None:
     assert quads.notes == ()
 
 
+def test_concave_polygons_are_split_inside() -> None:
+    """A prism over a U: the fan from its first corner covers the gap, and its triangles overlap."""
+    outline = [(0, 0), (3, 0), (3, 3), (2, 3), (2, 1), (1, 1), (1, 3), (0, 3)]
+    positions = [(x, y, z) for z in (0, 1) for x, y in outline]
+    sides = [[k, (k + 1) % 8, (k + 1) % 8 + 8, k + 8] for k in range(8)]
+    prism = ControlMesh.from_faces(positions, [list(range(8))[::-1], list(range(8, 16)), *sides])
+    found = plain_mesh(prism).mesh
+    assert face_areas(found).sum() == pytest.approx(2 * 7.0 + 16.0)
+    assert signed_volume(found) == pytest.approx(7.0)
+
+
 def test_polygons_with_collinear_corners_are_split_without_a_loss() -> None:
     """Fans gave each side of a halved edge a flat triangle, and both were left out as copies of each other."""
     box = cube()

@@ -23,9 +23,8 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import FileVertex
 from cagemap.report import (
     CarriedData,
-    CarriedShape,
+    CarriedItem,
     Gallery,
-    Pose,
     Weights,
     build_page,
     draw_carried,
@@ -274,7 +273,7 @@ def test_what_was_wrapped_and_what_rides_on_the_map_is_shown(result: MatchResult
     carried = CarriedData(
         wrapped=control.with_positions(source.positions),
         weights=Weights(*skins),
-        shapes=tuple(CarriedShape(name, *moves) for name in ("smile", "blink")),
+        shapes=tuple(CarriedItem(name, *moves) for name in ("smile", "blink")),
     )
     panels = draw_carried(result, carried, SIZE)
     assert [len(panel.pictures) for panel in panels] == [8, 4, 4]
@@ -301,7 +300,9 @@ def test_the_first_of_many_poses_are_shown_and_counted(more: int) -> None:
     result = identity_result(1)
     places = result.source.control.positions, result.target.control.positions
     count = MAX_PANEL_POSES + more
-    (panel,) = draw_carried(result, CarriedData(poses=tuple(Pose(f"{i}", *places) for i in range(count))), (8, 6))
+    (panel,) = draw_carried(
+        result, CarriedData(poses=tuple(CarriedItem(f"{i}", *places) for i in range(count))), (8, 6)
+    )
     assert len(panel.pictures) == 2 * MAX_PANEL_POSES
     assert (f"The first {MAX_PANEL_POSES} of {count}." in panel.lead) == bool(more)
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cagemap.report import CarriedData, Pose, write_report
+from cagemap.report import CarriedData, CarriedItem, write_report
 
 from browser_page import LOOK, LOOK_SIZE, PATIENCE, chromium
 from example_result import identity_result
@@ -30,7 +30,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("page") / "report.html"
     mesh, other = result.source.control, result.target.control
     lean = [one.positions @ np.array([[1, 0, 0], [0.5, 1, 0], [0, 0, 1]]) for one in (mesh, other)]
-    carried = CarriedData(poses=(Pose("lean", *lean),))
+    carried = CarriedData(poses=(CarriedItem("lean", *lean),))
     write_report(path, result, texture=texture, baked=texture, size=(200, 150), carried=carried)
     return path
 

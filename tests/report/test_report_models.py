@@ -28,9 +28,7 @@ from cagemap.operators.coarse_levels import build_levels
 from cagemap.pictures import Z_UP
 from cagemap.report import (
     CarriedData,
-    CarriedShape,
-    Passenger,
-    Pose,
+    CarriedItem,
     Weights,
     build_page,
     draw_carried,
@@ -114,8 +112,8 @@ def test_masks_weights_and_shapes_are_there_where_they_are_known(result: MatchRe
     carried = CarriedData(
         wrapped=control.with_positions(source.positions),
         weights=Weights(*ones),
-        shapes=(CarriedShape("smile", *moved),),
-        poses=(Pose("sit", source.positions + moved[0], control.positions + moved[1]),),
+        shapes=(CarriedItem("smile", *moved),),
+        poses=(CarriedItem("sit", source.positions + moved[0], control.positions + moved[1]),),
     )
     n = len(result.target.vertices)
     masked = replace(result, masks=Masks(np.linspace(0, 1, n), None))
@@ -251,7 +249,7 @@ def test_passengers_and_poses_are_sections_of_the_page(result: MatchResult) -> N
     control, source = result.target.control, result.source.control
     hats = [mesh.with_positions(mesh.positions * 0.3 + [0, 1.0, 0]) for mesh in (source, control)]
     carried = CarriedData(
-        passengers=(Passenger("hat", *hats),), poses=(Pose("stand", source.positions, control.positions),)
+        passengers=(CarriedItem("hat", *hats),), poses=(CarriedItem("stand", source.positions, control.positions),)
     )
     panels = draw_carried(result, carried, (40, 30))
     assert [(panel.title, len(panel.pictures)) for panel in panels] == [("Passengers", 4), ("Poses", 2)]

@@ -12,6 +12,7 @@ import pytest
 from benchmarks.face_kit import FORWARD, KEPT, LEAST, depths, face_arrays
 from scipy import sparse
 
+from cagemap import tasks
 from cagemap.character.poses import pose_at
 from cagemap.character.values import Animation, Character, Part, Rig, Track
 from cagemap.errors import InvalidLandmarksError, ParameterError
@@ -101,15 +102,18 @@ def test_on_the_kits_own_head_every_shape_comes_back() -> None:
 
 
 @pytest.mark.slow
-def test_a_head_keeps_what_it_has_and_gets_shapes(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_head_keeps_what_it_has_and_gets_shapes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     kit = read_face_kit(())
     own = {"jawOpen": np.tile([0.0, 1.0, 0.0], (kit.mesh.n_vertices, 1))}
     eyes = Part("eyes", ball(2))
     head = Part("head", kit.mesh.with_positions(0.01 * kit.mesh.positions), None, own)
     write_document(Path("H.glb"), character_glb(Character((head, eyes))))
-    done = run.done("face H.glb -o F.glb --only jawOpen,eyeBlinkLeft --sheet S.png")
-    assert "jawOpen: H.glb has its own" in done.err
+    request = FaceRequest(Path("H.glb"), Path("F.glb"), only="jawOpen,eyeBlinkLeft", sheet=Path("S.png"))
+    done = tasks.run(request)
+    assert any("jawOpen: H.glb has its own" in warning for warning in done.warnings)
+    assert done.figures.pop("trusted_area") > 0.9
+    assert done.figures == {"part": "head", "shapes": ["eyeBlinkLeft"]}
     before, after = (read_character(name).parts for name in ("H.glb", "F.glb"))
     assert [part.name for part in after] == ["head", "eyes"]
     assert set(after[0].shapes) == {"jawOpen", "eyeBlinkLeft"}

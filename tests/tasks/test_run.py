@@ -58,7 +58,18 @@ def test_a_task_returns_the_numbers_of_its_summary(box: Path) -> None:
     output, images = folder / "i.png", ("ao", "normal")
     baked = tasks.run(tasks.TransferRequest(folder / "R", output, bake=images, detail=box, size=16, unwrap=True))
     assert baked.figures == {kind: {"size": 16, "tiles": [0]} for kind in images}
-    json.dumps([matched.figures, wrapped.figures, carried.figures, baked.figures], allow_nan=False)
+    worn = tasks.run(tasks.TransferRequest(folder / "R", folder / "p.obj", passenger=box))
+    assert 0.0 < worn.figures.pop("distance") < 0.2  # of the cage from its refined surface
+    assert worn.figures == {"vertices": 16, "unit_factor": 1.0}
+    values = tasks.run(tasks.TransferRequest(folder / "R", folder / "v.csv", attribute=folder / "legs.csv"))
+    assert values.figures == {"arrays": {"hip": [16], "knee": [16]}}
+    made = tasks.run(tasks.FunctionsRequest(box, folder / "f.npz", k=5, level=2))
+    assert made.figures["eigenvalues"] == np.load(folder / "f.npz")["eigenvalues"].tolist()
+    assert f"{made.figures['functions']} functions (eigenfunctions) at {made.figures['vertices']}" in made.summary
+    checked = tasks.run(tasks.CheckRequest((box,)))
+    assert [(file["usable"], file["n_vertices"]) for file in checked.figures["files"]] == [(True, 16)]
+    outcomes = matched, wrapped, carried, baked, worn, values, made, checked
+    json.dumps([outcome.figures for outcome in outcomes], allow_nan=False)
 
 
 def test_every_command_of_the_command_line_but_the_studio_has_a_request() -> None:

@@ -35,6 +35,7 @@ from cagemap.tasks.transfer import run_transfer
 from cagemap.transfer.overlapping_uvs import overlapping_materials
 
 from example_result import identity_result, textured_cube
+from ply_text import write_text_ply
 
 
 @pytest.mark.parametrize("shared", [0.6, 1.0])
@@ -276,6 +277,31 @@ def test_the_image_that_a_ply_file_names_is_baked(tmp_path: Path) -> None:
     request = TransferRequest(tmp_path / "RESULT", tmp_path / "my skin.png", texture=tmp_path / "scan.ply", force=True)
     with pytest.raises(FormatError, match="is an input too"):
         run_transfer(request, Stages())
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_each_face_of_a_ply_file_of_several_images_has_its_own(
+    numbered: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """``texnumber`` counts the images in the order of the header; without it all faces have the first."""
+    write_text_ply(tmp_path / "scan.ply", textured_cube("scan.ply"))
+    head, end, body = (tmp_path / "scan.ply").read_text().partition("end_header\n")
+    images = "".join(f"comment TextureFile {name}.png\n" for name in ("dark", "light"))
+    lines = body.splitlines()
+    if numbered:
+        head += "property int texnumber\n"
+        lines[-6:] = [f"{line} {face // 3}" for face, line in enumerate(lines[-6:])]
+    (tmp_path / "scan.ply").write_text(
+        head.replace("element vertex", f"{images}element vertex") + end + "\n".join(lines)
+    )
+    for name, shade in (("dark", 40), ("light", 200)):
+        write_image(tmp_path / f"{name}.png", np.full((8, 8, 3), shade, dtype=np.uint8))
+    source = read_mesh(tmp_path / "scan.ply")
+    write_result(tmp_path / "RESULT", identity_result(2, (textured_cube("box.obj"), source)))
+    run_transfer(TransferRequest(tmp_path / "RESULT", tmp_path / "o.png", texture=tmp_path / "scan.ply"), Stages())
+    shades, counts = np.unique(read_image(tmp_path / "o.png").pixels, return_counts=True)
+    assert shades[counts > 0.2 * counts.sum()].tolist() == ([40, 200] if numbered else [40])
+    assert ("names 2 images and no texnumber of its faces: all have dark.png" in caplog.text) is not numbered
 
 
 def test_a_model_file_is_read_once_for_its_texture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,13 +12,13 @@ from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.material_images import MaterialImage, material_images, write_numbered
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.meshes.obj_materials import obj_document
-from cagemap.files.meshes.ply import ply_image
+from cagemap.files.meshes.ply import ply_document, ply_image
 from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import place_text
 
-SUFFIXES = (*SCENE_SUFFIXES, *USD_SUFFIXES, ".obj")
+SUFFIXES = (*SCENE_SUFFIXES, *USD_SUFFIXES, ".obj", ".ply")
 _COLOR_SLOT = "baseColorTexture"
 
 
@@ -33,6 +33,8 @@ def material_document(path: Path, control: ControlMesh) -> Document | None:
         return None
     if path.suffix.lower() == ".obj":
         return obj_document(path)
+    if path.suffix.lower() == ".ply":
+        return ply_document(path)
     return usd_document(path) if is_usd(path) else read_document(path)
 
 

@@ -167,9 +167,9 @@ class SurfaceRecord(Record):
     material_names: list[str]
     scheme: dict[str, Any]
     level: Annotated[int, Field(ge=0, le=MOST_LEVELS)]
-    scale: Annotated[float, Field(gt=0, lt=1e100)]
+    vertices: Annotated[int, Field(ge=1)]
+    basis: BasisRecord
     bands: Annotated[int, Field(ge=1, le=MOST_LEVELS + 1)]
-    operators: Annotated[int, Field(ge=1, le=MOST_LEVELS + 1)]
 
 
 RecordType = TypeVar("RecordType", bound=Record)

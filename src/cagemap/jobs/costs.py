@@ -16,7 +16,7 @@ STARTUP_SECONDS = 5.0
 # Additional seconds of a match without landmarks: constant, per 1000 control vertices.
 SEARCH_SECONDS = (6.0, 0.4)
 # Vertices of the level that a surface is prepared on, and stored bytes for each (100 functions).
-PREPARED_VERTICES, VERTEX_BYTES = 20_000, 400
+PREPARED_VERTICES, VERTEX_BYTES = 20_000, 300
 # Bytes of a RESULT for every finest vertex of both surfaces, and of a picture.
 RESULT_VERTEX_BYTES, PICTURE_BYTES = 105, 14_000
 # Bytes of memory of a worker: constant, per finest vertex and per control vertex of both surfaces.

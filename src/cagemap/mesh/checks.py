@@ -113,6 +113,7 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
             f"expected every vertex to belong to a face, got {len(unused)} without, vertices",
             unused,
             "Delete the loose vertices (this renumbers the others: landmarks must be made for the new file).",
+            of_vertices=True,
         ),
     ]
     if not len(degenerate):
@@ -124,6 +125,7 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
                 "parts of the surface touch in a point only, vertices",
                 touching,
                 "Split these vertices (one copy per fan), or add the missing faces between the fans.",
+                of_vertices=True,
             ),
             _orientation_problem(turned, kept),
         ]
@@ -153,7 +155,7 @@ def _with_places(problem: MeshProblem, mesh: ControlMesh) -> MeshProblem:
         if listed.ndim == 2:
             places = mesh.positions[listed].mean(axis=1)
         else:
-            places = (mesh.positions if problem.kind.endswith("vertices") else face_centres(mesh))[listed]
+            places = (mesh.positions if problem.of_vertices else face_centres(mesh))[listed]
     return replace(problem, places=tuple(map(place_text, places)))
 
 

@@ -65,6 +65,8 @@ class MeshProblem:
     elements: tuple[int, ...] | tuple[tuple[int, int], ...] = ()
     #: where the first `LISTED` elements are, such as "(1, 0.5, -2)", since programs may number them otherwise
     places: tuple[str, ...] = ()
+    #: whether the elements are vertices; otherwise faces or edges
+    of_vertices: bool = False
 
     def __str__(self) -> str:
         listed = [f"{element} at {place}" for element, place in zip(self.elements, self.places, strict=False)]
@@ -72,10 +74,12 @@ class MeshProblem:
         return f"{self.kind}: {self.found}{where}. {self.remedy}"
 
 
-def problem_at(kind: str, found: str, elements: IndexArray, remedy: str) -> MeshProblem | None:
-    """A problem of elements (k,) or edges (k, 2); None if k is 0."""
+def problem_at(
+    kind: str, found: str, elements: IndexArray, remedy: str, *, of_vertices: bool = False
+) -> MeshProblem | None:
+    """A problem of faces or vertices (k,) or of edges (k, 2); None if k is 0."""
     listed = [tuple(row) for row in elements.tolist()] if elements.ndim == 2 else elements.tolist()
-    return MeshProblem(kind, found, remedy, tuple(listed)) if len(elements) else None
+    return MeshProblem(kind, found, remedy, tuple(listed), of_vertices=of_vertices) if len(elements) else None
 
 
 def list_problems(problems: Iterable[object]) -> str:

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.mesh.control_mesh import NO_UV, ControlMesh, UvSet
-from cagemap.mesh.faces import keep_faces
+from cagemap.mesh.faces import face_areas, keep_faces
 from cagemap.mesh.topology import face_components, face_pieces
 from cagemap.numerics.arrays import FloatArray, IndexArray, members_of, offsets_of, places_of
 
 PART_KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
+# Of the faces of the piece with most: with fewer, a piece is a ground or a plate rather than the model.
+MIN_SHARE_OF_FACES = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +73,18 @@ def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
     return tuple(Part(part.kind, name, faces) for name, faces in zip(names, pieces, strict=True))
 
 
+def largest_part(mesh: ControlMesh) -> Part:
+    """The connected piece of largest area, of those with about as many faces as any (`MIN_SHARE_OF_FACES`)."""
+    pieces, areas = connected_parts(mesh), face_areas(mesh)
+    least = MIN_SHARE_OF_FACES * max(len(piece.faces) for piece in pieces)
+    return max((piece for piece in pieces if len(piece.faces) >= least), key=lambda one: areas[one.faces].sum())
+
+
 def find_part(mesh: ControlMesh, name: str) -> Part:
     """Part by name, ``KIND:NAME`` or ``largest``; ParameterError unless exactly one matches."""
     parts = list_parts(mesh)
     if name == LARGEST:
-        return max(connected_parts(mesh), key=lambda part: len(part.faces))
+        return largest_part(mesh)
     matching = [part for part in _groups_as_one(parts, name) if name in (part.name, part.title)]
     # A USD object is named by its whole path; its end is accepted too, and accents in both forms of Unicode.
     matching = matching or [part for part in parts if part.name.endswith(f"/{name}")]

@@ -55,6 +55,7 @@ def _positions(mesh: ControlMesh) -> MeshProblem | None:
         f"expected finite positions, got NaN or infinity at {len(bad)} vertex/vertices, vertices",
         bad,
         "Move these vertices to where they belong, or delete them.",
+        of_vertices=True,
     )
 
 

@@ -1,58 +1,33 @@
 """Pictures of surfaces as image arrays, ray-cast without a screen."""
 
-from cagemap.pictures.camera import BACK, FRONT, SIDE, VIEWS, Camera, View, frame, turn_angle
-from cagemap.pictures.colors import (
-    AMOUNT_SCALE,
-    BALANCE_SCALE,
-    TRUST_SCALE,
-    distinct_colors,
-    position_colors,
-    scalar_colors,
-)
-from cagemap.pictures.orientation import (
-    UP_AXES,
-    Y_UP,
-    Z_UP,
-    Orientation,
-    find_orientation,
-    matching_turn,
-    shape_turn,
-    usual_turn,
-)
-from cagemap.pictures.overlay import draw_dots, draw_line, draw_segments
-from cagemap.pictures.render import Image, Model, Skin, render, render_skins, sample_texture, visible_points
-
-__all__ = [
-    "AMOUNT_SCALE",
-    "BACK",
-    "BALANCE_SCALE",
-    "FRONT",
-    "SIDE",
-    "TRUST_SCALE",
-    "UP_AXES",
-    "VIEWS",
-    "Y_UP",
-    "Z_UP",
-    "Camera",
-    "Image",
-    "Model",
-    "Orientation",
-    "Skin",
-    "View",
-    "distinct_colors",
-    "draw_dots",
-    "draw_line",
-    "draw_segments",
-    "find_orientation",
-    "frame",
-    "matching_turn",
-    "position_colors",
-    "render",
-    "render_skins",
-    "sample_texture",
-    "scalar_colors",
-    "shape_turn",
-    "turn_angle",
-    "usual_turn",
-    "visible_points",
-]
+from cagemap.pictures.camera import BACK as BACK
+from cagemap.pictures.camera import FRONT as FRONT
+from cagemap.pictures.camera import VIEWS as VIEWS
+from cagemap.pictures.camera import Camera as Camera
+from cagemap.pictures.camera import View as View
+from cagemap.pictures.camera import frame as frame
+from cagemap.pictures.camera import turn_angle as turn_angle
+from cagemap.pictures.colors import AMOUNT_SCALE as AMOUNT_SCALE
+from cagemap.pictures.colors import BALANCE_SCALE as BALANCE_SCALE
+from cagemap.pictures.colors import TRUST_SCALE as TRUST_SCALE
+from cagemap.pictures.colors import distinct_colors as distinct_colors
+from cagemap.pictures.colors import position_colors as position_colors
+from cagemap.pictures.colors import scalar_colors as scalar_colors
+from cagemap.pictures.orientation import UP_AXES as UP_AXES
+from cagemap.pictures.orientation import Y_UP as Y_UP
+from cagemap.pictures.orientation import Z_UP as Z_UP
+from cagemap.pictures.orientation import Orientation as Orientation
+from cagemap.pictures.orientation import find_orientation as find_orientation
+from cagemap.pictures.orientation import matching_turn as matching_turn
+from cagemap.pictures.orientation import shape_turn as shape_turn
+from cagemap.pictures.orientation import usual_turn as usual_turn
+from cagemap.pictures.overlay import draw_dots as draw_dots
+from cagemap.pictures.overlay import draw_line as draw_line
+from cagemap.pictures.overlay import draw_segments as draw_segments
+from cagemap.pictures.render import Image as Image
+from cagemap.pictures.render import Model as Model
+from cagemap.pictures.render import Skin as Skin
+from cagemap.pictures.render import render as render
+from cagemap.pictures.render import render_skins as render_skins
+from cagemap.pictures.render import sample_texture as sample_texture
+from cagemap.pictures.render import visible_points as visible_points

@@ -10,54 +10,22 @@ from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.pictures import Y_UP
-from cagemap.report.figures import (
-    HEIGHT,
-    WIDTH,
-    Figure,
-    Gallery,
-    Pixels,
-    Progress,
-    display_image,
-    draw_gallery,
-    draw_thumbnail,
-)
-from cagemap.report.looks import SOURCE_TEXTURE_ID, TARGET_TEXTURE_ID, report_models
-from cagemap.report.models import Models
-from cagemap.report.page import Texture, build_page, encode_texture
-from cagemap.report.rig_panels import (
-    NO_DATA,
-    BakedImage,
-    CarriedData,
-    CarriedShape,
-    Panel,
-    Passenger,
-    Pose,
-    Weights,
-    draw_carried,
-)
+from cagemap.report.figures import HEIGHT, WIDTH, Pixels, Progress
+from cagemap.report.figures import Gallery as Gallery
+from cagemap.report.figures import display_image as display_image
+from cagemap.report.figures import draw_gallery as draw_gallery
+from cagemap.report.figures import draw_thumbnail as draw_thumbnail
+from cagemap.report.looks import SOURCE_TEXTURE_ID, TARGET_TEXTURE_ID
+from cagemap.report.looks import report_models as report_models
+from cagemap.report.page import Texture, encode_texture
+from cagemap.report.page import build_page as build_page
+from cagemap.report.rig_panels import NO_DATA
+from cagemap.report.rig_panels import BakedImage as BakedImage
+from cagemap.report.rig_panels import CarriedData as CarriedData
+from cagemap.report.rig_panels import CarriedItem as CarriedItem
+from cagemap.report.rig_panels import Weights as Weights
+from cagemap.report.rig_panels import draw_carried as draw_carried
 from cagemap.report.viewpoints import choose_viewpoints
-
-__all__ = [
-    "BakedImage",
-    "CarriedData",
-    "CarriedShape",
-    "Figure",
-    "Gallery",
-    "Models",
-    "Panel",
-    "Passenger",
-    "Pose",
-    "Weights",
-    "build_page",
-    "check_page_path",
-    "display_image",
-    "draw_carried",
-    "draw_gallery",
-    "draw_thumbnail",
-    "report_models",
-    "write_report",
-]
-
 
 # Largest page in bytes, and vertices of its models: the first number whose page is small enough is taken.
 MAX_PAGE_BYTES = 5_000_000

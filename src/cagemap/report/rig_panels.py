@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import groupby
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -47,6 +47,9 @@ MAX_LAYOUT_PIXELS = 512  # longest side of a baked image on the page
 DISTANCE_QUANTILE, OFFSET_QUANTILE = 0.95, 0.995
 
 
+_Value = TypeVar("_Value")
+
+
 @dataclass(frozen=True, eq=False)
 class Weights:
     """Skinning weights of the control vertices, (n2, joints) and (n1, joints); rows sum to at most 1."""
@@ -56,30 +59,15 @@ class Weights:
 
 
 @dataclass(frozen=True, eq=False)
-class CarriedShape:
-    """A blend shape: offsets of the control vertices, (n2, 3) and (n1, 3), in file units."""
+class CarriedItem(Generic[_Value]):
+    """A blend shape, passenger or pose: on the source, and carried, in file units.
+
+    Of shapes offsets (n, 3), of poses positions (n, 3) of the control vertices; of passengers meshes.
+    """
 
     name: str
-    source: FloatArray
-    target: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class Passenger:
-    """Clothes, hair or a prop: on the source, and carried, in file units."""
-
-    name: str
-    source: ControlMesh
-    target: ControlMesh
-
-
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """A pose: positions of the control vertices, (n2, 3) and (n1, 3), in file units."""
-
-    name: str
-    source: FloatArray
-    target: FloatArray
+    source: _Value
+    target: _Value
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,22 +98,21 @@ class CarriedData:
     wrapped : ControlMesh or None
         The target's cage, or the mesh of a finer level, in the source's shape.
     weights : Weights or None
-    shapes : tuple of CarriedShape
-    passengers : tuple of Passenger
-    poses : tuple of Pose
+    shapes : tuple of CarriedItem
+    passengers : tuple of CarriedItem
+    poses : tuple of CarriedItem
     """
 
     images: tuple[BakedImage, ...] = field(default=())
     wrapped: ControlMesh | None = None
     weights: Weights | None = None
-    shapes: tuple[CarriedShape, ...] = field(default=())
-    passengers: tuple[Passenger, ...] = field(default=())
-    poses: tuple[Pose, ...] = field(default=())
+    shapes: tuple[CarriedItem[FloatArray], ...] = field(default=())
+    passengers: tuple[CarriedItem[ControlMesh], ...] = field(default=())
+    poses: tuple[CarriedItem[FloatArray], ...] = field(default=())
 
 
 NO_DATA = CarriedData()
 
-_Value = TypeVar("_Value")
 # Model, skin, view, segments to draw on it, caption.
 _PictureJob = tuple[Model, Skin, View, FloatArray | None, str]
 
@@ -264,7 +251,7 @@ def _weights_panel(result: MatchResult, weights: Weights, viewpoints: Viewpoints
 
 
 def _shapes_panel(
-    result: MatchResult, shapes: tuple[CarriedShape, ...], viewpoints: Viewpoints, size: tuple[int, int]
+    result: MatchResult, shapes: tuple[CarriedItem[FloatArray], ...], viewpoints: Viewpoints, size: tuple[int, int]
 ) -> Panel:
     """The largest shapes on both models, coloured by the length of the offsets."""
     largest = sorted(shapes, key=lambda shape: -float(np.linalg.norm(shape.source, axis=1).max(initial=0.0)))
@@ -284,7 +271,7 @@ def _shapes_panel(
 
 
 def _passengers_panel(
-    result: MatchResult, passengers: Sequence[Passenger], viewpoints: Viewpoints, size: tuple[int, int]
+    result: MatchResult, passengers: Sequence[CarriedItem[ControlMesh]], viewpoints: Viewpoints, size: tuple[int, int]
 ) -> Panel:
     """Both bodies with their passengers, a colour for each."""
     palette = distinct_colors(len(passengers))
@@ -303,7 +290,9 @@ def _passengers_panel(
     return Panel("Passengers", f"What the source wears, on the target: {names}.", tuple(_draw_all(jobs, size)))
 
 
-def _poses_panel(result: MatchResult, poses: Sequence[Pose], viewpoints: Viewpoints, size: tuple[int, int]) -> Panel:
+def _poses_panel(
+    result: MatchResult, poses: Sequence[CarriedItem[FloatArray]], viewpoints: Viewpoints, size: tuple[int, int]
+) -> Panel:
     """Both models in the first poses."""
     jobs: list[_PictureJob] = []
     for pose in poses[:MAX_PANEL_POSES]:

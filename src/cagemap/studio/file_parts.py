@@ -12,10 +12,10 @@ from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.parts import (
     PART_KINDS,
     Part,
-    connected_parts,
     extract_faces,
     find_part,
     in_one_piece,
+    largest_part,
     list_parts,
     numbers_on_part,
 )
@@ -107,7 +107,7 @@ def select_part(mesh: ControlMesh, name: str | None, *, plain: bool) -> Selected
     whole = (n_pieces == 1 and not mesh.object_schemes) or plain
     listed = _listed_parts(mesh, n_pieces)
     if name is None and not whole:
-        name = max(connected_parts(mesh), key=lambda part: len(part.faces)).title
+        name = largest_part(mesh).title
     part = None if name is None else find_part(mesh, name)
     if part is not None:  # the listed part of the same faces may have another name
         part = next((other for other in listed if np.array_equal(other.faces, part.faces)), part)

@@ -43,7 +43,7 @@ def fan_triangles(offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray,
     return indices[np.column_stack([first, first + step, first + step + 1])], faces
 
 
-# A triangle of a polygon is flat if its area is below this share of the polygon's.
+# A triangle of a polygon is flat or flipped if its area is below this share of the polygon's.
 _MIN_AREA_SHARE = 1e-6
 # Larger polygons are split into fans: clipping ears takes time cubic in the corners.
 _MAX_CLIPPED_CORNERS = 200
@@ -53,15 +53,15 @@ _MAX_CLIPPED_PAIRS = 1_000_000  # of corners, at a time: some 100 MB
 def polygon_triangles(positions: FloatArray, offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray, IndexArray]:
     """Triangles (t, 3) of polygons and the polygon (t,) of each, as numbers of corners.
 
-    As `fan_triangles`, but polygons whose fan has a flat triangle, as at collinear corners, are split otherwise.
-    Concave polygons without such a triangle keep their fans, whose triangles may overlap.
+    As `fan_triangles`, but polygons whose fan has a flat or flipped triangle, as at collinear and concave corners, are
+    split otherwise.
     """
     corners, faces = fan_triangles(offsets, np.arange(len(indices)))
     sizes, places = np.diff(offsets), positions[indices]
     of_triangles = triangle_normals(places, corners)
     normals = grouped_sums(faces, of_triangles, len(sizes))
     of_polygons = normals[faces]
-    flat = np.abs(np.einsum("td,td->t", of_triangles, of_polygons)) <= _MIN_AREA_SHARE * (of_polygons**2).sum(axis=1)
+    flat = np.einsum("td,td->t", of_triangles, of_polygons) <= _MIN_AREA_SHARE * (of_polygons**2).sum(axis=1)
     chosen = np.bincount(faces, flat, minlength=len(sizes)) > 0
     chosen &= (sizes > 3) & (sizes <= _MAX_CLIPPED_CORNERS) & normals.any(axis=1)
     for size in np.unique(sizes[chosen]).tolist():

@@ -61,7 +61,8 @@ class Outcome:
     files : tuple of Path
         Files that were written; not those of the workers of a job.
     figures : dict
-        Numbers of the summary, for JSON: quality of a match, distances of a wrap, sizes of an image, counts of weights.
+        Numbers of the summary, for JSON: quality of a match, distances of a wrap, sizes of an image, counts of weights,
+        names of shapes, the list of `check --json`.
     """
 
     summary: str

@@ -68,6 +68,7 @@ def run_face(request: FaceRequest, stages: Stages) -> Said:
     shapes = _on_body(face_shapes(bodies), head, body)
     character = with_part(file_character, body, replace(body, shapes={**body.shapes, **shapes}))
     notes += [f"{', '.join(kept)}: {request.head.name} has its own and keeps them"] if kept else []
+    stages.record({"part": body.name, "shapes": list(shapes), "trusted_area": trusted})
     stages("write")
     with all_or_nothing():
         made = character_glb(character, document)

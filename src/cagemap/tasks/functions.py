@@ -55,6 +55,7 @@ def run_functions(request: FunctionsRequest, stages: Stages) -> Said:
     arrays = functions_at(surface, at, kinds, (request.heat, request.wave), points)
     stages("write")
     count, n = sum(arrays[name].shape[1] for name in _names(kinds)), len(arrays[_names(kinds)[0]])
+    stages.record({"functions": count, "vertices": n, "level": at, "eigenvalues": arrays["eigenvalues"].tolist()})
     if request.output.suffix.lower() == ".ply":
         column = _write_colors(request, surface, at, arrays[_names(kinds)[0]])
         text = f"wrote {request.output}: {kinds[0]} {column} in colours, at {n} vertices of level {at}"

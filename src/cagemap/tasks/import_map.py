@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
 from cagemap.files.meshes.formats import read_mesh
@@ -27,8 +29,13 @@ from cagemap.tasks.subdivision import weld_side
 MAP_VERTICES = 50_000
 
 
-def run_map(request: MapRequest, stages: Stages) -> Said:
-    """Measure a map's quality and write it as a RESULT folder; returns a summary and warnings."""
+def run_map(
+    request: MapRequest, stages: Stages, require: Callable[[ControlMesh, ControlMesh], object] | None = None
+) -> Said:
+    """Measure a map's quality and write it as a RESULT folder; returns a summary and warnings.
+
+    ``require``: refuses target and source that what follows cannot use, before any work.
+    """
     files = {"target": request.target, "source": request.source, "map": request.map}
     files.update(mask_inputs(request))
     check_result_folder(request.output, force=request.force)
@@ -37,6 +44,8 @@ def run_map(request: MapRequest, stages: Stages) -> Said:
     stated = stated_inputs(files, request.output)
     filed = read_mesh(request.target), read_mesh(request.source)
     welded = [weld_side(mesh, request, side) for mesh, side in zip(filed, ("target", "source"), strict=True)]
+    if require is not None:
+        require(*(joined.mesh for joined in welded))
     target, source = (_surface(joined.mesh, request.level) for joined in welded)
     level = None if request.level is not None else source_level(request.map, source.refinement)
     if level is not None and level != source.refinement.finest_level:

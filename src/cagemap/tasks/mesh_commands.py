@@ -57,11 +57,12 @@ def run_check(request: CheckRequest, stages: Stages) -> tuple[str, bool]:
         if not request.for_scripts:
             listed = _part_lines(mesh, pieces=holds is None and not _of_one_piece(mesh))
             texts.append("\n".join(filter(None, [str(report), "" if holds is None else str(holds)])) + listed)
-            continue
         parts = [{"name": part.title, "faces": len(part.faces)} for part in _parts(mesh)]
         held = {} if holds is None else {"contents": asdict(holds)}
         values.append({"file": str(path), "usable": report.is_valid, **asdict(report), "parts": parts, **held})
-    text = json.dumps(values, indent=1, default=int) if request.for_scripts else "\n\n".join(texts)
+    described = json.dumps(values, indent=1, default=int)
+    stages.record({"files": json.loads(described)})
+    text = described if request.for_scripts else "\n\n".join(texts)
     return text, sound
 
 
@@ -175,7 +176,10 @@ def run_refine(request: RefineRequest, stages: Stages) -> Said:
     require_valid(control, allowed=UNREFINED)
     require_size(control, level)
     refinement = refine_mesh(control, level)
-    write_mesh(output, finest_mesh(refinement), like=path, force=request.force)
+    finest = finest_mesh(refinement)
+    if control.vertex_colors is not None and finest.vertex_colors is None:
+        notes = (*notes, f"note: {control.name}: its vertex colours are left out, since some vertices have none")
+    write_mesh(output, finest, like=path, force=request.force)
     tolerance = weld_tolerance(control)
     seams = "" if tolerance is None else f"note: {control.name} is split at seams, --weld {tolerance:g} joins them"
     return "\n".join(filter(None, [*notes, str(refinement), seams, f"wrote {output}"])), []

@@ -27,7 +27,7 @@ from cagemap.pictures import UP_AXES, usual_turn
 from cagemap.report import (
     BakedImage,
     CarriedData,
-    CarriedShape,
+    CarriedItem,
     Weights,
     check_page_path,
     display_image,
@@ -179,7 +179,7 @@ def _shapes(carried: CarriedData, folder: Path, entry: dict[str, Any], result: M
         )
     )
     both = [name for name in given if name in received]
-    return replace(carried, shapes=tuple(CarriedShape(name, given[name], received[name]) for name in both))
+    return replace(carried, shapes=tuple(CarriedItem(name, given[name], received[name]) for name in both))
 
 
 def _same(a: Path, b: Path) -> bool:

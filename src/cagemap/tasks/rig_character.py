@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ from cagemap.mesh.curves import Curves
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.report import CarriedData, CarriedShape, Passenger, Pose, Weights, check_page_path, write_report
+from cagemap.report import CarriedData, CarriedItem, Weights, check_page_path, write_report
 from cagemap.tasks.carry_character import CarriedCharacter, carry_character, with_part
 from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.options import comma_words, given_files
@@ -92,6 +93,7 @@ def run_rig(request: RigRequest, stages: Stages) -> Said:
             _write_report(request.report, carried, source, of, baked, force=request.force)
     confidence = carried.result.confidence
     doubt = [] if confidence is None or confidence.verdict == SURE else [_DOUBT]
+    stages.record(_figures(dressed) | {"trusted_area": carried.result.quality.trusted_area})
     return _summary(request, dressed), [*split, *carried.notes, *notes, *doubt]
 
 
@@ -257,10 +259,10 @@ def _write_report(
     shown = CarriedData(
         weights=weights,
         shapes=tuple(
-            CarriedShape(name, offsets[rows[1]], body.shapes[name][rows[0]]) for name, offsets in of.shapes.items()
+            CarriedItem(name, offsets[rows[1]], body.shapes[name][rows[0]]) for name, offsets in of.shapes.items()
         ),
         passengers=tuple(
-            Passenger(source_part.name, source_part.mesh, carried_part.mesh)
+            CarriedItem(source_part.name, source_part.mesh, carried_part.mesh)
             for source_part, carried_part in zip(carried.passengers, dressed, strict=True)
         ),
         poses=tuple(_poses(source, character, (of, body), (rows[1], rows[0]))),
@@ -272,7 +274,7 @@ def _write_report(
 
 def _poses(
     source: Character, made: Character, bodies: tuple[Part, Part], rows: tuple[IndexArray, IndexArray]
-) -> Iterator[Pose]:
+) -> Iterator[CarriedItem[FloatArray]]:
     """Poses of both bodies at a quarter, half and three quarters of the first animation."""
     if source.rig is None or made.rig is None or not source.animations or not source.animations[0].tracks:
         return
@@ -283,7 +285,19 @@ def _poses(
             skinned_positions(body, rig, pose_at(rig, animation, share * end))[body_rows]
             for body, rig, animation, body_rows in zip(bodies, (source.rig, made.rig), pair, rows, strict=True)
         ]
-        yield Pose(f"{pair[0].name}, {share * end:.2g} s", both[0], both[1])
+        yield CarriedItem(f"{pair[0].name}, {share * end:.2g} s", both[0], both[1])
+
+
+def _figures(character: Character) -> dict[str, Any]:
+    """Figures of a character whose first part is its body."""
+    body, *others = character.parts
+    return {
+        "vertices": body.mesh.n_vertices,
+        "joints": 0 if character.rig is None else len(character.rig.names),
+        "animations": [animation.name for animation in character.animations],
+        "shapes": list(body.shapes),
+        "passengers": [part.name for part in others],
+    }
 
 
 def _summary(request: RigRequest, character: Character) -> str:

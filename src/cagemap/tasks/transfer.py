@@ -186,6 +186,7 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
             results = UsdResults(attributes=carried)
             lines.append(write_usd_results(request.usd, request.result, result, results, force=request.force))
     note_transfer(request.result, {"kind": "attribute", "file": request.attribute, "output": request.output})
+    stages.record({name: list(array.shape) for name, array in whole.items()}, of="arrays")
     shapes = ", ".join(f"{name} {array.shape}" for name, array in whole.items())
     return "\n".join([f"wrote {request.output}: {shapes}", *lines]), warnings + notes
 
@@ -205,6 +206,7 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     write_mesh(request.output, laid_out, like=None if of_obj else original, force=request.force)
     note_transfer(request.result, {"kind": "uvs", "output": request.output})
     crossed = carried.crossed if rows is None else rows.faces[carried.crossed]
+    stages.record({"uvs": len(carried.uvs), "crossed_faces": crossed.tolist()})
     count, others = len(crossed), laid_out.n_faces - control.n_faces
     warnings = missing_file_warnings(original, control.name, request.output)
     if count:
@@ -241,6 +243,8 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
         like = target
     write_mesh(request.output, mesh.with_positions(places), like=like, force=request.force)
     note_transfer(request.result, {"kind": "passenger", "file": request.passenger, "output": request.output})
+    figures = {"vertices": mesh.n_vertices, "distance": carried.distance, "unit_factor": carried.unit_factor}
+    stages.record(figures)
     warnings = []
     if carried.distance > _FAR_PASSENGER or carried.unit_factor != 1.0:
         scaled = f" ({carried.unit_factor:g} times as large it would lie on it)" if carried.unit_factor != 1.0 else ""

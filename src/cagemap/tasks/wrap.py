@@ -89,13 +89,17 @@ def _found(
     Several sources are frames of a motion: the match of each frame starts from the map to the frame before it.
     """
     results = tuple(folder / f"{frame}" for frame in range(len(sources)))
+
+    def require_meshes(target: ControlMesh, source: ControlMesh) -> None:
+        require_wrappable(request, target, source)
+
     if request.map is not None:
-        options = _of_both(request, "weld")
-        return results, run_map(MapRequest(request.map, target, sources[0], results[0], **options), stages)[1]
+        of_map = MapRequest(request.map, target, sources[0], results[0], **_of_both(request, "weld"))
+        return results, run_map(of_map, stages, require_meshes)[1]
     options, warnings = _of_both(request, "scheme", "weld"), list[str]()
 
     def require(inputs: Inputs) -> None:
-        require_wrappable(request, inputs.target, inputs.source)
+        require_meshes(inputs.target, inputs.source)
 
     if len(sources) == 1:
         single = MatchRequest(target, sources[0], results[0], request.landmarks, **options)
@@ -197,10 +201,10 @@ def _run(request: WrapRequest, stages: Stages) -> Said:
     if len({mesh_hash(result.target.control) for result in results}) > 1:
         raise ParameterError("--blend-shapes: expected results of one target, got several; the cages would differ")
     require_no_input([request.output, *outputs_beside(request)], _meshes_read(request, results))
+    details = [require_wrappable(request, result.target.control, result.source.control) for result in results]
     if request.blend_shapes:
         return _write_shapes(request, results, config, stages)
     result, folder = results[0], request.results[0]
-    detail = require_wrappable(request, result.target.control, result.source.control)
     wrapped = _wrap(request, result, config, stages)
     original = input_file(folder, result.manifest, "target")
     stages("write")
@@ -217,7 +221,7 @@ def _run(request: WrapRequest, stages: Stages) -> Said:
         places, triangles = wrapped.mesh.positions, wrapped.closest.triangle[: wrapped.mesh.n_vertices]
         write_mhclo(request.mhclo, bind_on(places, result.source, triangles), request.output, force=request.force)
         lines.append(f"wrote {request.mhclo}: the mesh follows {result.source.control.name}")
-    more, outside = bake_wrapped(request, result, wrapped, detail, stages)
+    more, outside = bake_wrapped(request, result, wrapped, details[0], stages)
     if more and not np.allclose(space, np.eye(4)):
         length = np.cbrt(abs(np.linalg.det(space[:3, :3])))
         outside.append(

@@ -8,7 +8,6 @@ from cagemap.transfer.baking import Transfer as Transfer
 from cagemap.transfer.baking import bake_texture as bake_texture
 from cagemap.transfer.baking import prepare_transfer as prepare_transfer
 from cagemap.transfer.baking import target_tiles as target_tiles
-from cagemap.transfer.control_values import CarriedUvs as CarriedUvs
 from cagemap.transfer.control_values import carry_uvs as carry_uvs
 from cagemap.transfer.control_values import combine as combine
 from cagemap.transfer.control_values import control_weights as control_weights
@@ -21,9 +20,7 @@ from cagemap.transfer.detail import bake_detail_values as bake_detail_values
 from cagemap.transfer.detail import bake_detail_vectors as bake_detail_vectors
 from cagemap.transfer.detail import detail_over as detail_over
 from cagemap.transfer.detail import own_transfer as own_transfer
-from cagemap.transfer.displacement import Displacement as Displacement
 from cagemap.transfer.displacement import bake_displacement as bake_displacement
-from cagemap.transfer.displacement import scale_ratio as scale_ratio
 from cagemap.transfer.matched import bake as bake
 from cagemap.transfer.matched import transfer_of as transfer_of
 from cagemap.transfer.texture import tile_cells as tile_cells

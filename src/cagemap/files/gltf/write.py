@@ -293,18 +293,18 @@ class _Made:
 _log = logging.getLogger(__name__)
 
 
-def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, force: bool = False) -> None:
+def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, force: bool = False) -> bool:
     """Write a mesh as ``.glb``, in place of the meshes of a glTF or FBX file if vertices and faces match.
 
     Positions and the UV set in use are those of the mesh. The file's materials, textures, skins, blend shapes,
     animations and extensions are kept then. A mesh that does not match is written alone, with a warning if the file has
-    a skeleton, shapes or animations.
+    a skeleton, shapes or animations. Returns whether it matches.
     """
     try:
         document = read_document(like)
     except FormatError:  # removed or changed meanwhile
         write_glb(path, mesh, force=force)
-        return
+        return False
     character = character_of(document)
     sizes = [part.mesh.n_vertices for part in character.parts]
     starts = np.cumsum([0, *sizes])
@@ -317,7 +317,7 @@ def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, for
                 "%s: other vertices or faces than %s: its skeleton, shapes, animations are left out", path, like
             )
         write_glb(path, mesh, force=force)
-        return
+        return False
     places = np.split(mesh.positions, starts[1:-1])
     parts = tuple(move_vertices(part, own) for part, own in zip(character.parts, places, strict=True))
     if mesh.uvs is not None and mesh.uv_indices is not None:
@@ -326,6 +326,7 @@ def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, for
         name = mesh.uv_name or "TEXCOORD_0"
         parts = tuple(_with_uvs(part, name, of_part) for part, of_part in zip(parts, uvs, strict=True))
     write_document(path, character_glb(replace(character, parts=parts), document), force=force)
+    return True
 
 
 def _with_uvs(part: Part, name: str, uvs: FloatArray) -> Part:

@@ -6,6 +6,7 @@ A new format is an entry of `_READERS` or `_WRITERS`; help lines that list forma
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 from collections.abc import Callable, Collection
@@ -34,6 +35,8 @@ from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.numerics.kinds import kinds_checked
+
+_log = logging.getLogger(__name__)
 
 _READERS = {".obj": read_obj, ".ply": read_ply, ".off": read_off, ".stl": read_stl}
 _READERS |= dict.fromkeys(SCENE_SUFFIXES, read_gltf)
@@ -84,6 +87,8 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
         ``.mtl`` files.
     force : bool
 
+    A warning names what the mesh has and the format cannot hold.
+
     Raises
     ------
     FormatError
@@ -95,13 +100,44 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
     if suffix in USD_SUFFIXES and original is not None:
         write_usd(path, mesh, space=stage_space(original), force=force)
     elif suffix == ".glb" and like is not None and Path(like).suffix.lower() in SCENE_SUFFIXES:
-        write_glb_like(path, mesh, like, force=force)
+        if write_glb_like(path, mesh, like, force=force):
+            return
     elif suffix == ".glb" and original is not None:
         write_glb(path, mesh, to_metres=to_standard(original), force=force)
     elif suffix == ".obj":
         write_obj(path, mesh, like=like, force=force)
     else:
         _WRITERS[suffix](path, mesh, force=force)
+    _warn_of_left_out(Path(path), mesh)
+
+
+def _warn_of_left_out(path: Path, mesh: ControlMesh) -> None:
+    """Name what a mesh has and a file of this format cannot hold, and a format that can."""
+    holders = {name: formats for name, formats in _values_in(mesh).items() if not path.name.lower().endswith(formats)}
+    if not holders:
+        return
+    better = next((suffix for suffix in (".obj", ".usda") if all(suffix in one for one in holders.values())), None)
+    remedy = "" if better is None else f" Write {better} to keep them."
+    _log.warning("%s: has no place for %s, left out.%s", path, ", ".join(holders), remedy)
+
+
+def _values_in(mesh: ControlMesh) -> dict[str, tuple[str, ...]]:
+    """By name of every value that a mesh has besides positions and faces: the endings of files that can hold it."""
+    usd = (".usd", ".usda", ".usdc")
+    colored = np.zeros(0) if mesh.vertex_colors is None else np.isfinite(mesh.vertex_colors).all(axis=1)
+    own_names = any(name and not name.startswith("#") for name in mesh.material_names)
+    sharp = any(one is not None and len(one) for one in (mesh.crease_edges, mesh.corner_vertices, mesh.hole_faces))
+    values = {
+        "texture coordinates": (mesh.uvs is not None, (".obj", ".ply", ".glb", *usd)),
+        "further UV sets": (bool(mesh.uv_sets), (".glb", *usd)),
+        "vertex colours": (colored.any(), (".obj", ".ply", ".glb", *usd) if colored.all() else (".obj",)),
+        "colours of materials": (mesh.face_colors is not None, (".obj", ".ply", ".glb", *usd)),
+        "materials' names": (mesh.face_materials is not None and own_names, (".obj", ".glb", *usd)),
+        "objects": (len(mesh.object_names) > 1, (".obj",)),
+        "groups": (len(mesh.group_names) > 1, (".obj", *usd)),
+        "creases, sharp corners and holes": (sharp, (".obj", *usd)),
+    }
+    return {name: formats for name, (is_there, formats) in values.items() if is_there}
 
 
 def mesh_files(path: str | Path, mesh: ControlMesh, like: Path | None = None) -> list[Path]:

@@ -9,15 +9,20 @@ import logging
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
+from cagemap.files.gltf.added_textures import AddedTextures
+from cagemap.files.gltf.binary import Binary
+from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.textures import REPEAT
 from cagemap.files.meshes.colors import as_shares
 from cagemap.files.meshes.obj import warn_of_bare_faces
-from cagemap.files.meshes.ply_records import Column, read_columns
+from cagemap.files.meshes.ply_records import END_LINE, Column, read_columns
 from cagemap.files.ownership import mark
 from cagemap.files.text import named_image, read_bytes
 from cagemap.mesh import ControlMesh
@@ -34,6 +39,8 @@ _COLORS = ("red", "green", "blue")
 _COLOR_NAMES = (_COLORS, ("diffuse_red", "diffuse_green", "diffuse_blue"))
 # Faces of more colours than this are a picture rather than materials.
 _MOST_MATERIALS = 256
+# Read to find the names of images: more than any header has.
+_HEADER_BYTES = 1 << 20
 _VERTEX_UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 
@@ -47,7 +54,8 @@ def read_ply(path: str | Path) -> ControlMesh:
     warning. Other elements are ignored.
     """
     file = Path(path)
-    columns = read_columns(file, read_bytes(file, "a PLY file"))
+    content = read_bytes(file, "a PLY file")
+    columns = read_columns(file, content)
     faces = columns.get("face", {})
     # Positions and colours are scalars; lists with these names are ignored.
     vertices = {name: column for name, column in columns.get("vertex", {}).items() if np.all(column.lengths == 1)}
@@ -65,31 +73,69 @@ def read_ply(path: str | Path) -> ControlMesh:
     indices = _indices(file, corners, len(positions))
     uvs, uv_indices = _uvs(file, vertices, faces.get("texcoord"), corners.lengths, indices)
     mesh = ControlMesh(positions, offsets, indices, uvs, uv_indices, name=file.name, vertex_colors=_colors(vertices))
-    return _with_materials(file, mesh, {name: column for name, column in faces.items() if np.all(column.lengths == 1)})
+    scalars = {name: column for name, column in faces.items() if np.all(column.lengths == 1)}
+    return _with_materials(file, mesh, scalars, several=len(_image_names(content)) > 1)
 
 
 def ply_images(path: Path) -> list[Path]:
     """Existing images that the header of a PLY file names (``comment TextureFile``)."""
-    header = read_bytes(path, "a PLY file").partition(b"end_header")[0].decode("utf-8", "replace")
-    names = re.findall(r"(?m)^comment TextureFile ([^\r\n]+)", header)
-    return [image for name in names if (image := named_image(path, name.strip())) is not None]
+    found = (named_image(path, name) for name in _image_names(read_bytes(path, "a PLY file", _HEADER_BYTES)))
+    return [image for image in found if image is not None]
 
 
 def ply_image(path: Path) -> Path:
-    """The image that a PLY file names, if there is one alone; else the given file."""
-    images = ply_images(path) if path.suffix.lower() == ".ply" else []
-    return images[0] if len(images) == 1 else path
+    """The image of all faces of a PLY file, if it names one or does not say which faces have which; else the file."""
+    if path.suffix.lower() != ".ply":
+        return path
+    header = _header_of(read_bytes(path, "a PLY file", _HEADER_BYTES))
+    names = _image_names(header)
+    if len(names) > 1 and b"texnumber" in header:
+        return path
+    if len(names) > 1:
+        _log.warning("%s: names %d images and no texnumber of its faces: all have %s", path, len(names), names[0])
+    return (named_image(path, names[0]) if names else None) or path
 
 
-def _with_materials(path: Path, mesh: ControlMesh, faces: dict[str, Column]) -> ControlMesh:
-    """The mesh with a material for each image of its faces, if there are several, or for each colour."""
-    images = np.unique(faces["texnumber"].values) if "texnumber" in faces else np.zeros(1)
+def ply_document(path: Path) -> Document:
+    """A document without meshes, of a material for each image that a PLY file names, by its number."""
+    binary, top = Binary(), dict[str, Any]()
+    textures, materials = AddedTextures(binary, top), []
+    for number, name in enumerate(_image_names(read_bytes(path, "a PLY file", _HEADER_BYTES))):
+        file = named_image(path, name)
+        image = None if file is None else textures.image(file.read_bytes(), file.suffix)
+        if image is None:
+            problem = "is not found; put it beside the file" if file is None else "cannot be read as an image"
+            _log.warning("%s: texture %d: '%s' %s: its faces have no image", path, number, name, problem)
+        surface = {} if image is None else {"baseColorTexture": textures.texture(image, (REPEAT, REPEAT), None)}
+        materials.append({"name": _material_name(number), "pbrMetallicRoughness": surface})
+    top |= {"asset": {"version": "2.0"}, "materials": materials}
+    return replace(binary.document(top), file=path)
+
+
+def _header_of(content: bytes) -> bytes:
+    end = END_LINE.search(content)
+    return content[: end.start() if end else None]
+
+
+def _image_names(content: bytes) -> list[str]:
+    """Names of images in a PLY file's content or header, in the order of ``texnumber``."""
+    found = re.findall(rb"(?m)^comment TextureFile ([^\r\n]+)", _header_of(content))
+    return [name.decode("utf-8", "replace").strip() for name in found]
+
+
+def _material_name(number: float) -> str:
+    return f"texture {number:g}"
+
+
+def _with_materials(path: Path, mesh: ControlMesh, faces: dict[str, Column], *, several: bool) -> ControlMesh:
+    """The mesh with a material for each image of its faces, if the file has several, or for each colour."""
+    images = np.unique(faces["texnumber"].values) if "texnumber" in faces else np.zeros(0)
     given = _colors(faces)
-    if len(images) > 1:
+    if len(images) > 1 or (len(images) and several):
         if given is not None:
             _log.warning("%s: the colours of its faces are left out, since its faces have several images", path)
         materials = np.searchsorted(images, faces["texnumber"].values)
-        return replace(mesh, face_materials=materials, material_names=tuple(f"texture {k:g}" for k in images))
+        return replace(mesh, face_materials=materials, material_names=tuple(map(_material_name, images)))
     if given is None:
         return mesh
     red, green, blue = _as_bytes(np.nan_to_num(given)).astype(np.int64).T
@@ -177,8 +223,9 @@ def write_ply(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> No
 
     Colours of vertices and faces are bytes, which every program reads. Of materials, colours are written.
     """
-    content = _header(mesh).encode("ascii") + _binary_vertices(mesh) + _binary_faces(mesh)
-    write_whole(path, content, force=force)
+    vertices, faces = _vertex_bytes(mesh), _face_bytes(mesh)
+    header = _header(mesh, vertices is not None, faces is not None).encode("ascii")
+    write_whole(path, header + _binary_vertices(mesh, vertices) + _binary_faces(mesh, faces), force=force)
 
 
 def _count_type(mesh: ControlMesh) -> tuple[str, str]:
@@ -186,26 +233,23 @@ def _count_type(mesh: ControlMesh) -> tuple[str, str]:
     return ("uchar", "u1") if mesh.face_sizes.max(initial=0) <= 127 else ("uint", "<u4")
 
 
-def _header(mesh: ControlMesh) -> str:
+def _header(mesh: ControlMesh, colored_vertices: bool, colored_faces: bool) -> str:
     count = _count_type(mesh)[0]
+    colors = [f"property uchar {color}" for color in _COLORS]
     lines = [
         "ply",
         "format binary_little_endian 1.0",
         f"comment {mark()}",
         f"element vertex {mesh.n_vertices}",
         *(f"property double {axis}" for axis in "xyz"),
-        *_color_properties(_vertex_bytes(mesh)),
+        *(colors if colored_vertices else []),
         f"element face {mesh.n_faces}",
         f"property list {count} int vertex_indices",
         *([f"property list {count} double texcoord"] if mesh.uvs is not None else []),
-        *_color_properties(_face_bytes(mesh)),
+        *(colors if colored_faces else []),
         "end_header\n",
     ]
     return "\n".join(lines)
-
-
-def _color_properties(colors: NDArray[np.uint8] | None) -> list[str]:
-    return [] if colors is None else [f"property uchar {color}" for color in _COLORS]
 
 
 def _as_bytes(colors: FloatArray) -> NDArray[np.uint8]:
@@ -226,8 +270,7 @@ def _face_bytes(mesh: ControlMesh) -> NDArray[np.uint8] | None:
     return None if colors is None else _as_bytes(encode_srgb(np.where(np.isfinite(colors), colors, UNKNOWN_COLOR)))
 
 
-def _binary_vertices(mesh: ControlMesh) -> bytes:
-    colors = _vertex_bytes(mesh)
+def _binary_vertices(mesh: ControlMesh, colors: NDArray[np.uint8] | None) -> bytes:
     if colors is None:
         return mesh.positions.astype("<f8").tobytes()
     table = np.zeros(mesh.n_vertices, dtype=[("place", "<f8", (3,)), ("color", "u1", (3,))])
@@ -235,10 +278,10 @@ def _binary_vertices(mesh: ControlMesh) -> bytes:
     return table.tobytes()
 
 
-def _binary_faces(mesh: ControlMesh) -> bytes:
+def _binary_faces(mesh: ControlMesh, colors: NDArray[np.uint8] | None) -> bytes:
     """Bytes of all faces in order; records of equal face sizes are filled together."""
     uvs = None if mesh.uvs is None or mesh.uv_indices is None else mesh.uvs[mesh.uv_indices]
-    count_type, colors = _count_type(mesh)[1], _face_bytes(mesh)
+    count_type = _count_type(mesh)[1]
     sizes = mesh.face_sizes
     layouts = {}
     for size in np.unique(sizes).tolist():

@@ -28,7 +28,7 @@ _TYPES = {
 _STRUCT = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _REMEDY = "Export the mesh again as PLY or OBJ."
-_END_LINE = re.compile(rb"(?<=[\r\n])end_header")  # a comment may have the word as well
+END_LINE = re.compile(rb"(?<=[\r\n])end_header")  # a comment may have the word as well
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def _read_header(path: Path, content: bytes) -> tuple[str, list[Element], int]:
     """Parse the header; returns the byte order ('' for text), the elements and the start of the body."""
     if not content.startswith(b"ply"):
         raise FormatError(f"{path}: expected a PLY file, which begins with 'ply', got {content[:16]!r}. {_REMEDY}")
-    end_line = _END_LINE.search(content)
+    end_line = END_LINE.search(content)
     if end_line is None:
         raise FormatError(f"{path}: expected a PLY header that ends with 'end_header', found no end. {_REMEDY}")
     end, start = end_line.span()

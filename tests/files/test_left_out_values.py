@@ -1,0 +1,86 @@
+"""What a mesh has is kept by a file of every format, or a warning names it."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import cube
+
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import UvSet
+from cagemap.numerics.arrays import FloatArray
+from cagemap.tasks import RefineRequest, run
+
+VALUES = {
+    "texture coordinates": lambda mesh: None if mesh.uvs is None else _rows(mesh.uvs[mesh.uv_indices]),
+    "further UV sets": lambda mesh: len(mesh.uv_sets),
+    "vertex colours": lambda mesh: None if mesh.vertex_colors is None else _rows(mesh.vertex_colors),
+    "colours of materials": lambda mesh: None if mesh.face_colors is None else _rows(mesh.face_colors),
+    "materials' names": lambda mesh: {name for name in mesh.material_names if not name.startswith("#")},
+    "objects": lambda mesh: set(mesh.object_names) if len(mesh.object_names) > 1 else set(),
+    "groups": lambda mesh: set(mesh.group_names) if len(mesh.group_names) > 1 else set(),
+    "creases, sharp corners and holes": lambda mesh: (
+        () if mesh.crease_edges is None else set(mesh.crease_sharpness.tolist())
+    ),
+}
+FORMATS = [".obj", ".ply", ".off", ".glb", ".usda"]
+
+
+def _rows(values: FloatArray) -> set[tuple[float, ...]]:
+    """The different rows to two digits, as colours of bytes have."""
+    return {tuple(row) for row in np.round(values, 2).tolist()}
+
+
+def _full() -> ControlMesh:
+    """A cube with everything that a file of some format can hold."""
+    mesh, halves = cube(), np.array([0, 0, 0, 1, 1, 1])
+    corners = np.arange(24)
+    uvs = np.random.default_rng(0).integers(0, 100, (24, 2)) / 100
+    return replace(
+        mesh,
+        uvs=uvs,
+        uv_indices=corners,
+        uv_sets=(UvSet("second", uvs[::-1].copy(), corners),),
+        vertex_colors=np.random.default_rng(1).integers(0, 5, (8, 3)) / 5,
+        face_materials=halves,
+        material_names=("skin", "cloth"),
+        material_colors=np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+        face_objects=halves,
+        object_names=("front", "back"),
+        face_groups=halves,
+        group_names=("upper", "lower"),
+        crease_edges=mesh.face_indices[None, :2],
+        crease_sharpness=np.array([2.5]),
+    )
+
+
+@pytest.mark.parametrize(("read", "written"), list(itertools.product(FORMATS, FORMATS)))
+def test_values_of_a_mesh_are_kept_or_named(
+    read: str, written: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    if ".usda" in (read, written):
+        pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    write_mesh(tmp_path / f"in{read}", _full())
+    mesh = read_mesh(tmp_path / f"in{read}")
+    caplog.clear()
+    write_mesh(tmp_path / f"out{written}", mesh)
+    again = read_mesh(tmp_path / f"out{written}")
+    lost = {name for name, value in VALUES.items() if value(mesh) and value(again) != value(mesh)}
+    assert {name for name in VALUES if name in caplog.text} == lost
+
+
+def test_refine_names_what_off_cannot_hold(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write_mesh(tmp_path / "m.ply", replace(cube(), vertex_colors=np.full((8, 3), 0.2)))
+    run(RefineRequest(tmp_path / "m.ply", 1, tmp_path / "m.off"))
+    assert "m.off: has no place for vertex colours, left out. Write .obj to keep them." in caplog.text
+
+
+def test_refine_names_colours_of_some_vertices(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "m.obj", replace(cube(), vertex_colors=np.vstack([np.full((7, 3), 0.2), [[np.nan] * 3]])))
+    outcome = run(RefineRequest(tmp_path / "m.obj", 1, tmp_path / "fine.obj"))
+    assert "note: m.obj: its vertex colours are left out" in outcome.summary
