@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
+from cagemap.deform.fit import shared_area
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.refit import fit_from_shape
-from cagemap.deform.shared_area import shared_area
 from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
