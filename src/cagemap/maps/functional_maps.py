@@ -52,28 +52,13 @@ def from_bases(
 ) -> FloatArray:
     """C12 on the bases of a pair, from a functional map on other functions.
 
+    The map (q1, q2) takes coefficients of the source's functions (n2, q2 or more) to those of the target's functions
+    (n1, q1 or more): values, at any scale, at the vertices of ``levels``, by default the finest. Returns (k1, k2):
+    k1 = q1 and k2 = q2, or as many functions as a basis has. ParameterError if functions lack a row for each vertex of
+    their level, or are fewer than the map takes.
+
     pyFM's ``model.FM_12`` with ``model.mesh2.eigenvectors`` as the target's functions and ``mesh1``'s as the source's;
     geomfum's matrix with those of ``basis_b.vecs`` and ``basis_a.vecs``.
-
-    Parameters
-    ----------
-    pair : Pair
-    functional_map : (q1, q2) array
-        Takes coefficients of the source's functions to coefficients of the target's functions.
-    target_functions, source_functions : (n1, q1 or more), (n2, q2 or more) arrays
-        Values at the vertices of the levels, at any scale.
-    levels : (int, int), optional
-        Levels of target and source; default: the finest.
-
-    Returns
-    -------
-    (k1, k2) array
-        k1 = q1 and k2 = q2, or as many functions as a basis has.
-
-    Raises
-    ------
-    ParameterError
-        If functions lack a row for each vertex of their level, or are fewer than the map takes.
     """
     matrix = real_numbers(functional_map, "functional map")
     target, source = _sides(pair, matrix.shape, (target_functions, source_functions), levels)
@@ -92,13 +77,7 @@ def to_bases(
     source_functions: FloatArray,
     levels: LevelPair | None = None,
 ) -> FloatArray:
-    """(q1, q2) map on functions (n1, q1), (n2, q2) from C12 of a pair: the inverse of `from_bases`.
-
-    Raises
-    ------
-    ParameterError
-        As `from_bases`.
-    """
+    """(q1, q2) map on functions (n1, q1), (n2, q2) from C12 of a pair: the inverse of `from_bases`; same errors."""
     matrix = real_numbers(functional_map, "functional map")
     given = [real_numbers(values, "functions") for values in (target_functions, source_functions)]
     target, source = _sides(pair, tuple(values.shape[-1] for values in given), (given[0], given[1]), levels)

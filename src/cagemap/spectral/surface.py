@@ -32,17 +32,11 @@ class Surface:
     """One surface: its levels, their operators, its basis and its triangles.
 
     All are computed when first read, and cached. `cagemap.prepare_surface` computes operators and basis at once.
-
-    Attributes
-    ----------
-    refinement : Refinement
-        Subdivision levels, or a plain mesh alone. `hierarchy` also has the coarse levels of a plain mesh.
-    config : BasisConfig
-        Parameters of the basis.
     """
 
+    #: subdivision levels, or a plain mesh alone. `hierarchy` also has the coarse levels of a plain mesh.
     refinement: Refinement
-    config: BasisConfig = MAP_BASIS
+    config: BasisConfig = MAP_BASIS  #: parameters of the basis
 
     @classmethod
     def of(
