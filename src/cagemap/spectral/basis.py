@@ -63,11 +63,6 @@ class HierarchicalBasis:
         return len(self.eigenvalues)
 
     @property
-    def band_levels(self) -> IndexArray:
-        """(k,) level of each function's band."""
-        return np.repeat(np.arange(len(self.bands)), self.schedule)
-
-    @property
     def last_level(self) -> int:
         """Finest level that adds functions; the whole basis can be evaluated from this level on."""
         return len(self.bands) - 1
@@ -128,7 +123,7 @@ class HierarchicalBasis:
                 f"level {level}; prepare the surface with a basis without `vertices`"
             )
         columns = functions.reshape(n, -1)
-        needed = int(self.band_levels[:size].max())
+        needed = int(np.searchsorted(np.cumsum(self.schedule), size))  # the last of these functions' level
         if level < needed:
             columns, level = self.hierarchy.prolong(columns, level, needed), needed
         dual = multiply(self.operators.mass[level], columns)

@@ -71,6 +71,12 @@ class Surface:
         with one_blas_thread():
             return hierarchical_basis(self.hierarchy, self.operators, self.config)
 
+    def basis_rows(self, vertices: IndexArray | slice, level: int | None = None) -> FloatArray:
+        """(q, k) values of all basis functions at vertices of a level, by default the finest."""
+        level = self.finest_level if level is None else level
+        fine = max(level, self.basis.last_level)
+        return self.basis.rows(fine, self.hierarchy.vertices_on(fine, level)[vertices])
+
     @property
     def is_prepared(self) -> bool:
         """Whether the basis has been computed."""
