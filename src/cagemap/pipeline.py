@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
+from cagemap.deform.fit import shared_area
 from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.refit import fit_from_shape
-from cagemap.deform.shared_area import shared_area
 from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
@@ -330,10 +330,7 @@ def other_answer(
 ) -> MatchResult:
     """Result with another of ``before.confidence.answers``; index 0 is the match's own.
 
-    Raises
-    ------
-    ParameterError
-        If there is no such answer, or a result that was read does not contain it in full.
+    ParameterError if there is no such answer, or a result that was read does not contain it in full.
     """
     answers = () if before.confidence is None else before.confidence.answers
     if not 0 <= index < len(answers):

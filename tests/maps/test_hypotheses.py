@@ -121,15 +121,15 @@ def test_verdicts_follow_the_costs_of_all_answers() -> None:
     at = np.zeros((4, 3))
     best = Placement(at, 1e-4, name="a")
     other = Placement(at + np.outer([0.0, 2.0, 0.0, 9.0], [0, 1, 0]), 1.05e-4, name="b")
-    two = Confidence.of((best, other), 3)
+    two = Confidence.of((best, other), np.arange(3))
     assert (two.verdict, two.deciding) == (TWO, 1)  # the fourth vertex is not one of the control mesh
     assert "vertex 1 decides" in two.message
     assert "vertex 7 at (0, 2, 0) decides" in replace(two, file_vertex=FileVertex(7, (0.0, 2.0, 0.0))).message
-    assert Confidence.of((best, replace(other, cost=1.2e-4)), 3).verdict == LOOK
-    assert Confidence.of((best, replace(other, cost=5e-4)), 3).verdict == SURE
-    alone = Confidence.of((best,), 3)
+    assert Confidence.of((best, replace(other, cost=1.2e-4)), np.arange(3)).verdict == LOOK
+    assert Confidence.of((best, replace(other, cost=5e-4)), np.arange(3)).verdict == SURE
+    alone = Confidence.of((best,), np.arange(3))
     assert (alone.verdict, alone.signs["runner_up"], alone.deciding) == (SURE, 0.0, None)
-    assert Confidence.of((replace(best, cost=1.0),), 3).verdict == LOOK
+    assert Confidence.of((replace(best, cost=1.0),), np.arange(3)).verdict == LOOK
     turned = replace(best, cost=3e-4, penalty=1.1)
-    assert Confidence.of((turned,), 3).verdict == LOOK
-    assert Confidence.of((replace(turned, penalty=1.0),), 3).verdict == SURE
+    assert Confidence.of((turned,), np.arange(3)).verdict == LOOK
+    assert Confidence.of((replace(turned, penalty=1.0),), np.arange(3)).verdict == SURE

@@ -82,8 +82,8 @@ def across(surface: Surface) -> tuple[PointMap, FloatArray]:
 @pytest.mark.parametrize("name", WARNING_SIGNS)
 def test_each_sign_alone_is_a_doubt_beyond_its_bound(name: str) -> None:
     answers = (Placement(np.zeros((4, 3)), 0.0, name="as the files stand"),)
-    assert Confidence.of(answers, 3, {name: WARNING_SIGNS[name].bound}).verdict == SURE
-    doubt = Confidence.of(answers, 3, {name: 1.1 * WARNING_SIGNS[name].bound})
+    assert Confidence.of(answers, np.arange(3), {name: WARNING_SIGNS[name].bound}).verdict == SURE
+    doubt = Confidence.of(answers, np.arange(3), {name: 1.1 * WARNING_SIGNS[name].bound})
     assert doubt.verdict == LOOK
     assert describe_signs(doubt.signs)[0] in doubt.message
 
@@ -181,8 +181,8 @@ def test_a_leg_on_the_other_leg_is_told_and_said_where(surface: Surface, prepare
     assert low[farthest.argmax()]
     # Not sure, whatever else speaks for it.
     best = Placement(mesh.positions, 1e-4, name="as the files stand")
-    assert Confidence.of((best,), 3).verdict == SURE
-    doubt = Confidence.of((best,), 3, {"jumps": share})
+    assert Confidence.of((best,), np.arange(3)).verdict == SURE
+    doubt = Confidence.of((best,), np.arange(3), {"jumps": share})
     assert doubt.verdict == LOOK
     assert "jumps between parts that only touch" in doubt.message
 

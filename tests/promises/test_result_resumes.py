@@ -92,7 +92,7 @@ def test_without_landmarks_other_answers_are_read(matched: MatchResult, tmp_path
     count = matched.target.control.n_vertices
     places = matched.point_map.images.positions
     answers = tuple(Placement(places + i, 2e-3 + i, name=name) for i, name in enumerate(("as it lies", "turned")))
-    confidence = Confidence.of(answers, count)
+    confidence = Confidence.of(answers, np.arange(count))
     cagemap.write_result(tmp_path / "R", replace(matched, confidence=confidence))
     read = cagemap.read_result(tmp_path / "R")
     assert read.confidence.message == confidence.message

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -83,6 +83,11 @@ class ElasticEnergy:
         blocks = grouped_sums(graph.heads, outer.reshape(-1, 9), graph.n).reshape(-1, 3, 3)
         blocks += RIDGE * float(np.einsum("naa->n", blocks).mean()) * np.eye(3)
         return cls(graph, factor(graph.block_matrix(smoothing, blocks)), admissible)
+
+    def with_rest_shape(self, positions: FloatArray, normals: FloatArray, smoothing: float) -> ElasticEnergy:
+        """The energy of another rest shape: positions and normals (n, 3)."""
+        graph = replace(self.graph, positions=positions, normals=normals)
+        return ElasticEnergy.build(graph, smoothing, self.admissible)
 
     def maps(self, positions: FloatArray) -> FloatArray:
         """(n, 3, 3) maps A for positions x (n, 3): ``(G + epsilon L) a = c``, before they are restricted."""

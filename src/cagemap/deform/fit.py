@@ -10,6 +10,7 @@ from __future__ import annotations
 from concurrent.futures import Future
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.deform.config import ElasticConfig
 from cagemap.deform.constraints import PlacementConstraints
@@ -22,6 +23,7 @@ from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.errors import ParameterError
 from cagemap.maps.masks import Masks
 from cagemap.numerics.arrays import FloatArray
+from cagemap.spectral.surface import Surface
 from cagemap.surface.alignment import fit_similarity
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.surface_points import SurfacePoints
@@ -100,12 +102,7 @@ def coarse_fit(
     """Placement of clusters by their coarse stage, from positions (k, 3), or from landmarks if None.
 
     The ``clusters`` are the problem's coarse ones by default. Source ``samples`` give source-to-target terms, with
-    which limbs reach the ends of the source's limbs.
-
-    Raises
-    ------
-    ParameterError
-        If the start has not one position for every vertex of the coarse graph.
+    which limbs reach the ends of the source's limbs. ParameterError if the start has another number of positions.
     """
     clusters = problem.coarse_clusters if clusters is None else clusters
     prepared, energy, graph = problem.prepared, clusters.energy, clusters.energy.graph
@@ -176,3 +173,32 @@ def stretch_costs(areas: FloatArray, maps: FloatArray, config: ElasticConfig) ->
     """(n,) variance of log stretches, so that a part does not fit anywhere by stretching."""
     logs = np.log(np.maximum(np.linalg.svd(maps, compute_uv=False)[:, :2], config.graph.min_stretch**4))
     return np.asarray(config.stretch_weight * areas * ((logs - (areas @ logs).mean()) ** 2).mean(axis=1))
+
+
+def shared_area(prepared: PreparedPair, places: FloatArray) -> Masks | None:
+    """Masks of the area with a counterpart, of a fit with the target's vertices at places (n, 3); None if both closed.
+
+    A vertex has a counterpart, 1, where the closest point that faces the same way is near and not on a boundary.
+    Squeezed area has none.
+    """
+    mesh, source, config = prepared.mesh, prepared.source_surface, prepared.elastic
+    if not (mesh.is_open or source.is_open):
+        return None
+
+    def on_finest(side: Surface, level: int, near: NDArray[np.bool_]) -> FloatArray:
+        return np.clip(side.hierarchy.prolong(near.astype(np.float64), level, side.finest_level), 0.0, 1.0)
+
+    moved = TriangleSurface(places, mesh.triangles)
+    shrunk = moved.vertex_areas / np.maximum(mesh.vertex_areas, 1e-12)
+    kept = shrunk >= config.data.received[0] * (moved.vertex_areas @ shrunk)
+    on_target = on_finest(prepared.target, prepared.levels[0], _near(moved, source, config) & kept)
+    return Masks(on_target, on_finest(prepared.source, prepared.source_level, _near(source, moved, config)))
+
+
+def _near(surface: TriangleSurface, other: TriangleSurface, config: ElasticConfig) -> NDArray[np.bool_]:
+    """(n,) which vertices have another surface near them."""
+    at, barycentric, gaps = closest_points(
+        other.tree, surface.positions, surface.vertex_normals, normal_weight=config.normal_weight
+    )
+    near = ~other.at_boundary(at, barycentric) | (gaps <= config.data.at_boundary)
+    return np.asarray((gaps <= config.data.shared_gap) & near)

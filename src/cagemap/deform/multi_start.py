@@ -22,7 +22,6 @@ from cagemap.deform.refit import largest_limb_rotation
 from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
 from cagemap.numerics.threads import ThreadPool, in_threads
 from cagemap.spectral.landmark_coordinates import landmark_coordinates
-from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule, evenly_spaced_vertices, nearest_rows, zoomout
 
 # Landmarks from which on they give a start of their own; fewer only restrict the search.
@@ -46,7 +45,7 @@ def zoomout_start(problem: Problem, clusters: Clusters) -> FloatArray:
         coordinates = landmark_coordinates(
             operators.stiffness[level], operators.mass[level], constrained[side], of_curves[side]
         )
-        return basis_rows(surface, level, chosen), coordinates[chosen]
+        return surface.basis_rows(chosen, level), coordinates[chosen]
 
     sides = in_threads(lambda side: sampled(*side), ((0, vertices), (1, candidates)))
     (target, on_target), (source, on_source) = sides
@@ -85,8 +84,8 @@ def spectral_starts(problem: Problem, clusters: Clusters) -> Callable[[Placement
     vertices = evenly_spaced_vertices(surface.n, config.samples)
     places = surface.positions[vertices]
     tree = cKDTree(np.hstack([places, config.normal_length * surface.vertex_normals[vertices]]))
-    target = basis_rows(prepared.target, prepared.levels[0], clusters.vertices)
-    source, areas = basis_rows(prepared.source, prepared.source_level, vertices), clusters.energy.graph.areas
+    target = prepared.target.basis_rows(clusters.vertices, prepared.levels[0])
+    source, areas = prepared.source.basis_rows(vertices, prepared.source_level), clusters.energy.graph.areas
     schedules = [ZoomOutSchedule(first, config.last_functions, config.growth) for first in config.trusted_functions]
 
     def starts(fitted: Placement) -> list[FloatArray]:
@@ -97,12 +96,6 @@ def spectral_starts(problem: Problem, clusters: Clusters) -> Callable[[Placement
         return [places[zoomout(target, areas, source, match, schedule)] for schedule in schedules]
 
     return starts
-
-
-def basis_rows(surface: Surface, level: int, vertices: IndexArray) -> FloatArray:
-    """(q, k) values of all basis functions at vertices of a level, which are vertices of all finer ones."""
-    fine = max(level, surface.basis.last_level)
-    return surface.basis.rows(fine, surface.hierarchy.vertices_on(fine, level)[vertices])
 
 
 def fit_from_two_starts(

@@ -52,31 +52,17 @@ class Clusters:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PreparedPair:
-    """Two surfaces with everything of a match that does not depend on landmarks.
-
-    Attributes
-    ----------
-    target, source : Surface
-    start : StartConfig
-    elastic : ElasticConfig
-    levels : (int, int)
-        Levels of target and source on which starts are found; the target's is also the one that is deformed.
-    energy : ElasticEnergy
-        Of the target's mesh of that level; its graph has the rest shape.
-    source_surface : TriangleSurface
-        The level of the source that is fitted to.
-    masks : Masks
-        Masks of the finest vertices.
-    """
+    """Two surfaces with everything of a match that does not depend on landmarks."""
 
     target: Surface
     source: Surface
     start: StartConfig
     elastic: ElasticConfig
+    #: levels of target and source on which starts are found; the target's is also the one that is deformed
     levels: tuple[int, int]
-    energy: ElasticEnergy
-    source_surface: TriangleSurface
-    masks: Masks = WHOLE
+    energy: ElasticEnergy  #: of the target's mesh of that level; its graph has the rest shape
+    source_surface: TriangleSurface  #: the level of the source that is fitted to
+    masks: Masks = WHOLE  #: masks of the finest vertices
 
     @classmethod
     def build(
@@ -149,6 +135,11 @@ class PreparedPair:
     def vertices(self) -> IndexArray:
         """(n,) numbers of the vertices of `mesh` among the finest target vertices."""
         return self.target.hierarchy.on_finest(self.levels[0])
+
+    @property
+    def control_vertices(self) -> IndexArray:
+        """(n_0,) those of the control mesh, the first of `vertices`; all of them if the target is plain."""
+        return self.vertices[: self.target.control.n_vertices]
 
     @kept
     def graphs(self) -> tuple[ElasticGraph, ElasticGraph]:

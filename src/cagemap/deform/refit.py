@@ -53,21 +53,18 @@ def fit_in_pose(problem: Problem, positions: FloatArray, times: int | None = Non
 
 def fit_from_shape(problem: Problem, shape: FloatArray) -> FloatArray:
     """(n, 3) target's mesh after the coarse and fine stages, with positions ``shape`` as rest shape and start."""
-    prepared, energy = problem.prepared, problem.prepared.energy
-    graph = replace(energy.graph, positions=shape, normals=vertex_normals(shape, prepared.mesh.triangles))
-    moved = ElasticEnergy.build(graph, prepared.elastic.fine.smoothing, energy.admissible)
-    alike = replace(problem, prepared=replace(prepared, energy=moved))
+    prepared, normals = problem.prepared, vertex_normals(shape, problem.prepared.mesh.triangles)
+    energy = prepared.energy.with_rest_shape(shape, normals, prepared.elastic.fine.smoothing)
+    alike = replace(problem, prepared=replace(prepared, energy=energy))
     clusters = alike.clusters_with(stage=prepared.elastic.stiff_coarse)
     return fine_fit(alike, coarse_fit(alike, shape[clusters.vertices], clusters))
 
 
 def clusters_in_pose(clusters: Clusters, positions: FloatArray, config: RefitConfig = RefitConfig()) -> Clusters:
     """Clusters whose rest shape is moved to a placement (k, 3), as rigidly as possible."""
-    energy, smoothing = clusters.energy, clusters.stage.smoothing
-    shape = rigid_pose(energy.graph, positions, config)
+    energy, shape = clusters.energy, rigid_pose(clusters.energy.graph, positions, config)
     normals = deformed_normals(energy.graph.normals, energy.differentials(shape)[0])
-    graph = replace(energy.graph, positions=shape, normals=normals)
-    return replace(clusters, energy=ElasticEnergy.build(graph, smoothing, energy.admissible))
+    return replace(clusters, energy=energy.with_rest_shape(shape, normals, clusters.stage.smoothing))
 
 
 def pose_difference(energy: ElasticEnergy, positions: FloatArray) -> float:

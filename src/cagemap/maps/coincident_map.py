@@ -28,11 +28,11 @@ def coincident_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
     """
     prepared, landmarks, masks = problem.prepared, problem.landmarks, problem.prepared.masks
     target, source = prepared.target.finest_triangles, prepared.source.finest_triangles
-    count = prepared.target.control.n_vertices
     if same_surface(landmarks, masks):
         moved = (source.positions - target.positions).mean(axis=0)
         answer = Placement(prepared.mesh.positions + moved, 0.0, name=ONE_SURFACE)
-        return PointMap.from_vertices(target, source, np.arange(target.n)), Confidence.of((answer,), count)
+        point_map = PointMap.from_vertices(target, source, np.arange(target.n))
+        return point_map, Confidence.of((answer,), prepared.control_vertices)
     coincidence = prepared.coincidence
     if coincidence is None:
         return None
@@ -54,7 +54,7 @@ def coincident_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
     size = "" if np.isclose(motion.scale, 1.0, rtol=1e-5) else f", at {motion.scale:.6g} times its size"
     name = f"{place}{size}, {gap}: vertices go to the closest points of the same side"
     answer = Placement(point_map.images.at(prepared.vertices).positions, coincidence.gap**2, name=name)
-    return point_map, Confidence.of((answer,), count)
+    return point_map, Confidence.of((answer,), prepared.control_vertices)
 
 
 def same_surface(landmarks: PointPairs, masks: Masks = WHOLE) -> bool:

@@ -35,7 +35,7 @@ def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> 
     sampled = point_map.images.at(chosen)
     corners, places = np.unique(sampled.corners, return_inverse=True)
     at_vertices, at_corners = in_threads(
-        lambda side: side[0].basis.rows(side[0].finest_level, side[1]), [(target, chosen), (source, corners)]
+        lambda side: side[0].basis_rows(side[1]), [(target, chosen), (source, corners)]
     )
     weights = sampled.barycentric
     pulled = np.asarray(sum(weights[:, i, None] * at_corners[places.reshape(-1, 3)[:, i]] for i in range(3)))
@@ -52,28 +52,13 @@ def from_bases(
 ) -> FloatArray:
     """C12 on the bases of a pair, from a functional map on other functions.
 
+    The map (q1, q2) takes coefficients of the source's functions (n2, q2 or more) to those of the target's functions
+    (n1, q1 or more): values, at any scale, at the vertices of ``levels``, by default the finest. Returns (k1, k2):
+    k1 = q1 and k2 = q2, or as many functions as a basis has. ParameterError if functions lack a row for each vertex of
+    their level, or are fewer than the map takes.
+
     pyFM's ``model.FM_12`` with ``model.mesh2.eigenvectors`` as the target's functions and ``mesh1``'s as the source's;
     geomfum's matrix with those of ``basis_b.vecs`` and ``basis_a.vecs``.
-
-    Parameters
-    ----------
-    pair : Pair
-    functional_map : (q1, q2) array
-        Takes coefficients of the source's functions to coefficients of the target's functions.
-    target_functions, source_functions : (n1, q1 or more), (n2, q2 or more) arrays
-        Values at the vertices of the levels, at any scale.
-    levels : (int, int), optional
-        Levels of target and source; default: the finest.
-
-    Returns
-    -------
-    (k1, k2) array
-        k1 = q1 and k2 = q2, or as many functions as a basis has.
-
-    Raises
-    ------
-    ParameterError
-        If functions lack a row for each vertex of their level, or are fewer than the map takes.
     """
     matrix = real_numbers(functional_map, "functional map")
     target, source = _sides(pair, matrix.shape, (target_functions, source_functions), levels)
@@ -92,13 +77,7 @@ def to_bases(
     source_functions: FloatArray,
     levels: LevelPair | None = None,
 ) -> FloatArray:
-    """(q1, q2) map on functions (n1, q1), (n2, q2) from C12 of a pair: the inverse of `from_bases`.
-
-    Raises
-    ------
-    ParameterError
-        As `from_bases`.
-    """
+    """(q1, q2) map on functions (n1, q1), (n2, q2) from C12 of a pair: the inverse of `from_bases`; same errors."""
     matrix = real_numbers(functional_map, "functional map")
     given = [real_numbers(values, "functions") for values in (target_functions, source_functions)]
     target, source = _sides(pair, tuple(values.shape[-1] for values in given), (given[0], given[1]), levels)
@@ -123,7 +102,7 @@ def _sides(
                 "target"
             )
         chosen = evenly_spaced_vertices(triangles.n, FIT_SAMPLES)
-        rows = surface.basis.rows(surface.finest_level, surface.hierarchy.on_finest(level)[chosen])
+        rows = surface.basis_rows(surface.hierarchy.on_finest(level)[chosen])
         sides.append((rows, theirs[chosen, : shape[i]], triangles.vertex_areas[chosen]))
     return sides
 
@@ -168,8 +147,8 @@ def functional_map_from(pair: Pair, given: MapLike, sizes: tuple[int, int] | Non
     chosen = evenly_spaced_vertices(len(checked), FIT_SAMPLES)
     vertices = pair.target.hierarchy.on_finest(_level_of(pair, checked))[chosen]
     areas = pair.target.finest_triangles.vertex_areas[vertices]
-    values = _finest_rows(pair.source, checked[chosen].astype(np.int64))
-    return fit_functional_map(_finest_rows(pair.target, vertices)[:, :k1], areas, values[:, :k2])
+    values = pair.source.basis_rows(checked[chosen].astype(np.int64))
+    return fit_functional_map(pair.target.basis_rows(vertices)[:, :k1], areas, values[:, :k2])
 
 
 def _level_of(pair: Pair, vertex_map: FloatArray | IndexArray) -> int:
@@ -187,7 +166,7 @@ def image_positions(pair: Pair, given: MapLike, vertices: IndexArray) -> FloatAr
         if (rows >= 0).all():
             return np.asarray(places[checked[rows].astype(np.int64)])
     candidates = evenly_spaced_vertices(len(places), SOURCE_SAMPLES)
-    target, source = _finest_rows(pair.target, vertices), _finest_rows(pair.source, candidates)
+    target, source = pair.target.basis_rows(vertices), pair.source.basis_rows(candidates)
     return np.asarray(places[candidates[nearest_samples(target, source, functional_map_from(pair, checked))]])
 
 
@@ -196,15 +175,10 @@ def zoomout_of_map(pair: Pair, given: MapLike, schedule: ZoomOutSchedule) -> Flo
     counts = (pair.target, TARGET_SAMPLES), (pair.source, SOURCE_SAMPLES)
     chosen = [evenly_spaced_vertices(len(surface.vertices), count) for surface, count in counts]
     sides = [(pair.target, chosen[0]), (pair.source, chosen[1])]
-    target, source = in_threads(lambda side: _finest_rows(*side), sides)
+    target, source = in_threads(lambda side: side[0].basis_rows(side[1]), sides)
     areas = pair.target.finest_triangles.vertex_areas[chosen[0]]
     places = pair.source.finest_triangles.positions[chosen[1]]
     start = np.asarray(cKDTree(places).query(image_positions(pair, given, chosen[0]))[1], dtype=np.int64)
     match = zoomout(target, areas, source, start, schedule)
     k1, k2 = (min(schedule.last, surface.basis.count) for surface in (pair.target, pair.source))
     return fit_functional_map(target[:, :k1], areas, source[match][:, :k2])
-
-
-def _finest_rows(surface: Surface, vertices: IndexArray) -> FloatArray:
-    """(q, k) basis rows of finest vertices."""
-    return surface.basis.rows(surface.finest_level, vertices)

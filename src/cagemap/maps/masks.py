@@ -27,16 +27,11 @@ class Masks:
 
     The weight of a correspondence is the product of the weights at both ends. Area masked on either surface has no data
     term: it follows its surroundings, and nothing is transferred there.
-
-    Attributes
-    ----------
-    target : (n1,) float64 or None
-        Weights of the target's finest vertices; in a fit, of its level's vertices. None: all weights are 1.
-    source : (n2,) float64 or None
     """
 
+    #: (n1,) weights of the target's finest vertices; in a fit, of its level's vertices. None: all weights are 1.
     target: FloatArray | None = None
-    source: FloatArray | None = None
+    source: FloatArray | None = None  #: (n2,) the same of the source
 
     def __post_init__(self) -> None:
         for side, mask in (("target", self.target), ("source", self.source)):
@@ -99,12 +94,7 @@ class Masks:
         return Masks(self.of_target(len(target)) * target, self.of_source(len(source)) * source)
 
     def require_fit(self, n_target: int, n_source: int) -> None:
-        """Refuse masks of the wrong length, values outside [0, 1], and masks that leave nothing.
-
-        Raises
-        ------
-        ParameterError
-        """
+        """ParameterError for masks of the wrong length, values outside [0, 1], and masks that leave nothing."""
         for side, mask, n in (("target", self.target, n_target), ("source", self.source, n_source)):
             if mask is None:
                 continue
@@ -125,10 +115,7 @@ WHOLE = Masks()
 def vertex_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
     """(n_f,) mask of the finest vertices, refined from values (n_0,) at control vertices (a vertex group).
 
-    Raises
-    ------
-    ParameterError
-        If there is not one number from 0 to 1 for each control vertex.
+    ParameterError if there is not one number from 0 to 1 for each control vertex.
     """
     given = _checked(values, refinement.control.n_vertices, "control vertex")
     return np.clip(refinement.prolong(given, 0, refinement.finest_level), 0.0, 1.0)
@@ -138,12 +125,8 @@ def vertex_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
 def face_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
     """(n_f,) mask of the finest vertices from values (m_0,) at control faces (a face set).
 
-    A vertex between faces takes the least of their values, so that nothing leaks out of a set.
-
-    Raises
-    ------
-    ParameterError
-        If there is not one number from 0 to 1 for each control face.
+    A vertex between faces takes the least of their values, so that nothing leaks out of a set. ParameterError if there
+    is not one number from 0 to 1 for each control face.
     """
     given = _checked(values, refinement.control.n_faces, "control face")
     finest = refinement.finest
@@ -159,18 +142,8 @@ def face_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
 def soft_edge(surface: TriangleSurface, mask: FloatArray, width: float) -> FloatArray:
     """(n,) mask that rises from 0 at its border to its full value at a distance inside.
 
-    Parameters
-    ----------
-    surface : TriangleSurface
-        Surface with the vertices of the mask.
-    mask : (n,) float64
-    width : float
-        The distance, along edges, in units of sqrt(area); 0 changes nothing.
-
-    Raises
-    ------
-    ParameterError
-        If the width is negative or infinite, or the mask has not one number from 0 to 1 for each vertex.
+    The ``width`` is this distance along the surface's edges, in units of sqrt(area); 0 changes nothing. ParameterError
+    if it is negative or infinite, or the mask has not one number from 0 to 1 for each vertex.
     """
     if not 0.0 <= width < np.inf:
         raise ParameterError(f"mask edge: expected a finite width of 0 or more, of sqrt(area), got {width}")

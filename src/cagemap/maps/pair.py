@@ -28,24 +28,11 @@ SymmetryPair = tuple[IndexArray, IndexArray]
 
 @dataclass(frozen=True, eq=False)
 class PointPairs:
-    """Landmarks on the finest surfaces: p points of the target and their source points.
+    """Landmarks on the finest surfaces: p points of the target and their source points."""
 
-    Attributes
-    ----------
-    target, source : SurfacePoints
-        Points of the finest surfaces, one of each for every pair.
-    curves : tuple of CurvePair
-        Curves that correspond as a whole.
-
-    Raises
-    ------
-    ParameterError
-        If the sides have different numbers of points.
-    """
-
-    target: SurfacePoints
-    source: SurfacePoints
-    curves: tuple[CurvePair, ...] = ()
+    target: SurfacePoints  #: points of the finest target
+    source: SurfacePoints  #: as many points of the finest source, else ParameterError
+    curves: tuple[CurvePair, ...] = ()  #: curves that correspond as a whole
 
     def __post_init__(self) -> None:
         if len(self.target) != len(self.source):
@@ -84,20 +71,13 @@ class PointPairs:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two prepared surfaces with landmarks, curves and symmetries that correspond.
-
-    Attributes
-    ----------
-    target, source : Surface
-    landmarks : PointPairs
-    symmetries : tuple of ((n_0 target,), (n_0 source,)) arrays
-        Self-maps of the control meshes that correspond, each side's as the image of every control vertex, -1 where it
-        is not known (see `cagemap.paper.symmetries.check_symmetry`).
-    """
+    """Two prepared surfaces with landmarks, curves and symmetries that correspond."""
 
     target: Surface
     source: Surface
     landmarks: PointPairs
+    #: self-maps of the control meshes that correspond, each side's (n_0,) as the image of every control vertex, -1 if
+    #: unknown (see `cagemap.paper.symmetries.check_symmetry`)
     symmetries: tuple[SymmetryPair, ...] = ()
 
     def __repr__(self) -> str:

@@ -16,22 +16,10 @@ from cagemap.surface.triangle_surface import TriangleSurface
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PointMap:
-    """A point of the source for every target vertex.
-
-    Attributes
-    ----------
-    target : TriangleSurface
-    images : SurfacePoints
-        Points of the source, one for each vertex of the target.
-
-    Raises
-    ------
-    ParameterError
-        If there is not one image for each vertex.
-    """
+    """A point of the source for every target vertex."""
 
     target: TriangleSurface
-    images: SurfacePoints
+    images: SurfacePoints  #: points of the source, one for each vertex of the target; else ParameterError
 
     def __post_init__(self) -> None:
         if len(self.images) != self.target.n:
@@ -78,19 +66,7 @@ class PointMap:
     def pull_back(self, values: FloatArray) -> FloatArray:
         """Pull a function back from source to target, (P12 g2)(v) = g2(T12(v)).
 
-        Parameters
-        ----------
-        values : (n2,) or (n2, q) array
-            One value, or a row of values, for every source vertex.
-
-        Returns
-        -------
-        (n1,) or (n1, q) array
-
-        Raises
-        ------
-        ParameterError
-            If the values are not those of the source's vertices.
+        Values (n2,) or (n2, q) of the source's vertices give (n1,) or (n1, q); ParameterError for others.
         """
         return self.images.interpolate(values)
 

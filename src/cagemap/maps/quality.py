@@ -40,42 +40,25 @@ PERCENTILES = {"area_ratio": ("1", "5", "50", "95", "99"), "aspect_ratio": ("50"
 
 @dataclass(frozen=True, eq=False)
 class QualityFigures:
-    """Quality of a map, measured without ground truth.
+    """Quality of a map, measured without ground truth."""
 
-    Attributes
-    ----------
-    landmark_errors : (p,) float64
-        Distance between a landmark's image and its source point, of sqrt(source area).
-    flipped_area : float
-        Share of the target's area whose image is folded over (its orientation is reversed).
-    coverage : float
-        Share of the source's area that the image of the target covers. If a surface is open, only the area that has a
-        counterpart on the other surface counts.
-    dirichlet : float
-        Dirichlet energy of the map between unit-area surfaces: 1 for an isometry, and never below the covered area.
-    area_ratios : (5,) float64
-        Percentiles 1, 5, 50, 95, 99 (by target area) of the area stretch, 1 meaning area-preserving.
-    aspect_ratios : (3,) float64
-        Percentiles 50, 95, 99 (by target area) of the ratio of singular values, 1 meaning conformal.
-    trust : (n1,) float64
-        Per target vertex, 1 where the map is locally unfolded and stretches little, down to 0 at folds.
-    trusted_area : float
-        Mean of ``trust`` by area.
-    warnings : tuple of str
-        Problems that a user should know, worst first; empty for a good map.
-    match_warnings : tuple of str
-        Those of ``warnings`` that only the match can give, not a measurement of the map; not kept in files.
-    """
-
+    #: (p,) distance between a landmark's image and its source point, of sqrt(source area)
     landmark_errors: FloatArray = field(repr=False)
-    flipped_area: float
+    flipped_area: float  #: share of the target's area whose image is folded over (its orientation is reversed)
+    #: share of the source's area that the image of the target covers. If a surface is open, only the area that has a
+    #: counterpart on the other surface counts.
     coverage: float
+    #: Dirichlet energy of the map between unit-area surfaces: 1 for an isometry, and never below the covered area
     dirichlet: float
+    #: (5,) percentiles 1, 5, 50, 95, 99 (by target area) of the area stretch, 1 meaning area-preserving
     area_ratios: FloatArray = field(repr=False)
+    #: (3,) percentiles 50, 95, 99 (by target area) of the ratio of singular values, 1 meaning conformal
     aspect_ratios: FloatArray = field(repr=False)
+    #: (n1,) by target vertex, 1 where the map is locally unfolded and stretches little, down to 0 at folds
     trust: FloatArray = field(repr=False)
-    trusted_area: float
-    warnings: tuple[str, ...] = ()
+    trusted_area: float  #: mean of ``trust`` by area
+    warnings: tuple[str, ...] = ()  #: problems that a user should know, worst first; empty for a good map
+    #: those of ``warnings`` that only the match can give, not a measurement of the map; not kept in files
     match_warnings: tuple[str, ...] = ()
 
     def summary(self) -> dict[str, object]:
@@ -223,23 +206,9 @@ def judge(
     names: tuple[str, ...] = (),
     masks: Masks = WHOLE,
 ) -> QualityFigures:
-    """Quality figures of a map between finest levels, without ground truth.
+    """Quality figures of any point map of the target's finest level, without ground truth; else ParameterError.
 
-    Parameters
-    ----------
-    target : Surface
-    point_map : PointMap
-        Any point map of the target's finest level.
-    landmarks : PointPairs, optional
-    names : tuple of str
-        Names of the landmarks, for warnings.
-    masks : Masks
-        Weights of both surfaces' vertices in the figures.
-
-    Raises
-    ------
-    ParameterError
-        If the map is not one of the target's finest level.
+    ``names`` are the landmarks', for warnings. ``masks`` weight both surfaces' vertices in the figures.
     """
     if point_map.target.n != len(target.vertices):
         raise ParameterError(

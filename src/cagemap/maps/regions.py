@@ -17,28 +17,15 @@ from cagemap.surface.triangles import corner_sums
 
 @dataclass(frozen=True)
 class RegionFigures:
-    """Median stretch of a map over the region of the target around one landmark.
+    """Median stretch of a map over the region of the target around one landmark."""
 
-    Attributes
-    ----------
-    landmark : str
-        Name of the landmark.
-    area : float
-        Area of the region divided by the area of the unmasked target.
-    size : float
-        Length on the target per length on the source, both surfaces at equal area: square root of the median ratio of
-        areas. 2 if the target's ear is twice as long and twice as wide.
-    aspect_ratio : float
-        Median ratio of the singular values of the map's differential: 1 for a conformal map.
-    folded : float
-        Share of the region whose image is folded over.
-    """
-
-    landmark: str
-    area: float
+    landmark: str  #: name of the landmark
+    area: float  #: area of the region divided by the area of the unmasked target
+    #: length on the target per length on the source, both surfaces at equal area: square root of the median ratio of
+    #: areas. 2 if the target's ear is twice as long and twice as wide.
     size: float
-    aspect_ratio: float
-    folded: float
+    aspect_ratio: float  #: median ratio of the singular values of the map's differential: 1 for a conformal map
+    folded: float  #: share of the region whose image is folded over
 
 
 def local_size(result: MatchResult) -> FloatArray:
@@ -55,12 +42,7 @@ def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
     """Figures of the region around every trusted landmark, in the order of the landmarks.
 
     A target vertex belongs to the landmark nearest to it along edges. Masked area, and pieces of the mesh without a
-    landmark, are left out.
-
-    Raises
-    ------
-    ParameterError
-        If the result has no landmarks.
+    landmark, are left out. ParameterError if the result has no landmarks.
     """
     landmarks = result.trusted
     if not len(landmarks):

@@ -49,52 +49,27 @@ class LevelMap:
 
 @dataclass(frozen=True, eq=False)
 class MatchResult:
-    """Dense map from target to source, with its inputs, checks and quality.
+    """Dense map from target to source, with its inputs, checks and quality."""
 
-    Attributes
-    ----------
-    target, source : Surface
-        The surface that receives, and the one that gives.
-    landmarks : Landmarks
-        All landmarks that were given, suspects included.
-    point_map : PointMap
-        T12: finest target vertices -> points of the finest source triangles.
-    quality : QualityFigures
-        Quality measured without ground truth; landmark errors are those of the trusted pairs.
-    timings : dict of str to float
-        Seconds of every stage.
-    landmark_check : LandmarkCheck
-        Pairs that look wrong and were left out, and notes.
-    level_maps : tuple of LevelMap
-        Functional map, vertex matches and points of every level, of the methods that go from level to level; see
-        `at_level`.
-    confidence : Confidence or None
-        Verdict and other answers; None if the landmarks determine the map.
-    prepared : PreparedPair or None
-        Input of `update_match` and `match_pair`, for a match of this process ("elastic" only).
-    masks : Masks
-        Weights of both surfaces in the match and in transfers.
-    shared : Masks or None
-        Weights of the vertices, 1 where they have a counterpart; None if both surfaces are closed.
-    known_spectral : SpectralMap or None
-        Value of `spectral`, if it was read or follows from other maps.
-    provenance : dict
-        Further entries of the manifest: parameters, inputs, notes, transfers.
-    """
-
-    target: Surface
-    source: Surface
-    landmarks: Landmarks
-    point_map: PointMap
-    quality: QualityFigures
-    timings: dict[str, float] = field(default_factory=dict)
+    target: Surface  #: the surface that receives
+    source: Surface  #: the surface that gives
+    landmarks: Landmarks  #: all landmarks that were given, suspects included
+    point_map: PointMap  #: T12: finest target vertices -> points of the finest source triangles
+    quality: QualityFigures  #: quality measured without ground truth; landmark errors are those of the trusted pairs
+    timings: dict[str, float] = field(default_factory=dict)  #: seconds of every stage
+    #: pairs that look wrong and were left out, and notes
     landmark_check: LandmarkCheck = field(default_factory=LandmarkCheck)
+    #: functional map, vertex matches and points of every level, of the methods that go from level to level; see
+    #: `at_level`
     level_maps: tuple[LevelMap, ...] = ()
-    confidence: Confidence | None = None
+    confidence: Confidence | None = None  #: verdict and other answers; None if the landmarks determine the map
+    #: input of `update_match` and `match_pair`, for a match of this process ("elastic" only)
     prepared: PreparedPair | None = None
-    masks: Masks = WHOLE
+    masks: Masks = WHOLE  #: weights of both surfaces in the match and in transfers
+    #: weights of the vertices, 1 where they have a counterpart; None if both surfaces are closed
     shared: Masks | None = None
-    known_spectral: SpectralMap | None = None
+    known_spectral: SpectralMap | None = None  #: value of `spectral`, if it was read or follows from other maps
+    #: further entries of the manifest: parameters, inputs, notes, transfers
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -121,15 +96,7 @@ class MatchResult:
     def at_level(self, level: int) -> MatchResult:
         """Result with the map of one of the target's levels, to write, bake, draw and judge.
 
-        Parameters
-        ----------
-        level : int
-            Level of the target. Of several maps of this level the last one is used, with the finest source.
-
-        Raises
-        ------
-        ParameterError
-            If no map of that level was found.
+        Of several maps of this level the last one is used, with the finest source. ParameterError if none was found.
         """
         finest = self.target.refinement.finest_level
         if level == finest:

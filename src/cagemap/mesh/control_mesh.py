@@ -37,78 +37,37 @@ class ControlMesh:
 
     Faces are stored concatenated: face ``f`` has the vertices
     ``face_indices[face_offsets[f]:face_offsets[f + 1]]``, counter-clockwise seen from outside.
-
-    Attributes
-    ----------
-    positions : (n, 3) float64
-        Vertex positions in the file's own length unit.
-    face_offsets : (m + 1,) int64
-        Start of each face in ``face_indices``; the first entry is 0, the last is c.
-    face_indices : (c,) int64
-        Vertex of every face corner.
-    uvs : (p, 2) float64 or None
-        Face-varying texture coordinates, v up (v = 0 is the bottom image row).
-    uv_indices : (c,) int64 or None
-        UV of every face corner. An edge of two faces is a seam unless they share both UV indices.
-    uv_name : str
-        Name of these coordinates in the file, '' without one.
-    uv_sets : tuple of UvSet
-        Other UV sets of the file; `with_uv_set` selects one of them.
-    face_materials : (m,) int64 or None
-        Index into ``material_names`` for every face.
-    material_names : tuple of str
-    material_colors : (q, 3) float64 or None
-        Linear RGB diffuse colour of every material, NaN where unknown.
-    vertex_colors : (n, 3) float64 or None
-        sRGB colours, NaN for vertices without one.
-    face_objects, face_groups : (m,) int64 or None
-        Index into ``object_names`` and ``group_names`` for every face.
-    object_names, group_names : tuple of str
-        Faces before the first name in a file have the name ''.
-    object_schemes : tuple of Scheme
-        Scheme of each object, where they differ; such a mesh cannot be subdivided as a whole.
-    crease_edges, crease_sharpness : (k, 2) int64 and (k,) float64, or None
-        Vertices of every crease edge, and its sharpness; from 10 on it is infinite.
-    corner_vertices, corner_sharpness : (k,) int64 and (k,) float64, or None
-        Sharp vertices, and their sharpness; from 10 on it is infinite.
-    hole_faces : (h,) int64 or None
-        Faces that influence the surface but are no part of it.
-    file_vertices, file_faces : (n,) and (m,) int64, or None
-        Number in the file of every vertex and face, if the mesh is a part of a file's mesh.
-    file_copies : (k, 2) int64 or None
-        Vertex of the mesh and number of a further vertex of the file that was welded into it.
-    scheme : CatmullClark, Loop, Bilinear or None
-        Subdivision scheme in the file; None without one.
-    name : str
-        Name of the mesh in messages; usually its file name.
     """
 
-    positions: FloatArray
-    face_offsets: IndexArray
-    face_indices: IndexArray
-    uvs: FloatArray | None = None
+    positions: FloatArray  #: (n, 3) vertex positions in the file's own length unit
+    face_offsets: IndexArray  #: (m + 1,) start of each face in ``face_indices``; the first entry is 0, the last is c
+    face_indices: IndexArray  #: (c,) vertex of every face corner
+    uvs: FloatArray | None = None  #: (p, 2) face-varying texture coordinates, v up (v = 0 is the bottom image row)
+    #: (c,) UV of every face corner. An edge of two faces is a seam unless they share both UV indices.
     uv_indices: IndexArray | None = None
-    uv_name: str = ""
-    uv_sets: tuple[UvSet, ...] = ()
-    face_materials: IndexArray | None = None
+    uv_name: str = ""  #: name of these coordinates in the file, '' without one
+    uv_sets: tuple[UvSet, ...] = ()  #: other UV sets of the file; `with_uv_set` selects one of them
+    face_materials: IndexArray | None = None  #: (m,) index into ``material_names`` for every face
     material_names: tuple[str, ...] = ()
-    material_colors: FloatArray | None = None
-    vertex_colors: FloatArray | None = None
-    face_objects: IndexArray | None = None
-    object_names: tuple[str, ...] = ()
+    material_colors: FloatArray | None = None  #: (q, 3) linear RGB diffuse colour of every material, NaN where unknown
+    vertex_colors: FloatArray | None = None  #: (n, 3) sRGB colours, NaN for vertices without one
+    face_objects: IndexArray | None = None  #: (m,) index into ``object_names`` for every face
+    object_names: tuple[str, ...] = ()  #: faces before the first name in a file have the name ''
+    #: scheme of each object, where they differ; such a mesh cannot be subdivided as a whole
     object_schemes: tuple[Scheme, ...] = ()
-    face_groups: IndexArray | None = None
-    group_names: tuple[str, ...] = ()
-    crease_edges: IndexArray | None = None
-    crease_sharpness: FloatArray | None = None
-    corner_vertices: IndexArray | None = None
-    corner_sharpness: FloatArray | None = None
-    hole_faces: IndexArray | None = None
-    file_vertices: IndexArray | None = None
-    file_faces: IndexArray | None = None
+    face_groups: IndexArray | None = None  #: (m,) index into ``group_names`` for every face
+    group_names: tuple[str, ...] = ()  #: faces before the first name in a file have the name ''
+    crease_edges: IndexArray | None = None  #: (k, 2) vertices of every crease edge
+    crease_sharpness: FloatArray | None = None  #: (k,) its sharpness; from 10 on it is infinite
+    corner_vertices: IndexArray | None = None  #: (k,) sharp vertices
+    corner_sharpness: FloatArray | None = None  #: (k,) their sharpness; from 10 on it is infinite
+    hole_faces: IndexArray | None = None  #: (h,) faces that influence the surface but are no part of it
+    file_vertices: IndexArray | None = None  #: (n,) numbers in the file, if the mesh is a part of a file's mesh
+    file_faces: IndexArray | None = None  #: (m,) the same of the faces
+    #: (k, 2) vertex of the mesh and number of a further vertex of the file that was welded into it
     file_copies: IndexArray | None = None
-    scheme: Scheme | None = None
-    name: str = "mesh"
+    scheme: Scheme | None = None  #: subdivision scheme in the file; None without one
+    name: str = "mesh"  #: name of the mesh in messages; usually its file name
 
     def __repr__(self) -> str:
         return f"ControlMesh({self.name!r}, {self.n_vertices} vertices, {self.n_faces} faces)"

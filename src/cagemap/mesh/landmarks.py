@@ -28,32 +28,18 @@ from cagemap.numerics.arrays import IndexArray, whole_numbers
 class Landmarks:
     """Pairs of points that correspond.
 
-    Attributes
-    ----------
-    names : tuple of str
-        One per pair, such as ``nose_tip``.
-    target, source : (q,) int64
-        Control vertices of the two meshes, 0-based; -1 for a landmark between vertices.
-    target_name, source_name : str
-        Names of the meshes that the landmarks were placed on; '' where unknown.
-    target_points, source_points : CagePoints, optional
-        The landmarks as points of the meshes; default: the control vertices.
-    curves : Curves
-        Pairs of polylines that correspond as a whole; their single points need not.
-
-    Raises
-    ------
-    InvalidLandmarksError, ParameterError
-        If names are no strings, or vertices no whole numbers.
+    InvalidLandmarksError if names are no strings, ParameterError if vertices are no whole numbers.
     """
 
-    names: tuple[str, ...]
-    target: IndexArray
-    source: IndexArray
-    target_name: str = ""
+    names: tuple[str, ...]  #: one per pair, such as ``nose_tip``
+    target: IndexArray  #: (q,) control vertices of the target, 0-based; -1 for a landmark between vertices
+    source: IndexArray  #: (q,) the same of the source
+    target_name: str = ""  #: name of the mesh that the target's points were placed on; '' where unknown
     source_name: str = ""
+    #: the landmarks as points of the meshes; default: the control vertices
     target_points: CagePoints = field(default_factory=lambda: CagePoints.of_vertices(np.zeros(0, dtype=np.int64)))
     source_points: CagePoints = field(default_factory=lambda: CagePoints.of_vertices(np.zeros(0, dtype=np.int64)))
+    #: pairs of polylines that correspond as a whole; their single points need not
     curves: Curves = field(default_factory=Curves.none)
 
     def __post_init__(self) -> None:

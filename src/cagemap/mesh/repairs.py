@@ -69,25 +69,15 @@ class Repairs(Brief):
 
 @dataclass(frozen=True, eq=False)
 class RepairedMesh:
-    """A mesh made from another one.
+    """A mesh made from another one."""
 
-    Attributes
-    ----------
-    mesh : ControlMesh
-        If vertices or faces were joined or removed, ``file_vertices``, ``file_faces`` and ``file_copies`` are the
-        numbers of the remaining ones. The others keep their order, and corners keep their UVs.
-    vertex_of : (n_given,) int64
-        Vertex of ``mesh`` for every vertex of the mesh given, -1 for removed ones.
-    notes : tuple of str
-        One sentence for each kind of change, such as joined vertices or removed faces.
-    repairs : Repairs
-        Those of `plain_mesh`.
-    """
-
+    #: if vertices or faces were joined or removed, ``file_vertices``, ``file_faces`` and ``file_copies`` are the
+    #: numbers of the remaining ones. The others keep their order, and corners keep their UVs.
     mesh: ControlMesh
+    #: (n_given,) vertex of ``mesh`` for every vertex of the mesh given, -1 for removed ones
     vertex_of: IndexArray = field(repr=False)
-    notes: tuple[str, ...] = ()
-    repairs: Repairs = Repairs()
+    notes: tuple[str, ...] = ()  #: one sentence for each kind of change, such as joined vertices or removed faces
+    repairs: Repairs = Repairs()  #: those of `plain_mesh`
 
 
 def unrepaired(mesh: ControlMesh) -> RepairedMesh:

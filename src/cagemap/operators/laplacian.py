@@ -199,21 +199,12 @@ def named_laplacian(name: str, stabilisation: float = 1.0) -> Laplacian:
 
 @dataclass(frozen=True, eq=False)
 class Operators:
-    """Mass and stiffness matrices of every level of a refinement, at unit surface area.
+    """Mass and stiffness matrices of every level of a refinement, at unit surface area."""
 
-    Attributes
-    ----------
-    mass : tuple of (n_l, n_l) CSR arrays
-        M^l, symmetric positive definite; all entries sum to 1. Diagonal at the finest level only.
-    stiffness : tuple of (n_l, n_l) CSR arrays
-        W^l, symmetric positive semi-definite, W^l 1 = 0.
-    scale : float
-        Factor from the mesh's lengths to lengths at unit area.
-    """
-
+    #: (n_l, n_l) M^l, symmetric positive definite; all entries sum to 1. Diagonal at the finest level only.
     mass: tuple[sparse.csr_array, ...]
-    stiffness: tuple[sparse.csr_array, ...]
-    scale: float
+    stiffness: tuple[sparse.csr_array, ...]  #: (n_l, n_l) W^l, symmetric positive semi-definite, W^l 1 = 0
+    scale: float  #: factor from the mesh's lengths to lengths at unit area
 
     def __repr__(self) -> str:
         return f"Operators({', '.join(str(mass.shape[0]) for mass in self.mass)} vertices, scale {self.scale:.6g})"

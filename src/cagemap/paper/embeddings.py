@@ -44,7 +44,7 @@ def functions_at(surface: Surface, level: int, functions: int) -> FloatArray:
     basis = surface.basis
     if functions <= basis.size(level):
         return basis.at(level)[:, :functions]
-    return basis.rows(basis.last_level, surface.hierarchy.vertices_on(basis.last_level, level))[:, :functions]
+    return surface.basis_rows(slice(None), level)[:, :functions]
 
 
 def vertex_blocks(surface: Surface, level: int) -> list[IndexArray]:

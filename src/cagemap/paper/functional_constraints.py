@@ -152,7 +152,7 @@ def curve_rows(surface: Surface, curves: Sequence[SurfaceCurve]) -> FloatArray:
     curves need not correspond.
     """
     corners, places = np.unique(np.vstack([curve.points.corners for curve in curves]), return_inverse=True)
-    rows = surface.basis.rows(surface.finest_level, corners)
+    rows = surface.basis_rows(corners)
     weights = np.vstack([curve.shares[:, None] * curve.points.barycentric for curve in curves])
     curve_of = np.repeat(np.arange(len(curves)), [3 * len(curve.points) for curve in curves])
     gather = sparse.csr_array((weights.ravel(), (curve_of, places.ravel())), shape=(len(curves), len(corners)))

@@ -26,31 +26,17 @@ class HierarchicalBasis:
     """Basis of eigenfunctions of several levels, Phi~^{l+1} = [S^l Phi~^l, band^{l+1}] (eqs. 7, 8).
 
     The dense matrix of the finest level is not stored: `at`, `rows` and `row_blocks` compute parts of it.
-
-    Attributes
-    ----------
-    hierarchy : Refinement
-    operators : Operators
-        Mass and stiffness of all levels, or of the first ones.
-    bands : tuple of (n_l, k_l) arrays
-        New eigenvectors of every level from 0 to the last that has any, each M^l-orthonormal.
-    eigenvalues : (k,) array
-        Lambda~, band after band, computed at each pair's own level. Unit area.
-    residuals : (k,) array
-        Relative residual of every pair at its own level, see `cagemap.spectral.residual_norms`.
-    indices : (k,) int64 array
-        Index of every pair in the whole spectrum of its own level, from 0.
-    gram : (k, k) array
-        Phi~^T M Phi~, the same at every level that has all the bands (Lemma 5).
     """
 
     hierarchy: Refinement
-    operators: Operators
+    operators: Operators  #: mass and stiffness of all levels, or of the first ones
+    #: (n_l, k_l) new eigenvectors of every level from 0 to the last that has any, each M^l-orthonormal
     bands: tuple[FloatArray, ...]
-    eigenvalues: FloatArray
+    eigenvalues: FloatArray  #: (k,) Lambda~, band after band, computed at each pair's own level. Unit area.
+    #: (k,) relative residual of every pair at its own level, see `cagemap.spectral.residual_norms`
     residuals: FloatArray
-    indices: IndexArray
-    gram: FloatArray
+    indices: IndexArray  #: (k,) index of every pair in the whole spectrum of its own level, from 0
+    gram: FloatArray  #: (k, k) Phi~^T M Phi~, the same at every level that has all the bands (Lemma 5)
 
     def __post_init__(self) -> None:
         """Check that the bands match the levels; make all arrays read-only."""
@@ -75,11 +61,6 @@ class HierarchicalBasis:
     def count(self) -> int:
         """Total number k of basis functions."""
         return len(self.eigenvalues)
-
-    @property
-    def band_levels(self) -> IndexArray:
-        """(k,) level of each function's band."""
-        return np.repeat(np.arange(len(self.bands)), self.schedule)
 
     @property
     def last_level(self) -> int:
@@ -142,7 +123,7 @@ class HierarchicalBasis:
                 f"level {level}; prepare the surface with a basis without `vertices`"
             )
         columns = functions.reshape(n, -1)
-        needed = int(self.band_levels[:size].max())
+        needed = int(np.searchsorted(np.cumsum(self.schedule), size))  # the last of these functions' level
         if level < needed:
             columns, level = self.hierarchy.prolong(columns, level, needed), needed
         dual = multiply(self.operators.mass[level], columns)

@@ -14,39 +14,26 @@ from cagemap.subdivision import Refinement
 
 @dataclass(frozen=True)
 class BasisConfig:
-    """Parameters of a spectral basis: ``count`` functions of one level, or bands of several levels.
+    """Parameters of a spectral basis: ``count`` functions of one level, or bands of several levels."""
 
-    Attributes
-    ----------
-    count : int
-        Number of functions k; the default is reduced on smaller meshes. They are computed at the coarsest level with at
-        least ``MIN_VERTICES`` and ``VERTICES_PER_FUNCTION * count`` vertices; eigenvalues there are 0.1 to 4 % above
-        the finest level's.
-    schedule : tuple of int, optional
-        Instead of ``count``: number of functions k_l that each level adds, level 0 first (paper, Definition 2).
-    accuracy : float
-        Convergence of the eigensolver, relative to the eigenvalues of the inverted problem.
-    literal : bool
-        Only with a schedule. True: a band is the k_l eigenvectors above the largest eigenvalue so far (Definition 2);
-        it starts a few indices too high, as eigenvalues of finer levels are lower. False: bands continue by index,
-        without directions that the refined bands already span.
-    vertices : int, optional
-        Build operators at the coarsest level with at least so many vertices, as if it were the finest. Default: at the
-        finest level, as in the paper.
-    laplacian : str
-        Laplacian of quads: "mean" of both triangulations, "alexa-wardetzky" (the paper's) or
-        "de-goes-butts-desbrun"; see `cagemap.operators.laplacian`.
-    stabilisation : float
-        Stabilisation weight lambda of the last two Laplacians.
-    """
-
+    #: number of functions k; the default is reduced on smaller meshes. They are computed at the coarsest level with at
+    #: least ``MIN_VERTICES`` and ``VERTICES_PER_FUNCTION * count`` vertices; eigenvalues there are 0.1 to 4 % above the
+    #: finest level's.
     count: int = 100
+    #: instead of ``count``: number of functions k_l that each level adds, level 0 first (paper, Definition 2)
     schedule: tuple[int, ...] | None = None
-    accuracy: float = 1e-5
+    accuracy: float = 1e-5  #: convergence of the eigensolver, relative to the eigenvalues of the inverted problem
+    #: only with a schedule. True: a band is the k_l eigenvectors above the largest eigenvalue so far (Definition 2); it
+    #: starts a few indices too high, as eigenvalues of finer levels are lower. False: bands continue by index, without
+    #: directions that the refined bands already span.
     literal: bool = False
+    #: build operators at the coarsest level with at least so many vertices, as if it were the finest. Default: at the
+    #: finest level, as in the paper.
     vertices: int | None = None
+    #: Laplacian of quads: "mean" of both triangulations, "alexa-wardetzky" (the paper's) or "de-goes-butts-desbrun";
+    #: see `cagemap.operators.laplacian`
     laplacian: str = "mean"
-    stabilisation: float = 1.0
+    stabilisation: float = 1.0  #: stabilisation weight lambda of the last two Laplacians
 
     def __post_init__(self) -> None:
         """Check the ranges."""

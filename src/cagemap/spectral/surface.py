@@ -32,17 +32,11 @@ class Surface:
     """One surface: its levels, their operators, its basis and its triangles.
 
     All are computed when first read, and cached. `cagemap.prepare_surface` computes operators and basis at once.
-
-    Attributes
-    ----------
-    refinement : Refinement
-        Subdivision levels, or a plain mesh alone. `hierarchy` also has the coarse levels of a plain mesh.
-    config : BasisConfig
-        Parameters of the basis.
     """
 
+    #: subdivision levels, or a plain mesh alone. `hierarchy` also has the coarse levels of a plain mesh.
     refinement: Refinement
-    config: BasisConfig = MAP_BASIS
+    config: BasisConfig = MAP_BASIS  #: parameters of the basis
 
     @classmethod
     def of(
@@ -76,6 +70,12 @@ class Surface:
         """The hierarchical basis (paper, section 4)."""
         with one_blas_thread():
             return hierarchical_basis(self.hierarchy, self.operators, self.config)
+
+    def basis_rows(self, vertices: IndexArray | slice, level: int | None = None) -> FloatArray:
+        """(q, k) values of all basis functions at vertices of a level, by default the finest."""
+        level = self.finest_level if level is None else level
+        fine = max(level, self.basis.last_level)
+        return self.basis.rows(fine, self.hierarchy.vertices_on(fine, level)[vertices])
 
     @property
     def is_prepared(self) -> bool:

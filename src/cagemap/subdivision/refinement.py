@@ -81,26 +81,16 @@ class Level:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Refinement:
-    """A control mesh and its refined levels, ``X^{l+1} = S^l X^l`` (paper, section 2.2.1).
-
-    Attributes
-    ----------
-    control : ControlMesh
-    scheme : CatmullClark, Loop, Bilinear or Plain
-    matrices : tuple of (n_{l+1}, n_l) csr_array
-        ``matrices[l]`` is S^l. Rows sum to 1 and have the order vertices, edges, faces (Loop: vertices, edges), so that
-        vertex i of a level is vertex i of every finer one. Above a plain mesh see ``coarse_vertices``.
-    levels : tuple of Level
-        ``levels[0]`` is the control mesh, ``levels[-1]`` the finest.
-    coarse_vertices : (n_{L-1},) int64 or None
-        For a plain mesh with coarse levels (`cagemap.operators.coarse_levels`): the finest vertex of every vertex of
-        the level below. None in a subdivision, where vertices keep their numbers.
-    """
+    """A control mesh and its refined levels, ``X^{l+1} = S^l X^l`` (paper, section 2.2.1)."""
 
     control: ControlMesh
     scheme: Scheme
+    #: ``matrices[l]`` is S^l (n_{l+1}, n_l). Rows sum to 1 and have the order vertices, edges, faces (Loop: vertices,
+    #: edges), so that vertex i of a level is vertex i of every finer one. Above a plain mesh see ``coarse_vertices``.
     matrices: tuple[csr_array, ...]
-    levels: tuple[Level, ...]
+    levels: tuple[Level, ...]  #: ``levels[0]`` is the control mesh, ``levels[-1]`` the finest
+    #: (n_{L-1},) for a plain mesh with coarse levels (`cagemap.operators.coarse_levels`): the finest vertex of every
+    #: vertex of the level below. None in a subdivision, where vertices keep their numbers.
     coarse_vertices: IndexArray | None = None
 
     @property

@@ -20,25 +20,11 @@ TOLERANCE = 1e-4
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SurfacePoints:
-    """Points on one surface.
-
-    Attributes
-    ----------
-    surface : TriangleSurface
-    triangle : (m,) int64
-        Triangle of each point.
-    barycentric : (m, 3) float64
-        Weights of its corners, not negative, rows sum to 1.
-
-    Raises
-    ------
-    ParameterError
-        If the arrays are not points of this surface.
-    """
+    """Points on one surface; ParameterError for arrays that are none."""
 
     surface: TriangleSurface
-    triangle: IndexArray
-    barycentric: FloatArray
+    triangle: IndexArray  #: (m,) triangle of each point
+    barycentric: FloatArray  #: (m, 3) weights of its corners, not negative, rows sum to 1
 
     def __post_init__(self) -> None:
         triangle = np.ascontiguousarray(whole_numbers(self.triangle, "triangle"))

@@ -31,20 +31,12 @@ class TriangleSurface:
     """A triangulated surface, scaled to unit area.
 
     Arrays are read-only. Derived arrays (`areas`, `normals`, `tree`, ...) are computed when first read, and cached.
-
-    Attributes
-    ----------
-    positions : (n, 3) float64
-        In units of sqrt(area) of the whole surface. A coarse level keeps the unit of the finest one.
-    triangles : (t, 3) int64
-        Vertices of every triangle, counter-clockwise seen from outside.
-    scale : float
-        Factor from the file's own lengths to those of ``positions``.
     """
 
+    #: (n, 3) in units of sqrt(area) of the whole surface. A coarse level keeps the unit of the finest one.
     positions: FloatArray
-    triangles: IndexArray
-    scale: float = 1.0
+    triangles: IndexArray  #: (t, 3) vertices of every triangle, counter-clockwise seen from outside
+    scale: float = 1.0  #: factor from the file's own lengths to those of ``positions``
 
     def __post_init__(self) -> None:
         positions = np.ascontiguousarray(real_numbers(self.positions, "positions"))

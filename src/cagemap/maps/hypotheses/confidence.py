@@ -1,6 +1,7 @@
-"""Confidence in a map without ground truth: signs of a wrong map, verdict, other alignments.
+"""Confidence in a map without ground truth: signs of a wrong map, verdict, other answers.
 
-Each sign has a bound (`WARNING_SIGNS`).
+A placement that is offered to the user under a name is an answer; the map is made from the first one. Each sign has a
+bound (`WARNING_SIGNS`).
 """
 
 from __future__ import annotations
@@ -49,13 +50,13 @@ WARNING_SIGNS: dict[str, WarningSign] = {
     "jumps": WarningSign(0.03, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
     # Median `distortion`, by the target's area.
     "stretched": WarningSign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
-    # Share of the target's area that another map of nearly equal cost turns by `TURNED_DEGREES` degrees or more.
+    # Share of the target's area that another answer of nearly equal cost turns by `TURNED_DEGREES` degrees or more.
     "limb_turned": WarningSign(0.08, "a map that rotates {percent:.0f} % of the target otherwise fits almost as well"),
-    # Cost x 1e4 of an alignment that turns the files' axes; 0 for other alignments.
+    # Cost x 1e4 of an answer that turns the files' axes; 0 for others.
     "turned": WarningSign(1.0, "files seldom stand in different directions, and the shapes differ"),
     # Cost x 1e4: mean squared distances both ways, and the elastic energy, at unit area.
     "cost": WarningSign(7.0, "the shapes differ much"),
-    # Cost divided by that of the best different alignment; 0 if there is none.
+    # Cost divided by that of the second answer; 0 if there is none.
     "runner_up": WarningSign(1 / 1.3, "another alignment fits almost as well"),
 }
 # Least `runner_up` for the verdict 'two answers'.
@@ -67,14 +68,14 @@ JUMP = 0.2
 NEIGHBORS, NEAR_SPACINGS = 24, 1.4
 # Weight of normals, of sqrt(area): keeps images on their side of a thin part.
 NORMAL_WEIGHT = 0.05
-# Angle in degrees between the normals of two maps.
+# Angle in degrees between the normals of two answers.
 TURNED_DEGREES = 60.0
 # Beginning of the warning about jumps.
 JUMPING = "the map jumps between parts that only touch"
 
 MIRROR_X = np.array([-1.0, 1.0, 1.0])
 SURE, LOOK, TWO = "sure", "look at it", "two answers"
-# Name of the map that was found, where landmarks leave another one open.
+# Name of the first answer, where landmarks leave another one open.
 AS_GIVEN = "as the landmarks are given"
 # Reason shown for a result file without signs.
 NOT_JUDGED = "it was matched by an older version of cagemap: match again"
@@ -85,8 +86,8 @@ class Confidence:
     """Verdict on a map that its landmarks alone do not determine."""
 
     verdict: str  #: "sure", "look at it" or "two answers"
-    #: The answer, then different ones, by cost and doubt: placements of the deformed level's vertices; in a result, of
-    #: all vertices of a plain target
+    #: different placements of the deformed level's vertices, the best first; in a result, of all vertices of a plain
+    #: target
     answers: tuple[Placement, ...]
     signs: Mapping[str, float] = field(default_factory=dict)  #: measured values of `WARNING_SIGNS`
     deciding: int | None = None  #: control vertex of the target where a landmark would decide
@@ -95,14 +96,17 @@ class Confidence:
 
     @classmethod
     def of(
-        cls, answers: tuple[Placement, ...], control_vertices: int, signs: Mapping[str, float] | None = None
+        cls, answers: tuple[Placement, ...], controls: IndexArray, signs: Mapping[str, float] | None = None
     ) -> Confidence:
-        """Confidence in the first of distinct answers, best first, by their costs and further signs of the first."""
+        """Confidence in the first of distinct answers, best first, by their costs and further signs of the first.
+
+        ``controls`` (n_0,) are the control vertices that the first positions of an answer belong to.
+        """
         signs = cost_signs(answers) | dict(signs or {})
         deciding = None
         if len(answers) > 1:
-            best, second = (answer.positions[:control_vertices] for answer in answers[:2])
-            deciding = int(np.argmax(((best - second) ** 2).sum(axis=1)))
+            best, second = (answer.positions[: len(controls)] for answer in answers[:2])
+            deciding = int(controls[((best - second) ** 2).sum(axis=1).argmax()])
         verdict = SURE if not describe_signs(signs) else TWO if signs["runner_up"] > TIE else LOOK
         return cls(verdict, answers, signs, deciding)
 
@@ -165,7 +169,7 @@ def answer_confidence(
 
     ``jumps`` are the map's `jump_lengths` (n,). Area that is masked or not shared is ignored.
     """
-    prepared, controls = problem.prepared, problem.prepared.target.control.n_vertices
+    prepared, controls = problem.prepared, problem.prepared.control_vertices
     weights = prepared.masks.within(shared).of_target(point_map.target.n)
     signs = {"jumps": jump_share(prepared, jumps), "stretched": median_distortion(point_map, weights)}
     confidence = Confidence.of(answers, controls, signs)
@@ -174,9 +178,8 @@ def answer_confidence(
         confidence = Confidence.of(answers, controls, signs)
     if signs["jumps"] > WARNING_SIGNS["jumps"].bound:  # a landmark at the jump decides, not where answers differ
         places = prepared.mesh.positions
-        confidence = replace(confidence, deciding=int(cKDTree(places[:controls]).query(places[jumps.argmax()])[1]))
-    if confidence.deciding is not None:
-        confidence = replace(confidence, deciding=int(prepared.vertices[confidence.deciding]))
+        nearest = cKDTree(places[: len(controls)]).query(places[jumps.argmax()])[1]
+        confidence = replace(confidence, deciding=int(controls[nearest]))
     return confidence
 
 
@@ -188,7 +191,8 @@ def turned_limb_answers(ranked: Sequence[Placement], prepared: PreparedPair) -> 
         if other.cost <= prepared.elastic.search.max_equal_cost * best.cost and share > max_share:
             answers = best.as_answer(AS_GIVEN), other.as_answer("with a limb turned otherwise about its axis")
             apart = np.linalg.norm(best.positions - other.positions, axis=1)
-            deciding = int(prepared.vertices[apart[: prepared.target.control.n_vertices].argmax()])
+            controls = prepared.control_vertices
+            deciding = int(controls[apart[: len(controls)].argmax()])
             return Confidence(LOOK, answers, cost_signs(answers) | {"limb_turned": share}, deciding)
     return None
 

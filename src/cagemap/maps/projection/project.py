@@ -23,23 +23,8 @@ from cagemap.surface.triangles import vertex_normals
 def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -> PointMap:
     """Point map of the finest levels: closest points to the subdivision surface through fitted points.
 
-    Parameters
-    ----------
-    prepared : PreparedPair
-    fitted : (n, 3) float64
-        Positions near the source (of area 1) of the vertices of the target's deformed level.
-    landmarks : PointPairs
-        Met exactly, see `snap_landmarks`.
-
-    Returns
-    -------
-    PointMap
-        Of the finest levels; it may fold.
-
-    Raises
-    ------
-    ParameterError
-        If there is not one finite position for each vertex of that level.
+    ``fitted`` (n, 3) are positions near the source (of area 1) of the vertices of the target's deformed level;
+    ParameterError if they are not finite, or others. Landmarks are met exactly (`snap_landmarks`). The map may fold.
     """
     count = prepared.mesh.n
     fitted = real_numbers(fitted, "fitted")
@@ -102,17 +87,7 @@ def map_of_places(problem: Problem, places: FloatArray) -> PointMap:
 def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = ElasticConfig()) -> PointMap:
     """Remove most folds of a map: relax small ones, flatten large ones.
 
-    Parameters
-    ----------
-    point_map : PointMap
-    held : (p,) int64
-        Target vertices whose images stay (landmarks).
-    config : ElasticConfig
-
-    Raises
-    ------
-    ParameterError
-        If a held vertex is not a vertex of the target.
+    The images of target vertices ``held`` (p,) stay (landmarks); ParameterError if the target lacks one.
     """
     held = whole_numbers(held, "held")
     if held.size and not 0 <= held.min() <= held.max() < point_map.target.n:
