@@ -330,7 +330,10 @@ def other_answer(
 ) -> MatchResult:
     """Result with another of ``before.confidence.answers``; index 0 is the match's own.
 
-    ParameterError if there is no such answer, or a result that was read does not contain it in full.
+    Raises
+    ------
+    ParameterError
+        If there is no such answer, or a result that was read does not contain it in full.
     """
     answers = () if before.confidence is None else before.confidence.answers
     if not 0 <= index < len(answers):

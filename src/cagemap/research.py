@@ -115,10 +115,19 @@ def make_pair(
     landmarks: tuple[ArrayLike, ArrayLike] = ((), ()),
     symmetries: Sequence[SymmetryPair] = (),
 ) -> Pair:
-    """Make a pair of prepared surfaces with corresponding control vertices (p,) of both, and self-maps.
+    """Make a pair of prepared surfaces with corresponding control vertices and self-maps.
 
-    ``symmetries`` are as in `Pair`; `cagemap.mesh.mirrors.mirror_symmetries` finds some. ParameterError if the sides do
-    not correspond one to one, or a self-map is not one of control vertices.
+    Parameters
+    ----------
+    target, source : Surface
+    landmarks : pair of (p,) arrays
+    symmetries : sequence of ((n_0 target,), (n_0 source,)) arrays
+        As in `Pair`; `cagemap.mesh.mirrors.mirror_symmetries` finds some.
+
+    Raises
+    ------
+    ParameterError
+        If the sides do not correspond one to one, or a self-map is not one of control vertices.
     """
     vertices = [whole_numbers(side, f"landmarks: {name}") for side, name in zip(landmarks, SIDES, strict=True)]
     if vertices[0].shape != vertices[1].shape or vertices[0].ndim != 1:
@@ -156,9 +165,16 @@ def landmark_functions(surface: Surface, filters: Filters, vertices: IndexArray,
 def functional_map(
     pair: Pair, constraints: Constraints, weights: MapWeights = MapWeights(), levels: LevelPair | None = None
 ) -> FloatArray:
-    """C12 from constraints alone, of `gather_constraints` or others: eq. 13 on level 0, then eqs. 14-16 for every band.
+    """C12 from constraints alone: eq. 13 on level 0, then eqs. 14-16 for every band.
 
-    ``levels`` are the last levels, by default the finest.
+    Parameters
+    ----------
+    pair : Pair
+    constraints : Constraints
+        From `gather_constraints`, or others.
+    weights : MapWeights
+    levels : (int, int), optional
+        Last levels; default: the finest.
     """
     last = (pair.target.finest_level, pair.source.finest_level) if levels is None else levels
     level_pairs = [(min(l1, last[0]), min(l2, last[1])) for l1, l2 in [(0, 0), *finer_level_pairs(pair, (0, 0))]]
@@ -173,9 +189,15 @@ def functional_map(
 def point_map(pair: Pair, map_like: MapLike) -> PointMap:
     """T12 of a functional map without refinement (5.4).
 
-    Full search on a coarse level, search among candidates on finer levels, then vertex to point; landmarks are not
-    used. C12 is on the leading basis functions of both surfaces. Vertex maps of the finest level and point maps are
-    kept; vertex maps of coarser levels are converted to C12 first.
+    Full search on a coarse level, search among candidates on finer levels, then vertex to point.
+
+    Parameters
+    ----------
+    pair : Pair
+        Its landmarks are not used.
+    map_like : map
+        C12 on the leading basis functions of both surfaces. Vertex maps of the finest level and point maps are kept;
+        vertex maps of coarser levels are converted to C12 first.
     """
     checked_map = check_map(pair, map_like)
     if isinstance(checked_map, PointMap):
@@ -197,10 +219,21 @@ def zoomout(pair: Pair, start: MapLike, schedule: ZoomOutSchedule = ZoomOutSched
 
 
 def elastic(pair: Pair, start: MapLike | None = None, prepared: PreparedPair | None = None) -> PointMap:
-    """T12 by the elastic fit from any map, by default as in `cagemap.match`: deform, project, unfold.
+    """T12 by the elastic fit from any map: deform, project, unfold; landmarks are constraints.
 
-    Landmarks are constraints. With at least three, a fit from these competes with the fit from the start.
-    ``prepared`` is of `cagemap.prepare_pair`, for several calls. ParameterError if the start is not a map of this pair.
+    Parameters
+    ----------
+    pair : Pair
+        With at least three landmarks, a fit from these competes with the fit from the start.
+    start : map, optional
+        Default: as in `cagemap.match`.
+    prepared : PreparedPair, optional
+        From `cagemap.prepare_pair`, for several calls.
+
+    Raises
+    ------
+    ParameterError
+        If the start is not a map of this pair.
     """
     problem = Problem(prepare_pair(pair.target, pair.source) if prepared is None else prepared, pair.landmarks)
     places = None
@@ -212,8 +245,13 @@ def elastic(pair: Pair, start: MapLike | None = None, prepared: PreparedPair | N
 def project(pair: Pair, start: MapLike, prepared: PreparedPair | None = None) -> PointMap:
     """T12 of closest points to a subdivision surface through the images of about 3000 vertices.
 
-    The start is a map, or (n, 3) positions, at the source's unit area, of the vertices of ``prepared.mesh``, which is
-    as in `elastic`.
+    Parameters
+    ----------
+    pair : Pair
+    start : map, or (n, 3) array
+        Or positions, at the source's unit area, of the vertices of ``prepared.mesh``.
+    prepared : PreparedPair, optional
+        As in `elastic`.
     """
     prepared = prepare_pair(pair.target, pair.source) if prepared is None else prepared
     places = None if isinstance(start, PointMap) else array_of(start)
@@ -233,9 +271,20 @@ def judge(pair: Pair, map_like: MapLike) -> QualityFigures:
 
 
 def transport(pair: Pair, matrix: FloatArray, values: FloatArray, level: int, to: int) -> FloatArray:
-    """Functions (n1,) or (n1, q) from source to target through C (k1, k2) alone (5.4), smoothed by the bases.
+    """Functions from source to target through C alone (5.4), smoothed by the bases.
 
-    The values (n2,) or (n2, q) are at the source's vertices of ``level``, the result at the target's of level ``to``.
+    Parameters
+    ----------
+    pair : Pair
+    matrix : (k1, k2) array
+    values : (n2,) or (n2, q) array
+        At the source's vertices of ``level``.
+    level, to : int
+        Levels of the source and of the target.
+
+    Returns
+    -------
+    (n1,) or (n1, q) array
     """
     matrix, values = real_numbers(matrix, "functional map"), real_numbers(values, "values")
     k1, k2 = matrix.shape
@@ -247,10 +296,20 @@ def transport(pair: Pair, matrix: FloatArray, values: FloatArray, level: int, to
 
 
 def result_of_map(pair: Pair, point_map: PointMap, names: Sequence[str] = ()) -> MatchResult:
-    """A result, with quality figures, of any point map of the finest levels, such as of `PointMap.from_vertices`.
+    """A result, with quality figures, of any point map of the finest levels.
 
-    ``names`` are of the pair's landmarks; its curves are not in the result. ParameterError if the map is not of the
-    target's finest level, or there is not a name for each landmark.
+    Parameters
+    ----------
+    pair : Pair
+    point_map : PointMap
+        See its ``from_vertices``, ``from_arrays`` and ``from_matrix``.
+    names : sequence of str
+        Of the pair's landmarks. Its curves are not in the result.
+
+    Raises
+    ------
+    ParameterError
+        If the map is not of the target's finest level, or there is not a name for each landmark.
     """
     count = len(pair.landmarks)
     labels = tuple(names) or tuple(f"point {i}" for i in range(count))
@@ -266,8 +325,23 @@ def result_of_map(pair: Pair, point_map: PointMap, names: Sequence[str] = ()) ->
 def tensors(*values: Any, dtype: Any = None, device: Any = None) -> Any:
     """Torch tensors of arrays, and coalesced COO tensors of SciPy's sparse matrices.
 
-    Several values give a tuple. ``dtype`` is of real numbers, by default theirs; integers stay integers. Functions that
-    take arrays take tensors too. ParameterError if torch is not installed.
+    Integers stay integers. Functions that take arrays take tensors too.
+
+    Parameters
+    ----------
+    *values : arrays or sparse arrays
+    dtype : torch.dtype, optional
+        Of real numbers; default: theirs.
+    device : torch.device or str, optional
+
+    Returns
+    -------
+    tensor, or tuple of tensors
+
+    Raises
+    ------
+    ParameterError
+        If torch is not installed.
     """
     try:
         import torch
