@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from cagemap.character.poses import (
@@ -38,6 +37,8 @@ def test_rotations_are_interpolated_as_scipy_does(signs: tuple[int, int, int]) -
 
 
 def test_splines_steps_and_ends() -> None:
+    from scipy.interpolate import CubicHermiteSpline
+
     rng = np.random.default_rng(4)
     keys = rng.standard_normal((3, 3, 3))
     spline = Track(0, "translation", TIMES, keys, "CUBICSPLINE")

@@ -116,7 +116,9 @@ def test_examples_in_the_docs_run(
     names: dict[str, object] = {}
     first, *programs = programs_of("docs/api.md")
     for code in (*programs_of("README.md"), first, *programs[4:]):
-        exec(code.replace("level=3", "level=1").replace("size=1024", "size=32"), names)
+        for usual, small in (("level=3", "level=1"), ("size=1024", "size=32"), ("example_pair()", "example_pair(64)")):
+            code = code.replace(usual, small)
+        exec(code, names)
     assert "flipped_area" in capsys.readouterr().out
     assert read_image(pair_files / "deer.png").pixels.shape == (32, 32, 3)
     assert read_result(pair_files / "RESULT").target.finest_level == 1

@@ -118,7 +118,7 @@ def test_files_to_result_and_back(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_cage_is_wrapped_onto_a_scan_with_its_colours_and_texture(tmp_path: Path, quick_fit: None) -> None:
     """Colours and texture of the scan are its places, which the wrapped cage's own places must repeat."""
-    scan = animal(2)
+    scan = animal(1)
     low, size = scan.positions.min(axis=0), np.ptp(scan.positions, axis=0)
     rng = np.random.default_rng(5)
     noisy = scan.positions + rng.normal(scale=1e-3 * size.max(), size=scan.positions.shape)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,18 +34,12 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def opened() -> Iterator[Any]:
-    with chromium() as program:
-        yield program
-
-
 @pytest.fixture
-def browser(opened: Any, page: Path) -> Any:
+def browser(browser: Any, page: Path) -> Any:
     """The report as it is opened: no test sees what another one chose."""
-    opened.get(page.as_uri())
-    until(lambda: opened.execute_script("return document.getElementById('viewer').dataset.ready") == "yes")
-    return opened
+    browser.get(page.as_uri())
+    until(lambda: browser.execute_script("return document.getElementById('viewer').dataset.ready") == "yes")
+    return browser
 
 
 def until(done: Any) -> None:
@@ -141,6 +134,7 @@ def test_nothing_serious_is_found_by_axe(browser: Any) -> None:
         found = browser.execute_async_script("axe.run(document).then(arguments[0])")["violations"]
         wrong = [(rule["id"], [node["html"] for node in rule["nodes"]]) for rule in found if rule["impact"] in SERIOUS]
         assert wrong == [], scheme
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
 def test_a_browser_without_webgl_shows_the_pictures(page: Path) -> None:

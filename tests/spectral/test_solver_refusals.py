@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,8 +14,12 @@ from cagemap.spectral.eigenpairs import SOLVER, band_pairs, count_below, factor,
 
 from refusals import Refusal
 
-SURFACE = prepare_surface(creature(), 2, BasisConfig(count=5))
-LEVEL = SURFACE.operators.stiffness[2], SURFACE.operators.mass[2]
+
+@cache
+def matrices() -> tuple[Any, Any]:
+    """Stiffness and mass of level 2 of a creature."""
+    operators = prepare_surface(creature(), 2, BasisConfig(count=5)).operators
+    return operators.stiffness[2], operators.mass[2]
 
 
 def inertia(patch: pytest.MonkeyPatch, counted: int | None) -> None:
@@ -24,18 +29,20 @@ def inertia(patch: pytest.MonkeyPatch, counted: int | None) -> None:
 
 
 def without_inertia(patch: pytest.MonkeyPatch) -> None:
+    level = matrices()
     inertia(patch, None)
-    count_below(*LEVEL, 3.5)
+    count_below(*level, 3.5)
 
 
 def without_shift(patch: pytest.MonkeyPatch) -> None:
+    level = matrices()
     inertia(patch, 0)
-    band_pairs(*LEVEL, SOLVER.dense_rows // 100, SOLVER.dense_rows // 100 + 4)
+    band_pairs(*level, SOLVER.dense_rows // 100, SOLVER.dense_rows // 100 + 4)
 
 
 def too_accurate(_: object) -> None:
-    shifted = factor(shifted_matrix(*LEVEL, -1.0))
-    shift_invert_lanczos(shifted, LEVEL[1], -1.0, 0, 5, accuracy=1e-300)
+    shifted = factor(shifted_matrix(*matrices(), -1.0))
+    shift_invert_lanczos(shifted, matrices()[1], -1.0, 0, 5, accuracy=1e-300)
 
 
 def never_accurate(patch: pytest.MonkeyPatch) -> None:

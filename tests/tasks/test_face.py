@@ -55,6 +55,7 @@ def test_the_kit_has_all_names_of_arkit_but_one() -> None:
     assert KEPT.stat().st_size < 4e6
 
 
+@pytest.mark.slow
 def test_the_kits_file_is_made_of_the_data(shared_data: Path) -> None:
     with np.load(KEPT) as kept:
         made = face_arrays(shared_data / "characters" / "face")
