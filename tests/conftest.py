@@ -36,6 +36,11 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """One process more than cores: each waits a quarter of its time, for processes that it started."""
+    return (os.cpu_count() or 1) + 1
+
+
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """With ``-m slow`` or ``-m browser``, files without such tests are not imported."""
     marks = {"slow", "browser"} & set(config.option.markexpr.split(" and "))
