@@ -52,6 +52,22 @@ const [side, x, y] = arguments, camera = window.studio.views.sides[side].camera,
 ray.setFromCamera(new THREE.Vector2(x, y), camera);
 return [...ray.ray.origin.toArray(), ...ray.ray.direction.toArray()]"""
 
+# Widths that the half of both models takes in turn, a picture each, while something is waiting to be drawn.
+RESIZED = """
+const done = arguments[0], {views} = window.studio, box = views.canvas.parentElement, widths = ['', ...[1060, 900, 760, 700].map(w => `0 0 ${w}px`)];
+const next = () => {
+    if (!widths.length) return requestAnimationFrame(() => requestAnimationFrame(done));
+    box.style.flex = widths.pop();
+    views.changed();
+    requestAnimationFrame(next);
+};
+next();"""
+# Draw all pictures anew.
+ANEW = """
+const {views} = window.studio;
+for (const side of Object.values(views.sides)) side.pictureKey = '';
+views.changed();"""
+
 
 def ray(page: Page, side: str, point: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
     """What `Page.click` sends into the scene."""
@@ -137,6 +153,26 @@ def test_views_change_what_is_shown(page: Page) -> None:
         page.until(lambda: np.abs(page.look("target") - still).max() > 30, name)
         page.set(name, name != "cages")
         page.until(lambda: not other(page.look("target"), still), f"no {name}")
+
+
+def test_the_screen_shows_what_drawing_anew_shows(page: Page) -> None:
+    changes = {
+        "colours": lambda: page.run("window.studio.views.set({look: 'colours'})"),
+        "compared": lambda: page.run("window.studio.views.set({other: 'plain', split: 0.3})"),
+        "halfway to the source": lambda: page.run("window.studio.views.set({morph: 0.5})"),
+        "overlaid": lambda: page.run("window.studio.views.set({overlay: true, morph: 0})"),
+        "turned": lambda: page.run("window.studio.views.frame([1, 0, 0])"),
+        "resized": lambda: page.browser.execute_async_script(RESIZED),
+    }
+    page.drawn()
+    before = page.run("return {...window.studio.views.shown}")
+    for name, change in changes.items():
+        change()
+        kept = {side: page.look(side) for side in ("target", "source")}
+        page.run(ANEW)
+        for side, seen in kept.items():
+            np.testing.assert_array_equal(page.look(side), seen, err_msg=f"{name}: {side}")
+    page.run("window.studio.views.set(arguments[0]); window.studio.views.frame()", before)
 
 
 def test_what_is_chosen_in_the_dialog_stays_until_it_is_closed(page: Page, files: Files) -> None:

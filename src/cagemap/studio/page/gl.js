@@ -1,5 +1,5 @@
 // Shaders, and binary glTF files (see skins.py for their attributes) as geometries and textures.
-// Compiled for what is shown (LOOK, OTHER, PICTURED, DOUBTS, MORPH): values that no pixel needs took half of the time where
+// Compiled for what is shown (LOOK, OTHER, HAS_UVS, DOUBTS, MORPH): values that no pixel needs took half of the time where
 // the processor draws.
 export const VERTEX = `
   #define SHOWS(look) (LOOK == look || OTHER == look)
@@ -11,7 +11,7 @@ export const VERTEX = `
     #if MORPH
       p = mix(position, place, morph); n = mix(normal, placeNormal, morph);
     #endif
-    #if SHOWS(0) && PICTURED
+    #if SHOWS(0) && HAS_UVS
       vUv = uv;
     #elif SHOWS(0)
       vShown = shown;
@@ -41,7 +41,7 @@ export const FRAGMENT = `
   }
   vec3 color(int at) {
     vec3 c = vec3(0.6);
-    #if SHOWS(0) && PICTURED
+    #if SHOWS(0) && HAS_UVS
       if (at == 0) c = texture2D(picture, vUv).rgb;
     #elif SHOWS(0)
       if (at == 0) c = vShown;

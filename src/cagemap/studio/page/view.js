@@ -31,7 +31,7 @@ export class Views {
     this.sides = Object.fromEntries(SIDES.map(name => [name, this.side(name, root.querySelector(`#${name}`))]));
     new ResizeObserver(() => this.resize()).observe(root);
     this.canvas.addEventListener('webglcontextrestored', () => {
-      for (const side of Object.values(this.sides)) side.pictured = '';
+      for (const side of Object.values(this.sides)) side.pictureKey = '';
       this.changed();
     });
     this.resize();
@@ -43,9 +43,9 @@ export class Views {
     const controls = new THREE.OrbitControls(camera, pane);
     Object.assign(controls, {enableDamping: false, minDistance: 0.15, maxDistance: 20});
     const depthTexture = new THREE.DepthTexture(1, 1), picture = new THREE.WebGLRenderTarget(1, 1, {depthTexture, samples: this.samples});
-    const side = {name, pane, camera, controls, world: new THREE.Scene(), over: new THREE.Scene(), picture, pictured: '', parts: {},
+    const side = {name, pane, camera, controls, world: new THREE.Scene(), onScreen: new THREE.Scene(), picture, pictureKey: '', parts: {},
       images: {}, loaded: {}, marks: [], points: null, drawn: 0, tall: 0.5, wide: 0.5};
-    side.over.add(this.copy(picture));
+    side.onScreen.add(this.copy(picture));
     controls.addEventListener('change', () => this.turned(side));
     pane.addEventListener('pointerdown', event => this.pressed(side, event), {capture: true});
     pane.addEventListener('pointermove', event => this.moved(side, event));
@@ -79,12 +79,12 @@ export class Views {
     if (!has('shown')) geometry.setAttribute('shown', has('plain'));
     if (!has('place')) geometry.setAttribute('place', has('position'));
     if (!has('placeNormal')) geometry.setAttribute('placeNormal', has('normal'));
-    const PICTURED = +!!has('uv');
+    const HAS_UVS = +!!has('uv');
     for (const key of ['uv', 'own']) if (!has(key)) geometry.setAttribute(key, constant(2, 0));
     if (!has('trust')) geometry.setAttribute('trust', constant(1, 1));
     const values = {split: 0, opacity: 1, picture: this.blank, baked: this.blank, morph: 0};
     const uniforms = Object.fromEntries(Object.entries(values).map(([key, value]) => [key, {value}]));
-    const material = new THREE.ShaderMaterial({vertexShader: VERTEX, fragmentShader: FRAGMENT, side: THREE.DoubleSide, uniforms, defines: {PICTURED}});
+    const material = new THREE.ShaderMaterial({vertexShader: VERTEX, fragmentShader: FRAGMENT, side: THREE.DoubleSide, uniforms, defines: {HAS_UVS}});
     material.transparent = name === 'rest';
     return new THREE.Mesh(geometry, material);
   }
@@ -149,7 +149,7 @@ export class Views {
     pen.scale(ratio, ratio);
     marks.forEach((mark, i) => this.draw(pen, mark, MARK * (i % cells + 0.5), MARK * (Math.floor(i / cells) + 0.5)));
     if (side.points) {
-      side.over.remove(side.points);
+      side.onScreen.remove(side.points);
       side.points.geometry.dispose();
       side.points.material.uniforms.atlas.value.dispose();
       side.points.material.dispose();
@@ -168,7 +168,7 @@ export class Views {
       side.points = new THREE.Points(geometry, material);
       side.points.frustumCulled = false;
       side.points.renderOrder = 2;
-      side.over.add(side.points);
+      side.onScreen.add(side.points);
     }
     this.changed();
   }
@@ -287,8 +287,8 @@ export class Views {
       this.renderer.setViewport(...at);
       this.renderer.setScissor(...at);
       this.renderer.clear();
-      if (side.points) side.points.material.uniforms.morph.value = side.name === 'target' ? this.shown.morph : 0;
-      this.renderer.render(side.over, side.camera);
+      if (side.points) side.points.material.uniforms.morph.value = this.morph(side);
+      this.renderer.render(side.onScreen, side.camera);
       if (side.name === 'target' && this.shown.overlay) {
         this.prepare(this.sides.source, at, 0.45);
         for (const only of [true, false]) {  // depths first: only the nearest surface is half transparent
@@ -300,13 +300,15 @@ export class Views {
     this.frames = (this.frames ?? 0) + 1;
   }
 
-  // A side's own models.
+  // A side's own models; the key has all that `prepare` and the camera read.
   drawPicture(side, [, , w, h]) {
-    const {camera: {position, quaternion}, parts} = side, ratio = this.renderer.getPixelRatio();
+    const {camera: {position, quaternion, projectionMatrix}, parts} = side, ratio = this.renderer.getPixelRatio();
+    const {look, other, split, doubts, cages, rest, pose} = this.shown;
     const images = Object.values(this.sides).flatMap(one => Object.values(one.images));
-    const pictured = JSON.stringify([w, h, ratio, position, quaternion, this.shown, [...Object.values(parts), ...images].map(one => one.uuid)]);
-    if (side.pictured === pictured) return;
-    side.pictured = pictured;
+    const key = JSON.stringify([w, h, ratio, position, quaternion, projectionMatrix, look, other, split, doubts, cages, rest, pose,
+      this.morph(side), [...Object.values(parts), ...images].map(one => one.uuid)]);
+    if (side.pictureKey === key) return;
+    side.pictureKey = key;
     side.picture.setSize(Math.max(1, Math.round(w * ratio)), Math.max(1, Math.round(h * ratio)));
     this.renderer.setRenderTarget(side.picture);
     this.renderer.clear();
@@ -315,9 +317,12 @@ export class Views {
     this.renderer.setRenderTarget(null);
   }
 
+  // How far a side's model is on its way to its place on the other.
+  morph(side) { return side.name === 'target' ? this.shown.morph : 0; }
+
   prepare(side, [x, , w], opacity) {
     const {shown} = this, over = opacity < 1, ratio = this.renderer.getPixelRatio();
-    const morph = side.name === 'target' ? shown.morph : 0;
+    const morph = this.morph(side);
     for (const [name, mesh] of Object.entries(side.parts)) {
       const uniforms = mesh.material.uniforms;
       const still = !morph && !over && !shown.pose;
@@ -357,7 +362,7 @@ export class Views {
 
   // The nearest visible landmark under the pointer.
   markAt(side, event) {
-    const morph = side.name === 'target' ? this.shown.morph : 0;
+    const morph = this.morph(side);
     const box = side.pane.getBoundingClientRect(), v = new THREE.Vector3(), end = new THREE.Vector3();
     let best = null, least = GRIP;
     for (const mark of side.marks) {
