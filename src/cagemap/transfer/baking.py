@@ -182,7 +182,7 @@ def bake_texture(
     """
     options = options or BakeOptions()
     laid = lay_texture(texture, *transfer.source.layout(), wrap=options.wrap)
-    kept = laid.dtype if dtype is None else np.dtype(dtype)
+    kept = output_dtype(dtype, laid.dtype)
     layout = make_layout(transfer, size, options)
     lookups = plan_lookups(transfer.mapped, transfer.source, layout, laid, kind=options.filter)
     scale = unit(kept) / unit(laid.dtype)
@@ -347,6 +347,11 @@ def to_dtype(values: FloatArray, dtype: np.dtype[Any]) -> Pixels:
     rounded = np.rint(values)
     np.clip(rounded, 0, np.iinfo(dtype).max, out=rounded)
     return rounded.astype(dtype)
+
+
+def output_dtype(dtype: Any, given: np.dtype[Any] | None = None) -> np.dtype[Any]:
+    """Dtype of baked pixels; None: that of the pixels given."""
+    return np.dtype(given if dtype is None else dtype)
 
 
 def unit(dtype: np.dtype[Any]) -> float:

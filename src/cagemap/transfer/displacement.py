@@ -18,7 +18,7 @@ from cagemap.numerics.arrays import FloatArray, array_of
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import row_slices
 from cagemap.surface.triangles import triangle_areas
-from cagemap.transfer.baking import BakeOptions, Transfer, make_layout, run_bake, unit
+from cagemap.transfer.baking import BakeOptions, Transfer, make_layout, output_dtype, run_bake, unit
 from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.texture import Pixels, Texture, channel_range, each_tile, lay_texture
@@ -83,7 +83,7 @@ def bake_displacement(
     """
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, grey), *transfer.source.layout(), wrap=options.wrap)
-    kept = laid.dtype if dtype is None else np.dtype(dtype)
+    kept = output_dtype(dtype, laid.dtype)
     require_integer_range(laid, kept)
     middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
     ratio = scale_ratio(transfer)

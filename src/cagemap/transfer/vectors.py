@@ -17,7 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangles import normalize_rows, vertex_normals
-from cagemap.transfer.baking import BakeOptions, Transfer, make_layout, run_bake, unit
+from cagemap.transfer.baking import BakeOptions, Transfer, make_layout, output_dtype, run_bake, unit
 from cagemap.transfer.displacement import Displacement, require_integer_range, scale_ratio
 from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
@@ -66,7 +66,7 @@ def bake_normal_map(
     """
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
-    kept = laid.dtype if dtype is None else np.dtype(dtype)
+    kept = output_dtype(dtype, laid.dtype)
     signed = laid.dtype.kind == "f" and any(float(np.nanmin(tile)) < 0 for tile in laid.tiles.values())
     flip = green_flip(green, space)
 
@@ -118,7 +118,7 @@ def bake_vector_displacement(
     """
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
-    kept = laid.dtype if dtype is None else np.dtype(dtype)
+    kept = output_dtype(dtype, laid.dtype)
     require_integer_range(laid, kept)
     middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
     if scale == 0:
