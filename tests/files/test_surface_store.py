@@ -19,6 +19,7 @@ from cagemap.files.result.manifest import code_version
 from cagemap.files.result.surface_store import SUFFIX, load_surface, prepared, save_surface, surface_key
 from cagemap.pipeline import MatchConfig, match, prepare_surface
 from cagemap.spectral import BasisConfig
+from cagemap.spectral.surface import Surface
 from cagemap.subdivision import CatmullClark
 
 CONFIG = BasisConfig(count=20)
@@ -91,6 +92,14 @@ def test_operators_may_end_below_the_finest_level(surface, tmp_path):
         short.basis.project(np.ones(short.refinement.finest.n_vertices), LEVEL)
     with pytest.raises(ParameterError, match=rf"operators up to level {LEVEL}, got .* end at level {level}"):
         match(short, short, config=MatchConfig(method="paper"))
+
+
+def test_operators_of_another_config_are_refused(surface, tmp_path):
+    other = replace(surface.config, laplacian="alexa-wardetzky")
+    named = Surface.of(surface.hierarchy, surface.operators, surface.basis, other)
+    with pytest.raises(ParameterError, match="its operators are not those of its config"):
+        save_surface(tmp_path / "s.npz", named)
+    assert not (tmp_path / "s.npz").exists()
 
 
 def test_the_second_time_it_is_read(surface, tmp_path):

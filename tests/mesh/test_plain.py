@@ -113,6 +113,14 @@ def test_concave_polygons_are_split_inside() -> None:
     assert signed_volume(found) == pytest.approx(7.0)
 
 
+def test_a_polygon_that_crosses_itself_gets_no_more_area_than_its_fan() -> None:
+    crossing = np.array([(0, 0, 0), (4, 0, 0), (4, 3, 0), (1, -1, 0), (0, 3, 0)], dtype=float)
+    found = plain_mesh(ControlMesh.from_faces(crossing, [list(range(5))])).mesh
+    corners = crossing[[[0, 1, 2], [0, 2, 3], [0, 3, 4]]]
+    fan = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
+    assert face_areas(found).sum() <= 1.000001 * fan
+
+
 def test_polygons_with_collinear_corners_are_split_without_a_loss() -> None:
     """Fans gave each side of a halved edge a flat triangle, and both were left out as copies of each other."""
     box = cube()

@@ -54,7 +54,7 @@ def polygon_triangles(positions: FloatArray, offsets: IndexArray, indices: Index
     """Triangles (t, 3) of polygons and the polygon (t,) of each, as numbers of corners.
 
     As `fan_triangles`, but polygons whose fan has a flat or flipped triangle, as at collinear and concave corners, are
-    split otherwise.
+    split otherwise where that adds no area: self-intersecting ones may keep their fans.
     """
     corners, faces = fan_triangles(offsets, np.arange(len(indices)))
     sizes, places = np.diff(offsets), positions[indices]
@@ -68,9 +68,14 @@ def polygon_triangles(positions: FloatArray, offsets: IndexArray, indices: Index
         of_size = np.flatnonzero(chosen & (sizes == size))
         for polygons in np.array_split(of_size, len(of_size) * size**2 // _MAX_CLIPPED_PAIRS + 1):
             first = offsets[polygons]
-            clipped = _clip_ears(places[first[:, None] + np.arange(size)], normals[polygons])
+            clipped = _clip_ears(places[first[:, None] + np.arange(size)], normals[polygons]) + first[:, None, None]
             rows = np.searchsorted(faces, polygons)[:, None] + np.arange(size - 2)
-            corners[rows] = first[:, None, None] + clipped
+            areas = [
+                triangle_areas(places, one.reshape(-1, 3)).reshape(rows.shape).sum(1)
+                for one in (corners[rows], clipped)
+            ]
+            better = areas[1] <= (1 + _MIN_AREA_SHARE) * areas[0]
+            corners[rows[better]] = clipped[better]
     return corners, faces
 
 

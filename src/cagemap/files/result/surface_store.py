@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from cagemap import __version__
-from cagemap.errors import CagemapError, FormatError
+from cagemap.errors import CagemapError, FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.meshes.arrays import control_from_arrays, control_to_arrays, scheme_from_entry, scheme_to_entry
 from cagemap.files.npz import ArraySpec, check_arrays, read_npz, write_npz
@@ -76,7 +76,19 @@ def surface_key(control: ControlMesh, level: int, scheme: Scheme | None = None, 
 
 
 def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> None:
-    """Write a prepared surface to one file, completely or not at all."""
+    """Write a prepared surface to one file, completely or not at all.
+
+    Operators are not stored: ParameterError if they are not those of the surface's config.
+    """
+    expected = Surface(surface.refinement, surface.config).operators
+    kinds = zip((surface.operators.mass, surface.operators.stiffness), (expected.mass, expected.stiffness), strict=True)
+    if any(
+        len(given) != len(made) or any((a != b).nnz for a, b in zip(given, made, strict=True)) for given, made in kinds
+    ):
+        raise ParameterError(
+            f"{surface.control.name}: its operators are not those of its config, and a stored surface has none. "
+            "Give the config that they were made with, or store the matrices yourself."
+        )
     control, basis, refinement = surface.control, surface.basis, surface.refinement
     header = {
         "format": FORMAT,
