@@ -54,7 +54,8 @@ return [...ray.ray.origin.toArray(), ...ray.ray.direction.toArray()]"""
 
 # Widths that the half of both models takes in turn, a picture each, while something is waiting to be drawn.
 RESIZED = """
-const done = arguments[0], {views} = window.studio, box = views.canvas.parentElement, widths = ['', ...[1060, 900, 760, 700].map(w => `0 0 ${w}px`)];
+const done = arguments[0], {views} = window.studio, box = views.canvas.parentElement;
+const widths = ['', ...[1060, 900, 760, 700].map(w => `0 0 ${w}px`)];
 const next = () => {
     if (!widths.length) return requestAnimationFrame(() => requestAnimationFrame(done));
     box.style.flex = widths.pop();

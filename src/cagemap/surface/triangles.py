@@ -70,11 +70,11 @@ def polygon_triangles(positions: FloatArray, offsets: IndexArray, indices: Index
             first = offsets[polygons]
             clipped = _clip_ears(places[first[:, None] + np.arange(size)], normals[polygons]) + first[:, None, None]
             rows = np.searchsorted(faces, polygons)[:, None] + np.arange(size - 2)
-            areas = [
-                triangle_areas(places, one.reshape(-1, 3)).reshape(rows.shape).sum(1)
-                for one in (corners[rows], clipped)
-            ]
-            better = areas[1] <= (1 + _MIN_AREA_SHARE) * areas[0]
+            before, after = (
+                triangle_areas(places, split.reshape(-1, 3)).reshape(rows.shape).sum(axis=1)
+                for split in (corners[rows], clipped)
+            )
+            better = after <= (1 + _MIN_AREA_SHARE) * before
             corners[rows[better]] = clipped[better]
     return corners, faces
 

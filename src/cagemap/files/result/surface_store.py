@@ -81,10 +81,8 @@ def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> 
     Operators are not stored: ParameterError if they are not those of the surface's config.
     """
     expected = Surface(surface.refinement, surface.config).operators
-    kinds = zip((surface.operators.mass, surface.operators.stiffness), (expected.mass, expected.stiffness), strict=True)
-    if any(
-        len(given) != len(made) or any((a != b).nnz for a, b in zip(given, made, strict=True)) for given, made in kinds
-    ):
+    kinds = (surface.operators.mass, expected.mass), (surface.operators.stiffness, expected.stiffness)
+    if any(len(a) != len(b) or any((x != y).nnz for x, y in zip(a, b, strict=True)) for a, b in kinds):
         raise ParameterError(
             f"{surface.control.name}: its operators are not those of its config, and a stored surface has none. "
             "Give the config that they were made with, or store the matrices yourself."
