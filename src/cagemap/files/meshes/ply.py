@@ -41,6 +41,7 @@ _COLOR_NAMES = (_COLORS, ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _MOST_MATERIALS = 256
 # Read to find the names of images: more than any header has.
 _HEADER_BYTES = 1 << 20
+_TEXTURE = "texture "  # before the number of an image, in names of materials
 _VERTEX_UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 
@@ -96,8 +97,8 @@ def ply_image(path: Path) -> Path:
     return (named_image(path, names[0]) if names else None) or path
 
 
-def ply_document(path: Path) -> Document:
-    """A document without meshes, of a material for each image that a PLY file names, by its number."""
+def ply_document(path: Path, mesh: ControlMesh) -> Document:
+    """A document without meshes: a material for each image of a PLY file, and for each other number of its faces."""
     binary, top = Binary(), dict[str, Any]()
     textures, materials = AddedTextures(binary, top), []
     for number, name in enumerate(_image_names(read_bytes(path, "a PLY file", _HEADER_BYTES))):
@@ -108,6 +109,11 @@ def ply_document(path: Path) -> Document:
             _log.warning("%s: texture %d: '%s' %s: its faces have no image", path, number, name, problem)
         surface = {} if image is None else {"baseColorTexture": textures.texture(image, (REPEAT, REPEAT), None)}
         materials.append({"name": _material_name(number), "pbrMetallicRoughness": surface})
+    known = {material["name"] for material in materials}
+    for name in mesh.material_names:
+        if name not in known and name.startswith(_TEXTURE):
+            _log.warning("%s: %s: the file names %d image(s): its faces have no image", path, name, len(known))
+            materials.append({"name": name, "pbrMetallicRoughness": {}})
     top |= {"asset": {"version": "2.0"}, "materials": materials}
     return replace(binary.document(top), file=path)
 
@@ -124,7 +130,7 @@ def _image_names(content: bytes) -> list[str]:
 
 
 def _material_name(number: float) -> str:
-    return f"texture {number:g}"
+    return f"{_TEXTURE}{number:g}"
 
 
 def _with_materials(path: Path, mesh: ControlMesh, faces: dict[str, Column], *, several: bool) -> ControlMesh:
