@@ -13,6 +13,7 @@ from examples.shapes import cube
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.parts import extract_faces
 from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks import RefineRequest, run
 
@@ -84,3 +85,23 @@ def test_refine_names_colours_of_some_vertices(tmp_path: Path) -> None:
     write_mesh(tmp_path / "m.obj", replace(cube(), vertex_colors=np.vstack([np.full((7, 3), 0.2), [[np.nan] * 3]])))
     outcome = run(RefineRequest(tmp_path / "m.obj", 1, tmp_path / "fine.obj"))
     assert "note: m.obj: its vertex colours are left out" in outcome.summary
+
+
+def test_the_format_that_is_advised_keeps_all_values(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Of groups and a further UV set, .ply drops both and .glb the groups; .obj would drop the UV set."""
+    mesh = replace(_full(), face_objects=None, object_names=())
+    for suffix in (".ply", ".glb"):
+        caplog.clear()
+        write_mesh(tmp_path / f"m{suffix}", mesh)
+        assert "Write .usda to keep them." in caplog.text
+
+
+def test_names_that_no_face_has_are_not_missed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write_mesh(tmp_path / "m.obj", replace(_full(), uv_sets=(), material_colors=None))
+    mesh = read_mesh(tmp_path / "m.obj")
+    part = extract_faces(mesh.without_sharpness(), np.arange(3))
+    assert (len(part.object_names), len(part.group_names)) == (2, 2)
+    write_mesh(
+        tmp_path / "part.ply", replace(part, face_materials=np.zeros(3, int), material_names=("#ff0000", "skin"))
+    )
+    assert not caplog.text
