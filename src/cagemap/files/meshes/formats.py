@@ -10,6 +10,7 @@ import logging
 import os
 import re
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -34,8 +35,10 @@ from cagemap.files.usd.stages import USD_SUFFIXES, is_usd, other_files
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
+from cagemap.mesh.schemes import Plain
 from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.kinds import kinds_checked
+from cagemap.subdivision import default_scheme
 
 _log = logging.getLogger(__name__)
 
@@ -130,6 +133,9 @@ def _values_in(mesh: ControlMesh) -> dict[str, tuple[str, ...]]:
     objects, groups, materials = (_used_names(numbers, names) for _, numbers, names in mesh.partitions)
     own_names = any(name and not name.startswith("#") for name in materials)
     sharp = any(one is not None and len(one) for one in (mesh.crease_edges, mesh.corner_vertices, mesh.hole_faces))
+    # Readers of PLY and OFF state no scheme, that of glTF states none of subdivision.
+    plain, usual = isinstance(mesh.scheme, Plain), default_scheme(replace(mesh, scheme=None))
+    is_usual = mesh.scheme is None or replace(mesh.scheme, uv_interpolation=usual.uv_interpolation) == usual
     values = {
         "texture coordinates": (mesh.uvs is not None, (".obj", ".ply", ".glb", *usd)),
         "further UV sets": (bool(mesh.uv_sets), (".glb", *usd)),
@@ -139,6 +145,10 @@ def _values_in(mesh: ControlMesh) -> dict[str, tuple[str, ...]]:
         "objects": (len(objects) > 1, (".obj",)),
         "groups": (len(groups) > 1, (".obj", *usd)),
         "creases, sharp corners and holes": (sharp, (".obj", *usd)),
+        "subdivision scheme": (
+            not is_usual and not (plain and mesh.is_triangle_mesh),
+            (".obj", *((".glb",) if plain else ()), *usd),
+        ),
     }
     return {name: formats for name, (is_there, formats) in values.items() if is_there}
 
