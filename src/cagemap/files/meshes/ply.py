@@ -85,9 +85,9 @@ def ply_images(path: Path) -> list[Path]:
 
 
 def ply_image(path: Path) -> Path:
-    """The image of all faces of a PLY file; the file itself if faces have several or none.
+    """The image of all faces of a PLY file, else the file itself.
 
-    Without a ``texnumber`` of the faces it is the first image that exists.
+    Faces without a ``texnumber`` all have the first image that exists.
     """
     if path.suffix.lower() != ".ply":
         return path
@@ -101,7 +101,7 @@ def ply_image(path: Path) -> Path:
 
 
 def ply_document(path: Path, mesh: ControlMesh) -> Document:
-    """A document without meshes: a material for each image of a PLY file, and for each other number of its faces."""
+    """A document of materials: one for each image or other ``texnumber`` of a PLY file."""
     binary, top = Binary(), dict[str, Any]()
     textures, materials = AddedTextures(binary, top), []
     for number, name in enumerate(_image_names(_read_header(path))):
