@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import cube
+from examples.shapes import cube, icosahedron
 
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.parts import extract_faces
+from cagemap.mesh.schemes import Bilinear, CatmullClark, Loop, Plain, Scheme
 from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks import RefineRequest, run
 
@@ -24,16 +26,18 @@ VALUES = {
     "materials' names": lambda mesh: {name for name in mesh.material_names if not name.startswith("#")},
     "objects": lambda mesh: set(mesh.object_names) if len(mesh.object_names) > 1 else set(),
     "groups": lambda mesh: set(mesh.group_names) if len(mesh.group_names) > 1 else set(),
-    "creases, sharp corners and holes": lambda mesh: (
-        () if mesh.crease_edges is None else set(mesh.crease_sharpness.tolist())
-    ),
+    "creases, sharp corners and holes": lambda mesh: [
+        [] if values is None else np.sort(values).tolist()
+        for values in (mesh.crease_sharpness, mesh.corner_vertices, mesh.corner_sharpness, mesh.hole_faces)
+    ],
+    "subdivision scheme": lambda mesh: mesh.scheme,
 }
 FORMATS = [".obj", ".ply", ".off", ".glb", ".usda"]
 
 
 def _rows(values: FloatArray) -> set[tuple[float, ...]]:
-    """The different rows to two digits, as colours of bytes have."""
-    return {tuple(row) for row in np.round(values, 2).tolist()}
+    """The different rows to two digits, as colours of bytes have; -1 for NaN."""
+    return {tuple(row) for row in np.round(np.nan_to_num(values, nan=-1.0), 2).tolist()}
 
 
 def _full() -> ControlMesh:
@@ -56,22 +60,56 @@ def _full() -> ControlMesh:
         group_names=("upper", "lower"),
         crease_edges=mesh.face_indices[None, :2],
         crease_sharpness=np.array([2.5]),
+        corner_vertices=np.array([7]),
+        corner_sharpness=np.array([1.5]),
+        hole_faces=np.array([4]),
+        scheme=Bilinear(),
     )
 
 
-@pytest.mark.parametrize(("read", "written"), list(itertools.product(FORMATS, FORMATS)))
+def _some(**values: object) -> ControlMesh:
+    return replace(_full(), crease_edges=None, crease_sharpness=None, **values)
+
+
+MESHES = {
+    "all.obj": _full(),
+    "some colours.obj": _some(vertex_colors=np.vstack([np.full((7, 3), 0.2), [[np.nan] * 3]])),
+    "corners.obj": _some(hole_faces=None),
+    "holes.obj": _some(corner_vertices=None, corner_sharpness=None),
+    **{f"all{suffix}": _full() for suffix in FORMATS[1:]},
+}
+
+
+@pytest.mark.parametrize(("read", "written"), list(itertools.product(MESHES, FORMATS)))
 def test_values_of_a_mesh_are_kept_or_named(
     read: str, written: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    if ".usda" in (read, written):
+    if ".usda" in (Path(read).suffix, written):
         pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
-    write_mesh(tmp_path / f"in{read}", _full())
-    mesh = read_mesh(tmp_path / f"in{read}")
+    write_mesh(tmp_path / read, MESHES[read])
+    mesh = read_mesh(tmp_path / read)
     caplog.clear()
     write_mesh(tmp_path / f"out{written}", mesh)
     again = read_mesh(tmp_path / f"out{written}")
     lost = {name for name, value in VALUES.items() if value(mesh) and value(again) != value(mesh)}
     assert {name for name in VALUES if name in caplog.text} == lost
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize(
+    ("shape", "scheme"),
+    [
+        (cube(), None),
+        (cube(), CatmullClark("edge_and_corner", "corners_plus1")),
+        (icosahedron(), Loop()),
+        (icosahedron(), Plain()),
+    ],
+)
+def test_usual_schemes_are_not_missed(
+    shape: ControlMesh, scheme: Scheme | None, suffix: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    write_mesh(tmp_path / f"m{suffix}", replace(shape, scheme=scheme))
+    assert "scheme" not in caplog.text
 
 
 def test_refine_names_what_off_cannot_hold(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -84,3 +122,23 @@ def test_refine_names_colours_of_some_vertices(tmp_path: Path) -> None:
     write_mesh(tmp_path / "m.obj", replace(cube(), vertex_colors=np.vstack([np.full((7, 3), 0.2), [[np.nan] * 3]])))
     outcome = run(RefineRequest(tmp_path / "m.obj", 1, tmp_path / "fine.obj"))
     assert "note: m.obj: its vertex colours are left out" in outcome.summary
+
+
+def test_the_format_that_is_advised_keeps_all_values(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Of groups and a further UV set, .ply drops both and .glb the groups; .obj would drop the UV set."""
+    mesh = replace(_full(), face_objects=None, object_names=())
+    for suffix in (".ply", ".glb"):
+        caplog.clear()
+        write_mesh(tmp_path / f"m{suffix}", mesh)
+        assert "Write .usda to keep them." in caplog.text
+
+
+def test_names_that_no_face_has_are_not_missed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write_mesh(tmp_path / "m.obj", replace(_full(), uv_sets=(), material_colors=None, scheme=None))
+    mesh = read_mesh(tmp_path / "m.obj")
+    part = extract_faces(mesh.without_sharpness(), np.arange(3))
+    assert (len(part.object_names), len(part.group_names)) == (2, 2)
+    write_mesh(
+        tmp_path / "part.ply", replace(part, face_materials=np.zeros(3, int), material_names=("#ff0000", "skin"))
+    )
+    assert not caplog.text

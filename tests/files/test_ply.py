@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from test_obj import QUICK, polygon_meshes, read_damaged
 
 from cagemap.errors import FormatError
+from cagemap.files.gltf.primitives import material_names
 from cagemap.files.meshes import ply
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.meshes.ply import read_ply, write_ply
@@ -150,10 +151,12 @@ def test_faces_of_several_colours_have_a_material_for_each(tmp_path: Path, caplo
     some = read_bytes(tmp_path, HEADER + floats + BODY[:24] + "3 0 1 2 1 0 0\n3 0 2 3 nan 0 0\n")
     assert [some.material_names[number] for number in some.face_materials] == ["#ff0000", "no colour"]
     images = COLORED_FACES.replace("end_", "property int texnumber\nend_")
+    named = "ply\ncomment TextureFile a.png\ncomment TextureFile b.png" + (HEADER + images).removeprefix("ply")
     assert read_bytes(tmp_path, HEADER + images + BODY[:24] + "3 0 1 2 1 2 3 0\n3 0 2 3 1 2 3 0\n").material_names
     assert not caplog.text
     read_bytes(tmp_path, HEADER + images + BODY[:24] + "3 0 1 2 1 2 3 0\n3 0 2 3 1 2 3 1\n")
-    assert "colours of its faces are left out, since" in caplog.text
+    read_bytes(tmp_path, named + BODY[:24] + "3 0 1 2 1 2 3 1\n3 0 2 3 1 2 3 1\n")
+    assert caplog.text.count("colours of its faces are left out, since its faces have images") == 2
 
 
 def test_faces_without_a_colour_are_written_grey(tmp_path: Path) -> None:
@@ -270,14 +273,49 @@ def test_vertex_colours_come_back_as_bytes(tmp_path: Path, text: bool) -> None:
 
 def test_images_are_found_without_reading_the_body(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """``end_header`` in a comment does not end the header."""
+    scan = tmp_path / "scan.ply"
     (tmp_path / "a.png").write_bytes(b"image")
     head = b"ply\ncomment before end_header\ncomment TextureFile a.png\nend_header\n"
-    (tmp_path / "scan.ply").write_bytes(head + bytes(3 << 20))
+    scan.write_bytes(head + bytes(3 << 20))
     read = list[int]()
     whole = ply.read_bytes
     monkeypatch.setattr(ply, "read_bytes", lambda *given: (content := whole(*given), read.append(len(content)))[0])
-    assert ply.ply_images(tmp_path / "scan.ply") == [tmp_path / "a.png"]
+    assert ply.ply_images(scan) == [tmp_path / "a.png"]
+    assert ply.ply_image(scan) == tmp_path / "a.png"
+    assert material_names(ply.ply_document(scan, cube())) == ("texture 0",)
+    assert len(read) >= 3
     assert max(read) <= 1 << 20
+
+
+def test_images_after_long_comments_are_found(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(b"image")
+    comments = f"comment {'long' * 20_000}\n" * 20
+    (tmp_path / "scan.ply").write_text(f"ply\n{comments}comment TextureFile a.png\nend_header\n")
+    assert ply.ply_image(tmp_path / "scan.ply") == tmp_path / "a.png"
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "numbered"),
+    [
+        ("", "property int texnumber\n", True),
+        ("", "property int area\nproperty int texnumber  \nelement edge 0\n", True),
+        ("comment no texnumber\n", "comment property int texnumber\nproperty int texnumbers\n", False),
+        ("property int texnumber\n", "", False),
+        ("", "element edge 0\nproperty int texnumber\n", False),
+    ],
+)
+@pytest.mark.parametrize("line_end", ["\n", "\r\n"])
+def test_only_a_property_of_faces_numbers_their_images(
+    vertices: str, faces: str, numbered: bool, line_end: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Without it all faces have the first image that exists."""
+    (tmp_path / "light.png").write_bytes(b"image")
+    images = "comment TextureFile dark.png\ncomment TextureFile light.png\n"
+    header = HEADER + vertices + FACES.replace("end_", f"{faces}end_") + BODY
+    scan = tmp_path / "scan.ply"
+    scan.write_bytes(header.replace("ply\n", f"ply\n{images}").replace("\n", line_end).encode())
+    assert ply.ply_image(scan) == (scan if numbered else tmp_path / "light.png")
+    assert ("no texnumber of its faces: all have light.png" in caplog.text) is not numbered
 
 
 def test_colours_become_bytes_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

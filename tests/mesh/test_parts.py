@@ -25,6 +25,7 @@ from cagemap.mesh.parts import (
     list_parts,
 )
 from cagemap.subdivision import refine
+from cagemap.tasks import mesh_commands
 from cagemap.tasks.match import MatchRequest, matched_levels, read_inputs, run_match
 from cagemap.tasks.match_parts import asked_parts, chosen_parts, material_pieces, pair_parts
 from cagemap.tasks.mesh_commands import run_check
@@ -69,6 +70,14 @@ def test_parts_are_listed_with_their_sizes(tmp_path: Path) -> None:
     assert not sound
     assert "`find_part`" in text
     assert "object:eye_right     20 faces" in text
+
+
+def test_check_lists_the_parts_of_a_mesh_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_obj(tmp_path / "scene.obj", _scene())
+    listed = list[str]()
+    monkeypatch.setattr(mesh_commands, "list_parts", lambda mesh: (listed.append(mesh.name), list_parts(mesh))[1])
+    run_check(CheckRequest((tmp_path / "scene.obj",)), Stages())
+    assert listed == ["scene.obj"]
 
 
 def test_parts_are_found_by_name() -> None:

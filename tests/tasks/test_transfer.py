@@ -279,18 +279,18 @@ def test_the_image_that_a_ply_file_names_is_baked(tmp_path: Path) -> None:
         run_transfer(request, Stages())
 
 
-@pytest.mark.parametrize("numbered", [True, False])
+@pytest.mark.parametrize(("second", "shades"), [(1, [40, 200]), (5, [40, 231]), (-1, [40, 231]), (None, [40])], ids=str)
 def test_each_face_of_a_ply_file_of_several_images_has_its_own(
-    numbered: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    second: int | None, shades: list[int], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """``texnumber`` counts the images in the order of the header; without it all faces have the first."""
+    """``texnumber`` counts the images in the order of the header, others are grey; without it all have the first."""
     write_text_ply(tmp_path / "scan.ply", textured_cube("scan.ply"))
     head, end, body = (tmp_path / "scan.ply").read_text().partition("end_header\n")
     images = "".join(f"comment TextureFile {name}.png\n" for name in ("dark", "light"))
     lines = body.splitlines()
-    if numbered:
+    if second is not None:
         head += "property int texnumber\n"
-        lines[-6:] = [f"{line} {face // 3}" for face, line in enumerate(lines[-6:])]
+        lines[-6:] = [f"{line} {0 if face < 3 else second}" for face, line in enumerate(lines[-6:])]
     (tmp_path / "scan.ply").write_text(
         head.replace("element vertex", f"{images}element vertex") + end + "\n".join(lines)
     )
@@ -299,9 +299,10 @@ def test_each_face_of_a_ply_file_of_several_images_has_its_own(
     source = read_mesh(tmp_path / "scan.ply")
     write_result(tmp_path / "RESULT", identity_result(2, (textured_cube("box.obj"), source)))
     run_transfer(TransferRequest(tmp_path / "RESULT", tmp_path / "o.png", texture=tmp_path / "scan.ply"), Stages())
-    shades, counts = np.unique(read_image(tmp_path / "o.png").pixels, return_counts=True)
-    assert shades[counts > 0.2 * counts.sum()].tolist() == ([40, 200] if numbered else [40])
-    assert ("names 2 images and no texnumber of its faces: all have dark.png" in caplog.text) is not numbered
+    baked, counts = np.unique(read_image(tmp_path / "o.png").pixels, return_counts=True)
+    assert baked[counts > 0.2 * counts.sum()].tolist() == shades
+    assert ("names 2 images and no texnumber of its faces: all have dark.png" in caplog.text) is (second is None)
+    assert (f"texture {second}: the file names 2 image(s): its faces have no image" in caplog.text) is (231 in shades)
 
 
 def test_a_model_file_is_read_once_for_its_texture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,7 +34,7 @@ def material_document(path: Path, control: ControlMesh) -> Document | None:
     if path.suffix.lower() == ".obj":
         return obj_document(path)
     if path.suffix.lower() == ".ply":
-        return ply_document(path)
+        return ply_document(path, control)
     return usd_document(path) if is_usd(path) else read_document(path)
 
 

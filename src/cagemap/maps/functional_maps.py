@@ -77,7 +77,10 @@ def to_bases(
     source_functions: FloatArray,
     levels: LevelPair | None = None,
 ) -> FloatArray:
-    """(q1, q2) map on functions (n1, q1), (n2, q2) from C12 of a pair: the inverse of `from_bases`; same errors."""
+    """(q1, q2) map on functions (n1, q1), (n2, q2) from C12 of a pair.
+
+    The inverse of `from_bases`; same errors.
+    """
     matrix = real_numbers(functional_map, "functional map")
     given = [real_numbers(values, "functions") for values in (target_functions, source_functions)]
     target, source = _sides(pair, tuple(values.shape[-1] for values in given), (given[0], given[1]), levels)

@@ -115,7 +115,10 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
 def _image_file(
     path: Path, request: TransferRequest, result: MatchResult, document: Document | None
 ) -> tuple[Path, MaterialImage | None]:
-    """An image file as given; or the image of a glTF, FBX or USD file, written into RESULT, and how it is laid."""
+    """The image to bake, and how it is laid if it is a model file's.
+
+    An image file is used as given, that of all faces of a PLY file too; other images are written into RESULT.
+    """
     if path.suffix.lower() not in MESH_SUFFIXES:
         return path, None
     require_source_uvs(result)

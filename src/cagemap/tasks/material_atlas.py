@@ -1,4 +1,4 @@
-"""The colour images of all materials of a glTF, FBX, USD or OBJ file as one image, and the mesh's UVs on it."""
+"""The colour images of all materials of a mesh file as one image, and the mesh's UVs on it."""
 
 from __future__ import annotations
 

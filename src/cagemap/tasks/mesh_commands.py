@@ -54,15 +54,16 @@ def run_check(request: CheckRequest, stages: Stages) -> tuple[str, bool]:
             sound = False
             continue
         sound &= report.is_valid
+        parts = _parts(mesh)
         if not request.for_scripts:
-            listed = _part_lines(mesh, pieces=holds is None and not _of_one_piece(mesh))
+            listed = _part_lines(parts, pieces=holds is None and not _of_one_piece(mesh))
             texts.append("\n".join(filter(None, [str(report), "" if holds is None else str(holds)])) + listed)
-        parts = [{"name": part.title, "faces": len(part.faces)} for part in _parts(mesh)]
+        sizes = [{"name": part.title, "faces": len(part.faces)} for part in parts]
         held = {} if holds is None else {"contents": asdict(holds)}
-        values.append({"file": str(path), "usable": report.is_valid, **asdict(report), "parts": parts, **held})
-    described = json.dumps(values, indent=1, default=int)
-    stages.record({"files": json.loads(described)})
-    text = described if request.for_scripts else "\n\n".join(texts)
+        values.append({"file": str(path), "usable": report.is_valid, **asdict(report), "parts": sizes, **held})
+    plain = json.loads(json.dumps(values, default=int))
+    stages.record({"files": plain})
+    text = json.dumps(plain, indent=1) if request.for_scripts else "\n\n".join(texts)
     return text, sound
 
 
@@ -142,12 +143,11 @@ def _of_one_piece(mesh: ControlMesh) -> bool:
     return not structure_problems(mesh) and count_pieces(mesh, coincident_vertices(mesh)) == 1
 
 
-def _part_lines(mesh: ControlMesh, *, pieces: bool = True) -> str:
+def _part_lines(parts: tuple[Part, ...], *, pieces: bool) -> str:
     """Lines with objects, groups, materials and components and their sizes, if there are several.
 
     Without ``pieces``, components are left out, and of parts with equal faces one is listed.
     """
-    parts = _parts(mesh)
     if not pieces:
         different = {part.faces.tobytes(): part for part in reversed(parts) if part.kind != "component"}
         parts = tuple(reversed(different.values()))

@@ -33,6 +33,8 @@ pytestmark = pytest.mark.usefixtures("fbx_server")
         (b"", "empty file"),
         (b"no FBX at all" * 9, "cannot be read as FBX .* it is no FBX: it begins with b'no FBX at al'"),
         (fbx_arm().bytes()[:900], r"cannot be read as FBX .* it is binary FBX 7\.4, without its end"),
+        (fbx_arm().bytes()[:25], "it is binary FBX, cut before its version"),
+        (b"\xef\xbb\xbf; FBX 7.4.0 project file\nObjects: {{{\n", r"it is FBX 7\.4\.0 as text, without its end"),
         (fbx_arm().bytes().replace(b"\0", b" "), "it is binary FBX with changed bytes, as after a transfer as text"),
         (
             b"; FBX 6.1.0 project file\nObjects: {{{\n",

@@ -25,7 +25,7 @@ _NO_PATH = re.compile(rb'[\x00-\x1f"*:<>?|]')  # characters that no path has
 _LONGEST_PATH = 500
 # Beginning of binary files, before the version in thousandths; and their last bytes.
 _BINARY, _BINARY_END = b"Kaydara FBX Binary  \0\x1a\0", bytes.fromhex("f85a8c6adef5d97eece90ce3758f290b")
-_TEXT = re.compile(rb"\s*; FBX ([0-9.]+)")
+_TEXT = re.compile(rb"(?:\xef\xbb\xbf)?\s*; FBX ([0-9.]+)")  # after a byte-order mark, if there is one
 # Exit status of the child after it wrote an error message.
 REFUSED = 3
 
@@ -54,7 +54,9 @@ def fbx_as_glb(path: Path) -> bytes:
 
 
 def kind_of(content: bytes) -> str:
-    """What a file is by its beginning and end: the form and version of its FBX, and whether its end is there."""
+    """Form and version of a file's FBX, and whether its end is there."""
+    if content.startswith(_BINARY) and len(content) < len(_BINARY) + 4:
+        return "binary FBX, cut before its version"
     if content.startswith(_BINARY):
         version = int.from_bytes(content[len(_BINARY) : len(_BINARY) + 4], "little") / 1000
         return f"binary FBX {version:g}{'' if content.rstrip(bytes(1)).endswith(_BINARY_END) else ', without its end'}"

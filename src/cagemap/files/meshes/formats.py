@@ -10,6 +10,7 @@ import logging
 import os
 import re
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -34,7 +35,10 @@ from cagemap.files.usd.stages import USD_SUFFIXES, is_usd, other_files
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
+from cagemap.mesh.schemes import Plain
+from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.kinds import kinds_checked
+from cagemap.subdivision import default_scheme
 
 _log = logging.getLogger(__name__)
 
@@ -113,31 +117,45 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
 
 def _warn_of_left_out(path: Path, mesh: ControlMesh) -> None:
     """Name what a mesh has and a file of this format cannot hold, and a format that can."""
-    holders = {name: formats for name, formats in _values_in(mesh).items() if not path.name.lower().endswith(formats)}
-    if not holders:
+    holders = _values_in(mesh)
+    lost = [name for name, formats in holders.items() if not path.name.lower().endswith(formats)]
+    if not lost:
         return
     better = next((suffix for suffix in (".obj", ".usda") if all(suffix in one for one in holders.values())), None)
     remedy = "" if better is None else f" Write {better} to keep them."
-    _log.warning("%s: has no place for %s, left out.%s", path, ", ".join(holders), remedy)
+    _log.warning("%s: has no place for %s, left out.%s", path, ", ".join(lost), remedy)
 
 
 def _values_in(mesh: ControlMesh) -> dict[str, tuple[str, ...]]:
     """By name of every value that a mesh has besides positions and faces: the endings of files that can hold it."""
     usd = (".usd", ".usda", ".usdc")
     colored = np.zeros(0) if mesh.vertex_colors is None else np.isfinite(mesh.vertex_colors).all(axis=1)
-    own_names = any(name and not name.startswith("#") for name in mesh.material_names)
+    objects, groups, materials = (_used_names(numbers, names) for _, numbers, names in mesh.partitions)
+    own_names = any(name and not name.startswith("#") for name in materials)
     sharp = any(one is not None and len(one) for one in (mesh.crease_edges, mesh.corner_vertices, mesh.hole_faces))
+    # Readers of PLY and OFF state no scheme, that of glTF states none of subdivision.
+    plain, usual = isinstance(mesh.scheme, Plain), default_scheme(replace(mesh, scheme=None))
+    is_usual = mesh.scheme is None or replace(mesh.scheme, uv_interpolation=usual.uv_interpolation) == usual
     values = {
         "texture coordinates": (mesh.uvs is not None, (".obj", ".ply", ".glb", *usd)),
         "further UV sets": (bool(mesh.uv_sets), (".glb", *usd)),
         "vertex colours": (colored.any(), (".obj", ".ply", ".glb", *usd) if colored.all() else (".obj",)),
         "colours of materials": (mesh.face_colors is not None, (".obj", ".ply", ".glb", *usd)),
-        "materials' names": (mesh.face_materials is not None and own_names, (".obj", ".glb", *usd)),
-        "objects": (len(mesh.object_names) > 1, (".obj",)),
-        "groups": (len(mesh.group_names) > 1, (".obj", *usd)),
+        "materials' names": (own_names, (".obj", ".glb", *usd)),
+        "objects": (len(objects) > 1, (".obj",)),
+        "groups": (len(groups) > 1, (".obj", *usd)),
         "creases, sharp corners and holes": (sharp, (".obj", *usd)),
+        "subdivision scheme": (
+            not is_usual and not (plain and mesh.is_triangle_mesh),
+            (".obj", *((".glb",) if plain else ()), *usd),
+        ),
     }
     return {name: formats for name, (is_there, formats) in values.items() if is_there}
+
+
+def _used_names(numbers: IndexArray | None, names: tuple[str, ...]) -> set[str]:
+    """Names that faces have, of their numbers."""
+    return set() if numbers is None else {names[k] for k in np.unique(numbers).tolist() if 0 <= k < len(names)}
 
 
 def mesh_files(path: str | Path, mesh: ControlMesh, like: Path | None = None) -> list[Path]:

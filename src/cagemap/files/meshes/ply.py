@@ -39,8 +39,9 @@ _COLORS = ("red", "green", "blue")
 _COLOR_NAMES = (_COLORS, ("diffuse_red", "diffuse_green", "diffuse_blue"))
 # Faces of more colours than this are a picture rather than materials.
 _MOST_MATERIALS = 256
-# Read to find the names of images: more than any header has.
+# Read to find the names of images; more if the header does not end there.
 _HEADER_BYTES = 1 << 20
+_TEXTURE = "texture "  # before the number of an image, in names of materials
 _VERTEX_UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 
@@ -74,33 +75,36 @@ def read_ply(path: str | Path) -> ControlMesh:
     uvs, uv_indices = _uvs(file, vertices, faces.get("texcoord"), corners.lengths, indices)
     mesh = ControlMesh(positions, offsets, indices, uvs, uv_indices, name=file.name, vertex_colors=_colors(vertices))
     scalars = {name: column for name, column in faces.items() if np.all(column.lengths == 1)}
-    return _with_materials(file, mesh, scalars, several=len(_image_names(content)) > 1)
+    return _with_materials(file, mesh, scalars, several=len(_image_names(_header_of(content))) > 1)
 
 
 def ply_images(path: Path) -> list[Path]:
     """Existing images that the header of a PLY file names (``comment TextureFile``)."""
-    found = (named_image(path, name) for name in _image_names(read_bytes(path, "a PLY file", _HEADER_BYTES)))
+    found = (named_image(path, name) for name in _image_names(_read_header(path)))
     return [image for image in found if image is not None]
 
 
 def ply_image(path: Path) -> Path:
-    """The image of all faces of a PLY file, if it names one or does not say which faces have which; else the file."""
+    """The image of all faces of a PLY file, else the file itself.
+
+    Faces without a ``texnumber`` all have the first image that exists.
+    """
     if path.suffix.lower() != ".ply":
         return path
-    header = _header_of(read_bytes(path, "a PLY file", _HEADER_BYTES))
-    names = _image_names(header)
-    if len(names) > 1 and b"texnumber" in header:
+    header, images = _read_header(path), ply_images(path)
+    count = len(_image_names(header))
+    if not images or (count > 1 and _numbers_images(header)):
         return path
-    if len(names) > 1:
-        _log.warning("%s: names %d images and no texnumber of its faces: all have %s", path, len(names), names[0])
-    return (named_image(path, names[0]) if names else None) or path
+    if count > 1:
+        _log.warning("%s: names %d images and no texnumber of its faces: all have %s", path, count, images[0].name)
+    return images[0]
 
 
-def ply_document(path: Path) -> Document:
-    """A document without meshes, of a material for each image that a PLY file names, by its number."""
+def ply_document(path: Path, mesh: ControlMesh) -> Document:
+    """A document of materials: one for each image or other ``texnumber`` of a PLY file."""
     binary, top = Binary(), dict[str, Any]()
     textures, materials = AddedTextures(binary, top), []
-    for number, name in enumerate(_image_names(read_bytes(path, "a PLY file", _HEADER_BYTES))):
+    for number, name in enumerate(_image_names(_read_header(path))):
         file = named_image(path, name)
         image = None if file is None else textures.image(file.read_bytes(), file.suffix)
         if image is None:
@@ -108,8 +112,20 @@ def ply_document(path: Path) -> Document:
             _log.warning("%s: texture %d: '%s' %s: its faces have no image", path, number, name, problem)
         surface = {} if image is None else {"baseColorTexture": textures.texture(image, (REPEAT, REPEAT), None)}
         materials.append({"name": _material_name(number), "pbrMetallicRoughness": surface})
+    known = {material["name"] for material in materials}
+    for name in mesh.material_names:
+        if name not in known and name.startswith(_TEXTURE):
+            _log.warning("%s: %s: the file names %d image(s): its faces have no image", path, name, len(known))
+            materials.append({"name": name, "pbrMetallicRoughness": {}})
     top |= {"asset": {"version": "2.0"}, "materials": materials}
     return replace(binary.document(top), file=path)
+
+
+def _read_header(path: Path) -> bytes:
+    size = _HEADER_BYTES
+    while END_LINE.search(content := read_bytes(path, "a PLY file", size)) is None and len(content) == size:
+        size *= 4
+    return _header_of(content)
 
 
 def _header_of(content: bytes) -> bytes:
@@ -117,14 +133,21 @@ def _header_of(content: bytes) -> bytes:
     return content[: end.start() if end else None]
 
 
-def _image_names(content: bytes) -> list[str]:
-    """Names of images in a PLY file's content or header, in the order of ``texnumber``."""
-    found = re.findall(rb"(?m)^comment TextureFile ([^\r\n]+)", _header_of(content))
+def _numbers_images(header: bytes) -> bool:
+    """Whether faces have a ``texnumber``."""
+    elements = re.split(rb"[\r\n]+element\s+", header)
+    pattern = rb"face\s(?s:.*)[\r\n]property\s+\w+\s+texnumber(?!\S)"
+    return any(re.match(pattern, element) for element in elements)
+
+
+def _image_names(header: bytes) -> list[str]:
+    """Names of images in a PLY file's header, in the order of ``texnumber``."""
+    found = re.findall(rb"(?m)^comment TextureFile ([^\r\n]+)", header)
     return [name.decode("utf-8", "replace").strip() for name in found]
 
 
 def _material_name(number: float) -> str:
-    return f"texture {number:g}"
+    return f"{_TEXTURE}{number:g}"
 
 
 def _with_materials(path: Path, mesh: ControlMesh, faces: dict[str, Column], *, several: bool) -> ControlMesh:
@@ -133,7 +156,7 @@ def _with_materials(path: Path, mesh: ControlMesh, faces: dict[str, Column], *, 
     given = _colors(faces)
     if len(images) > 1 or (len(images) and several):
         if given is not None:
-            _log.warning("%s: the colours of its faces are left out, since its faces have several images", path)
+            _log.warning("%s: the colours of its faces are left out, since its faces have images", path)
         materials = np.searchsorted(images, faces["texnumber"].values)
         return replace(mesh, face_materials=materials, material_names=tuple(map(_material_name, images)))
     if given is None:
