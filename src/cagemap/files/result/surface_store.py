@@ -82,7 +82,7 @@ def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> 
     """
     expected = Surface(surface.refinement, surface.config).operators
     kinds = (surface.operators.mass, expected.mass), (surface.operators.stiffness, expected.stiffness)
-    if any(len(a) != len(b) or any((x != y).nnz for x, y in zip(a, b, strict=True)) for a, b in kinds):
+    if any(len(a) != len(b) or any((x - y).data.any() for x, y in zip(a, b, strict=True)) for a, b in kinds):
         raise ParameterError(
             f"{surface.control.name}: its operators are not those of its config, and a stored surface has none. "
             "Give the config that they were made with, or store the matrices yourself."
