@@ -153,10 +153,11 @@ def test_faces_of_several_colours_have_a_material_for_each(tmp_path: Path, caplo
     images = COLORED_FACES.replace("end_", "property int texnumber\nend_")
     named = "ply\ncomment TextureFile a.png\ncomment TextureFile b.png" + (HEADER + images).removeprefix("ply")
     assert read_bytes(tmp_path, HEADER + images + BODY[:24] + "3 0 1 2 1 2 3 0\n3 0 2 3 1 2 3 0\n").material_names
+    numbered = read_bytes(tmp_path, HEADER + images + BODY[:24] + "3 0 1 2 1 2 3 0\n3 0 2 3 1 2 3 1\n")
+    assert numbered.material_names == ("#010203",)  # numbers of no images
     assert not caplog.text
-    read_bytes(tmp_path, HEADER + images + BODY[:24] + "3 0 1 2 1 2 3 0\n3 0 2 3 1 2 3 1\n")
     read_bytes(tmp_path, named + BODY[:24] + "3 0 1 2 1 2 3 1\n3 0 2 3 1 2 3 1\n")
-    assert caplog.text.count("colours of its faces are left out, since its faces have images") == 2
+    assert caplog.text.count("colours of its faces are left out, since its faces have images") == 1
 
 
 def test_faces_without_a_colour_are_written_grey(tmp_path: Path) -> None:

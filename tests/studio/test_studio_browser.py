@@ -63,6 +63,16 @@ const next = () => {
     requestAnimationFrame(next);
 };
 next();"""
+# Which of two marks is gripped at a point of the target: one is there, but on the far side; the other one beside it.
+NEAREST = """
+const [x, y] = arguments, {views} = window.studio, side = views.sides.target, box = side.pane.getBoundingClientRect();
+const event = {clientX: box.left + (x + 1) / 2 * box.width, clientY: box.top + (1 - y) / 2 * box.height};
+const behind = views.ray(side, event).intersectObjects(Object.values(side.parts)).at(-1).point;
+const before = views.hit(side, views.ray(side, {...event, clientX: event.clientX + 3})).point, kept = side.marks;
+side.marks = [behind, before].map((point, number) => ({number: number + 1, at: [...point.toArray(), 0, 0, 0]}));
+const found = views.markAt(side, event);
+side.marks = kept;
+return [found?.number, behind.distanceTo(before)]"""
 # Draw all pictures anew.
 ANEW = """
 const {views} = window.studio;
@@ -174,6 +184,14 @@ def test_the_screen_shows_what_drawing_anew_shows(page: Page) -> None:
         for side, seen in kept.items():
             np.testing.assert_array_equal(page.look(side), seen, err_msg=f"{name}: {side}")
     page.run("window.studio.views.set(arguments[0]); window.studio.views.frame()", before)
+
+
+def test_a_hidden_landmark_does_not_cover_a_visible_one(page: Page) -> None:
+    page.keys("f")
+    page.drawn()
+    gripped, thickness = page.run(NEAREST, *page.clear_point("target", FLANK))
+    assert thickness > 0.1
+    assert gripped == 2
 
 
 def test_what_is_chosen_in_the_dialog_stays_until_it_is_closed(page: Page, files: Files) -> None:

@@ -58,7 +58,7 @@ def read_ply(path: str | Path) -> ControlMesh:
     content = read_bytes(file, "a PLY file")
     columns = read_columns(file, content)
     faces = columns.get("face", {})
-    # Positions and colours are scalars; lists with these names are ignored.
+    # Positions and colours are scalars; lists of several values with these names are ignored.
     vertices = {name: column for name, column in columns.get("vertex", {}).items() if np.all(column.lengths == 1)}
     positions = _table(file, vertices, ("x", "y", "z"), "positions")
     if positions is None or len(positions) == 0:
@@ -93,7 +93,7 @@ def ply_image(path: Path) -> Path:
         return path
     header, images = _read_header(path), ply_images(path)
     count = len(_image_names(header))
-    if not images or (count > 1 and _numbers_images(header)):
+    if not images or (count > 1 and _has_texnumber(header)):
         return path
     if count > 1:
         _log.warning("%s: names %d images and no texnumber of its faces: all have %s", path, count, images[0].name)
@@ -101,7 +101,7 @@ def ply_image(path: Path) -> Path:
 
 
 def ply_document(path: Path, mesh: ControlMesh) -> Document:
-    """A document of materials: one for each image or other ``texnumber`` of a PLY file."""
+    """A document of materials: one for each image that a PLY file names, and for each ``texnumber`` without one."""
     binary, top = Binary(), dict[str, Any]()
     textures, materials = AddedTextures(binary, top), []
     for number, name in enumerate(_image_names(_read_header(path))):
@@ -133,7 +133,7 @@ def _header_of(content: bytes) -> bytes:
     return content[: end.start() if end else None]
 
 
-def _numbers_images(header: bytes) -> bool:
+def _has_texnumber(header: bytes) -> bool:
     """Whether faces have a ``texnumber``."""
     elements = re.split(rb"[\r\n]+element\s+", header)
     pattern = rb"face\s(?s:.*)[\r\n]property\s+\w+\s+texnumber(?!\S)"
@@ -152,13 +152,13 @@ def _material_name(number: float) -> str:
 
 def _with_materials(path: Path, mesh: ControlMesh, faces: dict[str, Column], *, several: bool) -> ControlMesh:
     """The mesh with a material for each image of its faces, if the file has several, or for each colour."""
-    images = np.unique(faces["texnumber"].values) if "texnumber" in faces else np.zeros(0)
+    numbers = np.unique(faces["texnumber"].values) if "texnumber" in faces else np.zeros(0)
     given = _colors(faces)
-    if len(images) > 1 or (len(images) and several):
+    if (len(numbers) and several) or (len(numbers) > 1 and given is None):
         if given is not None:
             _log.warning("%s: the colours of its faces are left out, since its faces have images", path)
-        materials = np.searchsorted(images, faces["texnumber"].values)
-        return replace(mesh, face_materials=materials, material_names=tuple(map(_material_name, images)))
+        materials = np.searchsorted(numbers, faces["texnumber"].values)
+        return replace(mesh, face_materials=materials, material_names=tuple(map(_material_name, numbers)))
     if given is None:
         return mesh
     red, green, blue = _as_bytes(np.nan_to_num(given)).astype(np.int64).T

@@ -89,12 +89,12 @@ export class Views {
     return new THREE.Mesh(geometry, material);
   }
 
-  // Fetch what a side draws under some name, unless it is what is there already; an answer that a newer one overtook is left.
+  // Fetch one kind of a side's drawings, unless it is what is there already; an answer that a newer one overtook is left.
   async load(name, kind, key) {
     const side = this.sides[name];
     if (side.loaded[kind] === key) return;
     side.loaded[kind] = key;
-    const answer = await fetch(`drawn/${key}`);
+    const answer = await fetch(`drawn/${key}`).catch(() => ({ok: false}));  // the studio has ended
     if (!answer.ok || side.loaded[kind] !== key) {
       if (side.loaded[kind] === key) side.loaded[kind] = null;
       return;
@@ -245,7 +245,7 @@ export class Views {
 
   key(side, event) {
     const step = {ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]}[event.key];
-    if (!step) return;
+    if (!step || event.altKey || event.ctrlKey || event.metaKey) return;
     event.preventDefault();
     const away = side.camera.position.clone().sub(side.controls.target), flat = Math.hypot(away.x, away.z);
     const azimuth = Math.atan2(away.x, away.z) - step[0] * 0.17, length = away.length();
@@ -364,26 +364,30 @@ export class Views {
   markAt(side, event) {
     const morph = this.morph(side);
     const box = side.pane.getBoundingClientRect(), v = new THREE.Vector3(), end = new THREE.Vector3();
-    let best = null, least = GRIP;
+    const near = [];
     for (const mark of side.marks) {
       if (!mark.number) continue;
       const [x, y, z] = mark.at, [px, py, pz] = mark.place ?? mark.at;
       const at = v.set(x, y, z).lerp(end.set(px, py, pz), morph).clone();
       v.project(side.camera);
       const away = Math.hypot((v.x + 1) / 2 * box.width + box.left - event.clientX, (1 - v.y) / 2 * box.height + box.top - event.clientY);
-      if (away < least) [best, least] = [{mark, at}, away];
+      if (away < GRIP) near.push({mark, at, away});
     }
-    if (!best || morph) return best?.mark ?? null;
-    const ray = new THREE.Raycaster(side.camera.position.clone(), best.at.clone().sub(side.camera.position).normalize());
-    ray.far = best.at.distanceTo(side.camera.position) - 0.06;
-    return this.hit(side, ray) ? null : best.mark;
+    return near.sort((a, b) => a.away - b.away).find(({at}) => morph || !this.hides(side, at))?.mark ?? null;
+  }
+
+  // Whether a side's model is in front of a point.
+  hides(side, at) {
+    const ray = new THREE.Raycaster(side.camera.position.clone(), at.clone().sub(side.camera.position).normalize());
+    ray.far = at.distanceTo(side.camera.position) - 0.06;
+    return !!this.hit(side, ray);
   }
 
   pressed(side, event) {
     if (event.button !== 0) return;
     side.start = [event.clientX, event.clientY];
     const mark = this.markAt(side, event);
-    if (!mark || !mark.solid || this.shown.morph) return;
+    if (!mark || !mark.solid || this.morph(side)) return;
     side.dragged = mark;
     side.controls.enabled = false;
     side.pane.setPointerCapture(event.pointerId);
@@ -392,6 +396,7 @@ export class Views {
   moved(side, event) {
     if (side.dragged && !event.buttons) this.cancelled(side);  // it was released where the page does not see it
     if (side.dragged) {
+      this.tip.hidden = true;
       const hit = this.hit(side, this.ray(side, event));
       if (hit) this.place(side, side.dragged, hit.point.toArray());
       return;
@@ -429,7 +434,10 @@ export class Views {
     const {origin, direction} = this.ray(side, event).ray;
     const ray = {side: side.name, origin: origin.toArray(), direction: direction.toArray()};
     if (mark) {
-      if (!drag) this.told.select(mark.number);
+      if (!drag) {
+        this.place(side, mark, mark.at);  // a press that shook a little
+        this.told.select(mark.number);
+      }
       else if (this.hit(side, this.ray(side, event))) this.told.move({...ray, number: mark.number});
       else this.place(side, mark, mark.at);
       return;
