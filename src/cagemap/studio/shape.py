@@ -111,6 +111,14 @@ class Shape:
         return triangle_frames(self.positions, self.triangles)
 
     @kept
+    def uv_jacobians(self) -> FloatArray:
+        """(t, 2, 3) derivatives of the texture coordinates by position on each triangle."""
+        assert self.uvs is not None
+        assert self.uv_triangles is not None
+        uvs = self.uvs[self.uv_triangles]
+        return np.asarray(np.einsum("tki,tkj->tij", uvs[:, 1:] - uvs[:, :1], self.frames[:, 1:]))
+
+    @kept
     def centre(self) -> FloatArray:
         """Middle of the bounding box."""
         return np.asarray(0.5 * (self.positions.min(0) + self.positions.max(0)))

@@ -224,15 +224,14 @@ def seam_triangles(target: Shape, source: Shape, preview_map: PreviewMap, uvs: F
     Texture coordinates are affine on a source triangle: extrapolated from one corner they are close to the next
     corner's, unless a seam lies between.
     """
-    assert source.uvs is not None
-    assert source.uv_triangles is not None
     images = preview_map.pull_back(source.triangles, source.positions)
     corners = target.triangles
     at_seam = np.zeros(len(corners), dtype=bool)
-    jacobians = _uv_jacobians(source)
     for k in range(3):
         start, end = corners[:, k], corners[:, (k + 1) % 3]
-        predicted = np.einsum("tij,tj->ti", jacobians[preview_map.triangle[start]], images[end] - images[start])
+        predicted = np.einsum(
+            "tij,tj->ti", source.uv_jacobians[preview_map.triangle[start]], images[end] - images[start]
+        )
         error = np.linalg.norm(uvs[end] - uvs[start] - predicted, axis=1)
         at_seam |= error > _SEAM_TOLERANCE * np.linalg.norm(predicted, axis=1) + 0.01
     return at_seam
@@ -246,11 +245,3 @@ def texture_colors(look: Look, uvs: FloatArray) -> NDArray[np.uint8]:
     column = np.floor(u % 1.0 * width).astype(np.int64).clip(0, width - 1)
     row = np.floor((1.0 - v) % 1.0 * height).astype(np.int64).clip(0, height - 1)
     return np.asarray(look.texture[row, column, :3])
-
-
-def _uv_jacobians(source: Shape) -> FloatArray:
-    """(t, 2, 3) derivatives of the texture coordinates by position on each triangle."""
-    assert source.uvs is not None
-    assert source.uv_triangles is not None
-    uvs = source.uvs[source.uv_triangles]
-    return np.asarray(np.einsum("tki,tkj->tij", uvs[:, 1:] - uvs[:, :1], source.frames[:, 1:]))

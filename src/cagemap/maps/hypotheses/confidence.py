@@ -243,14 +243,15 @@ def jump_lengths(prepared: PreparedPair, found: PointMap, shared: Masks | None =
     """
     target, source = prepared.graphs
     images = found.images.at(prepared.vertices)
-    places, normals = images.positions, images.normals
-    tree = cKDTree(np.hstack([source.positions, NORMAL_WEIGHT * source.normals]))
-    at = tree.query(np.hstack([places, NORMAL_WEIGHT * normals]))[1]
-    pairs = image_pairs(places, normals)
+    pairs = image_pairs(images.positions, images.normals)
     masks = prepared.masks.within(shared)
     pairs = pairs[(masks.of_target(found.target.n)[prepared.vertices] > 0)[pairs].all(axis=1)]
-    on_source = distances_apart(source.station_distances[:, at], pairs)
-    beyond = distances_apart(target.station_distances, pairs) - 2 * on_source
+    on_target = distances_apart(target.station_distances, pairs)
+    pairs, on_target = pairs[on_target > JUMP], on_target[on_target > JUMP]  # few are left, of most maps none
+    ends, rows = np.unique(pairs, return_inverse=True)
+    tree = cKDTree(np.hstack([source.positions, NORMAL_WEIGHT * source.normals]))
+    at = tree.query(np.hstack([images.positions, NORMAL_WEIGHT * images.normals])[ends])[1]
+    beyond = on_target - 2 * distances_apart(source.station_distances[:, at], rows.reshape(-1, 2))
     farthest = np.zeros(target.n)
     np.maximum.at(farthest, pairs, np.where(beyond > JUMP, beyond, 0.0)[:, None])
     return farthest
