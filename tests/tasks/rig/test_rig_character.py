@@ -25,6 +25,8 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import face_areas, face_centres
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, join_meshes
+from cagemap.mesh.plain import plain_mesh
+from cagemap.tasks.carry_character import _set_aside
 from cagemap.tasks.requests.rig import RigRequest
 from cagemap.tasks.rig_character import _kinds, _landmarks, _split_body, body_in, read_body
 
@@ -220,6 +222,22 @@ def test_a_loose_piece_of_the_body_is_said_to_be_carried_along(run: Run, files: 
     )
     assert "--part" not in outcome.err
     assert ", 1 animation\n" in outcome.out
+
+
+def test_a_loose_piece_keeps_what_its_vertices_and_corners_have(body: ControlMesh) -> None:
+    button = ball("button", body.positions[np.argmax(body.positions[:, 2])] + [0, 0, 0.3], 0.1)
+    mesh = join_meshes([replace(one, face_objects=None, object_names=()) for one in (body, button)])
+    of_corners = np.random.default_rng(0).random((len(mesh.face_indices), 4))
+    of_vertices = np.random.default_rng(1).random((mesh.n_vertices, 3))
+    rows, corners = slice(body.n_vertices, None), slice(len(body.face_indices), None)
+    given = Part("body", mesh, None, {"open": of_vertices}, of_corners[:, :3], {"open": of_corners[:, 1:]}, of_corners)
+    piece = _set_aside(given, plain_mesh(mesh))
+    assert piece is not None
+    np.testing.assert_array_equal(piece.mesh.positions, mesh.positions[rows])
+    np.testing.assert_array_equal(piece.shapes["open"], of_vertices[rows])
+    np.testing.assert_array_equal(piece.normals, of_corners[corners, :3])
+    np.testing.assert_array_equal(piece.shape_normals["open"], of_corners[corners, 1:])
+    np.testing.assert_array_equal(piece.colors, of_corners[corners])
 
 
 @pytest.mark.slow
