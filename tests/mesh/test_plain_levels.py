@@ -26,7 +26,6 @@ from cagemap.numerics.threads import in_threads
 from cagemap.operators import build_operators
 from cagemap.operators.coarse_levels import (
     build_coarse_levels,
-    build_levels,
     flip_to_delaunay,
     prolongation,
     simplify_mesh,
@@ -52,7 +51,7 @@ def scan() -> Surface:
 @pytest.fixture(scope="module")
 def levels() -> Refinement:
     """The same with its coarse levels, as they are made."""
-    return build_levels(animal(3), 0)
+    return build_coarse_levels(refine(animal(3), 0))
 
 
 def test_levels_below_a_plain_mesh_are_nested(levels: Refinement) -> None:

@@ -24,7 +24,7 @@ from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import FileVertex
 from cagemap.mesh.schemes import Plain
-from cagemap.operators.coarse_levels import build_levels
+from cagemap.operators.coarse_levels import build_coarse_levels
 from cagemap.pictures import Z_UP
 from cagemap.report import (
     CarriedData,
@@ -145,7 +145,7 @@ def identity_plain(level: int) -> MatchResult:
     """A dense mesh onto itself, taken as it is."""
     dense = refine(icosahedron(), level).finest
     mesh = ControlMesh.from_faces(dense.positions, dense.faces, name="scan.obj")
-    surfaces = [Surface(build_levels(mesh, 0, Plain()), BasisConfig(count=5)) for _ in range(2)]
+    surfaces = [Surface(build_coarse_levels(refine(mesh, 0, Plain())), BasisConfig(count=5)) for _ in range(2)]
     base = identity_result(level)
     places = [surface.finest_triangles for surface in surfaces]
     point_map = PointMap.from_vertices(*places, np.arange(places[0].n))

@@ -52,7 +52,7 @@ class Clusters:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PreparedPair:
-    """Two surfaces with everything of a match that does not depend on landmarks."""
+    """Two surfaces and all data of their match that can be computed without landmarks."""
 
     target: Surface
     source: Surface
@@ -138,7 +138,7 @@ class PreparedPair:
 
     @property
     def control_vertices(self) -> IndexArray:
-        """(n_0,) those of the control mesh, the first of `vertices`; all of them if the target is plain."""
+        """(n_0,) numbers of the control vertices, the first of `vertices`; all of `vertices` if the target is plain."""
         return self.vertices[: self.target.control.n_vertices]
 
     @kept

@@ -77,7 +77,7 @@ class MeshProblem:
 def problem_at(
     kind: str, found: str, elements: IndexArray, remedy: str, *, of_vertices: bool = False
 ) -> MeshProblem | None:
-    """A problem of faces or vertices (k,) or of edges (k, 2); None if k is 0."""
+    """A problem at faces or vertices (k,), or at edges (k, 2) of two vertices each; None without any."""
     listed = [tuple(row) for row in elements.tolist()] if elements.ndim == 2 else elements.tolist()
     return MeshProblem(kind, found, remedy, tuple(listed), of_vertices=of_vertices) if len(elements) else None
 

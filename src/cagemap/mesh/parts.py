@@ -19,7 +19,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, members_of, offsets_
 
 PART_KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
-# Of the faces of the piece with most: with fewer, a piece is a ground or a plate rather than the model.
+# Share of the largest number of faces of a piece. A piece with fewer is a ground or a plate rather than the model.
 MIN_SHARE_OF_FACES = 0.5
 
 
@@ -74,7 +74,7 @@ def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
 
 
 def largest_part(mesh: ControlMesh) -> Part:
-    """The connected piece of largest area, of those with about as many faces as any (`MIN_SHARE_OF_FACES`)."""
+    """The connected piece of largest area among those that have enough faces (`MIN_SHARE_OF_FACES`)."""
     pieces, areas = connected_parts(mesh), face_areas(mesh)
     least = MIN_SHARE_OF_FACES * max(len(piece.faces) for piece in pieces)
     return max((piece for piece in pieces if len(piece.faces) >= least), key=lambda one: areas[one.faces].sum())

@@ -71,8 +71,8 @@ class Repairs(Brief):
 class RepairedMesh:
     """A mesh made from another one."""
 
-    #: if vertices or faces were joined or removed, ``file_vertices``, ``file_faces`` and ``file_copies`` are the
-    #: numbers of the remaining ones. The others keep their order, and corners keep their UVs.
+    #: the repaired mesh. If vertices or faces were joined or removed, its ``file_vertices``, ``file_faces`` and
+    #: ``file_copies`` have the numbers of the given mesh. The order stays, and corners keep their UVs.
     mesh: ControlMesh
     #: (n_given,) vertex of ``mesh`` for every vertex of the mesh given, -1 for removed ones
     vertex_of: IndexArray = field(repr=False)

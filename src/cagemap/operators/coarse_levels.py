@@ -16,12 +16,10 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh import ControlMesh
-from cagemap.mesh.schemes import Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.operators.laplacian import stiffness
-from cagemap.subdivision import Level, Refinement, level_triangles, refine
+from cagemap.subdivision import Level, Refinement, level_triangles
 from cagemap.surface.closest_points import closest_among
 from cagemap.surface.triangles import normalize_rows, triangle_neighbors, triangle_normals
 
@@ -55,12 +53,6 @@ class Simplified(NamedTuple):
     kept: IndexArray
     cluster: IndexArray
     triangles: IndexArray
-
-
-def build_levels(control: ControlMesh, level: int, scheme: Scheme | None = None) -> Refinement:
-    """Levels by ``level`` steps of subdivision, or coarse levels of a plain mesh (``level`` 0)."""
-    refinement = refine(control, level, scheme)
-    return build_coarse_levels(refinement) if refinement.is_plain else refinement
 
 
 def build_coarse_levels(plain: Refinement) -> Refinement:

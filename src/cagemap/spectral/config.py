@@ -24,8 +24,8 @@ class BasisConfig:
     schedule: tuple[int, ...] | None = None
     accuracy: float = 1e-5  #: convergence of the eigensolver, relative to the eigenvalues of the inverted problem
     #: only with a schedule. True: a band is the k_l eigenvectors above the largest eigenvalue so far (Definition 2); it
-    #: starts a few indices too high, as eigenvalues of finer levels are lower. False: bands continue by index, without
-    #: directions that the refined bands already span.
+    #: starts a few indices too high, as eigenvalues of finer levels are lower. False: a band continues at the index
+    #: after the last band, without the directions that the refined coarser bands span already.
     literal: bool = False
     #: build operators at the coarsest level with at least so many vertices, as if it were the finest. Default: at the
     #: finest level, as in the paper.

@@ -39,7 +39,7 @@ class PartChoices:
     Attributes
     ----------
     titles : tuple of str
-        As `cagemap match --part` takes them, those of most faces first; empty for a file of one part.
+        Names for `cagemap match --part`, sorted by number of faces, largest first; empty for a file of one part.
     faces : tuple of int
         Number of faces of each.
     opened : str or None
@@ -148,7 +148,7 @@ def other_parts_surface(mesh: ControlMesh, faces: IndexArray, level: int) -> Oth
 
 
 def _listed_parts(mesh: ControlMesh, n_pieces: int) -> tuple[Part, ...]:
-    """Connected parts of a mesh, those of most faces first, without the whole mesh and repetitions."""
+    """Connected parts of a mesh, sorted by number of faces, largest first; no part twice, and not the whole mesh."""
     all_parts = list_parts(mesh, pieces=1 < n_pieces < _MIN_SCAN_PIECES)
     parts: list[Part] = []
     for kind in PART_KINDS:

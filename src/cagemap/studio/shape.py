@@ -107,7 +107,7 @@ class Shape:
 
     @kept
     def frames(self) -> FloatArray:
-        """First corner and gradients of the barycentric coordinates of each triangle: see `triangle_frames`."""
+        """(t, 3, 3) first corner of each triangle and gradients of its barycentric coordinates (`triangle_frames`)."""
         return triangle_frames(self.positions, self.triangles)
 
     @kept

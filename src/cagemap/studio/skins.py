@@ -229,9 +229,8 @@ def seam_triangles(target: Shape, source: Shape, preview_map: PreviewMap, uvs: F
     at_seam = np.zeros(len(corners), dtype=bool)
     for k in range(3):
         start, end = corners[:, k], corners[:, (k + 1) % 3]
-        predicted = np.einsum(
-            "tij,tj->ti", source.uv_jacobians[preview_map.triangle[start]], images[end] - images[start]
-        )
+        jacobians = source.uv_jacobians[preview_map.triangle[start]]
+        predicted = np.einsum("tij,tj->ti", jacobians, images[end] - images[start])
         error = np.linalg.norm(uvs[end] - uvs[start] - predicted, axis=1)
         at_seam |= error > _SEAM_TOLERANCE * np.linalg.norm(predicted, axis=1) + 0.01
     return at_seam

@@ -85,12 +85,12 @@ class Refinement:
 
     control: ControlMesh
     scheme: Scheme
-    #: ``matrices[l]`` is S^l (n_{l+1}, n_l). Rows sum to 1 and have the order vertices, edges, faces (Loop: vertices,
-    #: edges), so that vertex i of a level is vertex i of every finer one. Above a plain mesh see ``coarse_vertices``.
+    #: ``matrices[l]`` is S^l (n_{l+1}, n_l), whose rows sum to 1: first the points of vertices, then of edges, then of
+    #: faces (not with Loop). Vertex i of a level is vertex i of every finer one. Plain mesh: see ``coarse_vertices``.
     matrices: tuple[csr_array, ...]
     levels: tuple[Level, ...]  #: ``levels[0]`` is the control mesh, ``levels[-1]`` the finest
-    #: (n_{L-1},) for a plain mesh with coarse levels (`cagemap.operators.coarse_levels`): the finest vertex of every
-    #: vertex of the level below. None in a subdivision, where vertices keep their numbers.
+    #: (n_{L-1},) for a plain mesh with coarse levels (`cagemap.operators.coarse_levels`): the number in the finest
+    #: level of every vertex of the next coarser level. None in a subdivision, where vertices keep numbers.
     coarse_vertices: IndexArray | None = None
 
     @property
@@ -211,8 +211,11 @@ class Refinement:
 
 def default_scheme(control: ControlMesh) -> Scheme:
     """Scheme of the mesh's file; without one, Loop for triangle meshes and Catmull-Clark for others."""
-    if control.scheme is not None:
-        return control.scheme
+    return usual_scheme(control) if control.scheme is None else control.scheme
+
+
+def usual_scheme(control: ControlMesh) -> Scheme:
+    """Loop for triangle meshes and Catmull-Clark for others."""
     return Loop() if control.is_triangle_mesh else CatmullClark()
 
 

@@ -350,7 +350,7 @@ def to_dtype(values: FloatArray, dtype: np.dtype[Any]) -> Pixels:
 
 
 def output_dtype(dtype: Any, given: np.dtype[Any] | None = None) -> np.dtype[Any]:
-    """Dtype of baked pixels; None: that of the pixels given."""
+    """Dtype that was asked for; if None, the dtype of the pixels that are given."""
     return np.dtype(given if dtype is None else dtype)
 
 

@@ -54,7 +54,7 @@ def fbx_as_glb(path: Path) -> bytes:
 
 
 def kind_of(content: bytes) -> str:
-    """Form and version of a file's FBX, and whether its end is there."""
+    """Whether a file is binary or text FBX, its version, and whether its end is missing."""
     if content.startswith(_BINARY) and len(content) < len(_BINARY) + 4:
         return "binary FBX, cut before its version"
     if content.startswith(_BINARY):

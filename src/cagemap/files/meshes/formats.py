@@ -38,7 +38,7 @@ from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.subdivision import default_scheme
+from cagemap.subdivision.refinement import usual_scheme
 
 _log = logging.getLogger(__name__)
 
@@ -116,7 +116,7 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
 
 
 def _warn_of_left_out(path: Path, mesh: ControlMesh) -> None:
-    """Name what a mesh has and a file of this format cannot hold, and a format that can."""
+    """Warn of values of a mesh that a file of this format cannot store, and name a format that stores all."""
     holders = _values_in(mesh)
     lost = [name for name, formats in holders.items() if not path.name.lower().endswith(formats)]
     if not lost:
@@ -127,14 +127,14 @@ def _warn_of_left_out(path: Path, mesh: ControlMesh) -> None:
 
 
 def _values_in(mesh: ControlMesh) -> dict[str, tuple[str, ...]]:
-    """By name of every value that a mesh has besides positions and faces: the endings of files that can hold it."""
+    """Endings of the file formats that can store each value of a mesh, by its name; without positions and faces."""
     usd = (".usd", ".usda", ".usdc")
     colored = np.zeros(0) if mesh.vertex_colors is None else np.isfinite(mesh.vertex_colors).all(axis=1)
     objects, groups, materials = (_used_names(numbers, names) for _, numbers, names in mesh.partitions)
     own_names = any(name and not name.startswith("#") for name in materials)
     sharp = any(one is not None and len(one) for one in (mesh.crease_edges, mesh.corner_vertices, mesh.hole_faces))
-    # Readers of PLY and OFF state no scheme, that of glTF states none of subdivision.
-    plain, usual = isinstance(mesh.scheme, Plain), default_scheme(replace(mesh, scheme=None))
+    # A mesh read from PLY or OFF has no scheme; one read from glTF has the scheme Plain.
+    plain, usual = isinstance(mesh.scheme, Plain), usual_scheme(mesh)
     is_usual = mesh.scheme is None or replace(mesh.scheme, uv_interpolation=usual.uv_interpolation) == usual
     values = {
         "texture coordinates": (mesh.uvs is not None, (".obj", ".ply", ".glb", *usd)),
@@ -154,7 +154,7 @@ def _values_in(mesh: ControlMesh) -> dict[str, tuple[str, ...]]:
 
 
 def _used_names(numbers: IndexArray | None, names: tuple[str, ...]) -> set[str]:
-    """Names that faces have, of their numbers."""
+    """Names of the objects, groups or materials that have at least one face."""
     return set() if numbers is None else {names[k] for k in np.unique(numbers).tolist() if 0 <= k < len(names)}
 
 

@@ -85,7 +85,7 @@ def ply_images(path: Path) -> list[Path]:
 
 
 def ply_image(path: Path) -> Path:
-    """The image of all faces of a PLY file, else the file itself.
+    """The image that all faces of a PLY file have; the path of the file itself if there is no such image.
 
     Faces without a ``texnumber`` all have the first image that exists.
     """

@@ -78,7 +78,8 @@ def surface_key(control: ControlMesh, level: int, scheme: Scheme | None = None, 
 def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> None:
     """Write a prepared surface to one file, completely or not at all.
 
-    Operators are not stored: ParameterError if they are not those of the surface's config.
+    The operators are not stored, since reading computes them from the surface's config. ParameterError if this would
+    give other operators than the surface has.
     """
     expected = Surface(surface.refinement, surface.config).operators
     kinds = (surface.operators.mass, expected.mass), (surface.operators.stiffness, expected.stiffness)

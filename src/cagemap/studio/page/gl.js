@@ -1,8 +1,8 @@
 // Shaders, and binary glTF files (see skins.py for their attributes) as geometries and textures.
 // Compiled for what is shown (LOOK, OTHER, HAS_UVS, DOUBTS, MORPH): values that no pixel needs took half of the time where
 // the processor draws.
-export const VERTEX = `
-  #define SHOWS(look) (LOOK == look || OTHER == look)
+const SHOWS = '#define SHOWS(look) (LOOK == look || OTHER == look)\n';
+export const VERTEX = `${SHOWS}
   attribute vec3 place, placeNormal, shown, plain; attribute vec2 own; attribute float trust;
   uniform float morph;
   varying vec3 vNormal, vPlace, vShown, vPlain; varying vec2 vUv, vOwn; varying float vTrust;
@@ -31,8 +31,7 @@ export const VERTEX = `
     vNormal = mat3(viewMatrix) * n;
     gl_Position = projectionMatrix * (viewMatrix * vec4(p, 1.0));
   }`;
-export const FRAGMENT = `
-  #define SHOWS(look) (LOOK == look || OTHER == look)
+export const FRAGMENT = `${SHOWS}
   uniform float split, opacity; uniform sampler2D picture, baked;
   varying vec3 vNormal, vPlace, vShown, vPlain; varying vec2 vUv, vOwn; varying float vTrust;
   float checker(vec3 at) {
