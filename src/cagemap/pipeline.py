@@ -226,6 +226,7 @@ def update_match(
     config: MatchConfig = MatchConfig(),
     *,
     progress: Progress = no_progress,
+    preview: Callable[[PointMap], None] | None = None,
 ) -> MatchResult:
     """Update a match after landmarks were added, moved or removed: a fast preview.
 
@@ -242,6 +243,8 @@ def update_match(
         The config of the match before.
     progress : callable
         Called with the name of each stage.
+    preview : callable, optional
+        Called with the updated map before its quality is measured.
 
     Raises
     ------
@@ -267,6 +270,8 @@ def update_match(
             places = linear_update(trusted, point_map)
             progress("closest points")
             point_map = map_of_places(trusted, places)
+    if preview is not None:
+        preview(point_map)
     progress("quality")
     return result_of_fit(problem, point_map, landmarks, check, timings, before.shared)
 

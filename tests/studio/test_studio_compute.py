@@ -57,7 +57,14 @@ def test_the_preview_maps_and_follows_landmarks(opened: tuple[PreviewCache, Open
     cache, task = opened
     cache, first = run_task(cache, FindMap(task.pair_files, landmarks(cache, *range(8))), lambda _: None)
     assert isinstance(first, MapUpdate)
-    cache, second = run_task(cache, FindMap(task.pair_files, landmarks(cache, *range(7))), lambda _: None)
+    looks = list[MapUpdate]()
+    seven = FindMap(task.pair_files, landmarks(cache, *range(7)))
+    cache, second = run_task(cache, seven, lambda _: None, looks.append)
+    # An update is shown before its quality is known, with the trust of the map before.
+    (look,) = looks
+    assert look.map_state.rough
+    np.testing.assert_array_equal(look.preview_map.triangle, second.preview_map.triangle)
+    np.testing.assert_array_equal(look.preview_map.trust, first.preview_map.trust)
     assert set(second.map_state.strain) == {f"v{v}" for v in range(7)}
     assert second.skins[1] is None  # the source faces as the target does
     # The models are translates of each other: the map carries a point to the same point, five units to the right.

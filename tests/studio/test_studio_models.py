@@ -440,13 +440,13 @@ def test_the_image_inside_a_usd_file_is_the_texture_where_none_is_named(tmp_path
 
 def test_seams_are_found_where_texture_coordinates_jump() -> None:
     shape = refined_shape(refine(unwrapped_cube(), 3))
-    images = identity(len(shape.positions), shape.triangles)
+    mapped = identity(len(shape.positions), shape.triangles)
     assert shape.uvs is not None
-    uvs = images.pull_back(shape.uv_triangles, shape.uvs)
-    crossing = seam_triangles(shape, shape, images, uvs)
+    uvs = mapped.pull_back(shape.uv_triangles, shape.uvs)
+    crossing = seam_triangles(shape, shape, mapped, shape.positions, uvs)
     # Under the identity a triangle crosses a seam if it has a vertex on one and lies on another face than its image.
     island = shape.faces
-    own = island[images.triangle[shape.triangles]]
+    own = island[mapped.triangle[shape.triangles]]
     np.testing.assert_array_equal(crossing, (own != own[:, :1]).any(axis=1))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -194,7 +195,8 @@ def run_task(
 ) -> tuple[PreviewCache, TaskResult]:
     """Run a task; return the new cache and the result.
 
-    `ShowBaked` gives the target's glTF, `ShowPosed` that of both. Before the first map, ``show`` receives rough ones.
+    `ShowBaked` gives the target's glTF, `ShowPosed` that of both. ``show`` receives maps that are not checked yet:
+    rough ones before the first map, and updated ones.
 
     Raises
     ------
@@ -244,28 +246,36 @@ def find_map(
         If there is no such answer.
     """
     cache, prepared_pair = _prepare(cache, progress)
+    unchecked = partial(_unchecked_update, cache)
+
+    def preview(point_map: PointMap) -> None:
+        show(unchecked(point_map))
+
     landmarks = to_landmarks(task.landmarks, cache.target.control, cache.source.control)
     has_constraints = bool(len(landmarks) + len(landmarks.curves))
     if task.answer is not None or not has_constraints:
-        preview = None if cache.result is not None else lambda rough: show(_rough_update(cache, rough))
-        free_match = cache.free_match or match_pair(prepared_pair, progress=progress, preview=preview)
+        rough = preview if cache.result is None else None
+        free_match = cache.free_match or match_pair(prepared_pair, progress=progress, preview=rough)
         answer = cache.chosen_answer if task.answer is None else task.answer
         result = other_answer(free_match, answer, progress=progress) if answer else free_match
         config = MatchConfig(answer=answer)
         cache = replace(cache, free_match=free_match, chosen_answer=answer, result=result, config=config)
         if has_constraints:
-            cache = replace(cache, result=update_match(result, landmarks, progress=progress), config=None)
+            updated = update_match(result, landmarks, progress=progress, preview=preview)
+            cache = replace(cache, result=updated, config=None)
     elif cache.result is None or (task.fresh and len(landmarks) >= FEWEST_LANDMARKS):
         cache = replace(cache, result=match_pair(prepared_pair, landmarks, progress=progress), config=MatchConfig())
     else:
-        cache = replace(cache, result=update_match(cache.result, landmarks, progress=progress), config=None)
+        updated = update_match(cache.result, landmarks, progress=progress, preview=preview)
+        cache = replace(cache, result=updated, config=None)
     return _map_update(cache)
 
 
-def _rough_update(cache: PreviewCache, point_map: PointMap) -> MapUpdate:
-    """A rough map, to be shown during the search."""
+def _unchecked_update(cache: PreviewCache, point_map: PointMap) -> MapUpdate:
+    """A map to be shown before its quality is known, with the trust of the map before."""
     target, source = cache.target, cache.source
-    preview_map = PreviewMap(point_map.triangle, point_map.barycentric, np.ones(point_map.target.n))
+    trust = np.ones(point_map.target.n) if cache.result is None else cache.result.quality.trust
+    preview_map = PreviewMap(point_map.triangle, point_map.barycentric, trust)
     skin = target_skin(target.shape, target.look, source.shape, source.look, preview_map)
     return MapUpdate(preview_map, (skin, None), MapState(rough=True))
 

@@ -325,7 +325,7 @@ class Session(LandmarkEdits):
             case Failure() if result.kind == CANCELLED_KIND:  # the same models were opened again
                 pass
             case Failure() if cancelled and result.kind == STOPPED_KIND:
-                self._say("note", "cancelled; the map stays as it was")
+                self._say("note", "cancelled" + ("" if self._state.map.rough else "; the map stays as it was"))
             case Failure():
                 is_ours = result.kind.isidentifier()  # the text of an internal error names its class
                 self._say("error", result.message if is_ours else f"{result.kind}: {result.message}")
@@ -343,8 +343,9 @@ class Session(LandmarkEdits):
                 self._computed = result.computed
                 if before.preview_map is None or scene.source is not before.source:
                     scene.warm_up()  # not earlier: the page loads the models first
-                map_state = result.map_state.rename_landmarks(task.landmarks, self._state.history.present)
                 shown, job = self._state.map, self._state.preview_job
+                map_state = result.map_state.rename_landmarks(task.landmarks, self._state.history.present)
+                map_state = replace(shown, rough=True) if result.map_state.rough else map_state
                 seconds = 0.0 if job is None or map_state.rough else time.monotonic() - job.begun
                 first = shown.first_seconds or seconds
                 revision = shown.revision + (not map_state.rough)

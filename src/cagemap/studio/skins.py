@@ -115,19 +115,20 @@ def target_skin(
     image and normal on the source, ``_TRUST``, and TEXCOORD_0 or COLOR_0 of the source. Triangles across seams or
     material borders of the source form the mesh "seams", coloured by samples in the image "seams".
     """
-    images = {} if baked is None else {"baked": baked}
+    textures = {} if baked is None else {"baked": baked}
     corners, vertex, attributes = _base_attributes(target, target_look)
     if preview_map is None:
-        return pack_glb([MeshPart("model", attributes, corners), *_other_parts(target, target_look)], images)
+        return pack_glb([MeshPart("model", attributes, corners), *_other_parts(target, target_look)], textures)
+    images = preview_map.pull_back(source.triangles, source.positions)
     attributes |= {
-        "_PLACE": source.to_view(preview_map.pull_back(source.triangles, source.positions))[vertex],
+        "_PLACE": source.to_view(images)[vertex],
         "_PLACE_NORMAL": source.directions_to_view(preview_map.pull_back(source.triangles, source.normals))[vertex],
         "_TRUST": preview_map.trust[vertex],
     }
     at_seam = np.zeros(len(corners), dtype=bool)
     if source_look.jpeg is not None and source.uvs is not None and source.uv_triangles is not None:
         uvs = preview_map.pull_back(source.uv_triangles, source.uvs)
-        at_seam = seam_triangles(target, source, preview_map, uvs)
+        at_seam = seam_triangles(target, source, preview_map, images, uvs)
         attributes["TEXCOORD_0"] = source_look.to_image_uvs(uvs)[vertex]
     elif source_look.colors is not None:
         colors = source_look.colors[source.faces[preview_map.triangle]]
@@ -135,12 +136,12 @@ def target_skin(
         attributes["COLOR_0"] = to_display(colors)[vertex]
     seams = []
     if at_seam.any():
-        uvs, images["seams"] = _sample_image(target.triangles[at_seam], source, source_look, preview_map)
+        uvs, textures["seams"] = _sample_image(target.triangles[at_seam], source, source_look, preview_map, images)
         seam_corners = corners[at_seam].ravel()
         seam_attributes = {name: values[seam_corners] for name, values in attributes.items()} | {"TEXCOORD_0": uvs}
         seams = [MeshPart("seams", seam_attributes, np.arange(len(seam_corners)).reshape(-1, 3))]
     model = MeshPart("model", attributes, corners[~at_seam])
-    return pack_glb([model, *seams, *_other_parts(target, target_look)], images)
+    return pack_glb([model, *seams, *_other_parts(target, target_look)], textures)
 
 
 def _base_attributes(shape: Shape, look: Look) -> tuple[IndexArray, IndexArray, dict[str, FloatArray]]:
@@ -180,7 +181,9 @@ def _other_parts(shape: Shape, look: Look) -> list[MeshPart]:
     return [MeshPart("rest", attributes, parts.triangles)]
 
 
-def _sample_image(corners: IndexArray, source: Shape, look: Look, preview_map: PreviewMap) -> tuple[FloatArray, bytes]:
+def _sample_image(
+    corners: IndexArray, source: Shape, look: Look, preview_map: PreviewMap, images: FloatArray
+) -> tuple[FloatArray, bytes]:
     """Sample source colours on target triangles: texture coordinates (3 t, 2) and a PNG.
 
     Each triangle has a square of samples; those beyond its diagonal are moved onto it.
@@ -191,8 +194,7 @@ def _sample_image(corners: IndexArray, source: Shape, look: Look, preview_map: P
     excess = np.maximum(column + row - 1, 0) / 2
     column, row = column - excess, row - excess
     weights = np.column_stack([1 - column - row, column, row])  # (side^2, 3)
-    corner_images = preview_map.pull_back(source.triangles, source.positions)[corners]
-    points = np.einsum("sc,tcd->tsd", weights, corner_images)
+    points = np.einsum("sc,tcd->tsd", weights, images[corners])
     nearest_corner = np.argmax(weights, axis=1)
     starts = preview_map.triangle[corners][:, nearest_corner]
     triangle, barycentric = walk_from(source.frames, source.surface.neighbors, starts.ravel(), points.reshape(-1, 3))
@@ -218,13 +220,14 @@ def _source_colors(source: Shape, look: Look, triangle: IndexArray, barycentric:
     return texture_colors(look, uvs)
 
 
-def seam_triangles(target: Shape, source: Shape, preview_map: PreviewMap, uvs: FloatArray) -> NDArray[np.bool_]:
+def seam_triangles(
+    target: Shape, source: Shape, preview_map: PreviewMap, images: FloatArray, uvs: FloatArray
+) -> NDArray[np.bool_]:
     """(t,) bool: target triangles with a texture seam of the source between their corners' images.
 
     Texture coordinates are affine on a source triangle: extrapolated from one corner they are close to the next
     corner's, unless a seam lies between.
     """
-    images = preview_map.pull_back(source.triangles, source.positions)
     corners = target.triangles
     at_seam = np.zeros(len(corners), dtype=bool)
     for k in range(3):

@@ -118,7 +118,7 @@ class MapState:
     suggestion : int or None
         Control vertex of the target where the next landmark helps most.
     rough : bool
-        Whether this is a rough map while the search goes on.
+        Whether the map shown is not checked yet: a rough one, or an update. The rest is of the one before.
     from_start : bool
         Whether a match with these landmarks finds this map; False for a map that was only updated.
     poor : str

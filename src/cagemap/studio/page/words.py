@@ -65,7 +65,7 @@ def verdict(state: StudioState, scene: Scene | None) -> str:
     if scene is None or preview_map is None:
         return ""
     if map_state.rough:
-        return "A first look, not yet checked"
+        return "Not yet checked"
     if map_state.revision == 0:
         return ""
     landmarks = state.history.present.complete_landmarks
@@ -132,8 +132,8 @@ def _stage_text(stage: str) -> tuple[str, float | None]:
 def _next_step(state: StudioState) -> str:
     if state.files is None:
         return state.messages[-1].text if state.messages else "Open two models, or drop their files here."
-    if state.map.rough:  # the search was cancelled
-        return "This is a first look at the map. Press Match again for the checked one."
+    if state.map.rough:  # cancelled
+        return "This map is not checked. Press Match again for the checked one."
     if state.map.revision == 0:
         return OPENING_TITLE
     if state.probe is not None and state.probe.text:
