@@ -146,13 +146,13 @@ def test_views_change_what_is_shown(page: Page) -> None:
     page.until(lambda: not other(page.look("target"), first["target"]), "one look")
 
     # The target takes the source's shape; the source lies over it.
-    page.set("morph", 1.0)
+    page.set("wrapAmount", 1.0)
     page.until(lambda: other(page.look("target"), first["target"]), "the wrapped target")
     assert np.abs(page.look("target") - page.look("source")).mean() < OTHER
     page.click("target", FLANK)
     page.until(lambda: "Set Wrap back" in page.text("status"), "why no landmark is placed")
     assert not page.state("proposal")
-    page.set("morph", 0.0)
+    page.set("wrapAmount", 0.0)
     page.set("overlay", True)
     page.until(lambda: other(page.look("target"), first["target"]), "both over each other")
     page.set("overlay", False)
@@ -170,8 +170,8 @@ def test_the_screen_shows_what_drawing_anew_shows(page: Page) -> None:
     changes = {
         "colours": lambda: page.run("window.studio.views.set({look: 'colours'})"),
         "compared": lambda: page.run("window.studio.views.set({other: 'plain', split: 0.3})"),
-        "halfway to the source": lambda: page.run("window.studio.views.set({morph: 0.5})"),
-        "overlaid": lambda: page.run("window.studio.views.set({overlay: true, morph: 0})"),
+        "halfway to the source": lambda: page.run("window.studio.views.set({wrapAmount: 0.5})"),
+        "overlaid": lambda: page.run("window.studio.views.set({overlay: true, wrapAmount: 0})"),
         "turned": lambda: page.run("window.studio.views.frame([1, 0, 0])"),
         "resized": lambda: page.browser.execute_async_script(RESIZED),
     }

@@ -41,7 +41,7 @@ def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, b
         page.until(lambda: page.opened("target") == "object:body", "the largest parts")
         page.drawn()
         shown = page.look("target")
-        page.set("rest", False)
+        page.set("other_parts", False)
         page.until(lambda: not np.array_equal(page.look("target"), shown), "the eye away")
         before = page.state("said")
         # Choosing a part cancels the match of the bodies, and that of a box with a body, which would take 25 s.

@@ -178,7 +178,7 @@ def _other_parts(shape: Shape, look: Look) -> list[MeshPart]:
     if parts is None:
         return []
     attributes = {"POSITION": shape.to_view(parts.positions), "NORMAL": shape.directions_to_view(parts.normals)}
-    return [MeshPart("rest", attributes, parts.triangles)]
+    return [MeshPart("other_parts", attributes, parts.triangles)]
 
 
 def _sample_image(

@@ -77,7 +77,7 @@ class View:
         Show doubtful places of the map in red.
     linked : bool
         Both models turn together.
-    rest : bool
+    other_parts : bool
         Show parts that are not open, in grey.
     baked : Path or None
         Image of mode "baked".
@@ -90,7 +90,7 @@ class View:
     symmetric: bool = True
     doubts: bool = True
     linked: bool = True
-    rest: bool = True
+    other_parts: bool = True
     baked: Path | None = None
     pose: str = ""
 

@@ -30,11 +30,13 @@ MAP_VERTICES = 50_000
 
 
 def run_map(
-    request: MapRequest, stages: Stages, require: Callable[[ControlMesh, ControlMesh], object] | None = None
+    request: MapRequest,
+    stages: Stages,
+    require: Callable[[ControlMesh, ControlMesh], object] = lambda target, source: None,
 ) -> Said:
     """Measure a map's quality and write it as a RESULT folder; returns a summary and warnings.
 
-    ``require``: refuses target and source that what follows cannot use, before any work.
+    ``require`` refuses target and source that the caller cannot use, before any work.
     """
     files = {"target": request.target, "source": request.source, "map": request.map}
     files.update(mask_inputs(request))
@@ -44,8 +46,7 @@ def run_map(
     stated = stated_inputs(files, request.output)
     filed = read_mesh(request.target), read_mesh(request.source)
     welded = [weld_side(mesh, request, side) for mesh, side in zip(filed, ("target", "source"), strict=True)]
-    if require is not None:
-        require(*(joined.mesh for joined in welded))
+    require(*(joined.mesh for joined in welded))
     target, source = (_surface(joined.mesh, request.level) for joined in welded)
     level = None if request.level is not None else source_level(request.map, source.refinement)
     if level is not None and level != source.refinement.finest_level:

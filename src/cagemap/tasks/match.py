@@ -137,13 +137,13 @@ def match_files(
     stages: Stages,
     last_frame: MatchResult | None = None,
     computed: ComputedMatch | None = None,
-    require: Callable[[Inputs], object] = lambda inputs: None,
+    require: Callable[[ControlMesh, ControlMesh], object] = lambda target, source: None,
 ) -> MatchResult:
     """Match two mesh files and write the RESULT folder.
 
     ``last_frame``, of the same target, is the start of the match; its target is used again.
     ``computed`` replaces the computation if its inputs are equal.
-    ``require`` refuses inputs before they are matched.
+    ``require`` refuses target and source that the caller cannot use, before any work.
     """
     config = check_match(request)
     stages("read")
@@ -157,7 +157,7 @@ def match_files(
     require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
     stated = stated_inputs(files, request.output)
     inputs = read_inputs(request)
-    require(inputs)
+    require(inputs.target, inputs.source)
     levels = matched_levels(request, inputs)
     for part in inputs.parts:
         require_levels(request, (part.target, part.source), levels)

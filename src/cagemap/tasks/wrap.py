@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ from cagemap.tasks.detail_bakes import (
 from cagemap.tasks.import_map import run_map
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import mask_inputs, with_masks
-from cagemap.tasks.match import Inputs, match_files
+from cagemap.tasks.match import match_files
 from cagemap.tasks.match_summary import warnings as result_warnings
 from cagemap.tasks.progress import Said, Stages
 from cagemap.tasks.requests.catalogue import WRAP_IMAGES_OF, WRITTEN
@@ -89,18 +90,11 @@ def _found(
     Several sources are frames of a motion: the match of each frame starts from the map to the frame before it.
     """
     results = tuple(folder / f"{frame}" for frame in range(len(sources)))
-
-    def require_meshes(target: ControlMesh, source: ControlMesh) -> None:
-        require_wrappable(request, target, source)
-
+    require = partial(require_wrappable, request)
     if request.map is not None:
         of_map = MapRequest(request.map, target, sources[0], results[0], **_of_both(request, "weld"))
-        return results, run_map(of_map, stages, require_meshes)[1]
+        return results, run_map(of_map, stages, require)[1]
     options, warnings = _of_both(request, "scheme", "weld"), list[str]()
-
-    def require(inputs: Inputs) -> None:
-        require_meshes(inputs.target, inputs.source)
-
     if len(sources) == 1:
         single = MatchRequest(target, sources[0], results[0], request.landmarks, **options)
         result = match_files(single, stages, require=require)

@@ -1,15 +1,15 @@
 // Shaders, and binary glTF files (see skins.py for their attributes) as geometries and textures.
-// Compiled for what is shown (LOOK, OTHER, HAS_UVS, DOUBTS, MORPH): values that no pixel needs took half of the time where
+// Compiled for what is shown (LOOK, OTHER, HAS_UVS, DOUBTS, WRAPPED): values that no pixel needs took half of the time where
 // the processor draws.
 const SHOWS = '#define SHOWS(look) (LOOK == look || OTHER == look)\n';
 export const VERTEX = `${SHOWS}
   attribute vec3 place, placeNormal, shown, plain; attribute vec2 own; attribute float trust;
-  uniform float morph;
+  uniform float wrapAmount;
   varying vec3 vNormal, vPlace, vShown, vPlain; varying vec2 vUv, vOwn; varying float vTrust;
   void main() {
     vec3 p = position, n = normal;
-    #if MORPH
-      p = mix(position, place, morph); n = mix(normal, placeNormal, morph);
+    #if WRAPPED
+      p = mix(position, place, wrapAmount); n = mix(normal, placeNormal, wrapAmount);
     #endif
     #if SHOWS(0) && HAS_UVS
       vUv = uv;
@@ -78,10 +78,10 @@ export const COPY = ['varying vec2 vUv; void main() { vUv = uv; gl_Position = ve
   `varying vec2 vUv; uniform sampler2D picture; uniform highp sampler2D depths;
   void main() { gl_FragColor = texture2D(picture, vUv); gl_FragDepth = texture2D(depths, vUv).r; }`];
 // Marks are drawn whole, or not at all: where their surface looks away, or a model is in front of their place.
-export const MARKS = [`attribute vec3 place, placeNormal; attribute vec2 cell; uniform float morph, size; varying vec2 vCell;
+export const MARKS = [`attribute vec3 place, placeNormal; attribute vec2 cell; uniform float wrapAmount, size; varying vec2 vCell;
   uniform highp sampler2D depths;
   void main() {
-    vec3 p = mix(position, place, morph), n = mix(normal, placeNormal, morph);
+    vec3 p = mix(position, place, wrapAmount), n = mix(normal, placeNormal, wrapAmount);
     vec4 at = projectionMatrix * (viewMatrix * vec4(p, 1.0) + vec4(0.0, 0.0, 0.05, 0.0));
     vec3 seen = 0.5 + 0.5 * at.xyz / at.w;
     bool hidden = dot(n, normalize(cameraPosition - p)) < -0.4 || texture2D(depths, seen.xy).r < seen.z;

@@ -64,8 +64,8 @@ function show() {
   showLandmarks();
   showBake();
   showModels();
-  for (const name of ['doubts', 'cages', 'linked', 'rest', 'symmetric']) $(name).checked = view[name];
-  $('rest-line').hidden = !SIDES.some(side => views.sides[side].parts.rest);
+  for (const name of ['doubts', 'cages', 'linked', 'other_parts', 'symmetric']) $(name).checked = view[name];
+  $('other-parts-line').hidden = !SIDES.some(side => views.sides[side].parts.other_parts);
   $('symmetric').disabled = !state.symmetric;
   $('symmetric').parentElement.title = state.symmetric || !models ? 'Also place the mirror image of each new landmark'
     : 'Needs two models whose meshes are mirror symmetric';
@@ -106,10 +106,10 @@ function showViews() {
     if (asked) marks.push({number: 0, name: '', color: '#fff', at: [...asked, 0, 0, 0], place: null, solid: true, selected: true});
     views.setMarks(side, view.pose ? [] : marks);
   }
-  views.set({look: view.mode, doubts: view.doubts, cages: view.cages, linked: view.linked, rest: view.rest, pose: view.pose});
+  views.set({look: view.mode, doubts: view.doubts, cages: view.cages, linked: view.linked, other_parts: view.other_parts, pose: view.pose});
   fill($('pose'), [['', 'at rest'], ...state.poses], view.pose);
   $('pose-line').hidden = !state.poses.length;
-  $('morph').disabled = $('overlay').disabled = !state.revision;
+  $('wrapAmount').disabled = $('overlay').disabled = !state.revision;
 }
 
 function showMap() {
@@ -200,13 +200,13 @@ function showModels() {
 
 const on = (id, what, done) => $(id).addEventListener(what, done);
 for (const name of ['undo', 'redo', 'accept', 'again', 'cancel', 'next']) on(name, 'click', () => send(name));
-for (const name of ['doubts', 'cages', 'linked', 'rest', 'symmetric'])
+for (const name of ['doubts', 'cages', 'linked', 'other_parts', 'symmetric'])
   on(name, 'change', () => send('view', {fields: {[name]: $(name).checked}}));
 on('mode', 'change', () => send('view', {fields: {mode: $('mode').value}}));
 on('pose', 'change', () => send('view', {fields: {pose: $('pose').value}}));
 on('other', 'change', () => { $('split').hidden = !$('other').value; views.set({other: $('other').value}); });
 on('split', 'input', () => views.set({split: Number($('split').value)}));
-on('morph', 'input', () => views.set({morph: Number($('morph').value)}));
+on('wrapAmount', 'input', () => views.set({wrapAmount: Number($('wrapAmount').value)}));
 on('overlay', 'change', () => views.set({overlay: $('overlay').checked}));
 on('numbers', 'change', () => { views.set({numbers: $('numbers').checked}); showViews(); });
 on('frame', 'click', () => views.frame());
@@ -301,7 +301,7 @@ document.addEventListener('keydown', event => {
   else if (key === 'enter' && state?.proposal && !event.target.matches('button, summary, a')) send('accept');
   else if (key === 'escape') send('select', {number: null});
   else if (key === 'f') views.frame();
-  else if ('137'.includes(key)) views.seen(key);
+  else if ('137'.includes(key)) views.viewAlong(key);
   else return;
   event.preventDefault();
 });

@@ -24,7 +24,7 @@ from cagemap.studio.workspace import LANDMARK_SUFFIXES, UPLOAD_SUFFIXES, Workspa
 
 # Colours of landmarks and curves, in their order.
 _COLORS = distinct_colors(64)
-_VIEW_FIELDS = ("mode", "cages", "doubts", "linked", "rest", "symmetric", "pose")
+_VIEW_FIELDS = ("mode", "cages", "doubts", "linked", "other_parts", "symmetric", "pose")
 # Height of lines above the model, in units of its radius.
 _LINE_HEIGHT = 0.004
 # Files written with an image for a target without UVs.

@@ -9,9 +9,9 @@ const NO_BLENDING = 0, ALWAYS = 1;  // of three.js
 const MARK = 48, GRIP = 9, STILL = 4;  // pixels: square of a mark, how close grips it, what is no drag
 
 export class Views {
-  // `told` has functions click, probe, move, select and hint for what is done to the models.
-  constructor(root, told) {
-    this.told = told;
+  // `handlers` has functions click, probe, move, select and hint for what is done to the models.
+  constructor(root, handlers) {
+    this.handlers = handlers;
     this.canvas = root.querySelector('canvas');
     this.tip = root.querySelector('#tip');
     const gl = document.createElement('canvas').getContext('webgl');
@@ -23,8 +23,8 @@ export class Views {
     this.renderer = new THREE.WebGLRenderer({canvas: this.canvas, antialias: !slow, alpha: true, preserveDrawingBuffer: true});
     this.renderer.autoClear = false;
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, slow ? 1 : 2));
-    this.shown = {look: 'plain', other: '', split: 0.5, morph: 0, overlay: false, doubts: true, cages: false, numbers: true,
-      linked: true, rest: true, pose: ''};
+    this.shown = {look: 'plain', other: '', split: 0.5, wrapAmount: 0, overlay: false, doubts: true, cages: false, numbers: true,
+      linked: true, other_parts: true, pose: ''};
     this.fit = Math.hypot(...FIRST);
     this.blank = texture(new ImageData(1, 1), true);
     [this.samples, this.anisotropy] = slow ? [0, 1] : [4, 8];
@@ -82,10 +82,10 @@ export class Views {
     const HAS_UVS = +!!has('uv');
     for (const key of ['uv', 'own']) if (!has(key)) geometry.setAttribute(key, constant(2, 0));
     if (!has('trust')) geometry.setAttribute('trust', constant(1, 1));
-    const values = {split: 0, opacity: 1, picture: this.blank, baked: this.blank, morph: 0};
+    const values = {split: 0, opacity: 1, picture: this.blank, baked: this.blank, wrapAmount: 0};
     const uniforms = Object.fromEntries(Object.entries(values).map(([key, value]) => [key, {value}]));
     const material = new THREE.ShaderMaterial({vertexShader: VERTEX, fragmentShader: FRAGMENT, side: THREE.DoubleSide, uniforms, defines: {HAS_UVS}});
-    material.transparent = name === 'rest';
+    material.transparent = name === 'other_parts';
     return new THREE.Mesh(geometry, material);
   }
 
@@ -161,7 +161,7 @@ export class Views {
       for (const [name, of, from] of [['position', 'at', 0], ['normal', 'at', 3], ['place', 'place', 0], ['placeNormal', 'place', 3]])
         geometry.setAttribute(name, values(marks.map(mark => (mark[of] ?? mark.at).slice(from, from + 3)), 3));
       geometry.setAttribute('cell', values(marks.map((_, i) => [i % cells, Math.floor(i / cells)]), 2));
-      const uniforms = {atlas: {value: texture(paper, true)}, cells: {value: cells}, size: {value: cell}, morph: {value: 0},
+      const uniforms = {atlas: {value: texture(paper, true)}, cells: {value: cells}, size: {value: cell}, wrapAmount: {value: 0},
         depths: {value: side.picture.depthTexture}};
       const material = new THREE.ShaderMaterial({vertexShader: MARKS[0], fragmentShader: MARKS[1], uniforms, transparent: true,
         depthTest: false, depthWrite: false});
@@ -256,7 +256,7 @@ export class Views {
     this.turned(side);
   }
 
-  seen(key) { if (AXES[key]) this.frame(AXES[key]); }
+  viewAlong(key) { if (AXES[key]) this.frame(AXES[key]); }
 
   resize() {
     const {clientWidth: width, clientHeight: height} = this.canvas;
@@ -287,7 +287,7 @@ export class Views {
       this.renderer.setViewport(...at);
       this.renderer.setScissor(...at);
       this.renderer.clear();
-      if (side.points) side.points.material.uniforms.morph.value = this.morph(side);
+      if (side.points) side.points.material.uniforms.wrapAmount.value = this.wrapAmount(side);
       this.renderer.render(side.onScreen, side.camera);
       if (side.name === 'target' && this.shown.overlay) {
         this.prepare(this.sides.source, at, 0.45);
@@ -303,10 +303,10 @@ export class Views {
   // A side's own models; the key has all that `prepare` and the camera read.
   drawPicture(side, [, , w, h]) {
     const {camera: {position, quaternion, projectionMatrix}, parts} = side, ratio = this.renderer.getPixelRatio();
-    const {look, other, split, doubts, cages, rest, pose} = this.shown;
+    const {look, other, split, doubts, cages, other_parts, pose} = this.shown;
     const images = Object.values(this.sides).flatMap(one => Object.values(one.images));
-    const key = JSON.stringify([w, h, ratio, position, quaternion, projectionMatrix, look, other, split, doubts, cages, rest, pose,
-      this.morph(side), [...Object.values(parts), ...images].map(one => one.uuid)]);
+    const key = JSON.stringify([w, h, ratio, position, quaternion, projectionMatrix, look, other, split, doubts, cages, other_parts, pose,
+      this.wrapAmount(side), [...Object.values(parts), ...images].map(one => one.uuid)]);
     if (side.pictureKey === key) return;
     side.pictureKey = key;
     side.picture.setSize(Math.max(1, Math.round(w * ratio)), Math.max(1, Math.round(h * ratio)));
@@ -318,24 +318,24 @@ export class Views {
   }
 
   // How far a side's model is on its way to its place on the other.
-  morph(side) { return side.name === 'target' ? this.shown.morph : 0; }
+  wrapAmount(side) { return side.name === 'target' ? this.shown.wrapAmount : 0; }
 
   prepare(side, [x, , w], opacity) {
     const {shown} = this, over = opacity < 1, ratio = this.renderer.getPixelRatio();
-    const morph = this.morph(side);
+    const wrapAmount = this.wrapAmount(side);
     for (const [name, mesh] of Object.entries(side.parts)) {
       const uniforms = mesh.material.uniforms;
-      const still = !morph && !over && !shown.pose;
-      mesh.visible = name === 'cage' ? shown.cages && still : name === 'curves' ? still : name !== 'rest' || (shown.rest && still);
+      const still = !wrapAmount && !over && !shown.pose;
+      mesh.visible = name === 'cage' ? shown.cages && still : name === 'curves' ? still : name !== 'other_parts' || (shown.other_parts && still);
       if (name === 'cage' || name === 'curves') continue;
       const picture = name === 'seams' ? side.images.seams : this.sides.source.images.texture ?? this.blank;
       const known = name => name === 'baked' && !side.images.baked ? (side.name === 'source' ? 'texture' : 'plain') : name;
-      const values = {morph, picture, split: (x + shown.split * w) * ratio, baked: side.images.baked ?? this.blank,
-        opacity: name === 'rest' ? 0.3 : opacity};
+      const values = {wrapAmount, picture, split: (x + shown.split * w) * ratio, baked: side.images.baked ?? this.blank,
+        opacity: name === 'other_parts' ? 0.3 : opacity};
       for (const [key, value] of Object.entries(values)) uniforms[key].value = value;
       const LOOK = LOOKS[known(shown.look)], OTHER = shown.other ? LOOKS[known(shown.other)] : -1;
-      this.define(mesh.material, {LOOK, OTHER, DOUBTS: +shown.doubts, MORPH: +(morph > 0)});
-      mesh.material.transparent = over || name === 'rest';
+      this.define(mesh.material, {LOOK, OTHER, DOUBTS: +shown.doubts, WRAPPED: +(wrapAmount > 0)});
+      mesh.material.transparent = over || name === 'other_parts';
     }
   }
 
@@ -362,18 +362,18 @@ export class Views {
 
   // The nearest visible landmark under the pointer.
   markAt(side, event) {
-    const morph = this.morph(side);
+    const wrapAmount = this.wrapAmount(side);
     const box = side.pane.getBoundingClientRect(), v = new THREE.Vector3(), end = new THREE.Vector3();
     const near = [];
     for (const mark of side.marks) {
       if (!mark.number) continue;
       const [x, y, z] = mark.at, [px, py, pz] = mark.place ?? mark.at;
-      const at = v.set(x, y, z).lerp(end.set(px, py, pz), morph).clone();
+      const at = v.set(x, y, z).lerp(end.set(px, py, pz), wrapAmount).clone();
       v.project(side.camera);
       const away = Math.hypot((v.x + 1) / 2 * box.width + box.left - event.clientX, (1 - v.y) / 2 * box.height + box.top - event.clientY);
       if (away < GRIP) near.push({mark, at, away});
     }
-    return near.sort((a, b) => a.away - b.away).find(({at}) => morph || !this.hides(side, at))?.mark ?? null;
+    return near.sort((a, b) => a.away - b.away).find(({at}) => wrapAmount || !this.hides(side, at))?.mark ?? null;
   }
 
   // Whether a side's model is in front of a point.
@@ -387,7 +387,7 @@ export class Views {
     if (event.button !== 0) return;
     side.start = [event.clientX, event.clientY];
     const mark = this.markAt(side, event);
-    if (!mark || !mark.solid || this.morph(side)) return;
+    if (!mark || !mark.solid || this.wrapAmount(side)) return;
     side.dragged = mark;
     side.controls.enabled = false;
     side.pane.setPointerCapture(event.pointerId);
@@ -436,21 +436,21 @@ export class Views {
     if (mark) {
       if (!drag) {
         this.place(side, mark, mark.at);  // a press that shook a little
-        this.told.select(mark.number);
+        this.handlers.select(mark.number);
       }
-      else if (this.hit(side, this.ray(side, event))) this.told.move({...ray, number: mark.number});
+      else if (this.hit(side, this.ray(side, event))) this.handlers.move({...ray, number: mark.number});
       else this.place(side, mark, mark.at);
       return;
     }
     if (drag) return;
-    if (this.shown.pose) this.told.hint('Set Pose back to rest to place landmarks.');
-    else if (this.shown.morph && side.name === 'target') this.told.hint('Set Wrap back to 0 to place landmarks.');
-    else if (event.shiftKey) this.told.probe(ray);
+    if (this.shown.pose) this.handlers.hint('Set Pose back to rest to place landmarks.');
+    else if (this.shown.wrapAmount && side.name === 'target') this.handlers.hint('Set Wrap back to 0 to place landmarks.');
+    else if (event.shiftKey) this.handlers.probe(ray);
     else {
       const over = this.markAt(side, event);
-      if (over?.number) this.told.select(over.number);
-      else if (this.hit(side, this.ray(side, event))) this.told.click(ray);
-      else this.told.select(null);
+      if (over?.number) this.handlers.select(over.number);
+      else if (this.hit(side, this.ray(side, event))) this.handlers.click(ray);
+      else this.handlers.select(null);
     }
   }
 }
