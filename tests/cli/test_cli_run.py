@@ -30,7 +30,7 @@ from cagemap.jobs.tree import spanning_tree
 from cagemap.subdivision import refine
 from cagemap.tasks import dry_run
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
-from cagemap.tasks.run_job import in_words
+from cagemap.tasks.run_job import rows_in_user_words
 
 JOB = """output = "night"
 
@@ -172,7 +172,7 @@ def test_a_dry_run_foresees_what_will_be_refused(folder: Path, built_in_pair: Ex
 
 def test_the_page_of_a_job_speaks_of_options() -> None:
     row = PairRow("a", "b", "failed", ("use the pairs reversed (`Landmarks.reversed()`)",), 0.0)
-    assert in_words([row])[0].messages == ("use the pairs reversed (--exchange-landmarks)",)
+    assert rows_in_user_words([row])[0].messages == ("use the pairs reversed (--exchange-landmarks)",)
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ from cagemap.mesh.parts import (
 from cagemap.subdivision import refine
 from cagemap.tasks import mesh_commands
 from cagemap.tasks.match import MatchRequest, matched_levels, read_inputs, run_match
-from cagemap.tasks.match_parts import asked_parts, chosen_parts, material_pieces, pair_parts
+from cagemap.tasks.match_parts import material_pieces, pair_parts, requested_parts, select_parts
 from cagemap.tasks.mesh_commands import run_check
 from cagemap.tasks.method import side_levels
 from cagemap.tasks.progress import Stages
@@ -173,24 +173,24 @@ def test_materials_are_paired_by_name_and_their_pieces_by_landmarks() -> None:
     pairs, alone, _ = pair_parts(scene, scene, crossed, (material_pieces(scene),) * 2)
     assert ("eye 0", "eye 1") in {(one.name, other.name) for one, other in pairs}
     assert alone == ()
-    found, _ = chosen_parts(scene, scene, _landmarks(crossed), "material", "material")
+    found, _ = select_parts(scene, scene, _landmarks(crossed), "material", "material")
     assert sorted(part.target.n_faces for part in found) == [3, 3, 20, 20]
-    found, (note,) = chosen_parts(scene, scene, _landmarks(crossed), "material", "eye")
+    found, (note,) = select_parts(scene, scene, _landmarks(crossed), "material", "eye")
     assert [part.target.n_faces for part in found] == [20, 20]
     assert "skin" in note
     assert "cloth" in note
     with pytest.raises(ParameterError, match="--part material: expected parts that go together by name"):
-        chosen_parts(scene, scene, Landmarks.none(), "material", "eye")
+        select_parts(scene, scene, Landmarks.none(), "material", "eye")
 
 
 def test_objects_that_are_subdivided_differently_are_taken_one_at_a_time() -> None:
     scene = replace(_scene(), object_schemes=(CatmullClark("edge_only"), Loop(), CatmullClark()))
-    (inputs,), _ = chosen_parts(scene, scene, Landmarks.none(), "body", "eye_left")
+    (inputs,), _ = select_parts(scene, scene, Landmarks.none(), "body", "eye_left")
     assert inputs.target.scheme == CatmullClark("edge_only")
     assert inputs.source.scheme == Loop()
     assert inputs.source.object_schemes == ()
     with pytest.raises(ParameterError, match="expected a part that is subdivided in one way"):
-        chosen_parts(scene, scene, Landmarks.none(), None, "body")
+        select_parts(scene, scene, Landmarks.none(), None, "body")
 
 
 @pytest.mark.parametrize("level", [1, 2, 3])
@@ -214,14 +214,14 @@ def _landmarks(pairs: np.ndarray) -> Landmarks:
 def test_landmarks_follow_the_part_and_what_is_left_alone_is_said() -> None:
     scene = _scene()
     pairs = np.repeat([[0], [2], [5], [8], [11], [30]], 2, axis=1)
-    (inputs,), notes = chosen_parts(scene, scene, _landmarks(pairs), "body", "body")
+    (inputs,), notes = select_parts(scene, scene, _landmarks(pairs), "body", "body")
     np.testing.assert_array_equal(inputs.landmarks.target, [0, 2, 5])
     assert notes == ("3 of 6 landmarks lie on other parts and are left out",)
-    chosen, notes = chosen_parts(scene, scene, _landmarks(pairs), "each", "each")
+    chosen, notes = select_parts(scene, scene, _landmarks(pairs), "each", "each")
     assert [len(part.landmarks) for part in chosen] == [2, 1, 3]  # the larger parts first
     assert notes == ()
     lone = extract_faces(scene, find_part(scene, "body").faces)
-    _, notes = chosen_parts(scene, lone, _landmarks(np.array([[0, 0]])), "each", "each")
+    _, notes = select_parts(scene, lone, _landmarks(np.array([[0, 0]])), "each", "each")
     (note,) = notes
     assert note.startswith("left alone")
     assert note.count(" faces)") == 2
@@ -229,17 +229,19 @@ def test_landmarks_follow_the_part_and_what_is_left_alone_is_said() -> None:
 
 @pytest.mark.parametrize("every", ["each", "material"])
 def test_parts_of_one_side_find_what_goes_with_them_on_the_other(every: str) -> None:
-    assert asked_parts(None, every, None) == asked_parts(None, None, every) == asked_parts(every, None, None)
-    assert asked_parts(None, every, "body") == (every, "body")
+    assert (
+        requested_parts(None, every, None) == requested_parts(None, None, every) == requested_parts(every, None, None)
+    )
+    assert requested_parts(None, every, "body") == (every, "body")
     scene, name = _scene(), "body" if every == "each" else "material:cloth"
     faces = len(find_part(scene, name).faces)
     for words in ((every, name), (name, every)):
-        (chosen,), (note,) = chosen_parts(scene, scene, _landmarks(np.array([[7, 7]])), *words)
+        (chosen,), (note,) = select_parts(scene, scene, _landmarks(np.array([[7, 7]])), *words)
         assert chosen.target.n_faces == chosen.source.n_faces == faces
         assert note.endswith("of the target" if words[0] == every else "of the source")
     lone = extract_faces(scene, find_part(scene, "eye_left").faces)
     for pair in (scene, lone), (lone, scene):
-        (found,), notes = chosen_parts(*pair, _landmarks(np.zeros((0, 2), dtype=np.int64)), "each", "each")
+        (found,), notes = select_parts(*pair, _landmarks(np.zeros((0, 2), dtype=np.int64)), "each", "each")
         assert found.target.n_faces == found.source.n_faces == lone.n_faces
         assert len(notes) == 1
 
@@ -250,7 +252,7 @@ def test_landmarks_between_vertices_follow_the_part_too() -> None:
     corners = np.array([scene.face(int(eye[3])), scene.face(int(find_part(scene, "eye_right").faces[3]))])
     points = CagePoints(corners, np.array([[0.2, 0.3, 0.5]] * 2))
     landmarks = Landmarks(("a", "b"), points.vertices, points.vertices, target_points=points, source_points=points)
-    (inputs,), _ = chosen_parts(scene, scene, landmarks, "eye_left", "eye_left")
+    (inputs,), _ = select_parts(scene, scene, landmarks, "eye_left", "eye_left")
     assert inputs.landmarks.names == ("a",)
     np.testing.assert_allclose(
         inputs.landmarks.target_points.of(inputs.target.positions), points.of(scene.positions)[:1], atol=1e-15

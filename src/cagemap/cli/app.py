@@ -104,13 +104,13 @@ def _run(request: Any) -> None:
 
     run: Callable[..., tuple[str, Any]] = run_studio if isinstance(request, StudioRequest) else runner_of(request)
     with ConsoleStages() as stages:
-        summary, said = run(request, stages)
-    if isinstance(said, bool):  # whether all is well
-        say(summary, always=request.for_scripts or not said)  # also with --quiet
-        if not said:
+        summary, outcome = run(request, stages)
+    if isinstance(outcome, bool):  # whether all is well
+        say(summary, always=request.for_scripts or not outcome)  # also with --quiet
+        if not outcome:
             raise typer.Exit(1)
         return
-    warn(said)
+    warn(outcome)
     if summary:
         say(summary)
 

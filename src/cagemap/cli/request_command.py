@@ -17,7 +17,7 @@ from typer.core import TyperCommand
 
 from cagemap.cli.console import set_verbosity
 from cagemap.errors import ParameterError
-from cagemap.tasks.requests.options import HEADINGS, RESEARCH, Argument, Option, PythonOnly, options_in, without_none
+from cagemap.tasks.requests.options import HEADINGS, RESEARCH, Argument, Option, PythonOnly, option_fields, strip_none
 from cagemap.tasks.requests.settings import moved_options, read_settings
 
 Request = TypeVar("Request")
@@ -72,7 +72,7 @@ def command_of(kind: type[Request], run: Callable[[Request], None]) -> Callable[
             default=default,
             annotation=Annotated[_typer_type(word_type), typer_parameter(field.name, option, word_type, default)],
         )
-        for field, field_type, option in options_in(kind)
+        for field, field_type, option in option_fields(kind)
         if not (option.setting or isinstance(option, PythonOnly))
         for word_type in [option.typed or field_type]
         for default in [_typer_default(MISSING if option.typed else field.default, word_type, option)]
@@ -119,9 +119,9 @@ def typer_parameter(field: str, option: Option, word_type: Any, default: Any) ->
     help_text = option.help
     if hides_default and "[default:" not in help_text:
         help_text += f"  [default: {'off' if default is False else 'none'}]"
-    value_type = without_none(get_args(word_type)[0] if _is_list(word_type) else word_type)
+    value_type = strip_none(get_args(word_type)[0] if _is_list(word_type) else word_type)
     return typer.Option(
-        *option.named(field),
+        *option.option_names(field),
         help=help_text,
         min=option.min,
         max=option.max,
@@ -172,8 +172,8 @@ def _typer_type(kind: Any) -> Any:
     """A type for typer: tuples of any length become lists, and choices an enumeration."""
     if _is_list(kind):
         return list[get_args(kind)[0]]  # type: ignore[misc]
-    choices = get_args(without_none(kind))
-    if get_origin(without_none(kind)) is not Literal:
+    choices = get_args(strip_none(kind))
+    if get_origin(strip_none(kind)) is not Literal:
         return kind
     are_texts = isinstance(choices[0], str)
     one: Any = StrEnum("Choice", {text: text for text in choices}) if are_texts else type(choices[0])

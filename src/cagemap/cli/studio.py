@@ -7,12 +7,12 @@ from pathlib import Path
 from cagemap.cli.console import say
 from cagemap.errors import ParameterError
 from cagemap.studio.opening import BUILT_IN_FOLDER, built_in_files, command_line_files
-from cagemap.tasks.progress import Said, Stages
+from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.catalogue import all_options
 from cagemap.tasks.requests.studio import StudioRequest
 
 
-def run_studio(request: StudioRequest, stages: Stages) -> Said:
+def run_studio(request: StudioRequest, stages: Stages) -> SummaryAndWarnings:
     """Serve the studio until interrupted."""
     try:
         from cagemap.studio.page.app import PageRequest, run_page

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cagemap.errors import ParameterError
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.options import document_fields, validated
+from cagemap.tasks.requests.options import document_fields, validate_request
 
 if TYPE_CHECKING:
     from cagemap.tasks.requests.demo import DemoRequest as DemoRequest
@@ -93,12 +93,12 @@ def run(request: Any, progress: Callable[[str], None] | None = None) -> Outcome:
     from cagemap.files.atomic import files_written  # here, since `cagemap --help` needs no files
 
     task = runner_of(request)
-    checked = validated(type(request), {field.name: getattr(request, field.name) for field in fields(request)})
+    checked = validate_request(type(request), {field.name: getattr(request, field.name) for field in fields(request)})
     stages = progress if isinstance(progress, Stages) else Stages(progress)
     with files_written() as files, stages:
-        summary, said = task(checked, stages)
-    judged = isinstance(said, bool)
-    warnings, succeeded = ((), said) if judged else (tuple(said), True)
+        summary, outcome = task(checked, stages)
+    judged = isinstance(outcome, bool)
+    warnings, succeeded = ((), outcome) if judged else (tuple(outcome), True)
     return Outcome(summary, warnings, succeeded, tuple(dict.fromkeys(files)), stages.figures)
 
 

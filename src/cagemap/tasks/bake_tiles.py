@@ -38,8 +38,8 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.threads import ThreadPool
 from cagemap.tasks.masks import mask_inputs
 from cagemap.tasks.match_summary import colors_option
-from cagemap.tasks.progress import Said, Stages
-from cagemap.tasks.requests.options import given_files
+from cagemap.tasks.progress import Stages, SummaryAndWarnings
+from cagemap.tasks.requests.options import files_read
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, transfer_of, unwrap
 from cagemap.transfer.baking import to_dtype, unit
@@ -77,9 +77,9 @@ class SourceImage:
     size: int  # width and height to bake
 
 
-def inputs_of(request: TransferRequest) -> list[Path]:
+def bake_inputs(request: TransferRequest) -> list[Path]:
     """Input files that the command line names, and those that these name."""
-    given = given_files(request, "usd")
+    given = files_read(request, "usd")
     return [
         request.result / MANIFEST,
         request.result / ARRAYS,
@@ -150,13 +150,13 @@ def prepare_bake(
     stages("prepare")
     transfer = transfer_of(result)
     tiles, outside = layout_tiles(transfer)
-    warnings += [*outside, *doubled_target(result.target.control)]
+    warnings += [*outside, *target_overlap_warnings(result.target.control)]
     if any(of_source) and result.masks.source is None:
-        warnings += _doubled_source(result.source.control)
+        warnings += _source_overlap_warnings(result.source.control)
     images = [udim_path(output, tile) for output in outputs.values() for tile in tiles]
     meshes = () if mesh is None else (mesh, mesh.with_suffix(".mtl"))
     others = [*meshes, *([] if request.usd is None else [request.usd])]
-    inputs = [*inputs_of(request), *read_files(request.result, result.manifest)]
+    inputs = [*bake_inputs(request), *read_files(request.result, result.manifest)]
     check_outputs([*images, *others], inputs, force=request.force)
     if mesh is not None:
         bound = _material_images(request, {use: udim_path(output, tiles[0]) for use, output in outputs.items()})
@@ -173,7 +173,7 @@ def layout_tiles(transfer: Transfer) -> tuple[list[int], list[str]]:
     return [0], [f"{100 * outside:.1f} % of the target's layout lies outside the unit square and is not baked: move it"]
 
 
-def doubled_target(control: ControlMesh) -> list[str]:
+def target_overlap_warnings(control: ControlMesh) -> list[str]:
     """A warning if the target's layout overlaps itself."""
     share = overlapping_share(control)
     if share < MIN_REPORTED_OVERLAP:
@@ -185,7 +185,7 @@ def doubled_target(control: ControlMesh) -> list[str]:
     ]
 
 
-def _doubled_source(control: ControlMesh) -> list[str]:
+def _source_overlap_warnings(control: ControlMesh) -> list[str]:
     """A warning if layouts of the source's materials overlap."""
     names = overlapping_materials(control, MIN_REPORTED_OVERLAP)
     if not names:
@@ -212,7 +212,7 @@ def bake_tiles(
         prepared.tiles,
         lambda options: bake(options=replace(options, filter=request.filter)),
         stages,
-        masking(request, prepared, name),
+        mask_function(request, prepared, name),
         force=request.force,
         name=name,
     )
@@ -251,15 +251,17 @@ def write_tiles(
     return baked
 
 
-def masking(request: TransferRequest, prepared: Prepared, name: str = "") -> Callable[[Image, BakeOptions], Image]:
+def mask_function(
+    request: TransferRequest, prepared: Prepared, name: str = ""
+) -> Callable[[Image, BakeOptions], Image]:
     """Function that applies masks to a baked image: blend over the base image, or add alpha."""
     base, transfer = base_of(request, name), prepared.transfer
     if not transfer.masks.any:
         return lambda image, _: image
-    return lambda image, options: _masked(image, transfer, base, replace(options, filter=request.filter))
+    return lambda image, options: _apply_mask(image, transfer, base, replace(options, filter=request.filter))
 
 
-def _masked(image: Image, transfer: Transfer, base: Path | None, options: BakeOptions) -> Image:
+def _apply_mask(image: Image, transfer: Transfer, base: Path | None, options: BakeOptions) -> Image:
     """A baked image blended over its tile's base image (labels: not mixed), or with weights as alpha."""
     weight = bake_mask(transfer, size=image.size, options=options)
     if base is None:
@@ -296,7 +298,9 @@ def base_size(request: TransferRequest, name: str = "") -> int | None:
     return max(read_image(files[0]).size) if files else None
 
 
-def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any], stages: Stages) -> Said:
+def record_bake(
+    request: TransferRequest, prepared: Prepared, entry: dict[str, Any], stages: Stages
+) -> SummaryAndWarnings:
     """Record a bake, in the manifest too; returns a summary and warnings."""
     outputs = [udim_path(request.output, tile) for tile in prepared.tiles]
     stages.record({"size": entry["size"], "tiles": prepared.tiles}, of=str(entry.get("map", "")))

@@ -68,7 +68,7 @@ def carry_character(
     """
     stages = Stages() if stages is None else stages
     target_body, source_body = find_body(target.parts, bodies[0]), find_body(source.parts, bodies[1])
-    chosen, notes = _chosen(source, source_body, target, target_body, passengers)
+    chosen, notes = _select_passengers(source, source_body, target, target_body, passengers)
     matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages)
     result = matched.result
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]
@@ -79,7 +79,7 @@ def carry_character(
     body = replace(target_body, name=source_body.name, weights=weights, shapes={**shapes, **target_body.shapes})
     body = with_shape_normals(body, [name for name in source_body.shape_normals if name not in target_body.shapes])
     taken = {part.name for part in (body, *to_carry)}
-    extras = [_following(part, body, taken) for part in target.parts if part is not target_body]
+    extras = [_with_body_weights(part, body, taken) for part in target.parts if part is not target_body]
     stages("passengers")
     carried = carry_passengers(result, [part.mesh for part in to_carry], kinds=kinds)
     dressed = [
@@ -121,7 +121,7 @@ class Bodies:
         known = vertex_of >= 0
         rows = np.where(known, vertex_of, 0)
         if not known.all():
-            rows[~known] = vertex_of[known][nearest(places[known], places[~known])]
+            rows[~known] = vertex_of[known][nearest_rows(places[known], places[~known])]
         return np.asarray(values[rows])
 
 
@@ -176,12 +176,12 @@ def _set_aside(body: Part, ready: RepairedMesh) -> Part | None:
     )
 
 
-def _following(part: Part, body: Part, taken: set[str]) -> Part:
+def _with_body_weights(part: Part, body: Part, taken: set[str]) -> Part:
     """The part with weights of the body's nearest vertices and an unused name."""
     name = f"{part.name} (own)" if part.name in taken else part.name
     if body.weights is None:
         return replace(part, name=name)
-    return replace(part, name=name, weights=body.weights[nearest(body.mesh.positions, part.mesh.positions)])
+    return replace(part, name=name, weights=body.weights[nearest_rows(body.mesh.positions, part.mesh.positions)])
 
 
 def with_part(character: Character, part: Part, made: Part) -> Character:
@@ -189,12 +189,12 @@ def with_part(character: Character, part: Part, made: Part) -> Character:
     return replace(character, parts=tuple(made if candidate is part else candidate for candidate in character.parts))
 
 
-def nearest(places: FloatArray, asked: FloatArray) -> IndexArray:
+def nearest_rows(places: FloatArray, asked: FloatArray) -> IndexArray:
     """(m,) row of ``places`` (n, 3) nearest to each point of ``asked`` (m, 3)."""
     return np.asarray(cKDTree(places).query(asked)[1], dtype=np.int64)
 
 
-def _chosen(
+def _select_passengers(
     source: Character, source_body: Part, target: Character, target_body: Part, names: Sequence[str] | None
 ) -> tuple[list[Part], list[str]]:
     """Passengers to carry, and notes about the other parts."""

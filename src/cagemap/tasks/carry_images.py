@@ -28,11 +28,11 @@ from cagemap.tasks.bake_tiles import (
     bake_tiles,
     base_size,
     colors_remedy,
-    finish,
     map_path,
-    masking,
+    mask_function,
     prepare_bake,
     read_source_image,
+    record_bake,
     require_source_uvs,
     written_channels,
 )
@@ -46,7 +46,7 @@ from cagemap.tasks.detail_bakes import (
     vertex_colors,
 )
 from cagemap.tasks.material_atlas import material_atlas
-from cagemap.tasks.progress import Said, Stages
+from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.transfer import BakeKind, TransferRequest
 from cagemap.tasks.usd_output import texture_reference, write_usd_results
 from cagemap.transfer import BakeOptions, bake_displacement, bake_face_colors, bake_texture, face_colors
@@ -64,7 +64,7 @@ from cagemap.transfer.vectors import (
 FEWEST_NORMALS = 0.3
 
 
-def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
+def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry one image, or all maps of a material, with one prepared bake."""
     given, source = request.texture, result.source.control
     document = None if given is None else material_document(given, source)
@@ -87,7 +87,7 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
         map_request = replace(request, output=output)
         image = _bake_map(map_request, result, prepared, name, path, stages, texture)
         entry = _entry("texture", path if atlas is None or given is None else given, image)
-        summary, warnings = finish(map_request, prepared, entry | ({"map": name} if name else {}), stages)
+        summary, warnings = record_bake(map_request, prepared, entry | ({"map": name} if name else {}), stages)
     is_gltf = given is not None and given.suffix.lower() in GLTF_SUFFIXES
     if is_gltf and document is not None and (tinted := tinted_materials(document, source)):
         colors = f"the colours that multiply the images of {first_few(tinted)} are not baked"
@@ -180,19 +180,19 @@ def _entry(kind: str, path: Path, given: SourceImage) -> dict[str, Any]:
     return {"kind": kind, "image": path, "size": given.size, "color_space": given.first.color_space}
 
 
-def carry_normal_map(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
+def carry_normal_map(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry a normal map, in tangent or object space."""
     bake = partial(bake_normal_map, space=request.space, green=request.green)
     return _carry("normal-map", request.normal_map, 3, bake, {"space": request.space}, request, result, stages)
 
 
-def carry_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
+def carry_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry displacement along the normal."""
     bake = partial(bake_displacement, midlevel=request.midlevel, scale=request.scale)
     return _carry("displacement", request.displacement, 1, bake, {}, request, result, stages)
 
 
-def carry_vector_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
+def carry_vector_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry vector displacement, in tangent or object space."""
     bake = partial(bake_vector_displacement, space=request.space, midlevel=request.midlevel, scale=request.scale)
     more = {"space": request.space}
@@ -208,7 +208,7 @@ def _carry(
     request: TransferRequest,
     result: MatchResult,
     stages: Stages,
-) -> Said:
+) -> SummaryAndWarnings:
     """Bake an image of the source into all tiles; the manifest entry gets ``more``."""
     assert path is not None
     source_image = read_source_image(request, result, path, channels)
@@ -222,15 +222,15 @@ def _carry(
     baked = bake_tiles(request, prepared, bound, stages)
     entry = _entry(kind, path, source_image) | more
     if not isinstance(baked, Displacement):
-        return finish(request, prepared, entry, stages)
+        return record_bake(request, prepared, entry, stages)
     values = {"midlevel": baked.midlevel, "scale": baked.scale}
     stages.record(values)
-    summary, warnings = finish(request, prepared, entry | values, stages)
+    summary, warnings = record_bake(request, prepared, entry | values, stages)
     what = "height" if channels == 1 else "vector"
     return f"{summary}\n  {what} = (value - {baked.midlevel:g}) * {baked.scale:.6g} in the target's units", warnings
 
 
-def carry_material_colors(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
+def carry_material_colors(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Bake colours of the source's materials."""
     source, floats = result.source.control, request.output.suffix.lower() == ".exr"
     if source.material_colors is None:
@@ -244,10 +244,10 @@ def carry_material_colors(request: TransferRequest, result: MatchResult, stages:
 
     bake = partial(bake_face_colors, prepared.transfer, colors, size=size, dtype=dtype)
     bake_tiles(request, prepared, bake, stages)
-    return finish(request, prepared, {"kind": "material-colors", "size": size}, stages)
+    return record_bake(request, prepared, {"kind": "material-colors", "size": size}, stages)
 
 
-def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
+def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Bake normals, displacement, ambient occlusion and colours of a detailed mesh or the source."""
     kinds = _kinds(request)
     images = {kind: map_path(request.output, kind if len(kinds) > 1 else "") for kind in kinds}
@@ -277,7 +277,7 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
         prepared.tiles,
         stages,
         "the target's",
-        partial(masking, request, prepared),
+        partial(mask_function, request, prepared),
     )
     for kind, path in images.items():
         entry = {"kind": f"bake-{kind}", "output": udim_path(path, prepared.tiles[0]), "tiles": prepared.tiles}

@@ -13,7 +13,7 @@ from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import mesh_files, write_mesh
 from cagemap.files.result.folder import check_result_folder
 from cagemap.tasks.match import run_match
-from cagemap.tasks.progress import Said, Stages
+from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.report import run_report
 from cagemap.tasks.requests.demo import DemoRequest
 from cagemap.tasks.requests.match import MatchRequest
@@ -30,7 +30,7 @@ _DONE = """The same by hand:
 Open {report} in a browser."""
 
 
-def run_demo(request: DemoRequest, stages: Stages) -> Said:
+def run_demo(request: DemoRequest, stages: Stages) -> SummaryAndWarnings:
     """Write the pair's files, match, bake and report; returns the equivalent commands and the report's path."""
     folder, force = request.output, request.force
     if folder.exists() and not folder.is_dir():

@@ -33,7 +33,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import decode_srgb
 from cagemap.subdivision import default_scheme
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.bake_tiles import DEFAULT_SIZE, colors_remedy, doubled_target, layout_tiles, write_tiles
+from cagemap.tasks.bake_tiles import DEFAULT_SIZE, colors_remedy, layout_tiles, target_overlap_warnings, write_tiles
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import WRITTEN
 from cagemap.tasks.requests.transfer import BakeKind, TransferRequest
@@ -296,4 +296,4 @@ def bake_wrapped(
     images = [udim_path(path, tile) for path in bakes.images.values() for tile in tiles]
     check_outputs(images, textures_read(request), force=request.force)
     lines = bake_detail(bakes, transfer, detail, colors, tiles, stages, "the source's")
-    return lines, [*warnings, *outside, *doubled_target(result.target.control)]
+    return lines, [*warnings, *outside, *target_overlap_warnings(result.target.control)]

@@ -84,7 +84,9 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
             disk + _bytes(task, asset_sizes),
         )
         shown = " + ".join(f"{size.finest:,}" for size in asset_sizes)
-        lines.append(f"  {number} {task.name}: {shown} vertices, about {seconds:.0f} s{_foreseen(task, asset_sizes)}")
+        lines.append(
+            f"  {number} {task.name}: {shown} vertices, about {seconds:.0f} s{_expected_refusal(task, asset_sizes)}"
+        )
     used = max(min(workers, len(missing)), 1)
     minutes = (total / used + STARTUP_SECONDS * bool(missing)) / 60
     return "\n".join(
@@ -102,7 +104,7 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
     )
 
 
-def _foreseen(task: Task, sizes: list[AssetSize]) -> str:
+def _expected_refusal(task: Task, sizes: list[AssetSize]) -> str:
     """Why a bake will be refused (a mesh without texture coordinates), or an empty text."""
     if task.kind != "transfer" or task.pair is None:
         return ""
@@ -139,7 +141,7 @@ def _size(job: Job, name: str, side: str, plan: Plan, read: Callable[[str], Cont
     request = replace(request, **{key: value for key, value in options.items() if key in _SIZE_OPTIONS})
     try:
         scheme = getattr(request, f"{side}_scheme") or job.assets[name].scheme or request.scheme
-        control = SubdivisionRequest(scheme).applied(read(name))
+        control = SubdivisionRequest(scheme).apply(read(name))
         level = side_levels(request, (control, control))[SIDES.index(side)]
         counts = list(islice(vertex_counts(control, default_scheme(control)), level + 1))
     except CagemapError as error:

@@ -26,11 +26,11 @@ from cagemap.pictures.camera import View, frame
 from cagemap.pictures.render import Image, Model, Skin, render
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import Bodies, body_shapes, match_bodies, with_part
-from cagemap.tasks.progress import Said, Stages
+from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.face import FaceRequest
-from cagemap.tasks.requests.options import comma_words, given_files
+from cagemap.tasks.requests.options import comma_words, files_read
 from cagemap.tasks.rig_character import (
-    body_in,
+    character_body,
     character_positions,
     points_on_body,
     read_body,
@@ -44,13 +44,13 @@ _COLUMNS, _PIXELS = 9, 200
 _VIEW = View("face", 15.0, 3.0)
 
 
-def run_face(request: FaceRequest, stages: Stages) -> Said:
+def run_face(request: FaceRequest, stages: Stages) -> SummaryAndWarnings:
     """Add blend shapes to a head and write it; returns a summary and warnings."""
     _require_paths(request)
     stages("read")
     kit = read_face_kit(None if request.only is None else _names(request.only))
     document, file_character = read_body(request.head)
-    body = body_in(file_character, request.part, request.head)
+    body = character_body(file_character, request.part, request.head)
     kept = [name for name in kit.shapes if name in body.shapes]
     kit = replace(kit, shapes={name: offsets for name, offsets in kit.shapes.items() if name not in kept})
     vertices = _head_vertices(body, file_character.rig)
@@ -84,7 +84,7 @@ def _require_paths(request: FaceRequest) -> None:
     if request.sheet is not None:
         check_writable(request.sheet, np.dtype(np.uint8), 3)
     outputs = [request.output, *([] if request.sheet is None else [request.sheet])]
-    check_outputs(outputs, given_files(request, "sheet"), force=request.force)
+    check_outputs(outputs, files_read(request, "sheet"), force=request.force)
 
 
 def _names(words: str) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from cagemap.pipeline import choose_level, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.tasks.mesh_commands import require_size
 from cagemap.tasks.method import parse_schedule, with_laplacian
-from cagemap.tasks.progress import Said, Stages
+from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.functions import FunctionsRequest
 from cagemap.tasks.requests.options import refuse_unread
 from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
@@ -30,7 +30,7 @@ KINDS = (EIGENFUNCTIONS, "heat-signatures", "wave-signatures", "heat-kernels", "
 ARRAYS = (".npz", ".npy", ".csv")
 
 
-def run_functions(request: FunctionsRequest, stages: Stages) -> Said:
+def run_functions(request: FunctionsRequest, stages: Stages) -> SummaryAndWarnings:
     """Write functions of a mesh as arrays or vertex colours; returns a summary and notes."""
     kinds = _kinds(request)
     check_outputs([request.output], [request.mesh], force=request.force)
@@ -38,7 +38,7 @@ def run_functions(request: FunctionsRequest, stages: Stages) -> Said:
     stages("read")
     file_mesh = read_mesh(request.mesh)
     welded = weld_asked(file_mesh, request.weld)
-    control = SubdivisionRequest(request.scheme, request.boundary, None, request.creasing).applied(welded.mesh)
+    control = SubdivisionRequest(request.scheme, request.boundary, None, request.creasing).apply(welded.mesh)
     require_valid(control)
     points = welded.vertex_of[_points(request, kinds, file_mesh)]
     level = choose_level(control, FUNCTION_VERTICES) if request.level is None else request.level

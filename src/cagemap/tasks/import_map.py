@@ -21,9 +21,9 @@ from cagemap.subdivision import refine
 from cagemap.tasks.job_file import note_match
 from cagemap.tasks.masks import mask_inputs, masks_on, read_masks
 from cagemap.tasks.mesh_commands import require_size
-from cagemap.tasks.progress import Said, Stages
+from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.import_map import MapRequest
-from cagemap.tasks.requests.options import said
+from cagemap.tasks.requests.options import field_values
 from cagemap.tasks.subdivision import weld_side
 
 MAP_VERTICES = 50_000
@@ -33,7 +33,7 @@ def run_map(
     request: MapRequest,
     stages: Stages,
     require: Callable[[ControlMesh, ControlMesh], object] = lambda target, source: None,
-) -> Said:
+) -> SummaryAndWarnings:
     """Measure a map's quality and write it as a RESULT folder; returns a summary and warnings.
 
     ``require`` refuses target and source that the caller cannot use, before any work.
@@ -59,7 +59,7 @@ def run_map(
     masks.require_fit(places[0].n, places[1].n)
     stages("quality")
     quality = measure_quality(point_map, masks=masks)
-    options = said(request, "weld", "target_weld", "source_weld", "target_mask", "source_mask", "mask_edge")
+    options = field_values(request, "weld", "target_weld", "source_weld", "target_mask", "source_mask", "mask_edge")
     parameters = {"method": "map of the user's", "level": request.level, **options}
     provenance = {"parameters": parameters, "inputs": stated}
     result = MatchResult(target, source, Landmarks.none(), point_map, quality, masks=masks, provenance=provenance)

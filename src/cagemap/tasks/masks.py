@@ -237,7 +237,7 @@ def keep_base(
     return kept, []
 
 
-def in_file(request: TransferRequest, carried: Attributes, rows: FileRows | None) -> Attributes:
+def to_file_values(request: TransferRequest, carried: Attributes, rows: FileRows | None) -> Attributes:
     """Values of a part in the file's numbering, with ``--base``'s values or 0 elsewhere."""
     base = None if rows is None else base_of(request)
     below = {} if base is None or rows is None else own_values(base, rows.whole, None, carried)

@@ -31,7 +31,7 @@ from cagemap.spectral import BasisConfig, Surface
 from cagemap.spectral.surface import DEFAULT_VERTICES, prepare_checked
 from cagemap.tasks.job_file import note_match
 from cagemap.tasks.masks import GivenMasks, mask_inputs, masks_on, read_masks
-from cagemap.tasks.match_parts import PartInputs, asked_parts, chosen_parts, ready_inputs
+from cagemap.tasks.match_parts import PartInputs, ready_inputs, requested_parts, select_parts
 from cagemap.tasks.match_summary import match_figures, next_commands, summary, warnings
 from cagemap.tasks.method import (
     SIDES,
@@ -44,9 +44,9 @@ from cagemap.tasks.method import (
     used_parameters,
     with_parameters,
 )
-from cagemap.tasks.progress import Said, Stages
+from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.match import MatchRequest as MatchRequest
-from cagemap.tasks.requests.options import said
+from cagemap.tasks.requests.options import field_values
 from cagemap.tasks.subdivision import SubdivisionRequest, weld_side
 
 _log = logging.getLogger(__name__)
@@ -123,7 +123,7 @@ class MatchSettings:
     computed: ComputedMatch | None = None  # is used if its inputs are equal
 
 
-def run_match(request: MatchRequest, stages: Stages, computed: ComputedMatch | None = None) -> Said:
+def run_match(request: MatchRequest, stages: Stages, computed: ComputedMatch | None = None) -> SummaryAndWarnings:
     """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
     started = time.perf_counter()
     result = match_files(request, stages, computed=computed)
@@ -166,9 +166,9 @@ def match_files(
         side: basis_parameters(basis) | {"level": level}
         for side, basis, level in zip(SIDES, bases, levels, strict=True)
     }
-    parts = asked_parts(request.part, request.target_part, request.source_part)
+    parts = requested_parts(request.part, request.target_part, request.source_part)
     parameters = {
-        **said(request, *_NOTED),
+        **field_values(request, *_NOTED),
         "vertices": request.vertices or (None if request.level else DEFAULT_VERTICES),
         **{f"{side}_{name}": value for side, used in sides.items() for name, value in used.items()},
         "spectral": used_parameters(config),
@@ -215,10 +215,10 @@ def read_inputs(request: MatchRequest) -> Inputs:
     landmarks = landmarks.renumbered(*(weld.vertex_of.__getitem__ for weld in welded))
     target, source = (weld.mesh for weld in welded)
     notes = (*notes, *(note for weld in welded for note in weld.notes))
-    names = asked_parts(request.part, request.target_part, request.source_part)
+    names = requested_parts(request.part, request.target_part, request.source_part)
     named = names != (None, None)
     whole = PartInputs(target, source, landmarks)
-    chosen, left_alone = chosen_parts(target, source, landmarks, *names) if named else ((whole,), ())
+    chosen, left_alone = select_parts(target, source, landmarks, *names) if named else ((whole,), ())
     parts = tuple(ready_inputs(part) for part in chosen)
     notes = (*notes, *left_alone, *(note for part in parts for note in part.notes))
     return Inputs(target, source, parts, named, masks, notes)
@@ -286,9 +286,9 @@ def read_control(path: Path, request: MatchRequest, side: str) -> ControlMesh:
     """Read the control mesh of one side, with the requested subdivision options and UV set."""
     scheme = getattr(request, f"{side}_scheme") or request.scheme
     subdivision = SubdivisionRequest(scheme, request.boundary, request.uv_interpolation, request.creasing)
-    parts = asked_parts(request.part, request.target_part, request.source_part)[SIDES.index(side)]
+    parts = requested_parts(request.part, request.target_part, request.source_part)[SIDES.index(side)]
     read = read_mesh if parts is None else read_whole
-    control = subdivision.applied(replace(read(path), name=path.name))
+    control = subdivision.apply(replace(read(path), name=path.name))
     uv_set = getattr(request, f"{side}_uv_set")
     return control if uv_set is None else control.with_uv_set(uv_set)
 

@@ -45,7 +45,9 @@ class PartInputs:
     repairs: dict[str, dict[str, float]] = field(default_factory=dict)  # repairs in numbers, for a manifest, by side
 
 
-def asked_parts(part: str | None, target_part: str | None, source_part: str | None) -> tuple[str | None, str | None]:
+def requested_parts(
+    part: str | None, target_part: str | None, source_part: str | None
+) -> tuple[str | None, str | None]:
     """Requested part of each side from `--part`, `--target-part` and `--source-part`.
 
     If one side has `EACH` (its pieces) or `MATERIAL` and the other none, the word holds for both.
@@ -55,7 +57,7 @@ def asked_parts(part: str | None, target_part: str | None, source_part: str | No
     return words[0] or every, words[1] or every
 
 
-def chosen_parts(
+def select_parts(
     target: ControlMesh, source: ControlMesh, landmarks: Landmarks, target_part: str | None, source_part: str | None
 ) -> tuple[tuple[PartInputs, ...], tuple[str, ...]]:
     """Pairs of parts of two files to match, and notes about the other parts.
@@ -63,15 +65,15 @@ def chosen_parts(
     ``target``, ``source``: as in their files.
     ``landmarks``: in the files' numbers.
     ``target_part``, ``source_part``: a part's name, ``largest``, ``each`` (connected pieces) or ``material``; None for
-        the whole. See `asked_parts`.
+        the whole. See `requested_parts`.
     """
     # A part has the scheme of the whole file, even if all its faces are triangles.
     target, source = (replace(mesh, scheme=default_scheme(mesh)) for mesh in (target, source))
     if target_part is not None and source_part is not None and {target_part, source_part} & {EACH, MATERIAL}:
-        return _each(target, source, landmarks, (target_part, source_part))
+        return _select_all_parts(target, source, landmarks, (target_part, source_part))
     sides = [(target, target_part), (source, source_part)]
     parts = [None if name is None else find_part(mesh, name) for mesh, name in sides]
-    inputs = _inputs(target, source, landmarks, *parts)
+    inputs = _part_inputs(target, source, landmarks, *parts)
     notes = []
     left = len(landmarks) - len(inputs.landmarks)
     if left:
@@ -82,7 +84,7 @@ def chosen_parts(
     return (inputs,), tuple(notes)
 
 
-def _each(
+def _select_all_parts(
     target: ControlMesh, source: ControlMesh, landmarks: Landmarks, words: tuple[str, str]
 ) -> tuple[tuple[PartInputs, ...], tuple[str, ...]]:
     target_pieces, source_pieces = _pieces(target, words[0]), _pieces(source, words[1])
@@ -92,7 +94,7 @@ def _each(
         np.column_stack([landmarks.target_points.heaviest_corners, landmarks.source_points.heaviest_corners]),
         (target_pieces, source_pieces),
     )
-    left = {side: _titled(parts) for side, parts in zip(("target", "source"), unpaired, strict=True) if parts}
+    left = {side: _part_list(parts) for side, parts in zip(("target", "source"), unpaired, strict=True) if parts}
     if not pairs:
         word = next(word for word in words if word in (EACH, MATERIAL))
         listed = ", ".join(f"in the {side} {names}" for side, names in left.items())
@@ -104,7 +106,7 @@ def _each(
         f"left alone, since nothing goes with it by name or by landmarks: {names} of the {side}"
         for side, names in left.items()
     ]
-    return tuple(_inputs(target, source, landmarks, *pair) for pair in pairs), tuple(notes)
+    return tuple(_part_inputs(target, source, landmarks, *pair) for pair in pairs), tuple(notes)
 
 
 def pair_parts(
@@ -171,14 +173,14 @@ def _pieces(mesh: ControlMesh, word: str) -> tuple[Part, ...]:
     return material_pieces(mesh) if word == MATERIAL else connected_pieces(mesh, find_part(mesh, word))
 
 
-def _titled(parts: Sequence[Part]) -> str:
+def _part_list(parts: Sequence[Part]) -> str:
     return first_few(f"{part.kind} {part.name} ({len(part.faces)} faces)" for part in parts)
 
 
-def _inputs(
+def _part_inputs(
     target: ControlMesh, source: ControlMesh, landmarks: Landmarks, target_part: Part | None, source_part: Part | None
 ) -> PartInputs:
-    sides = [_taken(mesh, part) for mesh, part in ((target, target_part), (source, source_part))]
+    sides = [_extract_part(mesh, part) for mesh, part in ((target, target_part), (source, source_part))]
     for mesh, _ in sides:
         if mesh.object_schemes:
             words = ", ".join(
@@ -191,7 +193,7 @@ def _inputs(
     return PartInputs(sides[0][0], sides[1][0], kept)
 
 
-def _taken(mesh: ControlMesh, part: Part | None) -> tuple[ControlMesh, Renumbering]:
+def _extract_part(mesh: ControlMesh, part: Part | None) -> tuple[ControlMesh, Renumbering]:
     """A part as a mesh, and the renumbering from the whole's vertices to its vertices."""
     if part is None or len(part.faces) == mesh.n_faces:
         return mesh, lambda vertices: vertices

@@ -75,12 +75,12 @@ def material_atlas(document: Document | None, control: ControlMesh) -> MaterialA
         if image is None or laid is None:
             color = np.tile(np.array(key), (_COLOR_SIDE, _COLOR_SIDE, 1)) * unit(dtype)
             pixels, uvs[inside] = to_dtype(color, dtype), 0.5
-        elif (repeated := _once(*laid.repeating(image.pixels, laid.on_image(uvs[inside])))) is not None:
+        elif (repeated := _tile_image(*laid.repeating(image.pixels, laid.on_image(uvs[inside])))) is not None:
             pixels, uvs[inside] = repeated
         else:
             return None
-        cells.append(_with_channels(_in_dtype(pixels, dtype), channels))
-    laid_out = _side_by_side(cells, uvs, places[:, 1])
+        cells.append(_with_channels(_convert_dtype(pixels, dtype), channels))
+    laid_out = _join_images(cells, uvs, places[:, 1])
     if laid_out is None:
         return None
     atlas, uvs = laid_out
@@ -102,7 +102,7 @@ def _color(control: ControlMesh, material: int) -> tuple[object, ...]:
     return tuple(encode_srgb(color).tolist())
 
 
-def _once(pixels: Pixels, uvs: FloatArray) -> tuple[Pixels, FloatArray] | None:
+def _tile_image(pixels: Pixels, uvs: FloatArray) -> tuple[Pixels, FloatArray] | None:
     """An image tiled as often as UVs (m, 2) repeat it, and these scaled to 0 to 1; None if it gets too large."""
     first = np.floor(uvs.min(axis=0) + _ROUNDING)
     times = np.maximum(np.ceil(uvs.max(axis=0) - _ROUNDING) - first, 1.0)
@@ -111,7 +111,7 @@ def _once(pixels: Pixels, uvs: FloatArray) -> tuple[Pixels, FloatArray] | None:
     return np.tile(pixels, (int(times[1]), int(times[0]), 1)), (uvs - first) / times
 
 
-def _in_dtype(pixels: Pixels, dtype: np.dtype[Any]) -> Pixels:
+def _convert_dtype(pixels: Pixels, dtype: np.dtype[Any]) -> Pixels:
     return pixels if pixels.dtype == dtype else to_dtype(pixels * (unit(dtype) / unit(pixels.dtype)), dtype)
 
 
@@ -123,7 +123,7 @@ def _with_channels(pixels: Pixels, channels: int) -> Pixels:
     return color if channels == 3 else np.concatenate([color, alpha], axis=2)
 
 
-def _side_by_side(cells: list[Pixels], uvs: FloatArray, cell_of_uv: IndexArray) -> tuple[Pixels, FloatArray] | None:
+def _join_images(cells: list[Pixels], uvs: FloatArray, cell_of_uv: IndexArray) -> tuple[Pixels, FloatArray] | None:
     """One image of several, each with a border of its edge texels, and the UVs on it; None if it gets too large."""
     columns = int(np.ceil(np.sqrt(len(cells))))
     height, width = (max(cell.shape[axis] for cell in cells) + 2 * _BORDER for axis in (0, 1))

@@ -30,7 +30,7 @@ from cagemap.mesh.weld import coincident_vertices, count_pieces, weld_tolerance
 from cagemap.subdivision import finest_mesh
 from cagemap.subdivision import refine as refine_mesh
 from cagemap.subdivision.refinement import vertex_counts
-from cagemap.tasks.progress import Said, Stages
+from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.mesh_commands import CheckRequest, RefineRequest
 from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
 
@@ -46,7 +46,7 @@ def run_check(request: CheckRequest, stages: Stages) -> tuple[str, bool]:
     texts, values, sound = list[str](), list[dict[str, Any]](), True
     for path in request.meshes:
         try:
-            mesh, report, holds = _checked(path, SubdivisionRequest(request.scheme), request.weld)
+            mesh, report, holds = _check_file(path, SubdivisionRequest(request.scheme), request.weld)
         except CagemapError as error:
             said = {name: getattr(error, name) for name in ("code", "place", "remedy")}
             values.append({"file": str(path), "usable": False, "error": str(error), **said})
@@ -56,7 +56,7 @@ def run_check(request: CheckRequest, stages: Stages) -> tuple[str, bool]:
         sound &= report.is_valid
         parts = _parts(mesh)
         if not request.for_scripts:
-            listed = _part_lines(parts, pieces=holds is None and not _of_one_piece(mesh))
+            listed = _part_lines(parts, pieces=holds is None and not _is_connected(mesh))
             texts.append("\n".join(filter(None, [str(report), "" if holds is None else str(holds)])) + listed)
         sizes = [{"name": part.title, "faces": len(part.faces)} for part in parts]
         held = {} if holds is None else {"contents": asdict(holds)}
@@ -67,7 +67,7 @@ def run_check(request: CheckRequest, stages: Stages) -> tuple[str, bool]:
     return text, sound
 
 
-def _checked(
+def _check_file(
     path: Path, subdivision: SubdivisionRequest, weld: str | None
 ) -> tuple[ControlMesh, MeshReport, Contents | None]:
     """A file's mesh, its report for `cagemap match`, and the contents of a glTF, FBX or rigged USD file.
@@ -115,7 +115,7 @@ def _report(read: ControlMesh, subdivision: SubdivisionRequest, weld: str | None
     if structure_problems(read):
         return check_mesh(read)
     welded = weld_asked(read, weld)
-    mesh = subdivision.applied(welded.mesh)
+    mesh = subdivision.apply(welded.mesh)
     repairs: tuple[str, ...] = ()
     try:
         ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else None
@@ -138,7 +138,7 @@ def _parts(mesh: ControlMesh) -> tuple[Part, ...]:
         return ()  # the report has the problem of the mesh
 
 
-def _of_one_piece(mesh: ControlMesh) -> bool:
+def _is_connected(mesh: ControlMesh) -> bool:
     """Whether a mesh is connected once vertices at the same place are joined."""
     return not structure_problems(mesh) and count_pieces(mesh, coincident_vertices(mesh)) == 1
 
@@ -160,7 +160,7 @@ def _part_lines(parts: tuple[Part, ...], *, pieces: bool) -> str:
     return "\n".join(["\n  parts, for --part:", *lines])
 
 
-def run_refine(request: RefineRequest, stages: Stages) -> Said:
+def run_refine(request: RefineRequest, stages: Stages) -> SummaryAndWarnings:
     """Refine a mesh file into another; returns the table of levels, and notes about welds and quads."""
     path, output, level = request.mesh, request.output, request.level
     check_mesh_path(output)
@@ -168,7 +168,7 @@ def run_refine(request: RefineRequest, stages: Stages) -> Said:
     welded = weld_asked(read_mesh(path), request.weld)
     mesh, notes = _with_quads(welded.mesh, welded.notes) if request.quads else (welded.mesh, welded.notes)
     options = SubdivisionRequest(request.scheme, request.boundary, request.uv_interpolation, request.creasing)
-    control = options.applied(mesh)
+    control = options.apply(mesh)
     check_outputs(mesh_files(output, control, path), [path], force=request.force)
     if level == 0 and isinstance(control.scheme, Plain) and not structure_problems(control):
         write_mesh(output, control, like=path, force=request.force)

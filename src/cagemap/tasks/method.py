@@ -40,7 +40,7 @@ def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig
             form = "a whole number" if kind is int else "a number"
             raise ParameterError(f"--set method.{name}: expected {form}, got {text!r}.") from None
     with values_of("--set method"):
-        return replace(config, **{_OWN[config.method]: _filled(method_config, values)})
+        return replace(config, **{_OWN[config.method]: _with_values(method_config, values)})
 
 
 def used_parameters(config: MatchConfig) -> dict[str, Any]:
@@ -66,10 +66,11 @@ def _named_values(config: Any) -> dict[str, Any]:
     return values
 
 
-def _filled(config: Any, values: dict[str, Any]) -> Any:
+def _with_values(config: Any, values: dict[str, Any]) -> Any:
     """The configuration with numbers set by name, also in nested configurations."""
     changed = {
-        name: _filled(value, values) if is_dataclass(value) else values[name] for name, value in vars(config).items()
+        name: _with_values(value, values) if is_dataclass(value) else values[name]
+        for name, value in vars(config).items()
     }
     return replace(config, **changed)
 

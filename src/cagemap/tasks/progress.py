@@ -13,7 +13,7 @@ from cagemap.errors import ParameterError
 _log = logging.getLogger("cagemap.cli")
 
 # Summary and warnings of a task.
-Said = tuple[str, list[str]]
+SummaryAndWarnings = tuple[str, list[str]]
 
 
 class Stages:

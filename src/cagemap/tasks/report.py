@@ -35,7 +35,7 @@ from cagemap.report import (
 )
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.material_atlas import material_atlas
-from cagemap.tasks.progress import Said, Stages
+from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.tasks.rig import read_weights, weight_table
 from cagemap.wrap import level_mesh
@@ -43,7 +43,7 @@ from cagemap.wrap import level_mesh
 _log = logging.getLogger(__name__)
 
 
-def run_report(request: ReportRequest, stages: Stages) -> Said:
+def run_report(request: ReportRequest, stages: Stages) -> SummaryAndWarnings:
     """Write the report of a RESULT folder; returns a summary and no warnings."""
     folder, output, texture, force = request.result, request.output, request.texture, request.force
     stages("read result")
@@ -68,9 +68,9 @@ def run_report(request: ReportRequest, stages: Stages) -> Said:
     baked, baked_entry = None, None
     for entry in known:
         shown = entry.get("level", whole.target.refinement.finest_level) == result.target.refinement.finest_level
-        if shown and texture is not None and _same(folder / entry["image"], texture):
+        if shown and texture is not None and _is_same_file(folder / entry["image"], texture):
             try:
-                result, baked = _baked(folder, result, entry)
+                result, baked = _read_bake(folder, result, entry)
                 baked_entry = entry if baked is not None else baked_entry
             except FormatError as error:
                 _log.info("the texture is shown vertex by vertex, what was baked is not there any more: %s", error)
@@ -100,7 +100,7 @@ def carried_data(folder: Path, result: MatchResult) -> CarriedData:
     """Last wrapped cage, weights and shapes in the manifest whose files still exist."""
     last = {entry["kind"]: entry for entry in result.manifest.get("transfers", [])}
     carried = CarriedData()
-    for kind, add in (("wrap", _wrapped), ("weights", _weights), ("blend-shapes", _shapes)):
+    for kind, add in (("wrap", _with_wrapped_cage), ("weights", _with_weights), ("blend-shapes", _with_shapes)):
         if kind not in last:
             continue
         try:
@@ -128,7 +128,7 @@ def _baked_image(folder: Path, result: MatchResult, entry: dict[str, Any]) -> Ba
     before, _, after = first.name.rpartition(str(tiles[0])) if tiles != [0] else (first.name, "", "")
     file = first.name if tiles == [0] else f"{before}{UDIM_MARK}{after}"
     pixels = {tile: read_image(first.with_name(f"{before}{tile or ''}{after}")).pixels for tile in tiles}
-    control = _laid_out(folder, result, entry)
+    control = _with_bake_layout(folder, result, entry)
     if control.uvs is None:
         raise FormatError(f"{control.name} has no texture coordinates (any more)")
     kind = entry["kind"].removeprefix("bake-").replace("-", " ").replace("colors", "colours")
@@ -142,7 +142,7 @@ def _baked_image(folder: Path, result: MatchResult, entry: dict[str, Any]) -> Ba
     return BakedImage(f"{title}: {file}", shown, control)
 
 
-def _wrapped(carried: CarriedData, folder: Path, entry: dict[str, Any], result: MatchResult) -> CarriedData:
+def _with_wrapped_cage(carried: CarriedData, folder: Path, entry: dict[str, Any], result: MatchResult) -> CarriedData:
     cage = read_mesh(folder / entry["output"])
     level = int(entry.get("fit_level", 0))
     if level > result.target.refinement.finest_level:
@@ -155,7 +155,7 @@ def _wrapped(carried: CarriedData, folder: Path, entry: dict[str, Any], result: 
     return replace(carried, wrapped=level_mesh(result.target.refinement, level).with_positions(cage.positions))
 
 
-def _weights(carried: CarriedData, folder: Path, entry: dict[str, Any], result: MatchResult) -> CarriedData:
+def _with_weights(carried: CarriedData, folder: Path, entry: dict[str, Any], result: MatchResult) -> CarriedData:
     sides = []
     for name, file, side in (("source", entry.get("file"), result.source), ("target", entry["output"], result.target)):
         if file is None:
@@ -169,7 +169,7 @@ def _weights(carried: CarriedData, folder: Path, entry: dict[str, Any], result: 
     return replace(carried, weights=Weights(*sides))
 
 
-def _shapes(carried: CarriedData, folder: Path, entry: dict[str, Any], result: MatchResult) -> CarriedData:
+def _with_shapes(carried: CarriedData, folder: Path, entry: dict[str, Any], result: MatchResult) -> CarriedData:
     files = [folder / file for file in entry.get("files", [])]
     given, received = (
         read_shapes(paths, side.control, file_rows(folder, result, name))
@@ -182,21 +182,21 @@ def _shapes(carried: CarriedData, folder: Path, entry: dict[str, Any], result: M
     return replace(carried, shapes=tuple(CarriedItem(name, given[name], received[name]) for name in both))
 
 
-def _same(a: Path, b: Path) -> bool:
+def _is_same_file(a: Path, b: Path) -> bool:
     return os.path.realpath(a) == os.path.realpath(b)
 
 
-def _baked(folder: Path, result: MatchResult, entry: dict[str, Any]) -> tuple[MatchResult, Pixels | None]:
+def _read_bake(folder: Path, result: MatchResult, entry: dict[str, Any]) -> tuple[MatchResult, Pixels | None]:
     """The result with the layout of a bake, and the baked pixels; None for several tiles."""
     if len(entry.get("tiles", [0])) != 1:
         return result, None
     pixels = read_image(folder / entry["output"]).pixels
     if entry.get("mesh") is None:
         return result, pixels
-    return replace(result, target=result.target.with_control(_laid_out(folder, result, entry))), pixels
+    return replace(result, target=result.target.with_control(_with_bake_layout(folder, result, entry))), pixels
 
 
-def _laid_out(folder: Path, result: MatchResult, entry: dict[str, Any]) -> ControlMesh:
+def _with_bake_layout(folder: Path, result: MatchResult, entry: dict[str, Any]) -> ControlMesh:
     """The target with the layout of a bake."""
     control = result.target.control
     if entry.get("mesh") is None:

@@ -30,8 +30,8 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights, trusted_vertices
-from cagemap.tasks.masks import in_file, keep_base, own_values
-from cagemap.tasks.progress import Said, Stages
+from cagemap.tasks.masks import keep_base, own_values, to_file_values
+from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import comma_words
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.tasks.usd_output import write_usd_results
@@ -41,7 +41,7 @@ from cagemap.transfer.skin import carry_joints, chosen_joints, mirrored_skin, no
 _APART = 0.05
 
 
-def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
+def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry skinning weights: a column or array for each joint, or one array of all joints."""
     assert request.weights is not None
     check_outputs([request.output], [request.weights], force=request.force)
@@ -66,7 +66,7 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     names = tuple(arrays) if named else () if skeleton is None else skeleton.names
     carried = with_choice(request, result.target.control, carried, names, target_rows)
     columns, notes = keep_base(request, result, _columns(carried, arrays), target_rows)
-    columns = _limited(request, result, columns)
+    columns = _limit_influences(request, result, columns)
     if skeleton is not None and request.output.suffix.lower() != ".npy":
         columns = _by_joint(columns, skeleton)
     vertices, joints = carried.shape
@@ -76,9 +76,9 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     stages.record(figures)
     text = f"wrote {request.output}: {vertices} vertices, {joints} joints, at most {most} a vertex"
     with all_or_nothing():
-        write_attributes(request.output, in_file(request, columns, target_rows), force=request.force)
+        write_attributes(request.output, to_file_values(request, columns, target_rows), force=request.force)
         if request.usd is not None:
-            moved = _carried(skeleton, columns, result.point_map)
+            moved = _carry_in_column_order(skeleton, columns, result.point_map)
             skinning = UsdResults(attributes={JOINT_WEIGHTS: weight_table(columns)}, skeleton=moved)
             text += "\n" + write_usd_results(request.usd, request.result, result, skinning, force=request.force)
     note_transfer(request.result, {"kind": "weights", "file": request.weights, "output": request.output})
@@ -93,14 +93,14 @@ def read_weights(path: Path, control: ControlMesh, rows: FileRows | None) -> Att
     return {JOINT_WEIGHTS: arrays[JOINT_WEIGHTS]} if JOINT_WEIGHTS in arrays else arrays
 
 
-def _limited(request: TransferRequest, result: MatchResult, columns: Attributes) -> Attributes:
+def _limit_influences(request: TransferRequest, result: MatchResult, columns: Attributes) -> Attributes:
     """Weights with at most ``--influences`` joints at vertices where masks blended them with those of ``--base``."""
     blended = result.masks.joint(result.point_map)[: result.target.control.n_vertices, None] > 0.0
     table = weight_table(columns)
-    return _columns(np.where(blended, _pruned(request, table), table), columns)
+    return _columns(np.where(blended, _prune_influences(request, table), table), columns)
 
 
-def _pruned(request: TransferRequest, table: FloatArray) -> FloatArray:
+def _prune_influences(request: TransferRequest, table: FloatArray) -> FloatArray:
     """Weights with at most ``--influences`` joints at every vertex, of the same sums."""
     return normalised(pruned(table, request.influences or None), table.sum(axis=1))
 
@@ -146,11 +146,11 @@ def _by_joint(columns: Attributes, skeleton: Skeleton) -> Attributes:
     return columns if named else dict(zip(skeleton.names, weight_table(columns).T, strict=True))
 
 
-def _carried(skeleton: Skeleton | None, columns: Attributes, point_map: PointMap) -> Skeleton | None:
+def _carry_in_column_order(skeleton: Skeleton | None, columns: Attributes, point_map: PointMap) -> Skeleton | None:
     """The skeleton carried to the target, its joints in the order of the weights' columns."""
     if skeleton is None:
         return None
-    moved = _moved(skeleton, point_map)
+    moved = _carry_skeleton(skeleton, point_map)
     if any(array.ndim > 1 for array in columns.values()):  # a table of all joints, in their order
         return moved
     order = [moved.names.index(name) for name in columns]
@@ -160,7 +160,7 @@ def _carried(skeleton: Skeleton | None, columns: Attributes, point_map: PointMap
     return Skeleton(names, parents, moved.heads[order], moved.tails[order], axes)
 
 
-def _moved(skeleton: Skeleton, point_map: PointMap) -> Skeleton:
+def _carry_skeleton(skeleton: Skeleton, point_map: PointMap) -> Skeleton:
     """The source's skeleton carried to the target."""
     count = len(skeleton.names)
     ends, turns = carry_joints(point_map, np.concatenate([skeleton.heads, skeleton.tails]))
@@ -168,19 +168,19 @@ def _moved(skeleton: Skeleton, point_map: PointMap) -> Skeleton:
     return replace(skeleton, heads=ends[:count], tails=ends[count:], axes=axes)
 
 
-def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
+def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry heads and tails of joints."""
     assert request.joints is not None
     check_outputs([request.output], [request.joints], force=request.force)
     skeleton = read_skeleton(request.joints, result.source.control)
     stages("joints")
     count = len(skeleton.names)
-    write_skeleton(request.output, _moved(skeleton, result.point_map), force=request.force)
+    write_skeleton(request.output, _carry_skeleton(skeleton, result.point_map), force=request.force)
     note_transfer(request.result, {"kind": "joints", "output": request.output})
     return f"wrote {request.output}: {count} joints", []
 
 
-def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
+def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry blend shapes of the source's cage to the target's."""
     rows, target_rows = (
         file_rows(request.result, result, name) for name, side in (("source", result.source), ("target", result.target))
@@ -201,7 +201,7 @@ def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stage
     return text, []
 
 
-def write_point_map(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
+def write_point_map(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Write the map itself, for other programs."""
     check_outputs([request.output], [], force=request.force)
     stages("write map")
@@ -234,11 +234,11 @@ def with_choice(
         if requested and not names:
             raise ParameterError(f"{option}: expected weights of named joints. Give a column for each, or --joints.")
     if request.mirror:
-        carried = _pruned(request, _alike(control, carried, names))
-    return carried if request.only is None else _chosen(request, control, carried, names, rows)
+        carried = _prune_influences(request, _symmetrize(control, carried, names))
+    return carried if request.only is None else _with_chosen_joints(request, control, carried, names, rows)
 
 
-def _alike(control: ControlMesh, carried: FloatArray, names: Sequence[str]) -> FloatArray:
+def _symmetrize(control: ControlMesh, carried: FloatArray, names: Sequence[str]) -> FloatArray:
     """Means of the weights and their mirror image, for the mirror plane that changes them least."""
     joints = mirrored_joints(names)
     if np.array_equal(joints, np.arange(len(names))):
@@ -252,7 +252,7 @@ def _alike(control: ControlMesh, carried: FloatArray, names: Sequence[str]) -> F
     return min(mirrored, key=lambda skin: float(np.abs(skin - carried).sum()))
 
 
-def _chosen(
+def _with_chosen_joints(
     request: TransferRequest, control: ControlMesh, carried: FloatArray, names: Sequence[str], rows: FileRows | None
 ) -> FloatArray:
     words = comma_words(str(request.only))
@@ -270,4 +270,4 @@ def _chosen(
         raise ParameterError(f"--base {base}: expected weights of {', '.join(names)} for each vertex of {control.name}")
     kept = np.column_stack([own[name] for name in names]).astype(np.float64)
     chosen = chosen_joints(carried, kept, columns)
-    return np.where(np.any(carried[:, columns], axis=1, keepdims=True), _pruned(request, chosen), chosen)
+    return np.where(np.any(carried[:, columns], axis=1, keepdims=True), _prune_influences(request, chosen), chosen)

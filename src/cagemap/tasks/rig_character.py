@@ -36,15 +36,21 @@ from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.report import CarriedData, CarriedItem, Weights, check_page_path, write_report
 from cagemap.tasks.carry_character import CarriedCharacter, carry_character, with_part
-from cagemap.tasks.progress import Said, Stages
-from cagemap.tasks.requests.options import comma_words, given_files
+from cagemap.tasks.progress import Stages, SummaryAndWarnings
+from cagemap.tasks.requests.options import comma_words, files_read
 from cagemap.tasks.requests.rig import RigRequest
-from cagemap.tasks.rig_materials import BakedImages, colored, in_one_square, textured, with_own_materials
+from cagemap.tasks.rig_materials import (
+    BakedImages,
+    with_baked_materials,
+    with_carried_colors,
+    with_own_materials,
+    with_uvs_in_unit_square,
+)
 
 _DOUBT = "the bodies may be matched wrongly: look at the result, and give --landmarks where it is wrong"
 
 
-def run_rig(request: RigRequest, stages: Stages) -> Said:
+def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     """Carry a whole character to another body and write one file; returns a summary and warnings."""
     _require_paths(request)
     stages("read")
@@ -52,12 +58,15 @@ def run_rig(request: RigRequest, stages: Stages) -> Said:
     assert document is not None  # `_require_paths` refuses meshes alone
     source = character_of(document) if is_usd(request.like) else given_source
     body_document, target = read_body(request.body)
-    to, of = body_in(target, request.body_part, request.body), body_in(source, request.like_part, request.like)
+    to, of = (
+        character_body(target, request.body_part, request.body),
+        character_body(source, request.like_part, request.like),
+    )
     bodies = (request.body, target, to), (request.like, source, of)
     split = [note for path, character, body in bodies for note in _split_body(path, character, body)]
     landmarks = _landmarks(request, (to, of), (target, given_source))
     keeps = request.keep_textures or of.mesh.face_materials is None
-    laid_out = to.mesh if keeps or of.mesh.uvs is None else in_one_square(to.mesh)
+    laid_out = to.mesh if keeps or of.mesh.uvs is None else with_uvs_in_unit_square(to.mesh)
     target, to = _with_mesh(target, to, replace(laid_out, name=request.body.name))
     source, of = _with_mesh(source, of, replace(of.mesh, name=request.like.name))
     carried = carry_character(
@@ -75,9 +84,9 @@ def run_rig(request: RigRequest, stages: Stages) -> Said:
     baked, notes = BakedImages(), list[str]()
     bare = to.mesh.face_materials is None and of.mesh.vertex_colors is not None and not request.keep_textures
     if bare or not keeps:
-        dressed = replace(dressed, parts=(colored(carried, dressed.parts[0], of), *dressed.parts[1:]))
+        dressed = replace(dressed, parts=(with_carried_colors(carried, dressed.parts[0], of), *dressed.parts[1:]))
     if not keeps:
-        dressed, document, baked, notes = textured(
+        dressed, document, baked, notes = with_baked_materials(
             replace(carried, character=dressed), source, of, document, request.size
         )
     elif request.size is not None:
@@ -107,7 +116,7 @@ def _require_paths(request: RigRequest) -> None:
     outputs = [request.output, *([] if request.report is None else [request.report])]
     if request.report is not None:
         check_page_path(request.report)
-    check_outputs(outputs, given_files(request, "report"), force=request.force)
+    check_outputs(outputs, files_read(request, "report"), force=request.force)
 
 
 def require_output(path: Path) -> None:
@@ -152,7 +161,7 @@ def read_body(path: Path) -> tuple[Document | None, Character]:
     return None, Character((Part(path.stem, read_mesh(path)),))
 
 
-def body_in(character: Character, name: str | None, path: Path) -> Part:
+def character_body(character: Character, name: str | None, path: Path) -> Part:
     """The body of a file's character; errors name the file."""
     with values_of(path):
         return find_body(character.parts, name)

@@ -25,7 +25,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import decode_srgb
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_arrays import carry_values
-from cagemap.tasks.carry_character import CarriedCharacter, nearest
+from cagemap.tasks.carry_character import CarriedCharacter, nearest_rows
 from cagemap.transfer import Transfer, bake_texture, prepare_transfer, pull_back_faces, tile_cells, unwrap
 from cagemap.transfer.vectors import bake_normal_map
 
@@ -52,7 +52,7 @@ def with_own_materials(
 BakedImages = dict[tuple[str, str], tuple[Image, Image]]
 
 
-def textured(
+def with_baked_materials(
     carried: CarriedCharacter, source: Character, of: Part, document: Document, size: int | None
 ) -> tuple[Character, Document, BakedImages, list[str]]:
     """Character and document with the source body's materials, their baked images, and notes."""
@@ -78,14 +78,14 @@ def textured(
     for name, copy in copies.items():
         for found in material_images(document, name):
             if found.uv_set in uv_sets:
-                images[copy, found.slot] = _baked(found, document, result, size)
+                images[copy, found.slot] = _bake_image(found, document, result, size)
             else:
                 notes.append(f"{name}: its {found.slot} is left out: {of.name} has no UV set {found.uv_set}")
     dressed = replace(carried.character, parts=(replace(body, mesh=mesh), *others))
     return dressed, with_copied_materials(document, list(copies.items()), images), images, notes
 
 
-def colored(carried: CarriedCharacter, body: Part, of: Part) -> Part:
+def with_carried_colors(carried: CarriedCharacter, body: Part, of: Part) -> Part:
     """The body with the source body's vertex colours, or without: glTF multiplies them with the texture."""
     result, colors = carried.result, of.mesh.vertex_colors
     if colors is None:
@@ -95,7 +95,7 @@ def colored(carried: CarriedCharacter, body: Part, of: Part) -> Part:
         opacity[of.mesh.face_indices] = of.colors[:, 3]
     table = np.column_stack([colors, opacity])[carried.rows[1]]
     table = np.asarray(carry_values(result, table, "vertices"))
-    table = table[nearest(result.target.control.positions, body.mesh.positions)]
+    table = table[nearest_rows(result.target.control.positions, body.mesh.positions)]
     linear = np.column_stack([decode_srgb(table[:, :3].clip(0.0, 1.0)), table[:, 3].clip(0.0, 1.0)])
     corners = linear[body.mesh.face_indices] if (opacity < 1.0).any() else None
     return replace(body, mesh=replace(body.mesh, vertex_colors=table[:, :3]), colors=corners)
@@ -115,10 +115,10 @@ def _carried_materials(result: MatchResult, transfer: Transfer, mesh: ControlMes
     matched, source = result.target.control, result.source.control
     assert source.face_materials is not None
     materials = pull_back_faces(transfer, source.face_materials, n_target_faces=matched.n_faces)
-    return np.asarray(materials[nearest(face_centres(matched), face_centres(mesh))])
+    return np.asarray(materials[nearest_rows(face_centres(matched), face_centres(mesh))])
 
 
-def _baked(found: MaterialImage, document: Document, result: MatchResult, size: int | None) -> tuple[Image, Image]:
+def _bake_image(found: MaterialImage, document: Document, result: MatchResult, size: int | None) -> tuple[Image, Image]:
     image = read_material_image(document, found)
     source = result.source.control.with_uv_set(found.uv_set)
     assert source.uvs is not None
@@ -129,7 +129,7 @@ def _baked(found: MaterialImage, document: Document, result: MatchResult, size: 
     return image, replace(image, pixels=bake(transfer, pixels, size=(height, width)), channel_names=())
 
 
-def in_one_square(mesh: ControlMesh) -> ControlMesh:
+def with_uvs_in_unit_square(mesh: ControlMesh) -> ControlMesh:
     """A mesh with UVs in the unit square, as glTF needs: unwrapped, or with its tiles side by side.
 
     The UVs in tiles are kept as a second set, before further sets.

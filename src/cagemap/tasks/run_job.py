@@ -35,7 +35,7 @@ from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
-from cagemap.tasks.requests.options import validated
+from cagemap.tasks.requests.options import validate_request
 from cagemap.tasks.requests.run import RunRequest
 from cagemap.tasks.subdivision import weld_side
 from cagemap.tasks.transfer import check_transfer
@@ -78,7 +78,7 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     # Matches of the first pass were done in this run: they are not "kept".
     outcomes |= {name: matched[name] for name, now in outcomes.items() if now.state == "kept" and name in matched}
     stages("page")
-    return _concluded(job.path.stem, plan, outcomes, verdict, started)
+    return _write_page(job.path.stem, plan, outcomes, verdict, started)
 
 
 def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stages) -> tuple[str, bool]:
@@ -93,14 +93,14 @@ def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stage
         verdict = Consistency({}, 0, (), {})
         current = plan
         if step.name not in ("prepare", "match"):
-            verdict, current = _with_verdict(plan, version)
+            verdict, current = _add_detours(plan, version)
         if step.name == PAGE_STEP:
-            text, complete = _concluded(title, current, _kept_so_far(current), verdict, time.perf_counter())
+            text, complete = _write_page(title, current, _kept_outcomes(current), verdict, time.perf_counter())
             lines.append(f"{number} page:\n{text}")
             whole &= complete
         for task in step.tasks[number - step.first]:
             stages(task.name)
-            outcome = _done_alone(task.name, current)
+            outcome = _run_alone(task.name, current)
             lines.append(f"{number} {outcome}")
             whole &= outcome.usable
     return use_option_names("\n".join(lines)), whole
@@ -141,17 +141,19 @@ def _request_of(task: Task) -> Any:
     arguments = dict(task.request)
     if task.kind == "wrap":
         arguments["results"] = [arguments.pop("result")]
-    return validated(MapRequest if task.kind == "match" and "map" in arguments else COMMANDS[task.kind], arguments)
+    return validate_request(
+        MapRequest if task.kind == "match" and "map" in arguments else COMMANDS[task.kind], arguments
+    )
 
 
-def _done_alone(name: str, plan: Plan) -> TaskOutcome:
+def _run_alone(name: str, plan: Plan) -> TaskOutcome:
     """Run one task of a plan, after the composed maps that it needs."""
     tasks = {task.name: task for task in plan.tasks}
     task, before = tasks[name], []
     for need in task.needs:
         kept = kept_outcome(plan.root, tasks[need])
         if kept is None and tasks[need].kind == "compose":
-            kept = _done_alone(need, plan)
+            kept = _run_alone(need, plan)
         before.append(kept or TaskOutcome(need, "failed", "not done"))
     unusable = [outcome for outcome in before if not outcome.usable]
     if unusable and kept_outcome(plan.root, task) is None and unusable[0].message == "not done":
@@ -159,14 +161,14 @@ def _done_alone(name: str, plan: Plan) -> TaskOutcome:
     return execute(task, plan.root, run_task, *before)
 
 
-def _kept_so_far(plan: Plan) -> dict[str, TaskOutcome]:
+def _kept_outcomes(plan: Plan) -> dict[str, TaskOutcome]:
     """Outcomes of finished tasks; missing tasks are failed."""
     kept = {task.name: kept_outcome(plan.root, task) for task in plan.tasks}
     missing = {task.name: TaskOutcome(task.name, "failed", "not done") for task in missing_tasks(plan)}
     return {name: outcome for name, outcome in kept.items() if outcome is not None} | missing
 
 
-def _with_verdict(plan: Plan, version: str) -> tuple[Consistency, Plan]:
+def _add_detours(plan: Plan, version: str) -> tuple[Consistency, Plan]:
     """Consistency of finished maps, and the plan with detours around doubtful ones; under a file lock."""
     if not has_detours(plan):
         return Consistency({}, 0, (), {}), plan
@@ -174,11 +176,11 @@ def _with_verdict(plan: Plan, version: str) -> tuple[Consistency, Plan]:
 
     (plan.root / STATE_FOLDER).mkdir(parents=True, exist_ok=True)
     with FileLock(plan.root / STATE_FOLDER / "consistency.lock"):
-        verdict = collection_verdict(plan, _kept_so_far(plan))
+        verdict = collection_verdict(plan, _kept_outcomes(plan))
     return verdict, add_detours(plan, verdict.detours, version)
 
 
-def _concluded(
+def _write_page(
     title: str, plan: Plan, outcomes: dict[str, TaskOutcome], verdict: Consistency, started: float
 ) -> tuple[str, bool]:
     """Write the page of a job; returns a summary, and whether all results exist."""
@@ -186,14 +188,14 @@ def _concluded(
     notes = [*plan.omitted_outputs, *cycle_notes(verdict), *carry_notes([outcome.figures for outcome in carried])]
     page = None
     try:  # with a full disk the outcomes are still reported
-        page = write_library(plan.root, title, in_words(pair_rows(plan, outcomes, verdict.errors)), notes)[0]
+        page = write_library(plan.root, title, rows_in_user_words(pair_rows(plan, outcomes, verdict.errors)), notes)[0]
     except (CagemapError, OSError) as error:
         notes.append(f"the page could not be written: {error}")
     whole = page is not None and all(outcome.usable for outcome in outcomes.values())
     return summary(plan, outcomes, notes, page, time.perf_counter() - started), whole
 
 
-def in_words(rows: Iterable[PairRow]) -> list[PairRow]:
+def rows_in_user_words(rows: Iterable[PairRow]) -> list[PairRow]:
     """Rows of the page, with option names in their messages as users type them."""
     return [replace(row, messages=tuple(map(use_option_names, row.messages))) for row in rows]
 
@@ -273,7 +275,7 @@ def _prepare(task: Task) -> dict[str, Any]:
     """Prepare one surface as a match would do for that side, and keep it in the store."""
     file, side = Path(task.request["file"]), SIDES.index(task.request["side"])
     arguments = {"target": file, "source": file, "output": file, **task.request["options"]}
-    request: MatchRequest = validated(MatchRequest, arguments)
+    request: MatchRequest = validate_request(MatchRequest, arguments)
     welded = weld_side(read_control(file, request, task.request["side"]), request, task.request["side"])
     control = ready_mesh(welded.mesh).mesh
     level = side_levels(request, (control, control))[side]

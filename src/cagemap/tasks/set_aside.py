@@ -14,7 +14,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
 from cagemap.surface.alignment import fit_similarity
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.tasks.carry_character import Bodies, nearest
+from cagemap.tasks.carry_character import Bodies, nearest_rows
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import map_surface
 from cagemap.transfer.textured_surface import TexturedSurface
@@ -55,17 +55,17 @@ def lay_set_aside(bodies: Bodies) -> SetAside:
     corners = np.flatnonzero(np.isin(target.corner_faces, faces))
     rest = keep_faces(target, faces)
     pieces = label_components(rest.face_indices, rest.face_indices[rest.next_corners], target.n_vertices)[vertices]
-    places, turns = _laid(bodies, target.positions[vertices], pieces)
+    places, turns = _place_pieces(bodies, target.positions[vertices], pieces)
     moved = target.positions.copy()
     moved[vertices] = places
     laid = rest.with_positions(moved)
-    source_corners = nearest(_corner_points(source), _corner_points(laid))
-    source_vertices = nearest(source.positions, places)
+    source_corners = nearest_rows(_corner_points(source), _corner_points(laid))
+    source_vertices = nearest_rows(source.positions, places)
     # The vertex of the nearest corner, not the nearest vertex: layers of cloth have vertices at one place.
     number = np.full(target.n_vertices, -1, dtype=np.int64)
     number[vertices] = np.arange(len(vertices))
     source_vertices[number[rest.face_indices]] = source.face_indices[source_corners]
-    source_faces = nearest(face_centres(source), face_centres(laid)) if len(faces) else faces
+    source_faces = nearest_rows(face_centres(source), face_centres(laid)) if len(faces) else faces
     return SetAside(vertices, corners, faces, source_vertices, source_corners, source_faces, places, turns)
 
 
@@ -86,7 +86,7 @@ def piece_transfer(aside: SetAside, target: ControlMesh, source: ControlMesh) ->
     return Transfer(*sides, point_map, map_surface(*sides, point_map))
 
 
-def _laid(bodies: Bodies, positions: FloatArray, pieces: IndexArray) -> tuple[FloatArray, FloatArray]:
+def _place_pieces(bodies: Bodies, positions: FloatArray, pieces: IndexArray) -> tuple[FloatArray, FloatArray]:
     """Positions (k, 3) on the source of vertices of pieces (k,), and inverse rotations with scale (k, 3, 3)."""
     point_map = bodies.result.point_map
     target, source, images = point_map.target, point_map.source, point_map.images.positions

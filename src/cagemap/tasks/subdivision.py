@@ -22,8 +22,8 @@ class SubdivisionRequest:
     uv_interpolation: str | None = None
     creasing: str | None = None
 
-    def applied(self, control: ControlMesh) -> ControlMesh:
-        """The mesh with these subdivision options."""
+    def apply(self, control: ControlMesh) -> ControlMesh:
+        """Return the mesh with these subdivision options."""
         words = (self.boundary, self.uv_interpolation, self.creasing)
         boundary, uvs, creasing = (None if word is None else word.replace("-", "_") for word in words)
         if (self.scheme, boundary, uvs, creasing) == (None,) * 4:

@@ -15,11 +15,11 @@ from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.pair import nearest_free_vertices
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.tasks.progress import Said, Stages
+from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.suggest import SuggestRequest
 
 
-def run_suggest(request: SuggestRequest, stages: Stages) -> Said:
+def run_suggest(request: SuggestRequest, stages: Stages) -> SummaryAndWarnings:
     """Write the landmarks of a result and ``count`` suggested ones."""
     folder, output, count = request.result, request.output, request.count
     check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=request.force)
@@ -28,7 +28,7 @@ def run_suggest(request: SuggestRequest, stages: Stages) -> Said:
     if output.suffix.lower() != ".json":
         raise FormatError(f"{output}: expected the name of a landmark file ending in .json. Give such a name.")
     landmarks = suggested_landmarks(result, count)
-    write_landmarks(output, _in_files(landmarks, result), force=request.force)
+    write_landmarks(output, _to_file_numbers(landmarks, result), force=request.force)
     target, source = result.target.control.file_vertex, result.source.control.file_vertex
     new = zip(landmarks.names, landmarks.target.tolist(), landmarks.source.tolist(), strict=True)
     lines = [f"  {name}: target vertex {target(a)}, now on source vertex {source(b)}" for name, a, b in [*new][-count:]]
@@ -36,7 +36,7 @@ def run_suggest(request: SuggestRequest, stages: Stages) -> Said:
     return "\n".join([head, *lines, f"wrote {output}; correct them and match again"]), []
 
 
-def _in_files(landmarks: Landmarks, result: MatchResult) -> Landmarks:
+def _to_file_numbers(landmarks: Landmarks, result: MatchResult) -> Landmarks:
     """Landmarks of parts in the numbering of their files."""
     numbers = [side.control.file_vertices for side in (result.target, result.source)]
     return landmarks.renumbered(

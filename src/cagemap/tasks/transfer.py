@@ -26,7 +26,7 @@ from cagemap.files.values.part_numbering import file_rows, other_rows
 from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.mesh_report import first_few
-from cagemap.tasks.bake_tiles import inputs_of
+from cagemap.tasks.bake_tiles import bake_inputs
 from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.carry_images import (
     carry_detail,
@@ -38,15 +38,15 @@ from cagemap.tasks.carry_images import (
 )
 from cagemap.tasks.detail_bakes import require_green
 from cagemap.tasks.job_file import note_output
-from cagemap.tasks.masks import in_file, keep_base, with_masks
-from cagemap.tasks.progress import Said, Stages
+from cagemap.tasks.masks import keep_base, to_file_values, with_masks
+from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import refuse_unread
 from cagemap.tasks.requests.transfer import TransferRequest, require_map_names
 from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
 from cagemap.tasks.usd_output import missing_file_warnings, texture_reference, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 
-Carrier = Callable[[TransferRequest, MatchResult, Stages], Said]
+Carrier = Callable[[TransferRequest, MatchResult, Stages], SummaryAndWarnings]
 # Kinds of data whose transfer reads an option; with other kinds the option is refused.
 _PICTURES = ("texture", "displacement", "normal_map", "vector_displacement", "bake", "material_colors")
 _MASKED = (*_PICTURES, "attribute", "weights", "blend_shapes")
@@ -74,18 +74,18 @@ _READ_BY = {
 }
 
 
-def run_transfer(request: TransferRequest, stages: Stages) -> Said:
+def run_transfer(request: TransferRequest, stages: Stages) -> SummaryAndWarnings:
     """Carry one kind of data to the target, write and record it; returns a summary and warnings."""
     outcome = carry_one(request, stages)
     note_output("transfer", request.result, request)
     return outcome
 
 
-def carry_one(request: TransferRequest, stages: Stages) -> Said:
+def carry_one(request: TransferRequest, stages: Stages) -> SummaryAndWarnings:
     """Carry one kind of data to the target and write it, without a note in the RESULT's job file."""
     carry = check_transfer(request)
     outputs = [path for path in (request.output, request.usd) if path is not None]
-    require_no_input(outputs, inputs_of(request))
+    require_no_input(outputs, bake_inputs(request))
     require_writable_folder(request.output)
     stages("read result")
     result = read_result(request.result)
@@ -154,7 +154,7 @@ def _carrier(request: TransferRequest) -> Carrier:
     return carriers[chosen[0]]
 
 
-def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
+def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry values at control vertices, control faces, face corners or refined vertices."""
     assert request.attribute is not None
     check_attribute_path(request.output)
@@ -178,7 +178,7 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
     ]
     target_rows = file_rows(request.result, result, "target")
     carried, notes = keep_base(request, result, carried, target_rows)
-    whole = in_file(request, carried, target_rows)
+    whole = to_file_values(request, carried, target_rows)
     lines = []
     with all_or_nothing():
         write_attributes(request.output, whole, force=request.force)
@@ -191,7 +191,7 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
     return "\n".join([f"wrote {request.output}: {shapes}", *lines]), warnings + notes
 
 
-def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
+def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Write the target's mesh with the source's texture coordinates, so that the source's images fit it."""
     sides = result.target.refinement, result.source.refinement
     stages("prepare")
@@ -226,7 +226,7 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
 _FAR_PASSENGER = 0.5
 
 
-def transfer_passenger(request: TransferRequest, result: MatchResult, stages: Stages) -> Said:
+def transfer_passenger(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry clothes, eyes, hair or a prop; UVs and materials do not change."""
     assert request.passenger is not None
     check_mesh_path(request.output)

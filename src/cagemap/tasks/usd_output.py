@@ -58,12 +58,12 @@ def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: U
         )
     rows = file_rows(folder, result, "target") if len(paths) == 1 else None
     if rows is not None:
-        control, results = replace(rows.whole, uv_name=control.uv_name), _of_prim(results, rows)
+        control, results = replace(rows.whole, uv_name=control.uv_name), _to_whole_prim(results, rows)
     kept = write_usd_over(layer, original, paths, control, results, world=len(meshes) > 1, force=force)
     return f"wrote {layer}, a layer over {original.name}{_KEPT * kept}"
 
 
-def _of_prim(results: UsdResults, rows: FileRows) -> UsdResults:
+def _to_whole_prim(results: UsdResults, rows: FileRows) -> UsdResults:
     """Results of a part as results of its whole mesh prim; outside, 0 and old positions."""
     points = None if results.points is None else rows.placed(results.points)
     uvs = results.uvs

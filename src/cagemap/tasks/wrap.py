@@ -42,11 +42,11 @@ from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import mask_inputs, with_masks
 from cagemap.tasks.match import match_files
 from cagemap.tasks.match_summary import warnings as result_warnings
-from cagemap.tasks.progress import Said, Stages
+from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.catalogue import WRAP_IMAGES_OF, WRITTEN
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
-from cagemap.tasks.requests.options import given_files, refuse_unread, said
+from cagemap.tasks.requests.options import field_values, files_read, refuse_unread
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.transfer import carry_one
@@ -56,7 +56,7 @@ from cagemap.wrap import WrapConfig, Wrapped, level_mesh, wrap
 from cagemap.wrap.wrapping import NO_CAGE
 
 
-def run_wrap(request: WrapRequest, stages: Stages) -> Said:
+def run_wrap(request: WrapRequest, stages: Stages) -> SummaryAndWarnings:
     """Wrap the target of one or several results, and write the cages; returns a summary and warnings."""
     check_wrap(request)
     _check_files(request)
@@ -76,13 +76,13 @@ def run_wrap(request: WrapRequest, stages: Stages) -> Said:
         written = files if request.output.is_dir() else [request.output]
         check_outputs(written, [request.target, *sources], force=request.force)
     with tempfile.TemporaryDirectory() as folder:
-        results, warnings = _found(request, request.target, sources, Path(folder), stages)
+        results, warnings = _match_sources(request, request.target, sources, Path(folder), stages)
         request = replace(request, results=results)
         summary, more = _with_texture(request, *_run(request, stages), stages)
         return summary, warnings + more
 
 
-def _found(
+def _match_sources(
     request: WrapRequest, target: Path, sources: Sequence[Path], folder: Path, stages: Stages
 ) -> tuple[tuple[Path, ...], list[str]]:
     """Match the target with each source, or read the user's point map; returns the RESULT folders and warnings.
@@ -92,9 +92,9 @@ def _found(
     results = tuple(folder / f"{frame}" for frame in range(len(sources)))
     require = partial(require_wrappable, request)
     if request.map is not None:
-        of_map = MapRequest(request.map, target, sources[0], results[0], **_of_both(request, "weld"))
+        of_map = MapRequest(request.map, target, sources[0], results[0], **_side_options(request, "weld"))
         return results, run_map(of_map, stages, require)[1]
-    options, warnings = _of_both(request, "scheme", "weld"), list[str]()
+    options, warnings = _side_options(request, "scheme", "weld"), list[str]()
     if len(sources) == 1:
         single = MatchRequest(target, sources[0], results[0], request.landmarks, **options)
         result = match_files(single, stages, require=require)
@@ -122,16 +122,16 @@ def _frame_text(result: MatchResult, last_frame: MatchResult | None) -> str:
     return f"follows the last frame, {folded}, moved by {moved_by:.2f} % of sqrt(area) on average"
 
 
-def _of_both(request: WrapRequest, *names: str) -> dict[str, Any]:
+def _side_options(request: WrapRequest, *names: str) -> dict[str, Any]:
     """Options for both meshes and for each of them."""
-    return said(request, *(f"{side}{name}" for name in names for side in ("", "target_", "source_")))
+    return field_values(request, *(f"{side}{name}" for name in names for side in ("", "target_", "source_")))
 
 
-def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stages: Stages) -> Said:
+def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stages: Stages) -> SummaryAndWarnings:
     """Also bake the source's texture into the target's layout, if requested."""
     if request.texture is None or request.baked is None:
         return summary, warnings
-    options = said(request, "texture", "size", "target_mask", "source_mask", "mask_edge", "force")
+    options = field_values(request, "texture", "size", "target_mask", "source_mask", "mask_edge", "force")
     more, others = carry_one(TransferRequest(request.results[0], request.baked, **options), stages)
     return f"{summary}\n{more}", warnings + others
 
@@ -147,11 +147,11 @@ def check_wrap(request: WrapRequest) -> None:
             "--texture (or --detail-texture) and --baked: expected an image and the one to write, got one of them"
         )
     # A RESULT folder records the schemes and the welded meshes of its match.
-    matched = dict.fromkeys(_of_both(request, "scheme", "weld"), ("target",))
+    matched = dict.fromkeys(_side_options(request, "scheme", "weld"), ("target",))
     refuse_unread(request, matched, () if request.target is None else ("target",))
     if (request.target_scheme or request.scheme) == "none":
         raise ParameterError(f"{request.target}: {NO_CAGE}")
-    if request.map is not None and (request.landmarks is not None or any(_of_both(request, "scheme").values())):
+    if request.map is not None and (request.landmarks is not None or any(_side_options(request, "scheme").values())):
         raise ParameterError("--map: expected no --landmarks and no --scheme, since nothing is matched")
     if request.map is not None and len(request.results) > 1:
         raise ParameterError("--map: expected one --source, got frames. Wrap each frame with a map of its own.")
@@ -177,7 +177,7 @@ def check_wrap(request: WrapRequest) -> None:
 
 def _check_files(request: WrapRequest) -> None:
     inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]
-    given = given_files(request, *WRITTEN["wrap"])
+    given = files_read(request, *WRITTEN["wrap"])
     inputs += [*(file for path in given for file in texture_files(path)), *mask_inputs(request).values()]
     if request.blend_shapes:
         if request.output.exists() and not request.output.is_dir():
@@ -186,7 +186,7 @@ def _check_files(request: WrapRequest) -> None:
     check_outputs(outputs, inputs, force=request.force)
 
 
-def _run(request: WrapRequest, stages: Stages) -> Said:
+def _run(request: WrapRequest, stages: Stages) -> SummaryAndWarnings:
     config = WrapConfig(level=request.fit_level, fairness=request.fairness)
     stages("read result")
     results = [with_masks(read_result(folder), request, folder) for folder in request.results]
@@ -202,8 +202,8 @@ def _run(request: WrapRequest, stages: Stages) -> Said:
     wrapped = _wrap(request, result, config, stages)
     original = input_file(folder, result.manifest, "target")
     stages("write")
-    space = _to_target(folder, result)
-    written, warnings = _write(request, _through(wrapped, space), result, original, request.output)
+    space = _source_to_target(folder, result)
+    written, warnings = _write(request, _in_target_space(wrapped, space), result, original, request.output)
     figures = wrap_figures(wrapped)
     stages.record(figures)
     note_transfer(folder, {"kind": "wrap", "output": request.output, "amount": request.amount, **figures})
@@ -304,17 +304,19 @@ def _write(
     return mesh.n_vertices, warnings
 
 
-def _to_target(folder: Path, result: MatchResult) -> FloatArray:
+def _source_to_target(folder: Path, result: MatchResult) -> FloatArray:
     """(4, 4) transform from the source's space to the target's; see `between_spaces`."""
     return between_spaces(*(input_file(folder, result.manifest, side) for side in ("target", "source")))
 
 
-def _through(wrapped: Wrapped, space: FloatArray) -> Wrapped:
+def _in_target_space(wrapped: Wrapped, space: FloatArray) -> Wrapped:
     """The wrapped cage in the target's own units and axes."""
     return replace(wrapped, mesh=wrapped.mesh.with_positions(moved(wrapped.mesh.positions, space)))
 
 
-def _write_shapes(request: WrapRequest, results: list[MatchResult], config: WrapConfig, stages: Stages) -> Said:
+def _write_shapes(
+    request: WrapRequest, results: list[MatchResult], config: WrapConfig, stages: Stages
+) -> SummaryAndWarnings:
     """Write a folder of OBJ files: the target at rest, and its cage in every source's shape."""
     sources = [Path(result.source.control.name) for result in results]
     files = _shape_files(request, Path(results[0].target.control.name), sources)
@@ -328,7 +330,9 @@ def _write_shapes(request: WrapRequest, results: list[MatchResult], config: Wrap
         if file == files[1]:
             rest = replace(wrapped, mesh=level_mesh(result.target.refinement, wrapped.level))
             _write(replace(request, amount=1.0), rest, result, original, files[0])
-        warnings += _write(request, _through(wrapped, _to_target(folder, result)), result, original, file)[1]
+        warnings += _write(
+            request, _in_target_space(wrapped, _source_to_target(folder, result)), result, original, file
+        )[1]
         figures = wrap_figures(wrapped)
         stages.record(figures, of=name)
         lines.append(f"wrote {file}\n{distances_text(figures)}")

@@ -41,18 +41,18 @@ def distances_text(figures: Mapping[str, Any]) -> str:
     left_out = figures["residual"]["without_counterpart"]
     lines = [
         "  distances in % of sqrt(area), over all vertices:",
-        f"  of the wrap to the source: {_words(figures['residual'])}",
-        f"  of the source to the wrap: {_words(figures['residual_from_source'])}",
+        f"  of the wrap to the source: {_distance_text(figures['residual'])}",
+        f"  of the source to the wrap: {_distance_text(figures['residual_from_source'])}",
     ]
     if left_out > _MIN_LEFT_OUT:
         lines += [
             f"  {100 * left_out:.1f} % of the target has no counterpart and follows its surroundings",
-            f"  of the rest to the source: {_words(figures['residual_with_counterpart'])}",
+            f"  of the rest to the source: {_distance_text(figures['residual_with_counterpart'])}",
         ]
     return "\n".join(lines)
 
 
-def _words(residual: Mapping[str, Any]) -> str:
+def _distance_text(residual: Mapping[str, Any]) -> str:
     return (
         f"mean {100 * residual['mean']:.4f}, 99 % within {100 * residual['p99']:.3f}, largest "
         f"{100 * residual['max']:.2f} at {place_text(residual['place'])}"

@@ -28,7 +28,7 @@ from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh
 from cagemap.tasks.carry_character import _set_aside
 from cagemap.tasks.requests.rig import RigRequest
-from cagemap.tasks.rig_character import _kinds, _landmarks, _split_body, body_in, read_body
+from cagemap.tasks.rig_character import _kinds, _landmarks, _split_body, character_body, read_body
 
 from command_line import Run
 from example_character import ball, write_character
@@ -197,7 +197,7 @@ def test_landmarks_between_vertices_and_curves_are_used(files: Character) -> Non
     Path("L.json").write_text(json.dumps(data))
     _, target = read_body(Path("B.glb"))
     _, source = read_body(Path("C.glb"))
-    parts = body_in(target, None, Path("B.glb")), body_in(source, "body", Path("C.glb"))
+    parts = character_body(target, None, Path("B.glb")), character_body(source, "body", Path("C.glb"))
     landmarks = _landmarks(
         RigRequest(Path("B.glb"), Path("C.glb"), Path("O.glb"), Path("L.json")), parts, (target, source)
     )

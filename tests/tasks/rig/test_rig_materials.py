@@ -17,7 +17,7 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.tasks.carry_character import with_part
-from cagemap.tasks.rig_materials import in_one_square
+from cagemap.tasks.rig_materials import with_uvs_in_unit_square
 
 from command_line import Run
 from example_character import ball, character, with_material, write_character
@@ -105,7 +105,7 @@ def test_uv_sets_of_a_body_in_tiles_stay(body: ControlMesh) -> None:
     own = replace(
         body, uvs=3 * body.uvs, uv_name="TEXCOORD_0", uv_sets=(UvSet("TEXCOORD_1", body.uvs, body.uv_indices),)
     )
-    packed = in_one_square(own)
+    packed = with_uvs_in_unit_square(own)
     assert [one.name for one in packed.all_uv_sets] == ["TEXCOORD_0", "TEXCOORD_1", "TEXCOORD_2"]
     assert [one.uvs is given.uvs for one, given in zip(packed.uv_sets, own.all_uv_sets, strict=True)] == [True, True]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 from cagemap.tasks.requests.match import MatchRequest
-from cagemap.tasks.requests.options import Option, options_in, validated, without_none
+from cagemap.tasks.requests.options import Option, option_fields, strip_none, validate_request
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
@@ -96,13 +96,13 @@ def all_options() -> Options:
 
 def request_of(command: str, values: Mapping[str, Value]) -> Request:
     """A command's request from values of some of its fields; the text "8" is accepted for the choice 8."""
-    kinds = {field.name: without_none(kind) for field, kind, _ in options_in(COMMANDS[command])}
+    kinds = {field.name: strip_none(kind) for field, kind, _ in option_fields(COMMANDS[command])}
     choices = {name: get_args(kind) for name, kind in kinds.items() if get_origin(kind) is Literal}
     chosen = {
         name: next((choice for choice in choices.get(name, ()) if str(choice) == value), value)
         for name, value in values.items()
     }
-    request: Request = validated(COMMANDS[command], chosen)
+    request: Request = validate_request(COMMANDS[command], chosen)
     return request
 
 
@@ -111,13 +111,13 @@ def options_of(command: str, request: type) -> tuple[CommandOption, ...]:
     """Options of one command; fields that are no options are left out."""
     return tuple(
         _option(command, field.name, kind, option, None if field.default is MISSING else field.default)
-        for field, kind, option in options_in(request)
+        for field, kind, option in option_fields(request)
         if type(option) is Option
     )
 
 
 def _option(command: str, name: str, kind: Any, option: Option, default: Any) -> CommandOption:
-    plain = without_none(kind)
+    plain = strip_none(kind)
     several = get_origin(plain) is tuple
     one = get_args(plain)[0] if several else plain
     choices = get_args(one) if get_origin(one) is Literal else ()
@@ -128,7 +128,7 @@ def _option(command: str, name: str, kind: Any, option: Option, default: Any) ->
         option_kind = "several" if several else "choice"
     else:
         option_kind = "name or file" if option.suffixes else _KINDS[plain]
-    off = option.named(name)[0].partition("/")[2]
+    off = option.option_names(name)[0].partition("/")[2]
     return CommandOption(
         command,
         name,

@@ -28,7 +28,7 @@ class Option:
 
     help: str
     group: str | None = None  # heading in `--help`
-    names: tuple[str, ...] = ()  # as typed, see `named`; a switch may have ``--on/--off``
+    names: tuple[str, ...] = ()  # as typed, see `option_names`; a switch may have ``--on/--off``
     min: float | None = None  # least and largest value
     max: float | None = None
     metavar: str | None = None  # name of the value in help
@@ -42,7 +42,7 @@ class Option:
 
         return handler(Annotated[source, Field(ge=self.min, le=self.max, description=self.help)])
 
-    def named(self, field: str) -> tuple[str, ...]:
+    def option_names(self, field: str) -> tuple[str, ...]:
         """What is typed for a field, the long name first: by default the field's name, beside a short one."""
         if any(name.startswith("--") for name in self.names):
             return self.names
@@ -50,10 +50,10 @@ class Option:
 
     def flag(self, field: str) -> str:
         """The long name of a field's option; of a switch without its ``/--off``."""
-        return self.named(field)[0].partition("/")[0]
+        return self.option_names(field)[0].partition("/")[0]
 
 
-def validated(request: type, values: Mapping[str, Any]) -> Any:
+def validate_request(request: type, values: Mapping[str, Any]) -> Any:
     """A request from values of its fields, which may be of similar kinds, such as texts for paths."""
     from pydantic import ValidationError  # here, since `cagemap --help` does not need it
 
@@ -73,16 +73,16 @@ def _validator(request: type) -> Any:
 
 def document_fields(request: Any) -> None:
     """Make ``help(request)`` show the help text of every option."""
-    lines = (f"{field.name}\n    {option.help}" for field, _, option in options_in(request))
+    lines = (f"{field.name}\n    {option.help}" for field, _, option in option_fields(request))
     request.__init__.__doc__ = "\n".join(["Parameters", "----------", *lines])
 
 
-def said(request: Any, *names: str) -> dict[str, Any]:
+def field_values(request: Any, *names: str) -> dict[str, Any]:
     """Some fields of a request, by name."""
     return {name: getattr(request, name) for name in names}
 
 
-def given_files(request: Any, *outputs: str) -> list[Path]:
+def files_read(request: Any, *outputs: str) -> list[Path]:
     """Files that a request reads: all that it names but its results and outputs."""
 
     def paths(value: Any) -> Iterator[Path]:
@@ -114,7 +114,7 @@ class PythonOnly(Option):
     """Field that the command line fills from another option."""
 
 
-def options_in(request: type) -> Iterator[tuple[Field[Any], Any, Option]]:
+def option_fields(request: type) -> Iterator[tuple[Field[Any], Any, Option]]:
     """Fields of a request, their types and options."""
     hints = get_type_hints(request, include_extras=True)
     for field in fields(request):
@@ -122,7 +122,7 @@ def options_in(request: type) -> Iterator[tuple[Field[Any], Any, Option]]:
         yield field, kind, option
 
 
-def without_none(kind: Any) -> Any:
+def strip_none(kind: Any) -> Any:
     """A type without None; a union of several others stays."""
     kinds = [member for member in get_args(kind) if member is not NoneType]
     return kinds[0] if NoneType in get_args(kind) and len(kinds) == 1 else kind
@@ -139,7 +139,7 @@ def refuse_unread(request: Any, readers: Mapping[str, Collection[str]], given: C
         if getattr(request, name) != getattr(type(request), name) and not set(words) & set(given)
     )
     for name, words in unread:
-        flags = {field.name: option.flag(field.name) for field, _, option in options_in(type(request))}
+        flags = {field.name: option.flag(field.name) for field, _, option in option_fields(type(request))}
         expected, got = (" or ".join(flags.get(word, word) for word in listed) for listed in (words, given))
         raise ParameterError(
             f"{flags[name]}: expected with {expected} only, got {got or 'none of them'}. Leave {flags[name]} out."

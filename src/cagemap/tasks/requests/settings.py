@@ -9,7 +9,7 @@ from typing import Annotated, Any, get_origin
 
 from cagemap.errors import ParameterError, wrong_values
 from cagemap.files.text import read_toml
-from cagemap.tasks.requests.options import Option, options_in
+from cagemap.tasks.requests.options import Option, option_fields
 
 # The field with parameters of the method, and the prefix of their names.
 _PARAMETERS, _METHOD = "parameter", "method"
@@ -23,7 +23,7 @@ def settings_of(request: type) -> dict[str, tuple[str, Any, Option]]:
     sides = re.compile("^(target|source)_")
     return {
         sides.sub(r"\1.", field.name): (field.name, kind, option)
-        for field, kind, option in options_in(request)
+        for field, kind, option in option_fields(request)
         if option.setting and field.name != _PARAMETERS
     }
 
