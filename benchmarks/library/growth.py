@@ -25,7 +25,7 @@ from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.folder import read_result, write_result
-from cagemap.files.result.surface_store import prepared
+from cagemap.files.result.surface_store import load_or_prepare
 from cagemap.numerics.threads import thread_limit
 from cagemap.pipeline import MAP_BASIS, choose_level, match
 from cagemap.report import draw_thumbnail, write_report
@@ -65,7 +65,7 @@ def measured(target: str, source: str, landmarks: str, vertices: int) -> dict[st
         meshes = [read_mesh(HUMANS / f"{name}.obj") for name in (target, source)]
         levels = [choose_level(mesh, vertices) for mesh in meshes]
         surfaces = [
-            timed("prepare", lambda m=mesh, at=level: prepared(folder / "store", m, at, MAP_BASIS))
+            timed("prepare", lambda m=mesh, at=level: load_or_prepare(folder / "store", m, at, MAP_BASIS))
             for mesh, level in zip(meshes, levels, strict=True)
         ]
         row["control"] = [mesh.n_vertices for mesh in meshes]
@@ -94,7 +94,7 @@ def measured(target: str, source: str, landmarks: str, vertices: int) -> dict[st
 def _warm_up(folder: Path) -> None:
     """Read compiled code: a worker does that once."""
     pair = example_pair(16)
-    surfaces = [prepared(folder / "warm", mesh, 1, MAP_BASIS) for mesh in (pair.target, pair.source)]
+    surfaces = [load_or_prepare(folder / "warm", mesh, 1, MAP_BASIS) for mesh in (pair.target, pair.source)]
     write_result(folder / "warm-RESULT", match(*surfaces, pair.landmarks))
     draw_thumbnail(read_result(folder / "warm-RESULT"))
     write_image(folder / "warm.png", pair.texture)

@@ -229,13 +229,13 @@ def stages(pair: str, level: int, count: int, cache: str) -> Figures:
 
 def _surfaces(pair: HumanPair, level: int, count: int, cache: str) -> tuple[Any, Any]:
     from cagemap.files.meshes.formats import read_mesh
-    from cagemap.files.result.surface_store import prepared
+    from cagemap.files.result.surface_store import load_or_prepare
     from cagemap.numerics.threads import in_threads
     from cagemap.pipeline import MAP_BASIS
 
     config = replace(MAP_BASIS, count=count)
     files = [pair.target_file, pair.source_file]
-    target, source = in_threads(lambda file: prepared(cache, read_mesh(file), level, config), files)
+    target, source = in_threads(lambda file: load_or_prepare(cache, read_mesh(file), level, config), files)
     return target, source
 
 

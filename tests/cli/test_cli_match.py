@@ -18,7 +18,7 @@ from cagemap.files.landmarks.point_formats import write_points
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import file_hash
-from cagemap.files.result.surface_store import prepared
+from cagemap.files.result.surface_store import load_or_prepare
 from cagemap.mesh.landmarks import NamedPoints
 from cagemap.pipeline import MAP_BASIS, MatchConfig, prepare_surface, prepare_surfaces
 from cagemap.tasks.match import MatchRequest, match_config, read_inputs
@@ -121,7 +121,7 @@ def test_command_line_and_library_have_the_same_defaults() -> None:
     asked = MatchRequest(*[Path("x")] * 4)
     assert basis_config(asked) == MAP_BASIS
     assert match_config(asked) == MatchConfig()
-    for prepare in (prepare_surface, prepare_surfaces, prepared):
+    for prepare in (prepare_surface, prepare_surfaces, load_or_prepare):
         assert inspect.signature(prepare).parameters["config"].default == MAP_BASIS
 
 

@@ -31,7 +31,7 @@ from cagemap.files.ownership import mark
 from cagemap.files.result.folder import ARRAYS, read_result, write_result
 from cagemap.files.result.manifest import MANIFEST
 from cagemap.files.result.maps import read_images, write_map
-from cagemap.files.result.surface_store import load_surface, prepared, save_surface
+from cagemap.files.result.surface_store import load_or_prepare, load_surface, save_surface
 from cagemap.files.values.attributes import read_attributes, write_attributes
 from cagemap.files.values.rigs import read_shapes, read_skeleton, write_shapes, write_skeleton
 from cagemap.jobs.consistency import Consistency, read_consistency, write_consistency
@@ -344,16 +344,16 @@ def test_changed_arrays(scene: Path, tmp_path: Path, name: str) -> None:
 
 def test_a_damaged_prepared_surface_is_made_again_with_a_word(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     control, config = shapes.cube(), BasisConfig(count=6)
-    first = prepared(tmp_path, control, 2, config)
+    first = load_or_prepare(tmp_path, control, 2, config)
     (file,) = tmp_path.iterdir()
     with np.load(file) as stored:
         arrays = dict(stored)
     np.savez(file, **arrays | {"indices": np.full(len(arrays["indices"]), np.nan)})
-    again = prepared(tmp_path, control, 2, config)
+    again = load_or_prepare(tmp_path, control, 2, config)
     np.testing.assert_array_equal(again.basis.eigenvalues, first.basis.eigenvalues)
     assert "is prepared again" in caplog.text
     caplog.clear()
-    prepared(tmp_path, control, 2, config)
+    load_or_prepare(tmp_path, control, 2, config)
     assert caplog.text == ""
 
 

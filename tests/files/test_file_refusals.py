@@ -31,7 +31,7 @@ from cagemap.files.result.folder import ARRAYS, read_result, write_result
 from cagemap.files.result.manifest import MANIFEST, REMEDY
 from cagemap.files.result.maps import read_images
 from cagemap.files.result.merged_parts import merge_results
-from cagemap.files.result.surface_store import load_surface, prepared, save_surface
+from cagemap.files.result.surface_store import load_or_prepare, load_surface, save_surface
 from cagemap.files.values.attributes import read_attributes, write_attributes
 from cagemap.files.values.rigs import read_skeleton, write_shapes
 from cagemap.mesh import Plain
@@ -375,7 +375,7 @@ def test_files_and_folders_without_permission_are_refused(tmp_path: Path, monkey
 
     monkeypatch.setattr(os, "access", lambda *given: False)
     Refusal(
-        lambda place: prepared(place, cube(), 1, BasisConfig(count=5)),
+        lambda place: load_or_prepare(place, cube(), 1, BasisConfig(count=5)),
         f"{tmp_path}: ",
         "prepared surfaces cannot be written there ... Give a folder that you may write to.",
     ).check(tmp_path)

@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 
 from cagemap.errors import FormatError
-from cagemap.files.images.image import Image, pixel_type, read_image, read_texture, straight, udim_path, write_image
+from cagemap.files.images.image import (
+    Image,
+    pixel_type,
+    read_image,
+    read_texture,
+    udim_path,
+    unpremultiply,
+    write_image,
+)
 
 
 def noise(dtype: str, channels: int, shape: tuple[int, int] = (5, 7)) -> np.ndarray:
@@ -54,7 +62,7 @@ def test_exr_colours_are_multiplied_by_alpha(tmp_path: Path, dtype: str, channel
     given = read_image(tmp_path / "given.exr")
     assert given.associated
     np.testing.assert_array_equal(given.pixels, np.dstack([colors * [[[1.0], [0.25], [1.0]]], alpha]))
-    np.testing.assert_array_equal(straight(given).pixels, plain)
+    np.testing.assert_array_equal(unpremultiply(given).pixels, plain)
     write_image(tmp_path / "again.exr", given)
     np.testing.assert_array_equal(read_image(tmp_path / "again.exr").pixels, given.pixels)
     write_image(tmp_path / "divided.png", replace(given, pixels=np.rint(255 * given.pixels).astype(np.uint8)))

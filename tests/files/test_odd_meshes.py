@@ -12,7 +12,7 @@ from examples.shapes import cube
 
 from cagemap.files.gltf.document import read_document
 from cagemap.files.gltf.entries import read_accessor
-from cagemap.files.meshes.colors import as_shares
+from cagemap.files.meshes.colors import to_unit_range
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 
 SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=np.float64)
@@ -154,11 +154,11 @@ def _is_the_square(file: Path, content: bytes) -> None:
 )
 def test_numbers_far_beyond_1_or_whole_are_bytes(largest: float, full: float) -> None:
     colors = np.array([[0.0, 1.0, largest], [np.nan, np.nan, np.nan]])
-    np.testing.assert_allclose(as_shares(colors), colors / full)
+    np.testing.assert_allclose(to_unit_range(colors), colors / full)
 
 
 def test_the_file_says_what_is_full() -> None:
-    np.testing.assert_allclose(as_shares(np.array([[0.0, 512.0, 1023.0]]), 1023.0), [[0.0, 512 / 1023, 1.0]])
+    np.testing.assert_allclose(to_unit_range(np.array([[0.0, 512.0, 1023.0]]), 1023.0), [[0.0, 512 / 1023, 1.0]])
 
 
 def test_colours_of_gltf_and_usd_are_linear(tmp_path: Path) -> None:

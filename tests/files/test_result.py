@@ -13,7 +13,7 @@ from examples.shapes import cube, icosahedron
 from cagemap.deform.placement import Placement
 from cagemap.errors import FormatError
 from cagemap.files.result.folder import ARRAYS, read_result, write_result
-from cagemap.files.result.manifest import MANIFEST, assurance, file_hash, landmark_messages, mesh_hash, note_transfer
+from cagemap.files.result.manifest import MANIFEST, file_hash, landmark_messages, mesh_hash, note_transfer, sure_message
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, WARNING_SIGNS, Confidence
 from cagemap.maps.landmarks.check import DISTANCES, LandmarkCheck, LandmarkSuspect
 from cagemap.maps.point_map import PointMap
@@ -247,7 +247,7 @@ def test_a_result_of_before_is_sure_only_if_its_map_may_be_now(result: MatchResu
         (tmp_path / name / MANIFEST).write_text(json.dumps(old))
         again = read_result(tmp_path / name).manifest
         # Being sure is nothing to warn of.
-        assert (landmark_messages(again)[:1], assurance(again)) == (
+        assert (landmark_messages(again)[:1], sure_message(again)) == (
             ([back.message], "") if verdict == LOOK else ([], back.message)
         )
     del old["confidence"]["signs"]

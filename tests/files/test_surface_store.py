@@ -16,7 +16,7 @@ from examples import shapes
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.result.manifest import code_version
-from cagemap.files.result.surface_store import SUFFIX, load_surface, prepared, save_surface, surface_key
+from cagemap.files.result.surface_store import SUFFIX, load_or_prepare, load_surface, save_surface, surface_key
 from cagemap.pipeline import MatchConfig, match, prepare_surface
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.surface import Surface
@@ -104,10 +104,10 @@ def test_operators_of_another_config_are_refused(surface, tmp_path):
 
 def test_the_second_time_it_is_read(surface, tmp_path):
     folder = tmp_path / "new" / "cache"
-    first = prepared(folder, shapes.creature(), LEVEL, CONFIG, prepare=lambda *_, **__: surface)
+    first = load_or_prepare(folder, shapes.creature(), LEVEL, CONFIG, prepare=lambda *_, **__: surface)
     assert first is surface
     renamed = replace(shapes.creature(), name="another name")
-    again = prepared(folder, renamed, LEVEL, CONFIG, prepare=no_preparing)
+    again = load_or_prepare(folder, renamed, LEVEL, CONFIG, prepare=no_preparing)
     assert_same(again, surface)
     assert again.control.name == "another name"
     assert len(list(folder.iterdir())) == 1
@@ -177,7 +177,9 @@ def test_damaged_files_are_refused_by_name_and_prepared_again(damage, surface, t
     with pytest.raises(FormatError, match=place.name):
         load_surface(place)
     calls = []
-    again = prepared(tmp_path, shapes.creature(), LEVEL, CONFIG, prepare=lambda *a, **o: calls.append(a) or surface)
+    again = load_or_prepare(
+        tmp_path, shapes.creature(), LEVEL, CONFIG, prepare=lambda *a, **o: calls.append(a) or surface
+    )
     assert len(calls) == 1
     assert_same(again, surface)
     assert_same(load_surface(place), surface)
@@ -191,7 +193,7 @@ def test_a_missing_file_is_named(tmp_path):
 def test_an_unusable_folder_is_named_before_any_work(tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(FormatError, match="file"):
-        prepared(tmp_path / "file", shapes.creature(), LEVEL, CONFIG, prepare=no_preparing)
+        load_or_prepare(tmp_path / "file", shapes.creature(), LEVEL, CONFIG, prepare=no_preparing)
 
 
 def test_nothing_is_stored_when_preparing_fails(tmp_path):
@@ -199,7 +201,7 @@ def test_nothing_is_stored_when_preparing_fails(tmp_path):
         raise ParameterError("no")
 
     with pytest.raises(ParameterError):
-        prepared(tmp_path, shapes.creature(), LEVEL, CONFIG, prepare=failing)
+        load_or_prepare(tmp_path, shapes.creature(), LEVEL, CONFIG, prepare=failing)
     assert not list(tmp_path.iterdir())
 
 
@@ -226,7 +228,7 @@ def test_two_at_once_both_get_the_surface(surface, tmp_path):
 
     with ThreadPoolExecutor(2) as pool:
         args = (tmp_path, shapes.creature(), LEVEL, CONFIG)
-        results = list(pool.map(lambda _: prepared(*args, prepare=slowly), range(2)))
+        results = list(pool.map(lambda _: load_or_prepare(*args, prepare=slowly), range(2)))
     for result in results:
         assert_same(result, surface)
     assert len(list(tmp_path.iterdir())) == 1

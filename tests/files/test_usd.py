@@ -29,9 +29,9 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
-from cagemap.files.usd.read import in_world, read_usd, read_usd_meshes
+from cagemap.files.usd.read import place_in_world, read_usd, read_usd_meshes
 from cagemap.files.usd.results import MATERIAL, connect_texture, define_material, uv_reader
-from cagemap.files.usd.stages import named_damage, open_stage
+from cagemap.files.usd.stages import damage_as_error, open_stage
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
 
@@ -153,7 +153,7 @@ def test_a_character_with_parts_weights_and_blend_shapes(tmp_path: Path) -> None
     _character(path)
     body, eye = read_usd_meshes(path)
     assert (body.path, eye.path) == ("/hero/body", "/hero/eye")
-    np.testing.assert_allclose(in_world(eye).control.positions, eye.control.positions + np.array([0, 5, 0]))
+    np.testing.assert_allclose(place_in_world(eye).control.positions, eye.control.positions + np.array([0, 5, 0]))
     np.testing.assert_array_equal(body.attributes["skel:jointWeights"], [[0.25, 0, 0.75]] * 8)
     np.testing.assert_array_equal(body.attributes["blendShape:smile"][5], [1, 0, 0])
     np.testing.assert_array_equal(body.attributes["fur"], np.arange(8))
@@ -363,7 +363,7 @@ def test_a_flattened_mesh_beside_others_is_left_out_aloud(tmp_path: Path, caplog
 
 
 def test_damaged_files_are_named(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match=r"damaged \(no number: 'x'\)"), named_damage("bad.usda"):
+    with pytest.raises(FormatError, match=r"damaged \(no number: 'x'\)"), damage_as_error("bad.usda"):
         raise ValueError("no number: 'x'")
     with pytest.raises(FormatError, match="no such file"):
         read_usd(tmp_path / "none.usda")

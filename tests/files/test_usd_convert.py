@@ -26,7 +26,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import read_usd_character, usd_document
 from cagemap.files.usd.materials import STRENGTH
-from cagemap.files.usd.read import in_world, read_usd_meshes
+from cagemap.files.usd.read import place_in_world, read_usd_meshes
 from cagemap.files.usd.results import connect_texture, define_material, uv_reader
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.mesh.faces import reversed_corners
@@ -327,7 +327,7 @@ def test_bindings_above_a_mesh_and_with_indices_skin_as_in_usd(tmp_path: Path) -
             assert cache.GetSkinningQuery(prim).ComputeSkinnedPoints(transforms, points, frame)
             posed_at = pose_at(found.rig, found.animations[0], (frame + 12.0) / 24.0)
             np.testing.assert_allclose(skinned_positions(part, found.rig, posed_at), points, atol=1e-6)
-    skeleton = read_usd_skeleton(path, in_world(read_usd_meshes(path)[0]).control)
+    skeleton = read_usd_skeleton(path, place_in_world(read_usd_meshes(path)[0]).control)
     np.testing.assert_allclose(skeleton.heads[:, 1], [-0.5, 0.5, 1.5])
 
 

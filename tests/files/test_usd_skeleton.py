@@ -27,7 +27,7 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
-from cagemap.files.usd.prims import local_to_world, moved
+from cagemap.files.usd.prims import local_to_world, transform_points
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import StageSpace, between_spaces, to_standard, unit_notes
@@ -78,7 +78,7 @@ def _at_rest(path: Path, prim_path: str) -> np.ndarray:
     transforms = skeleton.ComputeSkinningTransforms(Usd.TimeCode.Default())
     points = UsdGeom.Mesh(prim).GetPointsAttr().Get()
     assert query.ComputeSkinnedPoints(transforms, points, Usd.TimeCode.Default())
-    return moved(np.array(points, dtype=np.float64), local_to_world(skeleton.GetPrim()))
+    return transform_points(np.array(points, dtype=np.float64), local_to_world(skeleton.GetPrim()))
 
 
 def test_a_skeleton_comes_back_from_usd_and_skins_to_rest(tmp_path: Path) -> None:
@@ -239,7 +239,7 @@ def test_weights_arrive_with_their_skeleton(folder: Path) -> None:
         mesh.attributes["skel:jointWeights"], read_attributes(folder / "small.usda")["skel:jointWeights"], atol=1e-5
     )
     np.testing.assert_allclose(
-        _at_rest(folder / "rig.usda", mesh.path), moved(mesh.control.positions, mesh.to_world), atol=1e-5
+        _at_rest(folder / "rig.usda", mesh.path), transform_points(mesh.control.positions, mesh.to_world), atol=1e-5
     )
     joints = TransferRequest(folder / "RESULT", folder / "rig.json", joints=folder / "small.usda")
     run_transfer(joints, Stages())
@@ -282,7 +282,7 @@ def test_a_wrapped_cage_is_in_the_targets_own_units_and_axes(folder: Path) -> No
     mesh = read_usd_meshes(folder / "wrapped.usda")[0]
     source = read_usd_meshes(folder / "small.usda")[0].control.positions
     # In the world, in metres with Y up, the cage lies on the source.
-    world = moved(mesh.control.positions, mesh.to_world)
+    world = transform_points(mesh.control.positions, mesh.to_world)
     upright = 0.01 * np.column_stack([world[:, 0], world[:, 2], -world[:, 1]])
     np.testing.assert_allclose(upright, source, atol=2e-3)
     np.testing.assert_allclose(between_spaces(folder / "large.usda", folder / "x.obj"), np.eye(4))
@@ -303,8 +303,8 @@ def test_a_passenger_is_at_its_place_in_the_world(folder: Path, given: str, outp
     found = read_mesh(folder / output).positions
     expected = 2.2 * textured_cube("").positions
     if output != "worn.obj":
-        found = moved(found, to_standard(folder / output)) if output == "worn.usda" else found
-        expected = moved(expected, to_standard(folder / "large.usda"))
+        found = transform_points(found, to_standard(folder / output)) if output == "worn.usda" else found
+        expected = transform_points(expected, to_standard(folder / "large.usda"))
     np.testing.assert_allclose(np.sort(found, axis=0), np.sort(expected, axis=0), atol=1e-5)
     assert (folder / "worn.mtl").exists() == (output == "worn.obj" and given != "hat.obj"), "materials of hat.mtl"
 

@@ -15,7 +15,7 @@ from cagemap.files.images.image import read_image, write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
-from cagemap.files.result.surface_store import prepared
+from cagemap.files.result.surface_store import load_or_prepare
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
@@ -164,7 +164,7 @@ def test_a_cage_is_wrapped_onto_a_scan_with_its_colours_and_texture(tmp_path: Pa
 @pytest.mark.slow
 def test_a_stored_plain_surface_is_the_prepared_one(tmp_path: Path) -> None:
     mesh = animal(2)
-    first, second = (prepared(tmp_path, mesh, 0) for _ in range(2))
+    first, second = (load_or_prepare(tmp_path, mesh, 0) for _ in range(2))
     assert len(list(tmp_path.iterdir())) == 1
     assert np.array_equal(first.basis.eigenvalues, second.basis.eigenvalues)
     assert np.array_equal(first.hierarchy.coarse_vertices, second.hierarchy.coarse_vertices)

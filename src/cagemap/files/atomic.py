@@ -86,13 +86,13 @@ def one_at_a_time(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def _filled(path: Path) -> bool:
+def _has_content(path: Path) -> bool:
     return path.stat().st_size > 0
 
 
 @contextmanager
 def atomic_path(
-    final: str | Path, *, force: bool = False, owned: Owned = is_own, verify: Callable[[Path], bool] = _filled
+    final: str | Path, *, force: bool = False, owned: Owned = is_own, verify: Callable[[Path], bool] = _has_content
 ) -> Iterator[Path]:
     """Yield a temporary path in the folder of ``final``; move it there after a block without errors.
 
@@ -106,15 +106,15 @@ def atomic_path(
     """
     check = partial(require_replaceable, final, force=force, owned=owned)
     check()
-    target = _real(final)
+    target = _resolve_links(final)
     together = _together.get()
     with ExitStack() as removed:
         temporary = _reserve(target)
         removed.callback(temporary.unlink, missing_ok=True)
-        removed.enter_context(_in_use(temporary))
+        removed.enter_context(_hold_lock(temporary))
         with _storage_told(target):
             yield temporary
-            removed.enter_context(_in_use(temporary))  # libraries may have put another file in its place
+            removed.enter_context(_hold_lock(temporary))  # libraries may have put another file in its place
             if not verify(temporary):
                 raise FormatError(
                     f"{target}: could not be written whole; what was there before is kept. Check the room on the disk."
@@ -157,11 +157,11 @@ def atomic_folder(
     ``force``, ``owned``: see `atomic_path`.
     """
     require_own_folder(final, names, force=force, owned=owned)
-    target = _real(final)
+    target = _resolve_links(final)
     _remove_abandoned(target)
     with _storage_told(target), ExitStack() as released:
         temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
-        released.enter_context(_in_use(temporary))
+        released.enter_context(_hold_lock(temporary))
         try:
             temporary.chmod(0o777 & ~_umask())
             yield temporary
@@ -179,7 +179,7 @@ def atomic_folder(
             if temporary.is_dir():
                 with one_at_a_time(target):
                     for name in names:
-                        os.replace(temporary / name, _real(target / name))
+                        os.replace(temporary / name, _resolve_links(target / name))
             _tell(*(Path(final) / name for name in names))
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
@@ -192,7 +192,7 @@ def require_replaceable(path: str | Path, *, force: bool = False, owned: Owned =
     cagemap did not write, unless ``force`` is given.
     """
     file = Path(path)
-    target = _real(file)
+    target = _resolve_links(file)
     require_writable_folder(file)
     if not os.path.lexists(target):
         return
@@ -216,7 +216,7 @@ def require_own_folder(path: str | Path, names: Iterable[str], *, force: bool = 
     Refused are: a file; a folder that holds files but none of ``names``; one of ``names`` that cagemap did not write.
     """
     folder = Path(path)
-    target = _real(folder)
+    target = _resolve_links(folder)
     if not os.path.lexists(target):
         require_writable_folder(folder)
         return
@@ -236,7 +236,7 @@ def require_own_folder(path: str | Path, names: Iterable[str], *, force: bool = 
 
 def require_writable_folder(path: str | Path) -> None:
     """Refuse a path whose parent folder is missing or cannot be written to, or whose name is too long."""
-    target = _real(path)
+    target = _resolve_links(path)
     folder = target.parent
     above = folder if os.path.islink(path) else Path(path).parent
     if not os.path.isdir(folder):
@@ -254,7 +254,7 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: boo
     """Refuse outputs before any work is done: inputs, repeated names, files that must not be replaced."""
     files = list(outputs)
     require_no_input(files, inputs)
-    places = [_real(file) for file in files]
+    places = [_resolve_links(file) for file in files]
     twice = [file for i, file in enumerate(files) if places[i] in places[:i]]
     if twice:
         raise FormatError(f"{twice[0]}: two outputs have this name, and one would be lost. Give each its own.")
@@ -274,10 +274,10 @@ def require_no_input(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
 def _same_file(a: Path, b: Path) -> bool:
     if os.path.exists(a) and os.path.exists(b):
         return os.path.samefile(a, b)
-    return _real(a) == _real(b)
+    return _resolve_links(a) == _resolve_links(b)
 
 
-def _real(path: str | Path) -> Path:
+def _resolve_links(path: str | Path) -> Path:
     """The path with symbolic links resolved."""
     return Path(os.path.realpath(path))
 
@@ -294,7 +294,7 @@ def _reserve(target: Path) -> Path:
 
 
 @contextmanager
-def _in_use(path: Path) -> Iterator[None]:
+def _hold_lock(path: Path) -> Iterator[None]:
     """Hold a shared lock on a temporary file or folder, so that `_remove_abandoned` leaves it."""
     with ExitStack() as closed:
         with suppress(ImportError, OSError):  # Windows; a disk without locks
@@ -327,7 +327,7 @@ def _remove_abandoned(target: Path) -> None:
 
 def leftovers(final: str | Path) -> list[Path]:
     """Temporary files and folders of ``final`` that a killed process left, recognised by their names."""
-    target = _real(final)
+    target = _resolve_links(final)
     patterns = [
         rf"\.{re.escape(target.stem)}\.\w{{8}}\.part{re.escape(target.suffix)}",
         rf"\.{re.escape(target.name)}\.\w{{8}}\.part",

@@ -112,7 +112,7 @@ def check_arrays(
     present = {name: spec for name, spec in specs.items() if name in arrays}
     for name, spec in present.items():
         _check_shape(path, name, arrays[name], spec, sizes, remedy)
-    return {name: _checked(path, name, arrays[name], spec, sizes, remedy) for name, spec in present.items()}
+    return {name: _check_array(path, name, arrays[name], spec, sizes, remedy) for name, spec in present.items()}
 
 
 def lie_in_triangles(barycentric: NDArray[Any]) -> bool:
@@ -147,7 +147,7 @@ def _check_shape(
         raise FormatError(f"{path}: {name} has shape {array.shape}, expected ({expected}). {remedy}")
 
 
-def _checked(
+def _check_array(
     path: Path, name: str, array: NDArray[Any], spec: ArraySpec, sizes: dict[str, int], remedy: str
 ) -> NDArray[Any]:
     if spec.below:

@@ -66,20 +66,20 @@ def seal(path: Path) -> None:
 
 def stated_checksum(path: Path) -> str | None:
     """The checksum in a file's mark, right or not; None without a mark."""
-    with _mapped(path) as data:
+    with _map_content(path) as data:
         place = _find(data)
         return None if place is None else data[place : place + _DIGITS].decode()
 
 
 def is_own(path: Path) -> bool:
     """Whether cagemap wrote a file and nobody has changed it since."""
-    with _mapped(path) as data:
+    with _map_content(path) as data:
         place = _find(data)
         return place is not None and data[place : place + _DIGITS] == _checksum(data, place)
 
 
 @contextmanager
-def _mapped(path: Path) -> Iterator[mmap.mmap | bytes]:
+def _map_content(path: Path) -> Iterator[mmap.mmap | bytes]:
     """The content of a file; empty if there is none."""
     if not path.is_file() or path.stat().st_size == 0:
         yield b""

@@ -175,7 +175,7 @@ class SurfaceRecord(Record):
 RecordType = TypeVar("RecordType", bound=Record)
 
 
-def checked_record(kind: type[RecordType], entries: Any, path: Path, remedy: str) -> RecordType:
+def parse_record(kind: type[RecordType], entries: Any, path: Path, remedy: str) -> RecordType:
     """Entries of a file as a record; refuses invalid ones."""
     try:
         return kind.model_validate(entries)
@@ -188,7 +188,7 @@ def checked_record(kind: type[RecordType], entries: Any, path: Path, remedy: str
         raise FormatError(f"{path}: is nested too deeply. {remedy}") from error
 
 
-def own_note(path: Path) -> Any:
+def read_own_note(path: Path) -> Any:
     """Content of a JSON file that cagemap wrote for itself; None if missing or changed since."""
     try:
         return json.loads(path.read_text(encoding="utf-8")) if is_own(path) else None

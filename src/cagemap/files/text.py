@@ -55,10 +55,10 @@ def read_text(path: Path, what: str) -> str:
     A file that is not UTF-8 (old exporters' accented material names) is read as Latin-1, which never fails and keeps
     the numbers.
     """
-    return decoded(read_bytes(path, what), path, what)
+    return decode_text(read_bytes(path, what), path, what)
 
 
-def decoded(content: bytes, path: Path, what: str) -> str:
+def decode_text(content: bytes, path: Path, what: str) -> str:
     """Decode a file's content as `read_text` does; ``path`` is used in messages."""
     if b"\0" in content:
         raise FormatError(
@@ -90,7 +90,7 @@ def read_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
         raise FormatError(f"{path}: expected a TOML file, got a mistake in it: {error}. Correct it.") from None
 
 
-def distinct(names: Sequence[str]) -> tuple[str, ...]:
+def make_distinct(names: Sequence[str]) -> tuple[str, ...]:
     """Unique names: repeated ones get a number appended, which gives none of the other names."""
     given, used, counts = set(names), set[str](), dict[str, int]()
     unique = []
@@ -111,7 +111,7 @@ def file_in(folder: Path, name: str) -> Path:
     return next((folder / form for form in forms if os.path.isfile(folder / form)), folder / name)
 
 
-def named_image(path: Path, stated: str) -> Path | None:
+def find_image(path: Path, stated: str) -> Path | None:
     """The image that a file names, searched in the file's folder and below; None if missing."""
     name = PurePosixPath(stated.replace("\\", "/").replace("\0", ""))
     folder = path.parent

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from cagemap.files.atomic import write_whole
 from cagemap.files.ownership import mark
-from cagemap.files.schema import own_note
+from cagemap.files.schema import read_own_note
 from cagemap.maps.point_map import PointMap
 
 MapKey = tuple[str, str]  # target, source: the direction of T12
@@ -142,7 +142,7 @@ def write_consistency(path: Path, keys: dict[str, str], verdict: Consistency) ->
 
 def read_consistency(path: Path, keys: dict[str, str]) -> Consistency | None:
     """The stored verdict on exactly these matches, or None."""
-    note = own_note(path)
+    note = read_own_note(path)
     if note is None or note["keys"] != keys:
         return None
     return Consistency(

@@ -20,7 +20,7 @@ from cagemap.errors import CagemapError, FormatError, ParameterError, error_code
 from cagemap.files.atomic import files_written, leftovers, write_whole
 from cagemap.files.ownership import is_own, mark
 from cagemap.files.result.manifest import file_hash
-from cagemap.files.schema import own_note
+from cagemap.files.schema import read_own_note
 from cagemap.jobs.plan import DETOUR_FOLDER, RESULT_FOLDER, STATE_FOLDER, Plan, Task, content_hash
 from cagemap.numerics.threads import core_count
 
@@ -102,7 +102,7 @@ def needed_tasks(plan: Plan, names: set[str]) -> set[str]:
 
 def kept_outcome(root: Path, task: Task) -> TaskOutcome | None:
     """The outcome of an earlier run, if the task and its files are unchanged."""
-    note = own_note(_note_path(root, task))
+    note = read_own_note(_note_path(root, task))
     if note is None or note["key"] != task.key:
         return None
     files = ((root / path, size) for path, size in note["outputs"].items())
@@ -131,7 +131,7 @@ def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: TaskOutco
             if kept is not None:
                 return kept
             _remove_leftovers(root, task)
-            earlier = own_note(_note_path(root, task))
+            earlier = read_own_note(_note_path(root, task))
             if earlier is not None:  # its files are replaced below: no key fits, their hashes stay
                 write_whole(_note_path(root, task), json.dumps({**earlier, "written_by": mark(), "key": ""}, indent=1))
             with files_written() as written:

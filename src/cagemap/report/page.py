@@ -15,7 +15,7 @@ import OpenImageIO as oiio
 
 from cagemap.errors import FormatError, use_option_names
 from cagemap.files.ownership import mark
-from cagemap.files.result.manifest import assurance, doubt_message, landmark_messages
+from cagemap.files.result.manifest import doubt_message, landmark_messages, sure_message
 from cagemap.files.result.verdicts import Rating, map_verdict, rate_figures
 from cagemap.maps.hypotheses.confidence import TWO
 from cagemap.maps.result import MatchResult
@@ -90,7 +90,7 @@ def build_page(
         _message_list(
             result,
             [name_marks(text, marks) for text in warnings],
-            [*filter(None, [assurance(manifest)]), *map(str, manifest.get("notes") or [])],
+            [*filter(None, [sure_message(manifest)]), *map(str, manifest.get("notes") or [])],
         ),
         _answers_section(result, gallery),
         _texture_section(textures),

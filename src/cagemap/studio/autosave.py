@@ -12,7 +12,7 @@ from typing import Any
 from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
 from cagemap.files.landmarks.curves import pair_entries
-from cagemap.files.landmarks.pairs import entered, entries
+from cagemap.files.landmarks.pairs import format_pairs, parse_landmarks
 from cagemap.files.ownership import mark
 from cagemap.files.result.manifest import file_hash
 from cagemap.files.text import read_text, whole_characters
@@ -94,7 +94,7 @@ def write_autosave(path: Path, landmarks: LandmarkList, parts: SideNames = (None
         "mark": mark(),
         "parts": parts,
         "items": items,
-        "pairs": list(map(json.loads, entries(unused))),
+        "pairs": list(map(json.loads, format_pairs(unused))),
         "curves": list(map(json.loads, pair_entries(path, curves))),
     }
     write_whole(path, json.dumps(content, indent=1))
@@ -142,7 +142,7 @@ def read_autosave(path: Path, vertices: tuple[int, int]) -> LandmarkList:
             )
             for entry in data["items"]
         )
-        unused = entered(path, {"pairs": data["pairs"], "curves": data["curves"]})
+        unused = parse_landmarks(path, {"pairs": data["pairs"], "curves": data["curves"]})
         sides = (unused.target_points, unused.curves.target), (unused.source_points, unused.curves.source)
         for (points, curve), count in zip(sides, vertices, strict=True):
             if max(points.corners.max(initial=-1), curve.points.corners.max(initial=-1)) >= count:

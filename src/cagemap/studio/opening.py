@@ -13,7 +13,7 @@ from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.manifest import MANIFEST, REMEDY, input_file, read_manifest
-from cagemap.files.schema import ResultRecord, SideRecord, checked_record
+from cagemap.files.schema import ResultRecord, SideRecord, parse_record
 from cagemap.mesh.parts import PART_KINDS
 from cagemap.studio.landmarks import SideNames
 from cagemap.studio.state import Files
@@ -105,7 +105,7 @@ def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> 
         If a model has moved or changed.
     """
     manifest = read_manifest(result)
-    record = checked_record(ResultRecord, manifest, result / MANIFEST, REMEDY)
+    record = parse_record(ResultRecord, manifest, result / MANIFEST, REMEDY)
     target, source, pairs = (input_file(result, manifest, name) for name in ("target", "source", "landmarks"))
     if target is None or source is None:
         raise ParameterError(

@@ -21,10 +21,10 @@ from cagemap.files.images.image import (
     pixel_type,
     read_image,
     read_texture,
-    straight,
     texture_files,
     texture_pixels,
     udim_path,
+    unpremultiply,
     with_udim_mark,
     write_image,
 )
@@ -94,7 +94,11 @@ def read_source_image(
     """Read an image of the source, or ``channels`` of heights or directions, which the output must be able to hold."""
     texture = read_texture(path)
     if channels is not None:  # their values are taken without alpha
-        texture = straight(texture) if isinstance(texture, Image) else {n: straight(one) for n, one in texture.items()}
+        texture = (
+            unpremultiply(texture)
+            if isinstance(texture, Image)
+            else {n: unpremultiply(one) for n, one in texture.items()}
+        )
     first = first_image(texture)
     dtype = first.pixels.dtype if request.bits is None else pixel_type(request.bits, request.output.suffix)
     if channels is not None:
@@ -265,11 +269,11 @@ def _apply_mask(image: Image, transfer: Transfer, base: Path | None, options: Ba
     """A baked image blended over its tile's base image (labels: not mixed), or with weights as alpha."""
     weight = bake_mask(transfer, size=image.size, options=options)
     if base is None:
-        image = straight(image)
+        image = unpremultiply(image)
         return replace(image, pixels=with_alpha(image.pixels, weight), channel_names=())
     under = read_image(udim_path(base, options.tile))
     if under.associated != image.associated:
-        image, under = straight(image), straight(under)
+        image, under = unpremultiply(image), unpremultiply(under)
     # Floats without a stated colour space are linear, as in EXR.
     spaces = [picture.color_space or "linear" * (picture.pixels.dtype.kind == "f") for picture in (under, image)]
     if all(spaces) and spaces[0] != spaces[1]:

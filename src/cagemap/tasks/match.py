@@ -21,7 +21,7 @@ from cagemap.files.meshes.formats import read_mesh, read_whole
 from cagemap.files.result.folder import ARRAYS, check_result_folder, write_result
 from cagemap.files.result.manifest import MANIFEST, peak_memory, stated_inputs
 from cagemap.files.result.merged_parts import merge_results
-from cagemap.files.result.surface_store import prepared
+from cagemap.files.result.surface_store import load_or_prepare
 from cagemap.files.usd.space import unit_notes
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
@@ -308,7 +308,7 @@ def _match_part(part: PartInputs, inputs: Inputs, settings: MatchSettings, stage
     controls, config = (part.target, part.source), settings.config
     for control, level in zip(controls, settings.levels, strict=True):
         _log.info("%s: level %d", control.name, level)
-    prepare = prepare_checked if settings.cache is None else partial(prepared, settings.cache)
+    prepare = prepare_checked if settings.cache is None else partial(load_or_prepare, settings.cache)
     if settings.last_frame is None:
         target, source = prepare_surfaces(*controls, settings.levels, settings.bases, prepare=prepare, progress=stages)
     else:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.files.gltf.document import GLTF_SUFFIXES
-from cagemap.files.result.manifest import assurance, landmark_messages
+from cagemap.files.result.manifest import landmark_messages, sure_message
 from cagemap.files.result.verdicts import map_verdict
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
@@ -31,7 +31,7 @@ def summary(result: MatchResult, folder: Path, figures: Mapping[str, Any]) -> st
     lines = [
         f"{result.source.control.name} -> {result.target.control.name}: {figures['target_vertices']:,} target and "
         f"{figures['source_vertices']:,} source vertices in {figures['seconds']:.1f} s",
-        "  " + "; ".join(filter(None, (landmark_summary(result), assurance(manifest)))),
+        "  " + "; ".join(filter(None, (landmark_summary(result), sure_message(manifest)))),
         f"  {100 * quality['flipped_area']:.2f} % folded, {100 * quality['coverage']:.1f} % of the "
         f"source{'' if result.shared is None else ', as far as it is shared,'} covered",
         *_shared_summary(result),

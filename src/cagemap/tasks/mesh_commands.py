@@ -16,8 +16,8 @@ from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.read import Contents, contents_of, scene_mesh
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
-from cagemap.files.usd.read import UsdMesh, joined, read_usd_meshes
-from cagemap.files.usd.stages import is_usd, opened_once
+from cagemap.files.usd.read import UsdMesh, join_usd_meshes, read_usd_meshes
+from cagemap.files.usd.stages import is_usd, open_each_once
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import UNREFINED, check_mesh, require_valid
 from cagemap.mesh.mesh_report import MeshProblem, MeshReport, count_noun
@@ -77,9 +77,9 @@ def _check_file(
     scene: Scene | None = None
     meshes: tuple[UsdMesh, ...] = ()
     if is_usd(path):
-        with opened_once():
+        with open_each_once():
             meshes = read_usd_meshes(path)
-            mesh, scene = joined(path, meshes, mixed=True), _rigged_scene(path, meshes)
+            mesh, scene = join_usd_meshes(path, meshes, mixed=True), _rigged_scene(path, meshes)
     elif path.suffix.lower() in SCENE_SUFFIXES:
         scene = read_scene(read_document(path))
         mesh = scene_mesh(scene)

@@ -13,7 +13,7 @@ from cagemap.errors import CagemapError, FormatError, ParameterError, use_option
 from cagemap.files.images.image import write_image
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.files.result.manifest import code_version, landmark_messages, read_manifest
-from cagemap.files.result.surface_store import prepared
+from cagemap.files.result.surface_store import load_or_prepare
 from cagemap.jobs.carry import add_carry_tasks, carry_landmarks, carry_notes
 from cagemap.jobs.consistency import Consistency, measure_consistency, read_consistency, write_consistency
 from cagemap.jobs.detours import add_detours, compose_results, has_detours, keep_matches
@@ -280,5 +280,5 @@ def _prepare(task: Task) -> dict[str, Any]:
     control = ready_mesh(welded.mesh).mesh
     level = side_levels(request, (control, control))[side]
     require_levels(request, (control, control), (level, level))
-    surface = prepared(task.request["cache"], control, level, side_bases(request, (level, level))[side])
+    surface = load_or_prepare(task.request["cache"], control, level, side_bases(request, (level, level))[side])
     return {"vertices": surface.refinement.finest.n_vertices, "level": level}

@@ -17,7 +17,7 @@ from cagemap.files.atomic import (
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
-from cagemap.files.usd.prims import moved
+from cagemap.files.usd.prims import transform_points
 from cagemap.files.usd.space import between_spaces, states_units
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults, check_usd_path
@@ -234,11 +234,11 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     check_outputs(mesh_files(request.output, mesh, request.passenger), [request.passenger], force=request.force)
     stages("passenger")
     target, source = (input_file(request.result, result.manifest, side) for side in ("target", "source"))
-    worn = mesh.with_positions(moved(mesh.positions, between_spaces(source, request.passenger)))
+    worn = mesh.with_positions(transform_points(mesh.positions, between_spaces(source, request.passenger)))
     carried = carry_passenger(result, worn, kind=request.kind)
     places, like = carried.positions, request.passenger
     if states_units(request.passenger) and states_units(request.output):  # in the passenger's own units and axes
-        places = moved(places, between_spaces(request.passenger, target))
+        places = transform_points(places, between_spaces(request.passenger, target))
     elif states_units(request.output) and target is not None and is_usd(target):
         like = target
     write_mesh(request.output, mesh.with_positions(places), like=like, force=request.force)

@@ -19,7 +19,7 @@ from cagemap.files.meshes.mhclo import bind_on, write_mhclo
 from cagemap.files.meshes.obj_write import write_obj_positions
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, input_file, mesh_hash, note_transfer, read_files
-from cagemap.files.usd.prims import moved
+from cagemap.files.usd.prims import transform_points
 from cagemap.files.usd.space import between_spaces
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults
@@ -311,7 +311,7 @@ def _source_to_target(folder: Path, result: MatchResult) -> FloatArray:
 
 def _in_target_space(wrapped: Wrapped, space: FloatArray) -> Wrapped:
     """The wrapped cage in the target's own units and axes."""
-    return replace(wrapped, mesh=wrapped.mesh.with_positions(moved(wrapped.mesh.positions, space)))
+    return replace(wrapped, mesh=wrapped.mesh.with_positions(transform_points(wrapped.mesh.positions, space)))
 
 
 def _write_shapes(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import ufbx
 
-from cagemap.files.fbx.meshes import finite, get, held, items
+from cagemap.files.fbx.meshes import finite_array, get, keep_alive, list_attribute
 from cagemap.files.gltf.binary import Binary
 from cagemap.numerics.arrays import FloatArray
 
@@ -37,7 +37,7 @@ def animation_entry(
     """
     name = get(stack, "name")
     where = f"animation {name}: keys"
-    baked = held(
+    baked = keep_alive(
         ufbx.bake_anim(
             scene, get(stack, "anim"), trim_start_time=True, key_reduction_enabled=True, key_reduction_rotation=True
         )
@@ -45,7 +45,7 @@ def animation_entry(
     sampled = {
         (node, path): (np.zeros(1), np.array([stated[path]])) for node, stated in before.items() for path in _CHANNELS
     }
-    for moved in items(baked, "nodes"):
+    for moved in list_attribute(baked, "nodes"):
         node = numbers.get(get(moved, "typed_id"))
         for path, keys in _CHANNELS.items():
             times, values = _keys(moved, keys, where)
@@ -79,9 +79,9 @@ def _weights(
 ) -> dict[int, tuple[FloatArray, FloatArray]]:
     """Times (k,) and weights (k, shapes) of the shapes of every mesh node with moving shapes."""
     keys_of: dict[int, dict[int, tuple[FloatArray, FloatArray]]] = {}
-    for element in items(baked, "elements"):
+    for element in list_attribute(baked, "elements"):
         for node, place, _ in channels.get(get(element, "element_id"), []):
-            for prop in items(element, "props"):
+            for prop in list_attribute(element, "props"):
                 if get(prop, "name") == "DeformPercent":
                     times, values = _keys(prop, "keys", where)
                     keys_of.setdefault(node, {})[place] = times, values[:, 0] / 100.0
@@ -98,8 +98,8 @@ def _weights(
 
 def _keys(value: Any, name: str, where: str) -> tuple[FloatArray, FloatArray]:
     """Times (k,) and values (k, q) of keys; the last one of several at the same time."""
-    keys = items(value, name)
+    keys = list_attribute(value, name)
     times = np.array([get(key, "time") for key in keys], dtype=np.float64)
-    values = finite([list(get(key, "value")) for key in keys], where)
+    values = finite_array([list(get(key, "value")) for key in keys], where)
     last = np.append(np.diff(times.astype("<f4")) > 0.0, True)[: len(times)]
     return times[last], values[last]

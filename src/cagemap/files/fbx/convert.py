@@ -15,12 +15,21 @@ import ufbx
 from cagemap.errors import FormatError
 from cagemap.files.fbx.animations import animation_entry
 from cagemap.files.fbx.materials import Materials
-from cagemap.files.fbx.meshes import FbxMesh, finite, get, held, items, node_name, read_fbx_mesh, row_matrix
+from cagemap.files.fbx.meshes import (
+    FbxMesh,
+    finite_array,
+    get,
+    keep_alive,
+    list_attribute,
+    node_name,
+    read_fbx_mesh,
+    row_matrix,
+)
 from cagemap.files.fbx.read import REFUSED, kind_of
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.document import glb_bytes
 from cagemap.files.gltf.geometry import mesh_entry, uv_sets_in_order
-from cagemap.files.gltf.nodes import decomposed, invertible, transform
+from cagemap.files.gltf.nodes import decompose_transform, is_invertible, transform
 from cagemap.mesh.mesh_report import count_noun
 from cagemap.numerics.arrays import FloatArray
 
@@ -77,12 +86,12 @@ def fbx_glb(content: bytes, path: Path, note: Note) -> bytes:
     ``note``: called with a line of text for everything that is left out.
     """
     try:
-        scene = held(ufbx.load_memory(content, file_format=ufbx.FileFormat.FBX, **_SPACE))
+        scene = keep_alive(ufbx.load_memory(content, file_format=ufbx.FileFormat.FBX, **_SPACE))
     except ufbx.UfbxError as error:  # its texts are short, such as 'Failed to load'
         raise FormatError(f"{error}; it is {kind_of(content)}") from None
-    for warning in items(scene, "metadata", "warnings"):
+    for warning in list_attribute(scene, "metadata", "warnings"):
         note(f"the FBX library says: {get(warning, 'description')} ({get(warning, 'count')} times)")
-    left = [count_noun(len(found), what) for name, what in _LEFT_OUT.items() if (found := items(scene, name))]
+    left = [count_noun(len(found), what) for name, what in _LEFT_OUT.items() if (found := list_attribute(scene, name))]
     if left:
         note(f"left out: {', '.join(left)}")
     return _Scene(scene, path, note).glb()
@@ -101,7 +110,7 @@ class _Scene:
 
     def __init__(self, scene: Any, path: Path, note: Note) -> None:
         self._scene, self._note = scene, note
-        self._nodes = [node for node in items(scene, "nodes") if not get(node, "is_root")]
+        self._nodes = [node for node in list_attribute(scene, "nodes") if not get(node, "is_root")]
         self._number = {get(node, "typed_id"): number for number, node in enumerate(self._nodes)}
         self._binary = Binary()
         self._materials = Materials(self._binary, path, note)
@@ -128,7 +137,7 @@ class _Scene:
                     channels.setdefault(get(channel, "element_id"), []).append((number, place, mesh.amounts))
         moving = [
             animation_entry(self._binary, self._scene, stack, entries, before, self._number, channels, self._note)
-            for stack in items(self._scene, "anim_stacks")
+            for stack in list_attribute(self._scene, "anim_stacks")
         ]
         helpers = {n for n, node in enumerate(self._nodes) if get(node, "is_scale_helper") and "mesh" not in entries[n]}
         for entry in moving:
@@ -162,8 +171,8 @@ class _Scene:
         name, rest = node_name(node), get(node, "local_transform")
         entry: dict[str, Any] = {"name": name}
         for part in ("translation", "rotation", "scale"):
-            entry[part] = finite(list(getattr(rest, part)), f"node {name}: transform").tolist()
-        children = [self._number[get(child, "typed_id")] for child in items(node, "children")]
+            entry[part] = finite_array(list(getattr(rest, part)), f"node {name}: transform").tolist()
+        children = [self._number[get(child, "typed_id")] for child in list_attribute(node, "children")]
         if children:
             entry["children"] = children
         mesh = self._mesh(node)
@@ -174,7 +183,7 @@ class _Scene:
             return entry
         instance = _instance(node)
         uv_sets = [one.name for one in uv_sets_in_order(mesh.control)]
-        materials = tuple(self._materials.number(material, uv_sets) for material in items(node, "materials"))
+        materials = tuple(self._materials.number(material, uv_sets) for material in list_attribute(node, "materials"))
         if (instance, materials) not in self._mesh_of:
             self._mesh_of[instance, materials] = len(self._meshes)
             self._meshes.append(self._mesh_entry(mesh, materials))
@@ -191,7 +200,7 @@ class _Scene:
         bind: dict[int, FloatArray] = {}
         for number, node in enumerate(self._nodes):
             if "skin" in entries[number] and (mesh := self._mesh(node)) is not None:
-                sound = invertible(mesh.inverse_bind)
+                sound = is_invertible(mesh.inverse_bind)
                 to_world = row_matrix(get(node, "node_to_world"))
                 for bone, inverse in zip(np.array(mesh.bones)[sound].tolist(), mesh.inverse_bind[sound], strict=True):
                     bind.setdefault(self._number[bone], np.linalg.inv(inverse) @ to_world)
@@ -201,17 +210,19 @@ class _Scene:
             local = transform(*(np.array(entry[name]) for name in ("translation", "rotation", "scale")))
             parent = self._parent(self._nodes[number])
             above = np.eye(4) if parent is None else world[parent]
-            if number in bind and invertible(above[None]).all():
-                bound = finite(bind[number] @ np.linalg.inv(above), f"node {entry['name']}: transform")
-                pose = {"translation": [0.0] * 3, "rotation": [0.0, 0.0, 0.0, 1.0], "scale": [1.0] * 3} | decomposed(
-                    bound
-                )
+            if number in bind and is_invertible(above[None]).all():
+                bound = finite_array(bind[number] @ np.linalg.inv(above), f"node {entry['name']}: transform")
+                pose = {
+                    "translation": [0.0] * 3,
+                    "rotation": [0.0, 0.0, 0.0, 1.0],
+                    "scale": [1.0] * 3,
+                } | decompose_transform(bound)
                 if "matrix" not in pose and np.abs(bound - local).max() > _MOVED * max(np.abs(local).max(), 1e-30):
                     before[number] = {name: entry[name] for name in pose}
                     entry |= pose
                     local = bound
             world.append(local @ above)
-        if before and not items(self._scene, "anim_stacks"):
+        if before and not list_attribute(self._scene, "anim_stacks"):
             self._note(
                 f"{len(before)} joints are posed in the file; they are taken in the pose in which meshes were bound"
             )

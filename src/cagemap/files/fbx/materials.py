@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import ufbx
 
-from cagemap.files.fbx.meshes import finite, get, held, items
+from cagemap.files.fbx.meshes import finite_array, get, keep_alive, list_attribute
 from cagemap.files.gltf.added_textures import AddedTextures
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.textures import CLAMP, REPEAT
-from cagemap.files.text import named_image
+from cagemap.files.text import find_image
 from cagemap.numerics.arrays import FloatArray
 
 # Material maps of ufbx, and the texture slots of glTF.
@@ -66,7 +66,7 @@ class Materials:
                 entry_of_texture = self._texture(texture, f"material {name}: {slot}")
                 if entry_of_texture is not None:
                     slots[slot] = entry_of_texture | ({"texCoord": uv_set} if uv_set else {})
-        unused = [one for one in items(material, "textures") if get(one, "texture", "element_id") not in used]
+        unused = [one for one in list_attribute(material, "textures") if get(one, "texture", "element_id") not in used]
         if unused:
             listed = ", ".join(sorted({get(one, "material_prop") for one in unused}))
             self._note(f"material {name}: textures of {listed} are left out")
@@ -78,7 +78,7 @@ class Materials:
             "roughnessFactor": _value(pbr, "roughness", 1.0),
         }
         glow = [1.0] * 3 if "emissiveTexture" in slots else _color(pbr, "emission")
-        finite(
+        finite_array(
             [*surface["baseColorFactor"], surface["metallicFactor"], surface["roughnessFactor"], *glow],
             f"material {name}",
         )
@@ -127,20 +127,22 @@ class Materials:
         key = get(texture, "element_id")
         if key not in self._image_of:
             data = self._content(texture)
-            self._image_of[key] = self._textures.image(data, PurePosixPath(_stated(texture)).suffix) if data else None
+            self._image_of[key] = (
+                self._textures.image(data, PurePosixPath(_file_name(texture)).suffix) if data else None
+            )
         return self._image_of[key]
 
     def _content(self, texture: Any) -> bytes:
         """Content of a texture's image: in the FBX, or in its folder; b"" if missing."""
-        file = named_image(self._path, _stated(texture))
-        return bytes(get(texture, "content")) or (b"" if file is None else held(file.read_bytes()))
+        file = find_image(self._path, _file_name(texture))
+        return bytes(get(texture, "content")) or (b"" if file is None else keep_alive(file.read_bytes()))
 
 
 def _layers(texture: Any) -> list[Any]:
-    return [texture, *items(texture, "file_textures")]
+    return [texture, *list_attribute(texture, "file_textures")]
 
 
-def _stated(texture: Any) -> str:
+def _file_name(texture: Any) -> str:
     return str(get(texture, "relative_filename") or get(texture, "filename"))
 
 
@@ -159,7 +161,7 @@ def _transform(texture: Any, where: str) -> dict[str, Any] | None:
     """KHR_texture_transform of a texture: scale, rotation and offset; None if it has shear too, or no inverse."""
     flip = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 1.0]])  # v down in glTF; for rows
     # Its inverse in the file is that in three dimensions, and zero if the scale along z is: assimp writes 1, 1, 0.
-    stated = finite(list(get(texture, "texture_to_uv")), f"{where}: transform")
+    stated = finite_array(list(get(texture, "texture_to_uv")), f"{where}: transform")
     rows = np.eye(3)
     rows[:2, :2], rows[2, :2] = stated[:2, :2], stated[3, :2]
     if np.linalg.det(rows) == 0.0:

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from cagemap.errors import FormatError
-from cagemap.files.gltf.parts import turned_normals
-from cagemap.files.text import distinct
+from cagemap.files.gltf.parts import transform_normals
+from cagemap.files.text import make_distinct
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.mesh_report import count_noun
@@ -27,7 +27,7 @@ from cagemap.numerics.srgb import decode_srgb
 _EVERYTHING: list[Any] = []
 
 
-def held(value: Any) -> Any:
+def keep_alive(value: Any) -> Any:
     """The value itself, kept alive until the process ends."""
     _EVERYTHING.append(value)
     return value
@@ -36,17 +36,17 @@ def held(value: Any) -> Any:
 def get(value: Any, *names: str) -> Any:
     """A nested attribute: of ``value``, then of the result, and so on."""
     for name in names:
-        value = held(getattr(value, name))
+        value = keep_alive(getattr(value, name))
     return value
 
 
-def items(value: Any, *names: str) -> list[Any]:
+def list_attribute(value: Any, *names: str) -> list[Any]:
     """A nested attribute as a Python list."""
-    listed: list[Any] = held(list(get(value, *names)))
+    listed: list[Any] = keep_alive(list(get(value, *names)))
     return listed
 
 
-def finite(values: ArrayLike, where: str) -> FloatArray:
+def finite_array(values: ArrayLike, where: str) -> FloatArray:
     """Numbers as an array; refused if single precision cannot hold them."""
     array = np.array(values, dtype=np.float64)
     if not (np.abs(array) <= np.finfo(np.float32).max).all():
@@ -54,12 +54,12 @@ def finite(values: ArrayLike, where: str) -> FloatArray:
     return array
 
 
-def floats(value: Any, *names: str, columns: int) -> FloatArray:
+def vector_array(value: Any, *names: str, columns: int) -> FloatArray:
     """A nested attribute that lists vectors, as an array (n, columns)."""
     return np.array(get(value, *names), dtype=np.float64).reshape(-1, columns)
 
 
-def whole(value: Any, *names: str) -> IndexArray:
+def index_array(value: Any, *names: str) -> IndexArray:
     """A nested attribute that lists whole numbers, as an array (n,)."""
     return np.array(get(value, *names), dtype=np.int64)
 
@@ -83,7 +83,7 @@ class FbxMesh:
     def amounts(self) -> list[float]:
         """Weight of each shape at rest."""
         weights = [get(channel, "weight") for channel in self.channels]
-        return finite(weights, f"mesh {self.control.name}: amounts of shapes").tolist()
+        return finite_array(weights, f"mesh {self.control.name}: amounts of shapes").tolist()
 
 
 def node_name(node: Any) -> str:
@@ -99,7 +99,7 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
     """The mesh of a node, in the node's space; None if it has no polygons."""
     mesh, name = get(node, "mesh"), node_name(node)
     placed = row_matrix(get(node, "geometry_to_node"))
-    faces = whole(mesh, "faces").reshape(-1, 2)
+    faces = index_array(mesh, "faces").reshape(-1, 2)
     kept = faces[:, 1] >= 3
     if not kept.any():
         return None
@@ -109,9 +109,11 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
     if np.linalg.det(placed[:3, :3]) < 0.0:
         place = -place % np.repeat(sizes, sizes)
     corners = np.repeat(begins, sizes) + place
-    points = whole(mesh, "vertex_indices")
+    points = index_array(mesh, "vertex_indices")
     control = ControlMesh(
-        finite(floats(mesh, "vertices", columns=3) @ placed[:3, :3] + placed[3, :3], f"mesh {name}: positions"),
+        finite_array(
+            vector_array(mesh, "vertices", columns=3) @ placed[:3, :3] + placed[3, :3], f"mesh {name}: positions"
+        ),
         offsets,
         points[corners],
         scheme=Plain(),
@@ -121,7 +123,7 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
     if loose := control.n_vertices - len(np.unique(control.face_indices)):
         vertices = count_noun(loose, "vertex")
         note(f"{name}: {vertices} of no face left out; later vertices have other numbers than in the file")
-    sets = [_uv_set(one, corners, name) for one in items(mesh, "uv_sets")]
+    sets = [_uv_set(one, corners, name) for one in list_attribute(mesh, "uv_sets")]
     if sets:
         control = replace(control, uvs=sets[0].uvs, uv_indices=sets[0].uv_indices, uv_name=sets[0].name)
         control = replace(control, uv_sets=tuple(sets[1:]))
@@ -131,22 +133,22 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
     shapes = _shapes(mesh, control, placed[:3, :3], note)
     fbx_mesh = FbxMesh(control, shapes={word: offsets for word, (offsets, _) in shapes.items()})
     channels = tuple(channel for _, channel in shapes.values())
-    normals, colors = (_of_corners(get(mesh, what), corners) for what in ("vertex_normal", "vertex_color"))
+    normals, colors = (_corner_values(get(mesh, what), corners) for what in ("vertex_normal", "vertex_color"))
     if normals is not None:
         bad = ~np.isfinite(normals.sum(axis=1))
         if bad.any():
             note(f"{name}: {bad.sum()} normals are not finite and are computed from the faces")
-        normals = turned_normals(np.where(bad[:, None], 0.0, normals), placed[:3, :3])
+        normals = transform_normals(np.where(bad[:, None], 0.0, normals), placed[:3, :3])
     if colors is not None:
-        colors = finite(colors, f"mesh {name}: colors").clip(0.0, 1.0)
+        colors = finite_array(colors, f"mesh {name}: colors").clip(0.0, 1.0)
         colors[:, :3] = decode_srgb(colors[:, :3])
     fbx_mesh = replace(fbx_mesh, channels=channels, normals=normals, colors=colors)
-    return _skinned(mesh, fbx_mesh, note)
+    return _with_skin(mesh, fbx_mesh, note)
 
 
 def _materials(mesh: Any, kept: NDArray[np.bool_]) -> dict[str, Any]:
-    slots = whole(mesh, "face_material")
-    if not len(slots) or not items(mesh, "materials"):
+    slots = index_array(mesh, "face_material")
+    if not len(slots) or not list_attribute(mesh, "materials"):
         return {}
     numbers = slots[kept]
     return {
@@ -157,40 +159,42 @@ def _materials(mesh: Any, kept: NDArray[np.bool_]) -> dict[str, Any]:
 
 def _uv_set(uv_set: Any, corners: IndexArray, mesh: str) -> UvSet:
     uvs, name = get(uv_set, "vertex_uv"), get(uv_set, "name")
-    values = finite(floats(uvs, "values", columns=2), f"mesh {mesh}: UVs {name}")
-    return UvSet(name, values, whole(uvs, "indices")[corners])
+    values = finite_array(vector_array(uvs, "values", columns=2), f"mesh {mesh}: UVs {name}")
+    return UvSet(name, values, index_array(uvs, "indices")[corners])
 
 
-def _of_corners(values: Any, corners: IndexArray) -> FloatArray | None:
+def _corner_values(values: Any, corners: IndexArray) -> FloatArray | None:
     """An attribute of the face corners as an array (c, columns); None if the mesh lacks it."""
     if not get(values, "exists"):
         return None
     table: FloatArray = np.array(get(values, "values"), dtype=np.float64)
-    return table[whole(values, "indices")[corners]]
+    return table[index_array(values, "indices")[corners]]
 
 
 def _shapes(
     mesh: Any, control: ControlMesh, linear: FloatArray, note: Callable[[str], None]
 ) -> dict[str, tuple[FloatArray, Any]]:
     """Offsets at full weight, and the channel, of every blend shape by name."""
-    channels = [one for deformer in items(mesh, "blend_deformers") for one in items(deformer, "channels")]
-    channels = [one for one in channels if items(one, "keyframes")]
+    channels = [
+        one for deformer in list_attribute(mesh, "blend_deformers") for one in list_attribute(deformer, "channels")
+    ]
+    channels = [one for one in channels if list_attribute(one, "keyframes")]
     shapes = {}
-    for name, channel in zip(distinct([get(one, "name") or "shape" for one in channels]), channels, strict=True):
-        *between, full = items(channel, "keyframes")
+    for name, channel in zip(make_distinct([get(one, "name") or "shape" for one in channels]), channels, strict=True):
+        *between, full = list_attribute(channel, "keyframes")
         if between:
             note(f"{control.name}: shape {name} has {len(between)} shapes in between, which are left out")
         shape, amount = get(full, "shape"), float(get(full, "target_weight")) or 1.0
         offsets = np.zeros((control.n_vertices, 3))
-        moved = floats(shape, "position_offsets", columns=3) @ linear / amount
-        moved = finite(moved, f"mesh {control.name}: shape {name}")
+        moved = vector_array(shape, "position_offsets", columns=3) @ linear / amount
+        moved = finite_array(moved, f"mesh {control.name}: shape {name}")
         offsets[_vertices(shape, "offset_vertices", control)] = moved
         shapes[name] = offsets, channel
     return shapes
 
 
-def _skinned(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh:
-    skins = [skin for skin in items(mesh, "skin_deformers") if items(skin, "clusters")]
+def _with_skin(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh:
+    skins = [skin for skin in list_attribute(mesh, "skin_deformers") if list_attribute(skin, "clusters")]
     if not skins:
         return made
     name = made.control.name
@@ -198,7 +202,7 @@ def _skinned(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh:
         note(f"{name}: has {len(skins)} skins, the first is used")
     if get(skins[0], "skinning_method") >= ufbx.SkinningMethod.DUAL_QUATERNION:
         note(f"{name}: is skinned by dual quaternions, which become linear")
-    clusters = [cluster for cluster in items(skins[0], "clusters") if get(cluster, "bone_node") is not None]
+    clusters = [cluster for cluster in list_attribute(skins[0], "clusters") if get(cluster, "bone_node") is not None]
     if not clusters:
         return made
     stated, matrices = [], {}
@@ -212,18 +216,18 @@ def _skinned(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh:
     vertices = [_vertices(cluster, "vertices", made.control) for cluster in clusters]
     columns = np.repeat([bones.index(bone) for bone in stated], [len(listed) for listed in vertices])
     stated_weights = [get(cluster, "weights") for cluster in clusters]
-    values = finite(np.concatenate(stated_weights), f"mesh {name}: skinning weights")
+    values = finite_array(np.concatenate(stated_weights), f"mesh {name}: skinning weights")
     shape = made.control.n_vertices, len(bones)
     weights = sparse.csr_array((np.maximum(values, 0.0), (np.concatenate(vertices), columns)), shape=shape)
     weights.sum_duplicates()
     weights.eliminate_zeros()
-    inverse = finite([matrices[bone] for bone in bones], f"mesh {name}: bind pose of the skin")
+    inverse = finite_array([matrices[bone] for bone in bones], f"mesh {name}: bind pose of the skin")
     return replace(made, weights=weights, bones=bones, inverse_bind=inverse)
 
 
 def _vertices(value: Any, name: str, control: ControlMesh) -> IndexArray:
     """Vertices that a skin or shape lists, checked, since ufbx does not."""
-    vertices = whole(value, name)
+    vertices = index_array(value, name)
     if vertices.size and (vertices.min() < 0 or vertices.max() >= control.n_vertices):
         raise FormatError(f"{control.name}: a skin or shape of {control.n_vertices} vertices lists {vertices.max()}")
     return vertices

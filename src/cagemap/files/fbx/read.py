@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from cagemap.errors import FormatError
-from cagemap.files.text import named_image, read_bytes
+from cagemap.files.text import find_image, read_bytes
 
 _log = logging.getLogger(__name__)
 
@@ -68,9 +68,9 @@ def kind_of(content: bytes) -> str:
     return f"no FBX: it begins with {content[:12]!r}"
 
 
-def named_textures(path: Path) -> list[Path]:
+def find_textures(path: Path) -> list[Path]:
     """Existing textures whose names an FBX file contains; found without reading its scene."""
     content = read_bytes(path, "an FBX file")
     ends = (content[max(0, found.start() - _LONGEST_PATH) : found.end()] for found in _IMAGE_SUFFIX.finditer(content))
     names = dict.fromkeys(_NO_PATH.split(text)[-1].decode(errors="replace") for text in ends)
-    return [file for name in names if (file := named_image(path, name)) is not None]
+    return [file for name in names if (file := find_image(path, name)) is not None]

@@ -61,7 +61,7 @@ class Binary:
         if 16 * len(rows) > 12 * len(table):
             return self.accessor(table, VERTICES, **bounds)
         rows = rows if len(rows) else np.zeros(1, dtype=np.int64)
-        numbers = _small(rows)
+        numbers = _shrink_indices(rows)
         sparse = {
             "count": len(rows),
             "indices": {"bufferView": self.view(numbers.tobytes()), "componentType": _form(numbers)["componentType"]},
@@ -71,7 +71,7 @@ class Binary:
 
     def indices(self, corners: IndexArray) -> int:
         """Add vertex indices of triangles, (3 t,); returns the accessor's number."""
-        return self.accessor(_small(corners), INDICES)
+        return self.accessor(_shrink_indices(corners), INDICES)
 
     def document(self, top: dict[str, Any]) -> Document:
         """A document with the JSON ``top``, and with the accessors, views and buffer added so far."""
@@ -96,7 +96,7 @@ def _form(array: NDArray[Any]) -> dict[str, Any]:
     return {"componentType": kind, "count": len(array), "type": SHAPES[columns]}
 
 
-def _small(numbers: IndexArray) -> NDArray[Any]:
+def _shrink_indices(numbers: IndexArray) -> NDArray[Any]:
     """Numbers in two bytes where they fit; 65535 is reserved for primitive restart."""
     return numbers.astype("<u2" if numbers.max(initial=0) < 65535 else "<u4")
 
@@ -115,7 +115,7 @@ _KNOWN_FAMILIES = ("KHR_materials_", "VRMC_")
 _Holder = tuple[dict[str, Any], str]
 
 
-def without_unused(document: Document) -> Document:
+def remove_unused(document: Document) -> Document:
     """The document without unused accessors, buffer views and bytes; unchanged if it has unknown extensions.
 
     Meshes, textures and images stay, used or not, since extensions refer to them by number.
@@ -124,10 +124,10 @@ def without_unused(document: Document) -> Document:
     if not all(str(name) in _KNOWN or str(name).startswith(_KNOWN_FAMILIES) for name in used):
         return document
     top = json.loads(json.dumps(document.json))
-    top["accessors"] = _kept(top.get("accessors", []), list(_of_accessors(top)))
+    top["accessors"] = _take_used_entries(top.get("accessors", []), list(_accessor_references(top)))
     views = [dict(view, number=number) for number, view in enumerate(top.get("bufferViews", []))]
     chunks, length = [], 0
-    top["bufferViews"] = _kept(views, list(_of_views(top)))
+    top["bufferViews"] = _take_used_entries(views, list(_view_references(top)))
     for view in top["bufferViews"]:
         data = bytes(view_bytes(document, view.pop("number"), "glTF"))
         view |= {"buffer": 0, "byteOffset": length}
@@ -138,7 +138,7 @@ def without_unused(document: Document) -> Document:
     return Document(top, (b"".join(chunks),) if length else (), document.file)
 
 
-def _kept(entries: list[Any], holders: list[_Holder]) -> list[Any]:
+def _take_used_entries(entries: list[Any], holders: list[_Holder]) -> list[Any]:
     """Entries that are referred to; renumbers the references."""
     used = sorted({holder[key] for holder, key in holders})
     number = {old: new for new, old in enumerate(used)}
@@ -147,29 +147,29 @@ def _kept(entries: list[Any], holders: list[_Holder]) -> list[Any]:
     return [entries[old] for old in used]
 
 
-def _of_accessors(top: dict[str, Any]) -> Iterator[_Holder]:
+def _accessor_references(top: dict[str, Any]) -> Iterator[_Holder]:
     """All references to accessors in the JSON."""
     for mesh in top.get("meshes", []):
         for primitive in mesh.get("primitives", []):
             for table in (primitive.get("attributes", {}), *primitive.get("targets", [])):
                 yield from ((table, name) for name in table)
-            yield from _stated(primitive, "indices")
+            yield from _reference(primitive, "indices")
     for skin in top.get("skins", []):
-        yield from _stated(skin, "inverseBindMatrices")
+        yield from _reference(skin, "inverseBindMatrices")
     for animation in top.get("animations", []):
         for sampler in animation.get("samplers", []):
             yield from ((sampler, "input"), (sampler, "output"))
 
 
-def _of_views(top: dict[str, Any]) -> Iterator[_Holder]:
+def _view_references(top: dict[str, Any]) -> Iterator[_Holder]:
     """All references to buffer views in the JSON."""
     for entry in (*top["accessors"], *top.get("images", [])):
-        yield from _stated(entry, "bufferView")
+        yield from _reference(entry, "bufferView")
         for part in entry.get("sparse", {}).values():
             if isinstance(part, dict):
-                yield from _stated(part, "bufferView")
+                yield from _reference(part, "bufferView")
 
 
-def _stated(entry: dict[str, Any], key: str) -> Iterator[_Holder]:
+def _reference(entry: dict[str, Any], key: str) -> Iterator[_Holder]:
     if entry.get(key) is not None:
         yield entry, key

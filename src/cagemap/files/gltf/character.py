@@ -18,7 +18,7 @@ from cagemap.files.gltf.entries import Document, read_accessor
 from cagemap.files.gltf.nodes import Joints, read_nodes, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.primitives import shape_names
-from cagemap.files.text import distinct
+from cagemap.files.text import make_distinct
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
 
 _log = logging.getLogger(__name__)
@@ -157,7 +157,7 @@ def _track(
     values = values.astype(np.float64)
     if keys == 3:
         values = values.reshape(len(times), 3, -1)
-    values = in_rig(values, channel, joints.above[node], tangents=keys == 3)
+    values = to_rig_space(values, channel, joints.above[node], tangents=keys == 3)
     signs = scale_signs(document, node)
     if channel == "scale":
         values = values * signs
@@ -193,14 +193,18 @@ def animation_entries(
     entries = []
     for animation in animations:
         old = named.pop(animation.name, {})
-        kept = {"samplers": [], "channels": []} if given is None else _kept(binary, old, set(nodes), shapes, given)
+        kept = (
+            {"samplers": [], "channels": []}
+            if given is None
+            else _other_channels(binary, old, set(nodes), shapes, given)
+        )
         entry = {name: value for name, value in old.items() if name not in ("samplers", "channels")} | kept
         for track in animation.tracks:
             node = nodes[track.joint]
             key = np.asarray(track.times, "<f4")
             if key.tobytes() not in times:
                 times[key.tobytes()] = binary.accessor(key, min=[float(key.min())], max=[float(key.max())])
-            output = _to_node(track, above.get(node, np.eye(4)))
+            output = _to_node_space(track, above.get(node, np.eye(4)))
             sampler = {
                 "input": times[key.tobytes()],
                 "interpolation": track.interpolation,
@@ -217,7 +221,7 @@ def animation_entries(
 def animation_names(document: Document) -> tuple[str, ...]:
     """Unique names of all animations; unnamed ones are called by their number."""
     count = len(document.entries("animations"))
-    return distinct([document.name("animations", number) or f"animation {number}" for number in range(count)])
+    return make_distinct([document.name("animations", number) or f"animation {number}" for number in range(count)])
 
 
 def animation_lengths(document: Document) -> tuple[float, ...]:
@@ -232,7 +236,7 @@ def animation_lengths(document: Document) -> tuple[float, ...]:
     return tuple(lengths)
 
 
-def _kept(
+def _other_channels(
     binary: Binary,
     entry: dict[str, Any],
     joints: set[int],
@@ -257,21 +261,21 @@ def _kept(
                 continue
             if list(before) != list(now):
                 values = read_accessor(given, sampler["output"], "animations", ("SCALAR",)).astype(np.float64)
-                table = by_names(values.reshape(-1, len(before)), before, now)
+                table = reorder_columns(values.reshape(-1, len(before)), before, now)
                 sampler = sampler | {"output": binary.accessor(table.astype("<f4").ravel())}
         samplers.append(sampler)
         channels.append(channel | {"sampler": len(samplers) - 1})
     return {"samplers": samplers, "channels": channels}
 
 
-def by_names(values: FloatArray, before: Sequence[str], now: Sequence[str]) -> FloatArray:
+def reorder_columns(values: FloatArray, before: Sequence[str], now: Sequence[str]) -> FloatArray:
     """Columns (k, before) in the order of other names (k, now); 0 for names that were not there before."""
     number = {name: place for place, name in enumerate(before)}
     columns = [values[:, number[name]] if name in number else np.zeros(len(values)) for name in now]
     return np.column_stack(columns)
 
 
-def in_rig(values: FloatArray, channel: Channel, above: FloatArray, *, tangents: bool) -> FloatArray:
+def to_rig_space(values: FloatArray, channel: Channel, above: FloatArray, *, tangents: bool) -> FloatArray:
     """Values of a track, converted from the space of the joint's node to that of its parent in the rig.
 
     ``values``: (k, q) or (k, 3, q).
@@ -293,7 +297,7 @@ def in_rig(values: FloatArray, channel: Channel, above: FloatArray, *, tangents:
     return quaternion_product(Rotation.from_matrix(turn.T).as_quat(), values)
 
 
-def _to_node(track: Track, above: FloatArray) -> FloatArray:
-    """Values of a track in the space of the joint's node; the inverse of `in_rig`."""
+def _to_node_space(track: Track, above: FloatArray) -> FloatArray:
+    """Values of a track in the space of the joint's node; the inverse of `to_rig_space`."""
     tangents = track.interpolation == "CUBICSPLINE"
-    return in_rig(track.values, track.channel, np.asarray(np.linalg.inv(above), np.float64), tangents=tangents)
+    return to_rig_space(track.values, track.channel, np.asarray(np.linalg.inv(above), np.float64), tangents=tangents)

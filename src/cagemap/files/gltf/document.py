@@ -35,7 +35,7 @@ from cagemap.numerics.arrays import shown
 DRACO = "KHR_draco_mesh_compression"
 
 
-def without_draco(document: Document) -> Document:
+def decompress_draco(document: Document) -> Document:
     """The document with its compressed meshes decompressed, in a further buffer; unchanged without such meshes."""
     compressed = [
         (number, place)
@@ -48,7 +48,9 @@ def without_draco(document: Document) -> Document:
     binary, meshes = Binary(document), list(document.entries("meshes"))
     for number, place in compressed:
         primitives = list(meshes[number]["primitives"])
-        primitives[place] = _decompressed(document, binary, primitives[place], f"meshes {number}, primitive {place}")
+        primitives[place] = _decompress_primitive(
+            document, binary, primitives[place], f"meshes {number}, primitive {place}"
+        )
         meshes[number] = meshes[number] | {"primitives": primitives}
     top = document.json | {"meshes": meshes}
     for name in ("extensionsUsed", "extensionsRequired"):
@@ -58,16 +60,16 @@ def without_draco(document: Document) -> Document:
     return binary.document(top)
 
 
-def _decompressed(given: Document, binary: Binary, primitive: dict[str, Any], where: str) -> dict[str, Any]:
+def _decompress_primitive(given: Document, binary: Binary, primitive: dict[str, Any], where: str) -> dict[str, Any]:
     """Entry of a compressed primitive, decompressed; adds its arrays to ``binary``."""
     extensions = given.table(primitive, "extensions", where)
     packed = given.table(extensions, DRACO, where)
-    decoded = _decoded(given, bytes(view_bytes(given, packed.get("bufferView"), where)), where)
+    decoded = _decode_draco(given, bytes(view_bytes(given, packed.get("bufferView"), where)), where)
     attributes = given.table(primitive, "attributes", where)
     arrays = {entry["unique_id"]: np.asarray(entry["data"]) for entry in decoded.attributes}
     listed = given.table(packed, "attributes", where).items()
     named = {name: arrays.get(unique) for name, unique in listed if not isinstance(unique, list | dict)}
-    named |= _normalised({name: values for name, values in named.items() if name.startswith("WEIGHTS_")})
+    named |= _normalise_weights({name: values for name, values in named.items() if name.startswith("WEIGHTS_")})
 
     def add(number: object, array: NDArray[Any] | None, target: int) -> int:
         """Add values; returns the number of their accessor, with names and extras of the file's."""
@@ -91,7 +93,7 @@ def _decompressed(given: Document, binary: Binary, primitive: dict[str, Any], wh
     return plain | ({"extensions": kept} if kept else {})
 
 
-def _normalised(weights: dict[str, NDArray[Any] | None]) -> dict[str, NDArray[Any] | None]:
+def _normalise_weights(weights: dict[str, NDArray[Any] | None]) -> dict[str, NDArray[Any] | None]:
     """Weights divided by their sums, which the compression moves away from 1."""
     known = [values for values in weights.values() if values is not None]
     if not known or any(values.dtype.kind != "f" or values.shape != (len(known[0]), 4) for values in known):
@@ -103,7 +105,7 @@ def _normalised(weights: dict[str, NDArray[Any] | None]) -> dict[str, NDArray[An
     }
 
 
-def _decoded(document: Document, data: bytes, where: str) -> Any:
+def _decode_draco(document: Document, data: bytes, where: str) -> Any:
     try:
         import DracoPy
     except ImportError:
@@ -143,14 +145,14 @@ def read_document(path: str | Path) -> Document:
     file = Path(path)
     content = fbx_as_glb(file) if file.suffix.lower() == ".fbx" else read_bytes(file, "a glTF file")
     text, blob = _chunks(file, content) if content[:4] == b"glTF" else (content, None)
-    document = Document(_parsed(file, text), (), file)
+    document = Document(_parse_json(file, text), (), file)
     asset = document.table(document.json, "asset", "glTF")
     if str(asset.get("version", "")).partition(".")[0] != "2":
         document.refuse("asset", f"expected glTF version 2.0, got {shown(asset.get('version'))}", "Export it as 2.0.")
     _require_understood(document)
     require_structure(document)
     buffers = tuple(_buffer(document, number, blob) for number in range(len(document.entries("buffers"))))
-    return without_draco(Document(document.json, buffers, file))
+    return decompress_draco(Document(document.json, buffers, file))
 
 
 def json_text(path: Path) -> str:
@@ -186,7 +188,7 @@ def _chunks(file: Path, content: bytes) -> tuple[bytes, bytes | None]:
     return chunks[b"JSON"], chunks.get(b"BIN\0")
 
 
-def _parsed(file: Path, text: bytes) -> dict[str, Any]:
+def _parse_json(file: Path, text: bytes) -> dict[str, Any]:
     def constant(word: str) -> NoReturn:
         raise ValueError(f"the number {word}")
 
@@ -220,7 +222,7 @@ def _buffer(document: Document, number: int, blob: bytes | None) -> bytes:
     return data[:length]
 
 
-def packed(document: Document) -> Document:
+def pack_document(document: Document) -> Document:
     """The document with one buffer that holds its images too, and with cagemap's mark."""
     parts: list[bytes] = []
     length = 0
@@ -261,8 +263,8 @@ def packed(document: Document) -> Document:
 
 def glb_bytes(document: Document) -> bytes:
     """A document as a binary file (GLB)."""
-    document = packed(document)
-    text = _dumped(document)
+    document = pack_document(document)
+    text = _dump_json(document)
     text += b" " * (-len(text) % 4)
     chunks = [_CHUNK.pack(len(text), b"JSON"), text]
     for blob in document.buffers:
@@ -270,7 +272,7 @@ def glb_bytes(document: Document) -> bytes:
     return b"".join([_HEAD.pack(b"glTF", 2, _HEAD.size + sum(map(len, chunks))), *chunks])
 
 
-def _dumped(document: Document) -> bytes:
+def _dump_json(document: Document) -> bytes:
     try:
         return json.dumps(document.json, separators=(",", ":"), allow_nan=False).encode()
     except ValueError:
@@ -285,10 +287,10 @@ def write_document(path: str | Path, document: Document, *, force: bool = False)
     if suffix != ".gltf":
         write_whole(path, glb_bytes(document), force=force)
         return
-    whole = packed(document)
+    whole = pack_document(document)
     inside = [
         entry | {"uri": "data:application/octet-stream;base64," + base64.b64encode(data).decode()}
         for entry, data in zip(whole.entries("buffers"), whole.buffers, strict=True)
     ]
     top = whole.json | ({"buffers": inside} if inside else {})
-    write_whole(path, _dumped(Document(top, whole.buffers, whole.file)), force=force)
+    write_whole(path, _dump_json(Document(top, whole.buffers, whole.file)), force=force)

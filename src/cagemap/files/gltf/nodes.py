@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from cagemap.character.poses import decompose
 from cagemap.character.values import Rig
 from cagemap.files.gltf.entries import Document, read_accessor
-from cagemap.files.text import distinct
+from cagemap.files.text import make_distinct
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # Relative to the length of a transform's axes.
@@ -44,7 +44,7 @@ def read_nodes(document: Document) -> Nodes:
             if parents[child] >= 0:
                 document.refuse(f"nodes {child}", f"has two parents, {parents[child]} and {number}")
             parents[child] = number
-    order = _below(np.flatnonzero(parents < 0).tolist(), children)
+    order = _descendants(np.flatnonzero(parents < 0).tolist(), children)
     if len(order) != count:
         document.refuse("nodes", "some are their own ancestors")
     local = np.array([_local(document, number) for number in range(count)]).reshape(-1, 4, 4)
@@ -55,11 +55,13 @@ def read_nodes(document: Document) -> Nodes:
                 world[number] = local[number] @ world[parents[number]]
     if not np.isfinite(world).all():
         document.refuse("nodes", "their transforms are too large")
-    names = distinct([document.name("nodes", number) or f"node {number}" for number in range(count)])
-    return Nodes(tuple(order), frozenset(_below(_roots(document, parents), children)), parents, local, world, names)
+    names = make_distinct([document.name("nodes", number) or f"node {number}" for number in range(count)])
+    return Nodes(
+        tuple(order), frozenset(_descendants(_roots(document, parents), children)), parents, local, world, names
+    )
 
 
-def _below(roots: list[int], children: list[list[int]]) -> list[int]:
+def _descendants(roots: list[int], children: list[list[int]]) -> list[int]:
     """The roots and all nodes below them, depth first."""
     ordered, open_nodes = [], list(reversed(roots))
     seen: set[int] = set()
@@ -91,7 +93,7 @@ def _local(document: Document, number: int) -> FloatArray:
 
 
 def scale_signs(document: Document, number: int) -> FloatArray:
-    """(3,) signs of a node's stated scale over the signs that `decomposed` gives its transform."""
+    """(3,) signs of a node's stated scale over the signs that `decompose_transform` gives its transform."""
     stated = document.entry("nodes", number).get("scale")
     scale = document.numbers(_REST["scale"] if stated is None else stated, f"nodes {number}: scale", 3)
     signs = np.where(scale < 0.0, -1.0, 1.0)
@@ -118,7 +120,7 @@ def transform(translation: FloatArray, quaternion: FloatArray, scale: FloatArray
     return matrix
 
 
-def decomposed(matrix: FloatArray) -> dict[str, list[float]]:
+def decompose_transform(matrix: FloatArray) -> dict[str, list[float]]:
     """Translation, rotation and scale of a transform (4, 4), as in a node's entry; ``matrix`` if it has shear."""
     translation, turn, scale = decompose(matrix)
     if (scale == 0.0).any() or np.abs(turn @ turn.T - np.eye(3)).max() > _SHEAR:
@@ -171,14 +173,14 @@ def read_skin(document: Document, nodes: Nodes, number: int) -> Skin:
     if len(inverse) < len(joints):
         document.refuse(where, f"expected {len(joints)} inverse bind matrices, got {len(inverse)}")
     inverse[:, :, 3] = [0.0, 0.0, 0.0, 1.0]  # by the standard; files round it
-    if not invertible(inverse).all():
+    if not is_invertible(inverse).all():
         document.refuse(where, "an inverse bind matrix has no inverse")
     rank = np.empty(count, dtype=np.int64)
     rank[list(nodes.order)] = np.arange(count)
     return Skin(np.array(joints, dtype=np.int64), inverse, _to_world(inverse, nodes.world[joints], rank[joints]))
 
 
-def invertible(matrices: FloatArray) -> NDArray[np.bool_]:
+def is_invertible(matrices: FloatArray) -> NDArray[np.bool_]:
     """(k,) whether each matrix can be inverted safely in floating point."""
     with np.errstate(over="ignore", invalid="ignore"):
         size = np.abs(matrices[:, :3, :3]).max(axis=(1, 2))
@@ -199,7 +201,7 @@ def _to_world(inverse: FloatArray, world: FloatArray, rank: IndexArray) -> Float
         [np.sum(np.abs(corners - placed_corners).max(axis=1) < _SAME_TRANSFORM * scale) for placed_corners in corners]
     )
     chosen = placed[order[alike.argmax()]]
-    return rounded(chosen, np.eye(4), frame)
+    return snap_to_exact(chosen, np.eye(4), frame)
 
 
 def _frame(inverse: FloatArray) -> FloatArray:
@@ -209,7 +211,7 @@ def _frame(inverse: FloatArray) -> FloatArray:
     return np.column_stack([heads.mean(axis=0) + size * np.vstack([np.zeros(3), np.eye(3)]), np.ones(4)])
 
 
-def rounded(matrix: FloatArray, exact: FloatArray, frame: FloatArray) -> FloatArray:
+def snap_to_exact(matrix: FloatArray, exact: FloatArray, frame: FloatArray) -> FloatArray:
     """``exact``, if a matrix moves points (p, 4) to the same places up to rounding; otherwise ``matrix``."""
     meant = frame @ exact
     size = float(np.ptp(meant[:, :3], axis=0).max())
@@ -242,7 +244,7 @@ def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> Jo
         bind[joint_of[skin.nodes]] = np.linalg.inv(skin.inverse_bind) @ skin.to_world
     for joint in np.flatnonzero(np.isnan(bind[:, 0, 0])):
         bind[joint] = local[joint] if parents[joint] < 0 else local[joint] @ bind[parents[joint]]
-    if not invertible(bind).all():
+    if not is_invertible(bind).all():
         document.refuse("skins", "the bind pose of a joint is scaled to nothing")
     rig = Rig(tuple(nodes.names[node] for node in chosen), parents, local, bind)
     of_skins, used = [], {document.entry("nodes", node).get("skin") for node in nodes.in_scene}
@@ -260,14 +262,14 @@ def _with_bound(rig: Rig, joints: IndexArray, skin: Skin, taken: tuple[str, ...]
     ``taken``: names that further joints do not get.
     """
     changes, frame = skin.inverse_bind @ rig.bind[joints], _frame(skin.inverse_bind)
-    other = [rounded(change, skin.to_world, frame) is not skin.to_world for change in changes]
+    other = [snap_to_exact(change, skin.to_world, frame) is not skin.to_world for change in changes]
     moved = np.flatnonzero(other)
     if not len(moved):
         return rig, joints
     count, of_skin = len(rig.names), joints.copy()
     of_skin[moved] = count + np.arange(len(moved))
     words = [rig.names[joint] for joint in joints[moved]]
-    names = distinct([*dict.fromkeys((*taken, *rig.names)), *words])
+    names = make_distinct([*dict.fromkeys((*taken, *rig.names)), *words])
     bind = np.concatenate([rig.bind, np.linalg.inv(skin.inverse_bind[moved]) @ skin.to_world])
     local = np.concatenate([rig.local, np.tile(np.eye(4), (len(moved), 1, 1))])
     return Rig((*rig.names, *names[-len(moved) :]), np.append(rig.parents, joints[moved]), local, bind), of_skin

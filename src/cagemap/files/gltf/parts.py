@@ -15,15 +15,15 @@ from cagemap.files.gltf.nodes import (
     Joints,
     Nodes,
     Skin,
-    invertible,
+    is_invertible,
     nearest_joint,
     read_joints,
     read_nodes,
     read_skin,
-    rounded,
+    snap_to_exact,
 )
 from cagemap.files.gltf.primitives import VertexArrays, read_vertex_arrays
-from cagemap.files.text import distinct
+from cagemap.files.text import make_distinct
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import merged_corners
@@ -83,22 +83,22 @@ def read_scene(document: Document) -> Scene:
             text = "%s: the copies of %s by %s are left out; export each copy as a node of its own to keep it"
             _log.warning(text, document.file, name or nodes.names[node], _INSTANCES)
         if arrays is not None:
-            part = _placed(document, nodes, skins, joints, node, arrays)
+            part = _part_in_world(document, nodes, skins, joints, node, arrays)
             parts += [] if part is None else [part]
     if not parts:
         raise FormatError(f"{document.file}: expected triangles in the scene, got none. Export it with its meshes.")
-    return Scene(document, nodes, joints, tuple(_distinct(parts)))
+    return Scene(document, nodes, joints, tuple(_with_distinct_names(parts)))
 
 
-def _distinct(parts: list[ReadPart]) -> list[ReadPart]:
-    names = distinct([read_part.part.name for read_part in parts])
+def _with_distinct_names(parts: list[ReadPart]) -> list[ReadPart]:
+    names = make_distinct([read_part.part.name for read_part in parts])
     return [
         replace(read_part, part=replace(read_part.part, name=name, mesh=replace(read_part.part.mesh, name=name)))
         for name, read_part in zip(names, parts, strict=True)
     ]
 
 
-def _placed(
+def _part_in_world(
     document: Document, nodes: Nodes, skins: tuple[Skin, ...], joints: Joints | None, node: int, arrays: VertexArrays
 ) -> ReadPart | None:
     """A mesh node as a part in world space; None if it is scaled to nothing."""
@@ -116,12 +116,14 @@ def _placed(
         weights = sparse.csr_array(
             (np.ones(count), (np.arange(count), np.full(count, above))), shape=(count, len(joints.rig.names))
         )
-        whole = _bound(arrays, whole, joints.rig.bind[above], nodes.world[np.flatnonzero(joints.joint_of == above)[0]])
+        whole = _bind_transform(
+            arrays, whole, joints.rig.bind[above], nodes.world[np.flatnonzero(joints.joint_of == above)[0]]
+        )
     if abs(np.linalg.det(whole[:3, :3])) < 1e-12 * max(np.abs(whole[:3, :3]).max(), 1e-30) ** 3:
         _log.warning("%s: %s is scaled to nothing and left out", document.file, arrays.control.name)
         return None
-    arrays = _transformed(arrays, whole, weights, changes)
-    return _welded(arrays, weights, node)
+    arrays = _vertices_in_world(arrays, whole, weights, changes)
+    return _weld_part(arrays, weights, node)
 
 
 def _weights(document: Document, arrays: VertexArrays, of: IndexArray, joints: Joints, node: int) -> sparse.csr_array:
@@ -151,23 +153,25 @@ def _weights(document: Document, arrays: VertexArrays, of: IndexArray, joints: J
     return table
 
 
-def _bound(arrays: VertexArrays, world: FloatArray, bind: FloatArray, rest: FloatArray) -> FloatArray:
+def _bind_transform(arrays: VertexArrays, world: FloatArray, bind: FloatArray, rest: FloatArray) -> FloatArray:
     """A node's transform to the world, in the bind pose of the joint that it follows."""
-    if not invertible(rest[None]).all():
+    if not is_invertible(rest[None]).all():
         return world
-    return rounded(world @ np.linalg.inv(rest) @ bind, world, _as_rows(arrays))
+    return snap_to_exact(world @ np.linalg.inv(rest) @ bind, world, _homogeneous_rows(arrays))
 
 
-def _as_rows(arrays: VertexArrays) -> FloatArray:
+def _homogeneous_rows(arrays: VertexArrays) -> FloatArray:
     return np.column_stack([arrays.control.positions, np.ones(arrays.control.n_vertices)])
 
 
-def _transformed(
+def _vertices_in_world(
     arrays: VertexArrays, whole: FloatArray, weights: sparse.csr_array | None, changes: FloatArray | None
 ) -> VertexArrays:
     """A mesh in world space; blended from the joints' transforms if its skin was bound in another pose."""
-    points = _as_rows(arrays)
-    alike = changes is None or all(rounded(change, whole, points) is whole for change in _used(weights, changes))
+    points = _homogeneous_rows(arrays)
+    alike = changes is None or all(
+        snap_to_exact(change, whole, points) is whole for change in _used_joint_transforms(weights, changes)
+    )
     if alike and np.array_equal(whole, np.eye(4)):
         return arrays
     if weights is None or changes is None or alike:
@@ -182,48 +186,48 @@ def _transformed(
     normals, shape_normals = arrays.normals, arrays.shape_normals
     if normals is not None:
         linear = blended[..., :3, :3]
-        shape_normals = {name: turned_offsets(offsets, normals, linear) for name, offsets in shape_normals.items()}
-        normals = turned_normals(normals, linear)
+        shape_normals = {name: transform_offsets(offsets, normals, linear) for name, offsets in shape_normals.items()}
+        normals = transform_normals(normals, linear)
     control = arrays.control.with_positions(placed[:, :3])
     if np.linalg.det(whole[:3, :3]) < 0.0:
         control = turn_faces(control, np.ones(control.n_faces, dtype=bool))
     return replace(arrays, control=control, shapes=turned, normals=normals, shape_normals=shape_normals)
 
 
-def turned_normals(normals: FloatArray, linear: FloatArray) -> FloatArray:
+def transform_normals(normals: FloatArray, linear: FloatArray) -> FloatArray:
     """Normals (n, 3) of a surface after its points, as rows, are multiplied by (3, 3) or (n, 3, 3)."""
-    return normalize_rows(_by_cofactors(normals, linear))
+    return normalize_rows(_multiply_by_cofactors(normals, linear))
 
 
-def turned_offsets(offsets: FloatArray, normals: FloatArray, linear: FloatArray) -> FloatArray:
-    """Offsets (n, 3) of normals (n, 3), scaled as `turned_normals` scales the normals."""
-    lengths = np.linalg.norm(_by_cofactors(normals, linear), axis=1, keepdims=True)
-    return _by_cofactors(offsets, linear) / np.where(lengths > 0.0, lengths, 1.0)
+def transform_offsets(offsets: FloatArray, normals: FloatArray, linear: FloatArray) -> FloatArray:
+    """Offsets (n, 3) of normals (n, 3), scaled as `transform_normals` scales the normals."""
+    lengths = np.linalg.norm(_multiply_by_cofactors(normals, linear), axis=1, keepdims=True)
+    return _multiply_by_cofactors(offsets, linear) / np.where(lengths > 0.0, lengths, 1.0)
 
 
-def _by_cofactors(vectors: FloatArray, linear: FloatArray) -> FloatArray:
+def _multiply_by_cofactors(vectors: FloatArray, linear: FloatArray) -> FloatArray:
     cofactors = np.cross(linear[..., [1, 2, 0], :], linear[..., [2, 0, 1], :])
     signs = np.sign(np.linalg.det(linear))[..., None, None]
     rows = "na,ab->nb" if linear.ndim == 2 else "na,nab->nb"
     return np.asarray(np.einsum(rows, vectors, signs * cofactors))
 
 
-def _used(weights: sparse.csr_array | None, changes: FloatArray) -> FloatArray:
+def _used_joint_transforms(weights: sparse.csr_array | None, changes: FloatArray) -> FloatArray:
     """Transforms of the joints with weights."""
     return changes if weights is None else changes[np.unique(weights.indices)]
 
 
-def _welded(arrays: VertexArrays, weights: sparse.csr_array | None, node: int) -> ReadPart:
+def _weld_part(arrays: VertexArrays, weights: sparse.csr_array | None, node: int) -> ReadPart:
     """The part with copies of a vertex welded; weights and offsets are those of the first copy."""
     given = arrays.control
     offsets = np.column_stack(list(arrays.shapes.values())) if arrays.shapes else None
-    welded = weld_mesh(_with_stored(given), offsets=offsets)
+    welded = weld_mesh(_with_stored_vertices(given), offsets=offsets)
     mesh = welded.mesh
     if mesh.file_vertices is None:
         mesh = extract_faces(mesh, np.arange(mesh.n_faces))
     kept = mesh.file_vertices
     assert kept is not None
-    mesh, stored = _without_stored(mesh)
+    mesh, stored = _take_stored_vertices(mesh)
     mesh = _with_merged_uvs(mesh)
     part = Part(
         given.name,
@@ -237,7 +241,7 @@ def _welded(arrays: VertexArrays, weights: sparse.csr_array | None, node: int) -
     return ReadPart(part, node, given.n_vertices, welded.notes if mesh.file_copies is not None else ())
 
 
-def _with_stored(mesh: ControlMesh) -> ControlMesh:
+def _with_stored_vertices(mesh: ControlMesh) -> ControlMesh:
     """The mesh with an added UV set that holds each corner's stored vertex: UVs survive welding."""
     numbers = np.column_stack([np.arange(mesh.n_vertices), np.zeros(mesh.n_vertices)]).astype(np.float64)
     if mesh.uvs is None:
@@ -245,8 +249,8 @@ def _with_stored(mesh: ControlMesh) -> ControlMesh:
     return replace(mesh, uv_sets=(*mesh.uv_sets, UvSet("", numbers, mesh.face_indices)))
 
 
-def _without_stored(mesh: ControlMesh) -> tuple[ControlMesh, IndexArray]:
-    """The mesh without the UV set of `_with_stored`, and the stored vertex (c,) of every corner from it."""
+def _take_stored_vertices(mesh: ControlMesh) -> tuple[ControlMesh, IndexArray]:
+    """The mesh without the UV set of `_with_stored_vertices`, and the stored vertex (c,) of every corner from it."""
     if mesh.uv_sets:
         *others, last = mesh.uv_sets
         return replace(mesh, uv_sets=tuple(others)), last.uvs[last.uv_indices, 0].astype(np.int64)

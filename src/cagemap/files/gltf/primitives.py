@@ -11,7 +11,7 @@ import numpy as np
 
 from cagemap.files.gltf.binary import NGONS, STARTS, corners_from
 from cagemap.files.gltf.entries import Document, read_accessor
-from cagemap.files.text import distinct, whole_characters
+from cagemap.files.text import make_distinct, whole_characters
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.parts import join_meshes
@@ -43,7 +43,7 @@ class VertexArrays:
 def material_names(document: Document) -> tuple[str, ...]:
     """Unique names of all materials; unnamed ones are called by their number."""
     count = len(document.entries("materials"))
-    return distinct([document.name("materials", number) or f"material {number}" for number in range(count)])
+    return make_distinct([document.name("materials", number) or f"material {number}" for number in range(count)])
 
 
 def shape_names(document: Document, number: int, count: int) -> tuple[str, ...]:
@@ -53,7 +53,7 @@ def shape_names(document: Document, number: int, count: int) -> tuple[str, ...]:
     stated = stated if isinstance(stated, list) else []
     words = [word for word in stated[:count] if isinstance(word, str)]
     named = [whole_characters(word) for word in words] if len(words) == count else []
-    return distinct(named or [f"shape {target}" for target in range(count)])
+    return make_distinct(named or [f"shape {target}" for target in range(count)])
 
 
 def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArrays | None:
@@ -86,14 +86,14 @@ def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArra
         join_meshes([arrays.control for arrays in read]),
         np.concatenate([np.pad(arrays.joints, ((0, 0), (0, width - arrays.joints.shape[1]))) for arrays in read]),
         np.concatenate([np.pad(arrays.weights, ((0, 0), (0, width - arrays.weights.shape[1]))) for arrays in read]),
-        _joined([arrays.shapes for arrays in read], sizes),
+        _join_offsets([arrays.shapes for arrays in read], sizes),
         np.concatenate(normals) if len(normals) == len(read) else None,
-        _joined([arrays.shape_normals for arrays in read], sizes) if len(normals) == len(read) else {},
+        _join_offsets([arrays.shape_normals for arrays in read], sizes) if len(normals) == len(read) else {},
         np.concatenate(list(white)) if colored else None,
     )
 
 
-def _joined(offsets: Sequence[Mapping[str, FloatArray]], sizes: Sequence[int]) -> dict[str, FloatArray]:
+def _join_offsets(offsets: Sequence[Mapping[str, FloatArray]], sizes: Sequence[int]) -> dict[str, FloatArray]:
     """Offsets by name of several groups of vertices as one; 0 where a group has none."""
     names = dict.fromkeys(name for of_group in offsets for name in of_group)
     return {

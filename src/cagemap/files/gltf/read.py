@@ -57,7 +57,7 @@ def _object(one: ReadPart) -> ControlMesh:
 
 def gltf_weights(path: str | Path) -> FloatArray:
     """Weights (n, j) of the joints of `gltf_skeleton` at the vertices of `read_gltf`; 0 on unskinned meshes."""
-    scene, rig = _rigged(path)
+    scene, rig = _read_rigged_scene(path)
     tables = [
         np.zeros((read_part.part.mesh.n_vertices, len(rig.names)))
         if read_part.part.weights is None
@@ -79,13 +79,13 @@ def gltf_shapes(path: str | Path) -> dict[str, FloatArray]:
 
 def gltf_skeleton(path: str | Path) -> Skeleton:
     """Joints of all skins in the bind pose; the tail of a joint is at its children."""
-    rig = _rigged(path)[1]
+    rig = _read_rigged_scene(path)[1]
     parents = tuple(rig.names[parent] if parent >= 0 else "" for parent in rig.parents)
     axes = rig.bind[:, :3, :3] / np.linalg.norm(rig.bind[:, :3, :3], axis=2, keepdims=True)
     return Skeleton(rig.names, parents, rig.heads, tails_of(rig.heads, rig.parents), axes)
 
 
-def _rigged(path: str | Path) -> tuple[Scene, Rig]:
+def _read_rigged_scene(path: str | Path) -> tuple[Scene, Rig]:
     scene = read_scene(read_document(path))
     if scene.joints is None:
         raise FormatError(f"{path}: expected a mesh with a skin, got none. Export it with its rig.")
@@ -121,19 +121,19 @@ class Contents:
         welded = f"{self.vertices}, made of {self.stored} in the file" if self.stored > self.vertices else ""
         rows = (
             ("body", self.body, "is matched"),
-            ("passengers", _listed(self.passengers), "ride on the body"),
+            ("passengers", _first_names(self.passengers), "ride on the body"),
             ("skeleton", joints, "is carried, with its weights"),
-            ("shapes", _listed(self.shapes), "are carried"),
-            ("textures", _listed(self.textures), "are baked for the other body"),
-            ("animations", _listed(moving), "are retargeted"),
-            ("extensions", _listed(self.extensions), "are kept as they are"),
+            ("shapes", _first_names(self.shapes), "are carried"),
+            ("textures", _first_names(self.textures), "are baked for the other body"),
+            ("animations", _first_names(moving), "are retargeted"),
+            ("extensions", _first_names(self.extensions), "are kept as they are"),
             ("vertices", welded, "copies along seams are welded, so that later vertices have other numbers here"),
         )
         lines = [f"    {name:<12}{held}: {done}" for name, held, done in rows if held]
         return "\n".join(["  holds, and what `cagemap rig` does with it", *lines])
 
 
-def _listed(names: tuple[str, ...] | list[str]) -> str:
+def _first_names(names: tuple[str, ...] | list[str]) -> str:
     return f"{len(names)} ({first_few(names)})" if names else ""
 
 

@@ -10,7 +10,7 @@ from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document, image_bytes, image_suffix, image_type
 from cagemap.files.gltf.primitives import material_names
-from cagemap.files.text import distinct
+from cagemap.files.text import make_distinct
 
 _COLOR = "baseColorTexture"
 REPEAT, CLAMP, MIRROR = 10497, 33071, 33648  # wrap modes of samplers
@@ -94,7 +94,7 @@ def with_materials_of(document: Document, given: Document, names: Sequence[str])
     binary, top = Binary(document), json.loads(json.dumps(document.json))
     known = material_names(given)
     present = material_names(document)
-    added = distinct([*present, *names])[len(present) :]
+    added = make_distinct([*present, *names])[len(present) :]
     taken: dict[int, int] = {}
     for name, new in zip(names, added, strict=True):
         entry = json.loads(json.dumps(given.entry("materials", known.index(name)))) | {"name": new}

@@ -15,13 +15,13 @@ from cagemap.character.normals import move_vertices
 from cagemap.character.values import Character, Part, Rig
 from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
-from cagemap.files.gltf.binary import Binary, without_unused
-from cagemap.files.gltf.character import animation_entries, by_names, character_of
+from cagemap.files.gltf.binary import Binary, remove_unused
+from cagemap.files.gltf.character import animation_entries, character_of, reorder_columns
 from cagemap.files.gltf.document import glb_bytes, read_document, write_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import mesh_entry
-from cagemap.files.gltf.nodes import decomposed, scale_signs
-from cagemap.files.gltf.parts import Scene, read_scene, turned_normals, turned_offsets
+from cagemap.files.gltf.nodes import decompose_transform, scale_signs
+from cagemap.files.gltf.parts import Scene, read_scene, transform_normals, transform_offsets
 from cagemap.files.gltf.primitives import material_names, shape_names
 from cagemap.files.gltf.textures import with_images
 from cagemap.mesh import ControlMesh
@@ -87,7 +87,7 @@ def character_glb(
     for part in character.parts:
         writer.part(part, character.rig)
     writer.animations(character)
-    return without_unused(with_images(writer.document(), images or {}))
+    return remove_unused(with_images(writer.document(), images or {}))
 
 
 class _Made:
@@ -151,9 +151,10 @@ class _Made:
             shapes = {name: offsets @ to_node[:3, :3] for name, offsets in shapes.items()}
             if normals is not None:
                 shape_normals = {
-                    name: turned_offsets(offsets, normals, to_node[:3, :3]) for name, offsets in shape_normals.items()
+                    name: transform_offsets(offsets, normals, to_node[:3, :3])
+                    for name, offsets in shape_normals.items()
                 }
-                normals = turned_normals(normals, to_node[:3, :3])
+                normals = transform_normals(normals, to_node[:3, :3])
             if np.linalg.det(to_node[:3, :3]) < 0.0:
                 corners = reversed_corners(mesh.face_offsets)
                 normals, colors = (None if one is None else one[corners] for one in (normals, colors))
@@ -246,7 +247,7 @@ class _Made:
         stated = document.entry("nodes", node).get("weights", mesh.get("weights"))
         if not isinstance(stated, list) or len(stated) != len(before):
             return {}
-        weights = by_names(document.numbers(stated, f"nodes {node}: weights", len(before))[None], before, names)
+        weights = reorder_columns(document.numbers(stated, f"nodes {node}: weights", len(before))[None], before, names)
         return {"weights": weights[0].tolist()}
 
     def document(self) -> Document:
@@ -280,14 +281,14 @@ class _Made:
             joints, nodes = self._scene.joints, self._scene.nodes
             above = np.eye(4) if joints is None else joints.above[node]
             local = local @ np.linalg.inv(above)
-            # Tracks are those of `decomposed`.
+            # Tracks are those of `decompose_transform`.
             same_signs = (scale_signs(self._scene.document, node) > 0.0).all()
             if same_signs and np.abs(local - nodes.local[node]).max() <= _SAME_LOCAL * np.abs(local).max():
                 return
         entry = self._nodes[node]
         for name in ("matrix", "translation", "rotation", "scale"):
             entry.pop(name, None)
-        entry |= decomposed(local)
+        entry |= decompose_transform(local)
 
 
 _log = logging.getLogger(__name__)

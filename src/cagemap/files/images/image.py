@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
-from cagemap.files.images.parts import on_display, require_one_picture, upright
+from cagemap.files.images.parts import apply_orientation, crop_to_display_window, require_one_picture
 from cagemap.files.ownership import mark
 from cagemap.files.text import require_file, text_name
 from cagemap.mesh.udim import FIRST_TILE
@@ -130,8 +130,8 @@ def _read(file: Path) -> Image:
     form = opened.format_name()
     may_be_associated = form in ("tiff", "openexr")
     associated = may_be_associated and spec.alpha_channel >= 0 and not spec.getattribute("oiio:UnassociatedAlpha")
-    array = on_display(array, spec) if form == "openexr" else array
-    array = upright(array, int(spec.getattribute("Orientation") or 1))
+    array = crop_to_display_window(array, spec) if form == "openexr" else array
+    array = apply_orientation(array, int(spec.getattribute("Orientation") or 1))
     profile = spec.getattribute("ICCProfile")
     return Image(
         array,
@@ -201,10 +201,10 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
     spec.channelnames = given.channel_names if len(given.channel_names) == channels else _CHANNELS[channels]
     spec.alpha_channel = channels - 1 if channels in (2, 4) else -1  # OpenImageIO sets it for four channels alone
     if file.suffix.lower() not in _ASSOCIATED_SUFFIXES:
-        given = straight(replace(given, pixels=pixels))
+        given = unpremultiply(replace(given, pixels=pixels))
         pixels = given.pixels
     elif file.suffix.lower() not in _TIFF and not given.associated and spec.channelnames[-1] == "A":
-        pixels = _multiplied(pixels)
+        pixels = _premultiply_pixels(pixels)
     spec.attribute("oiio:UnassociatedAlpha", 0 if given.associated else 1)
     spec.attribute("png:compressionLevel", 4)  # a quarter of the time of 9, a few per cent larger
     if given.color_space:
@@ -265,21 +265,21 @@ def _reserve(path: Path, size: int) -> None:
                     raise
 
 
-def straight(image: Image) -> Image:
+def unpremultiply(image: Image) -> Image:
     """An image with colours not multiplied by alpha."""
     if image.associated and image.pixels.ndim == 3 and image.pixels.shape[2] in (2, 4):
-        return replace(image, pixels=_divided(image.pixels), associated=False)
+        return replace(image, pixels=_unpremultiply_pixels(image.pixels), associated=False)
     return replace(image, associated=False)
 
 
-def _multiplied(pixels: Pixels) -> Pixels:
+def _premultiply_pixels(pixels: Pixels) -> Pixels:
     """Colours multiplied by alpha, the last channel, except where it is 0; in floats."""
     alpha = pixels[..., -1:]
     colors = pixels[..., :-1] * np.where(alpha > 0, alpha, 1)
     return np.concatenate([colors.astype(pixels.dtype), alpha], axis=2)
 
 
-def _divided(pixels: Pixels) -> Pixels:
+def _unpremultiply_pixels(pixels: Pixels) -> Pixels:
     """Colours divided by alpha, the last channel."""
     full = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1.0
     share = pixels[..., -1:].astype(np.float64) / full

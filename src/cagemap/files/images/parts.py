@@ -47,7 +47,7 @@ def require_one_picture(file: Path, opened: Any) -> None:
         opened.seek_subimage(0, 0)
 
 
-def on_display(pixels: Pixels, spec: Any) -> Pixels:
+def crop_to_display_window(pixels: Pixels, spec: Any) -> Pixels:
     """Pixels in the display window of an EXR, 0 outside its data window, which may be smaller or larger."""
     rows, columns = (
         (slice(max(lo, full), min(lo + size, full + count)), lo, full, count)
@@ -67,7 +67,7 @@ def on_display(pixels: Pixels, spec: Any) -> Pixels:
     return shown
 
 
-def upright(pixels: Pixels, orientation: int) -> Pixels:
+def apply_orientation(pixels: Pixels, orientation: int) -> Pixels:
     """Pixels rotated and mirrored by the orientation (1 to 8) of EXIF and TIFF, for display."""
     if orientation in (5, 6, 7, 8):
         pixels = pixels.swapaxes(0, 1)

@@ -28,8 +28,8 @@ _LARGEST = 2**62
 def pair_curves(path: Path, items: Any) -> Curves:
     """Curves of a landmark file with pairs of two meshes."""
     names, sides, closed = [], {"target": [], "source": []}, {"target": [], "source": []}  # type: ignore[var-annotated]
-    for number, item in enumerate(_listed(path, items, FORM)):
-        name, entry = _named(path, number, item, FORM)
+    for number, item in enumerate(_require_list(path, items, FORM)):
+        name, entry = _require_entry(path, number, item, FORM)
         names.append(name)
         for side, chains in sides.items():
             chain, loop = _chain(path, name, side, entry.get(side), entry.get("closed"), FORM)
@@ -56,8 +56,8 @@ def pair_entries(path: str | Path, curves: Curves) -> list[str]:
 def mesh_curves(path: Path, items: Any) -> tuple[NamedCurve, ...]:
     """Curves of a landmark file of one mesh."""
     curves = []
-    for number, item in enumerate(_listed(path, items, MESH_FORM)):
-        name, entry = _named(path, number, item, MESH_FORM)
+    for number, item in enumerate(_require_list(path, items, MESH_FORM)):
+        name, entry = _require_entry(path, number, item, MESH_FORM)
         if "positions" in entry:
             curves.append(curve_through(path, name, entry["positions"], bool(entry.get("closed", False))))
             continue
@@ -91,13 +91,13 @@ def curve_through(path: Path, name: str, places: Any, closed: bool) -> NamedCurv
     return NamedCurve(name, np.full(len(positions), -1, dtype=np.int64), positions, closed)
 
 
-def _listed(path: Path, items: Any, form: str) -> list[Any]:
+def _require_list(path: Path, items: Any, form: str) -> list[Any]:
     if not isinstance(items, list):
         raise FormatError(f"{path}: expected a list 'curves', got {shown(items)}. An entry is {form}.")
     return items
 
 
-def _named(path: Path, number: int, item: Any, form: str) -> tuple[str, dict[str, Any]]:
+def _require_entry(path: Path, number: int, item: Any, form: str) -> tuple[str, dict[str, Any]]:
     name = item.get("name", f"curve {number}") if isinstance(item, dict) else None
     if not isinstance(name, str) or not isinstance(item.get("closed", False), bool):
         raise FormatError(f"{path}: curve {number} (0-based): expected {form}, got {shown(item)}.")

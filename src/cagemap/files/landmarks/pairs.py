@@ -56,11 +56,11 @@ def read_landmarks(path: str | Path, target: str | Path, source: str | Path) -> 
         If the file names the two meshes in exchanged order.
     """
     file = Path(path)
-    landmarks = entered(file, _parse(file, read_text(file, "a landmark file")))
+    landmarks = parse_landmarks(file, _parse(file, read_text(file, "a landmark file")))
     return landmarks, _compare_names(file, landmarks, str(target), str(source))
 
 
-def entered(file: Path, data: dict[str, Any]) -> Landmarks:
+def parse_landmarks(file: Path, data: dict[str, Any]) -> Landmarks:
     """Landmarks from the parsed JSON of a landmark file."""
     pairs = [_pair(file, number, item) for number, item in enumerate(data.get("pairs", []))]
     landmarks = Landmarks.of_points(
@@ -73,7 +73,7 @@ def entered(file: Path, data: dict[str, Any]) -> Landmarks:
     return replace(landmarks, curves=pair_curves(file, data.get("curves", [])))
 
 
-def entries(landmarks: Landmarks) -> list[str]:
+def format_pairs(landmarks: Landmarks) -> list[str]:
     """Entries of all pairs as JSON."""
     ends = zip(landmarks.names, _ends(landmarks.source_points), _ends(landmarks.target_points), strict=True)
     return [
@@ -87,7 +87,7 @@ def write_landmarks(path: str | Path, landmarks: Landmarks, *, force: bool = Fal
     listed = ",\n  ".join(pair_entries(path, landmarks.curves))
     curves = f',\n "curves": [\n  {listed}\n ]' if listed else ""
     names = f'"source": {json.dumps(landmarks.source_name)}, "target": {json.dumps(landmarks.target_name)}'
-    pairs = ",\n  ".join(entries(landmarks))
+    pairs = ",\n  ".join(format_pairs(landmarks))
     head = f'{{"written_by": "{mark()}",\n {names},\n "pairs": [\n  '
     write_whole(path, f"{head}{pairs}\n ]{curves}}}\n", force=force)
 

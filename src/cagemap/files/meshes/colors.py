@@ -19,7 +19,7 @@ _BYTE = 255.0
 _BRIGHTEST = 16.0
 
 
-def as_shares(colors: FloatArray, largest: float | None = None) -> FloatArray:
+def to_unit_range(colors: FloatArray, largest: float | None = None) -> FloatArray:
     """Colours scaled so that 1 is full intensity.
 
     ``colors``: (n, 3), NaN at vertices without a colour.
@@ -38,7 +38,7 @@ KEYWORD = "#MRGB"
 _VALUE = 4  # bytes: mask, red, green, blue
 
 
-def polypaint(lines: Sequence[str], n_vertices: int, fail: Callable[[int, str], FormatError]) -> FloatArray | None:
+def read_polypaint(lines: Sequence[str], n_vertices: int, fail: Callable[[int, str], FormatError]) -> FloatArray | None:
     """Colours (n, 3) from 0 to 1 of ZBrush's lines ``#MRGB``; None without such lines.
 
     ``lines``: all lines that begin with `KEYWORD`, with up to 64 values MMRRGGBB each.

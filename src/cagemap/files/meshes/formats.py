@@ -18,7 +18,7 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files import IMAGE_SUFFIXES
-from cagemap.files.fbx.read import named_textures
+from cagemap.files.fbx.read import find_textures
 from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, json_text
 from cagemap.files.gltf.read import read_gltf
 from cagemap.files.gltf.write import write_glb, write_glb_like
@@ -180,7 +180,7 @@ def referred_files(path: Path) -> list[Path]:
             names = [unquote(json.loads(word)).replace("\\", "/") for word in words]
             return [file for name in names if os.path.isfile(file := file_in(path.parent, name))]
         if suffix in (".fbx", ".ply"):
-            return named_textures(path) if suffix == ".fbx" else ply_images(path)
+            return find_textures(path) if suffix == ".fbx" else ply_images(path)
         return other_files(path) if suffix in USD_SUFFIXES else []
     except (FormatError, OSError, ValueError):  # its reader reports it
         return []

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
-from cagemap.files.meshes.colors import KEYWORD, as_shares, polypaint, read_material_colors
+from cagemap.files.meshes.colors import KEYWORD, read_material_colors, read_polypaint, to_unit_range
 from cagemap.files.meshes.obj_tags import parse_tags
-from cagemap.files.text import at_line, decoded, file_in, is_number, read_text
+from cagemap.files.text import at_line, decode_text, file_in, is_number, read_text
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV
 from cagemap.mesh.mesh_report import count_noun, first_few
@@ -181,7 +181,7 @@ def _read_corners(statements: _Statements, rows: IndexArray) -> _Corners:
         row = rows[line_of_byte[byte]]
         return statements.fail(row, "'f' and corners such as 3, 3/7, 3//2 or 3/7/2", "Export the control mesh again.")
 
-    malformed = np.flatnonzero(_malformed(data, kind, before))
+    malformed = np.flatnonzero(_malformed_bytes(data, kind, before))
     if len(malformed):
         raise fail(malformed[0])
     begins = (kind != _BLANK) & (before == _BLANK)
@@ -209,7 +209,7 @@ def _read_corners(statements: _Statements, rows: IndexArray) -> _Corners:
     return _Corners(rows, sizes, vertices, uvs, has_uv)
 
 
-def _malformed(data: NDArray[np.uint8], kind: NDArray[np.int8], before: NDArray[np.int8]) -> NDArray[np.bool_]:
+def _malformed_bytes(data: NDArray[np.uint8], kind: NDArray[np.int8], before: NDArray[np.int8]) -> NDArray[np.bool_]:
     """Bytes that cannot be part of a corner: other characters, and signs that do not begin a number.
 
     `numpy.fromstring` then reads everything. It limits numbers too large for int64, and no mesh has so many vertices.
@@ -310,7 +310,7 @@ def _read_vertex_colors(statements: _Statements, n_vertices: int) -> FloatArray 
         def fail(number: int, expected: str) -> FormatError:
             return statements.fail(painted[number], expected, "Export the mesh again, or take these lines out.")
 
-        return polypaint([statements.lines[row] for row in painted], n_vertices, fail)
+        return read_polypaint([statements.lines[row] for row in painted], n_vertices, fail)
     unknown = [np.nan, np.nan, np.nan]
     try:
         fours = [[float(field) for field in fields] for fields in colored if len(fields) == 4]
@@ -324,7 +324,7 @@ def _read_vertex_colors(statements: _Statements, n_vertices: int) -> FloatArray 
         raise statements.fail(
             int(rows[bad]), "'v', three coordinates and three colour values", "Export the mesh again."
         ) from None
-    return as_shares(np.array(table, dtype=np.float64))
+    return to_unit_range(np.array(table, dtype=np.float64))
 
 
 def _read_tags(statements: _Statements, n_vertices: int, sizes: IndexArray) -> dict[str, Any]:
@@ -365,4 +365,4 @@ def _material_names(text: str) -> list[list[str]]:
 
 def named_material_files(name: str, content: bytes) -> list[str]:
     """All names of material files that `read_obj` would search for an OBJ file of this content."""
-    return [file for names in _material_names(decoded(content, Path(name), "an OBJ file")) for file in names]
+    return [file for names in _material_names(decode_text(content, Path(name), "an OBJ file")) for file in names]

@@ -15,7 +15,7 @@ from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.textures import CLAMP, REPEAT
 from cagemap.files.meshes.colors import material_lines
 from cagemap.files.meshes.obj import material_files
-from cagemap.files.text import is_number, named_image, read_text
+from cagemap.files.text import find_image, is_number, read_text
 
 _log = logging.getLogger(__name__)
 
@@ -79,7 +79,7 @@ def _texture(
 def _image_file(library: Path, name: str) -> Path | None:
     """The image of a name; if it is missing, of the name without comments."""
     shorter, sign, _ = name.rpartition(" #")
-    return named_image(library, name) or (_image_file(library, shorter.rstrip()) if sign else None)
+    return find_image(library, name) or (_image_file(library, shorter.rstrip()) if sign else None)
 
 
 def _options(rest: str) -> tuple[dict[str, list[str]], str]:

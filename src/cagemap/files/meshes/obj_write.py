@@ -17,7 +17,7 @@ from cagemap.files.meshes.colors import NO_IMAGES, color_statements, read_materi
 from cagemap.files.meshes.obj import MATERIAL_FILE_LINE, material_files, read_obj
 from cagemap.files.meshes.obj_tags import format_tags
 from cagemap.files.ownership import mark
-from cagemap.files.text import check_writable_name, distinct, read_text
+from cagemap.files.text import check_writable_name, make_distinct, read_text
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 
@@ -43,7 +43,7 @@ def write_obj(
     file = Path(path)
     if images and (mesh.face_materials is None or "" in mesh.material_names):
         mesh = _all_named(mesh)
-    mesh = replace(mesh, material_names=distinct(mesh.material_names))
+    mesh = replace(mesh, material_names=make_distinct(mesh.material_names))
     for name in (*mesh.material_names, *mesh.object_names, *mesh.group_names):
         check_writable_name(name)
     library, has_materials = file.with_suffix(".mtl"), mesh.face_materials is not None
@@ -182,7 +182,7 @@ def write_obj_layout(
         used, head = [_UNNAMED, *used], f"{head}usemtl {_UNNAMED}\n"
     uvs = _format_lines("vt %r %r\n", laid_out.uvs)
     numbers = iter((laid_out.uv_indices + 1).tolist())
-    faces = _FACE.sub(lambda found: _renumbered(found[0], numbers), text[first.start() :])
+    faces = _FACE.sub(lambda found: _renumber_texture_vertices(found[0], numbers), text[first.start() :])
     write_materials(library_file, {name: statements.get(name, []) for name in used}, images, force=force)
     write_whole(file, f"# {mark()}\nmtllib {library_file.name}\n{head}{uvs}{faces}", force=force)
 
@@ -202,7 +202,7 @@ def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMe
     text = _text_for(file, kept)
     positions = iter(moved.positions.tolist())
     text = _POSITION_LINE.sub(lambda found: f"v {' '.join(map(repr, next(positions)))}{found[1]}", text)
-    text = _FACE.sub(lambda found: _WITH_NORMAL.sub(_without_normal, found[0]), _NORMAL_LINE.sub("", text))
+    text = _FACE.sub(lambda found: _WITH_NORMAL.sub(_strip_normals, found[0]), _NORMAL_LINE.sub("", text))
     write_whole(file, f"# {mark()}\n{text}", force=force)
 
 
@@ -223,11 +223,11 @@ def _libraries(text: str, original: Path, folder: Path) -> str:
     return "".join(f"mtllib {file.as_posix()}\n" for file in files)
 
 
-def _without_normal(corner: re.Match[str]) -> str:
+def _strip_normals(corner: re.Match[str]) -> str:
     return f"{corner[1]}/{corner[2]}" if corner[2] else corner[1]
 
 
-def _renumbered(line: str, numbers: Iterator[int]) -> str:
+def _renumber_texture_vertices(line: str, numbers: Iterator[int]) -> str:
     """A face statement with new texture vertices at its corners ``v/vt/vn``."""
     body, hash_mark, comment = re.sub(r"\\[ \t]*\n", " ", line).partition("#")
     keyword, *corners = body.split()

@@ -20,11 +20,11 @@ from cagemap.files.gltf.added_textures import AddedTextures
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.textures import REPEAT
-from cagemap.files.meshes.colors import as_shares
+from cagemap.files.meshes.colors import to_unit_range
 from cagemap.files.meshes.obj import warn_of_bare_faces
 from cagemap.files.meshes.ply_records import END_LINE, Column, read_columns
 from cagemap.files.ownership import mark
-from cagemap.files.text import named_image, read_bytes
+from cagemap.files.text import find_image, read_bytes
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV, UNKNOWN_COLOR
 from cagemap.mesh.faces import merged_corners
@@ -50,7 +50,7 @@ def read_ply(path: str | Path) -> ControlMesh:
 
     Texture coordinates are those of the faces' ``texcoord`` lists, else of the vertices (``s t``, ``u v`` or
     ``texture_u texture_v``). Vertex colours ``red green blue`` are divided by the largest number of their type if it
-    has one or two bytes; otherwise they are from 0 to 1, or bytes (`as_shares`). Faces of several images
+    has one or two bytes; otherwise they are from 0 to 1, or bytes (`to_unit_range`). Faces of several images
     (``texnumber``), or of one or more colours, have a material for each; of more than 256 colours, none, with a
     warning. Other elements are ignored.
     """
@@ -80,7 +80,7 @@ def read_ply(path: str | Path) -> ControlMesh:
 
 def ply_images(path: Path) -> list[Path]:
     """Existing images that the header of a PLY file names (``comment TextureFile``)."""
-    found = (named_image(path, name) for name in _image_names(_read_header(path)))
+    found = (find_image(path, name) for name in _image_names(_read_header(path)))
     return [image for image in found if image is not None]
 
 
@@ -105,7 +105,7 @@ def ply_document(path: Path, mesh: ControlMesh) -> Document:
     binary, top = Binary(), dict[str, Any]()
     textures, materials = AddedTextures(binary, top), []
     for number, name in enumerate(_image_names(_read_header(path))):
-        file = named_image(path, name)
+        file = find_image(path, name)
         image = None if file is None else textures.image(file.read_bytes(), file.suffix)
         if image is None:
             problem = "is not found; put it beside the file" if file is None else "cannot be read as an image"
@@ -181,7 +181,7 @@ def _colors(columns: dict[str, Column]) -> FloatArray | None:
     colors = np.column_stack([columns[name].values.astype(np.float64) for name in names])
     colors[~np.isfinite(colors).all(axis=1)] = np.nan
     stated = np.dtype(columns[names[0]].stated)
-    return as_shares(colors, float(np.iinfo(stated).max) if stated.kind in "iu" and stated.itemsize < 4 else None)
+    return to_unit_range(colors, float(np.iinfo(stated).max) if stated.kind in "iu" and stated.itemsize < 4 else None)
 
 
 def _table(path: Path, columns: dict[str, Column], names: tuple[str, ...], what: str) -> FloatArray | None:

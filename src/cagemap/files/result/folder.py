@@ -35,10 +35,10 @@ from cagemap.files.result.manifest import (
     stored_confidence,
     stored_landmarks,
     stored_quality,
-    written_with,
+    version_entries,
 )
 from cagemap.files.result.maps import level_arrays, level_entries, read_level_maps
-from cagemap.files.schema import ResultRecord, SideRecord, checked_record, to_json
+from cagemap.files.schema import ResultRecord, SideRecord, parse_record, to_json
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult, SpectralMap
@@ -158,7 +158,7 @@ def read_result(folder: str | Path) -> MatchResult:
     """
     root = Path(folder)
     manifest = read_manifest(root)
-    record = checked_record(ResultRecord, manifest, root / MANIFEST, REMEDY)
+    record = parse_record(ResultRecord, manifest, root / MANIFEST, REMEDY)
     stored = _read_arrays(root / ARRAYS, record.files.get(ARRAYS))
     sizes: dict[str, int] = {}
     sides = [
@@ -312,7 +312,7 @@ def _manifest(result: MatchResult) -> dict[str, Any]:
         }
         for prefix, side in (("target", result.target), ("source", result.source))
     }
-    fixed = {**written_with(), **sides, "landmark_names": list(result.landmarks.names)}
+    fixed = {**version_entries(), **sides, "landmark_names": list(result.landmarks.names)}
     fixed["level_maps"] = level_entries(result)
     return fixed | {name: value for name, value in result.manifest.items() if name not in {*fixed, "files"}}
 

@@ -30,8 +30,8 @@ from cagemap.files.schema import (
     LandmarkCheckRecord,
     QualityRecord,
     ResultRecord,
-    checked_record,
     parse_json,
+    parse_record,
     to_json,
 )
 from cagemap.files.text import read_text
@@ -149,7 +149,7 @@ def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
     entry = {name: stated(value, root) for name, value in entry.items()}
     with one_at_a_time(root):
         manifest = read_manifest(root)
-        record = checked_record(ResultRecord, manifest, root / MANIFEST, REMEDY)
+        record = parse_record(ResultRecord, manifest, root / MANIFEST, REMEDY)
         kept = [
             transfer.model_dump(exclude_unset=True)
             for transfer in record.transfers
@@ -185,7 +185,7 @@ def read_manifest(root: Path) -> dict[str, Any]:
     return manifest
 
 
-def written_with() -> dict[str, Any]:
+def version_entries() -> dict[str, Any]:
     """Entries of a manifest for its format, and for versions of cagemap, Python and libraries."""
     return {
         "written_by": mark(),
@@ -288,7 +288,7 @@ def stored_confidence(
 _CURVE_MISSED = 0.005
 
 
-def assurance(manifest: dict[str, Any]) -> str:
+def sure_message(manifest: dict[str, Any]) -> str:
     """Message of a manifest that a map without enough landmarks is sure; '' otherwise."""
     confidence = manifest.get("confidence") or {}
     return str(confidence.get("message", "")) if confidence.get("verdict") == SURE else ""
@@ -296,7 +296,7 @@ def assurance(manifest: dict[str, Any]) -> str:
 
 def doubt_message(manifest: dict[str, Any]) -> str:
     """Message of a manifest that a map without enough landmarks may be a wrong one; '' otherwise."""
-    return "" if assurance(manifest) else str((manifest.get("confidence") or {}).get("message", ""))
+    return "" if sure_message(manifest) else str((manifest.get("confidence") or {}).get("message", ""))
 
 
 def landmark_messages(manifest: dict[str, Any]) -> list[str]:

@@ -27,7 +27,7 @@ from cagemap.files.meshes.arrays import control_from_arrays, control_to_arrays, 
 from cagemap.files.npz import ArraySpec, check_arrays, read_npz, write_npz
 from cagemap.files.ownership import is_own
 from cagemap.files.result.manifest import code_version, mesh_hash, stored_basis
-from cagemap.files.schema import SurfaceRecord, checked_record, parse_json
+from cagemap.files.schema import SurfaceRecord, parse_json, parse_record
 from cagemap.files.text import require_file
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.pipeline import MAP_BASIS, prepare_surface
@@ -109,7 +109,7 @@ def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> 
         write_npz(temporary, arrays)
 
 
-def prepared(
+def load_or_prepare(
     folder: str | Path,
     control: ControlMesh,
     level: int,
@@ -188,7 +188,7 @@ def _header(path: Path, arrays: dict[str, Any]) -> SurfaceRecord:
             f"{path}: format version {entries.get('format_version')}, written by cagemap {entries.get('cagemap')}; "
             f"this cagemap {__version__} reads version {SURFACE_VERSION}. {_REMEDY}"
         )
-    return checked_record(SurfaceRecord, entries, path, _REMEDY)
+    return parse_record(SurfaceRecord, entries, path, _REMEDY)
 
 
 def _usable_folder(folder: Path) -> Path:

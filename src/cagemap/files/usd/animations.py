@@ -34,7 +34,7 @@ def write_rig(stage: Any, rig: Rig, animations: Sequence[Animation], scene: Scen
     ``scene``: the document of the same animations, with the weights of blend shapes.
     """
     pxr = usd_modules()
-    rig, animations = without_scale(rig, animations)
+    rig, animations = remove_scale(rig, animations)
     paths = joint_paths(rig.names, [rig.names[parent] if parent >= 0 else "" for parent in rig.parents])
     skeleton = define_skeleton(stage, SKELETON, paths, rig.bind, rig.local)
     skeleton.CreateJointNamesAttr(rig.names)
@@ -76,7 +76,7 @@ def write_rig(stage: Any, rig: Rig, animations: Sequence[Animation], scene: Scen
     return notes
 
 
-def without_scale(rig: Rig, animations: Sequence[Animation]) -> tuple[Rig, tuple[Animation, ...]]:
+def remove_scale(rig: Rig, animations: Sequence[Animation]) -> tuple[Rig, tuple[Animation, ...]]:
     """The rig and its animations with joints of scale 1 in the bind pose; skinned points are the same.
 
     USD stores the scales of animations in half precision, and programs expect 1.

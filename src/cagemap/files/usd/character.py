@@ -15,15 +15,15 @@ import numpy as np
 from cagemap.character.values import Character, Part, Rig, Track
 from cagemap.files.atomic import atomic_path, write_whole
 from cagemap.files.gltf.binary import NGONS
-from cagemap.files.gltf.character import in_rig
+from cagemap.files.gltf.character import to_rig_space
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import uv_sets_in_order
-from cagemap.files.gltf.parts import Scene, turned_normals
+from cagemap.files.gltf.parts import Scene, transform_normals
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.ownership import mark
 from cagemap.files.usd.animations import SKELETON, write_rig
 from cagemap.files.usd.materials import WRITTEN, uv_primvar, write_materials
-from cagemap.files.usd.prims import moved, named_faces
+from cagemap.files.usd.prims import faces_by_name, transform_points
 from cagemap.files.usd.space import StageSpace, to_metres
 from cagemap.files.usd.stages import identifiers, open_stage, usd_modules
 from cagemap.files.usd.write import check_usd_path, export_layer, new_stage
@@ -72,7 +72,7 @@ def write_usd_character(
     """
     file = Path(path)
     check_usd_path(file, package=True)
-    character = character if space is None else _in_space(character, space)
+    character = character if space is None else _to_space(character, space)
     stage = new_stage(space or StageSpace("Y", 1.0), "SkelRoot")
     used = {name: None for part in character.parts for name in _materials(part)}
     surfaces = write_materials(stage, scene.document, list(used), file, kept)
@@ -97,16 +97,16 @@ def write_usd_character(
     return notes
 
 
-def _in_space(character: Character, space: StageSpace) -> Character:
+def _to_space(character: Character, space: StageSpace) -> Character:
     """A character in metres with Y up as one in a space, by a similarity without a mirror."""
     matrix = np.asarray(np.linalg.inv(to_metres(space)), dtype=np.float64)
     turn = matrix[:3, :3]
     parts = [
         replace(
             part,
-            mesh=part.mesh.with_positions(moved(part.mesh.positions, matrix)),
+            mesh=part.mesh.with_positions(transform_points(part.mesh.positions, matrix)),
             shapes={name: offsets @ turn for name, offsets in part.shapes.items()},
-            normals=None if part.normals is None else turned_normals(part.normals, turn),
+            normals=None if part.normals is None else transform_normals(part.normals, turn),
         )
         for part in character.parts
     ]
@@ -116,16 +116,16 @@ def _in_space(character: Character, space: StageSpace) -> Character:
         local = np.where(roots[:, None, None], rig.local @ matrix, rig.local)
         rig = replace(rig, local=local, bind=rig.bind @ matrix)
         animations = tuple(
-            replace(one, tracks=tuple(_moved_track(t, matrix) if roots[t.joint] else t for t in one.tracks))
+            replace(one, tracks=tuple(_transform_track(t, matrix) if roots[t.joint] else t for t in one.tracks))
             for one in animations
         )
     return replace(character, parts=tuple(parts), rig=rig, animations=animations)
 
 
-def _moved_track(track: Track, matrix: FloatArray) -> Track:
+def _transform_track(track: Track, matrix: FloatArray) -> Track:
     """A root's track after a similarity of the whole character."""
     tangents = track.interpolation == "CUBICSPLINE"
-    return replace(track, values=in_rig(track.values, track.channel, matrix, tangents=tangents))
+    return replace(track, values=to_rig_space(track.values, track.channel, matrix, tangents=tangents))
 
 
 def _write_part(stage: Any, path: str, part: Part, materials: Mapping[str, Any], *, skinned: bool) -> Any:
@@ -159,7 +159,7 @@ def _write_part(stage: Any, path: str, part: Part, materials: Mapping[str, Any],
 
 def _materials(part: Part) -> list[str]:
     """Names of a part's materials that have faces."""
-    return [name for name, _, color in named_faces(part.mesh) if color is not None]
+    return [name for name, _, color in faces_by_name(part.mesh) if color is not None]
 
 
 def _is_double_sided(document: Document, material: str) -> bool:

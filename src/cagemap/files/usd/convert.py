@@ -16,14 +16,14 @@ from cagemap.character.poses import parent_transforms
 from cagemap.character.values import Animation, Channel, Character, Part, Rig, Track
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
-from cagemap.files.gltf.character import in_rig
+from cagemap.files.gltf.character import to_rig_space
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.nodes import invertible
-from cagemap.files.gltf.parts import turned_normals, turned_offsets
+from cagemap.files.gltf.nodes import is_invertible
+from cagemap.files.gltf.parts import transform_normals, transform_offsets
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.write import character_glb
-from cagemap.files.text import distinct
-from cagemap.files.usd.animations import without_scale
+from cagemap.files.text import make_distinct
+from cagemap.files.usd.animations import remove_scale
 from cagemap.files.usd.prims import (
     BLEND_SHAPE,
     JOINT_WEIGHTS,
@@ -33,14 +33,14 @@ from cagemap.files.usd.prims import (
     is_similarity,
     local_to_world,
     primvar_values,
-    stated,
+    read_value,
 )
-from cagemap.files.usd.read import UsdMesh, in_world, prims_of, read_usd_meshes
+from cagemap.files.usd.read import UsdMesh, place_in_world, prims_of, read_usd_meshes
 from cagemap.files.usd.shader_inputs import color_uv_name
 from cagemap.files.usd.shaders import with_materials
 from cagemap.files.usd.skeleton import joint_names, joint_parents, joints_of
 from cagemap.files.usd.space import stage_units, to_metres
-from cagemap.files.usd.stages import named_damage, open_stage, opened_once, usd_modules
+from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, usd_modules
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.faces import reversed_corners
 from cagemap.mesh.mesh_report import first_few
@@ -62,7 +62,7 @@ def usd_document(path: str | Path, meshes: Sequence[UsdMesh] | None = None) -> D
 def document_and_character(path: str | Path, meshes: Sequence[UsdMesh] | None = None) -> tuple[Document, Character]:
     """A USD file as by `usd_document` and `read_usd_character`; names are the same in both."""
     file = Path(path)
-    with named_damage(file), opened_once():
+    with damage_as_error(file), open_each_once():
         stage, meshes = open_stage(file), read_usd_meshes(file) if meshes is None else meshes
         character, weights = _read(file, stage, meshes)
         plain = replace(character_glb(character), file=file)
@@ -86,7 +86,7 @@ def document_and_character(path: str | Path, meshes: Sequence[UsdMesh] | None = 
 
 def read_usd_character(path: str | Path) -> Character:
     """Read a USD file as a character: meshes as parts, with the vertices of `cagemap.files.usd.read.read_usd`."""
-    with named_damage(path), opened_once():
+    with damage_as_error(path), open_each_once():
         return _read(Path(path), open_stage(path), read_usd_meshes(path))[0]
 
 
@@ -112,7 +112,7 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
             text = "%s: %s: its transform scales unevenly, so that joints move otherwise than in USD; apply its scale"
             _log.warning(text, file, skeleton.GetPath())
     joints = () if rig is None else rig.names
-    names = distinct([*joints, *(prim.GetDisplayName() or prim.GetName() for prim in prims)])[len(joints) :]
+    names = make_distinct([*joints, *(prim.GetDisplayName() or prim.GetName() for prim in prims)])[len(joints) :]
     parts = []
     for name, mesh, prim, skeleton in zip(names, meshes, prims, bound, strict=True):
         if len(thin := np.flatnonzero(mesh.control.face_sizes < 3)):
@@ -129,7 +129,7 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
             table = np.maximum(table, 0.0)
             table[~table.any(axis=1), 0] = 1.0
             table = sparse.csr_array(table / table.sum(axis=1, keepdims=True))
-        placed = in_world(replace(mesh, to_world=mesh_to_world))
+        placed = place_in_world(replace(mesh, to_world=mesh_to_world))
         control = replace(placed.control, name=name, face_objects=None, object_names=())
         shapes = {
             label.removeprefix(BLEND_SHAPE): offsets
@@ -140,16 +140,16 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
         if normals is not None:
             turn = mesh_to_world[:3, :3]
             shape_normals = {
-                label: turned_offsets(offsets[control.face_indices], normals, turn)
+                label: transform_offsets(offsets[control.face_indices], normals, turn)
                 for label, offsets in mesh.shape_normals.items()
             }
-            normals = turned_normals(normals, turn)
+            normals = transform_normals(normals, turn)
         if control.vertex_colors is not None and color_uv_name(prim):
             text = "%s: %s: USD shows the image of its material without the display colours, glTF multiplies both"
             _log.warning(text, file, mesh.path)
         parts.append(Part(name, control, table, shapes, normals, shape_normals, placed.colors))
     if rig is not None:
-        rig, animations = without_scale(rig, animations)
+        rig, animations = remove_scale(rig, animations)
     return Character(tuple(parts), rig, animations), weights
 
 
@@ -162,7 +162,7 @@ def _normals(where: str, prim: Any, control: ControlMesh, matrix: FloatArray) ->
     if primvar.HasValue():
         values, numbers, kind = primvar_values(where, primvar)
     else:
-        values, kind = np.array(stated(geometry.GetNormalsAttr()) or []), str(geometry.GetNormalsInterpolation())
+        values, kind = np.array(read_value(geometry.GetNormalsAttr()) or []), str(geometry.GetNormalsInterpolation())
         numbers = np.arange(len(values))
     if not len(values) or not isinstance(control.scheme, Plain):
         return None
@@ -184,7 +184,7 @@ def _rig(file: Path, skeleton: Any, rig_to_world: FloatArray) -> Rig:
     rests = np.array(skeleton.GetRestTransformsAttr().Get() or [], dtype=np.float64).reshape(-1, 4, 4)
     local = rests if len(rests) == len(joints) else parent_transforms(binds, parents)
     local[parents < 0] = local[parents < 0] @ rig_to_world
-    if not np.isfinite(local).all() or not invertible(binds @ rig_to_world).all():
+    if not np.isfinite(local).all() or not is_invertible(binds @ rig_to_world).all():
         raise FormatError(f"{file}: {skeleton.GetPath()}: expected transforms with an inverse. Export it again.")
     names = [str(name) for name in skeleton.GetJointNamesAttr().Get() or []]
     if len(set(names)) != len(joints) or len(names) != len(joints):
@@ -204,7 +204,7 @@ def _animations(
     found, weights = [], _ShapeWeights()
     given = [attribute for one in prims for attribute in (*_channels(one).values(), one.GetBlendShapeWeightsAttr())]
     start = min(0.0, stage.GetStartTimeCode(), *(code for one in given for code in one.GetTimeSamples()[:1]))
-    names = distinct([one.GetPrim().GetDisplayName() or one.GetPrim().GetName() for one in prims])
+    names = make_distinct([one.GetPrim().GetDisplayName() or one.GetPrim().GetName() for one in prims])
     for name, animation in zip(names, prims, strict=True):
         listed = [str(joint) for joint in animation.GetJointsAttr().Get() or []]
         tracks = []
@@ -214,7 +214,7 @@ def _animations(
                 if joint in joints and len(times):
                     keys = values[:, column]
                     if rig.parents[joints.index(joint)] < 0:
-                        keys = in_rig(keys, channel, rig_to_world, tangents=False)
+                        keys = to_rig_space(keys, channel, rig_to_world, tangents=False)
                     kept = slice(None) if np.ptp(keys, axis=0).any() else slice(1)
                     tracks.append(Track(joints.index(joint), channel, times[kept], keys[kept]))
         shapes = [str(shape) for shape in animation.GetBlendShapesAttr().Get() or []]

@@ -84,10 +84,10 @@ def _field_values(section: bytes) -> list[int]:
     block = section[24 + first :][:length]
     if not count or block[0]:  # several chunks, from 2 GB on
         return []
-    return list(struct.unpack_from(f"<{count}Q", _decompressed(block[1:], 8 * count)))
+    return list(struct.unpack_from(f"<{count}Q", _decompress_lz4(block[1:], 8 * count)))
 
 
-def _decompressed(block: bytes, size: int) -> bytes:
+def _decompress_lz4(block: bytes, size: int) -> bytes:
     """The first ``size`` bytes, or a few more, of a block of LZ4."""
     content, place = bytearray(), 0
 

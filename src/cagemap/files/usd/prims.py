@@ -24,7 +24,7 @@ JOINT_WEIGHTS = "skel:jointWeights"
 BLEND_SHAPE = "blendShape:"
 
 
-def stated(attribute: Any) -> Any:
+def read_value(attribute: Any) -> Any:
     """Value of an attribute or primvar: the default one, else that of its first time sample."""
     value = attribute.Get()
     return attribute.Get(usd_modules().Usd.TimeCode.EarliestTime()) if value is None else value
@@ -33,7 +33,7 @@ def stated(attribute: Any) -> Any:
 def bind_transform(prim: Any) -> FloatArray:
     """(4, 4) transform from a mesh's space to its skeleton's in the bind pose."""
     attribute = _skinning_attribute(prim, "primvars:skel:geomBindTransform")
-    return np.array(np.eye(4) if attribute is None else stated(attribute), dtype=np.float64)
+    return np.array(np.eye(4) if attribute is None else read_value(attribute), dtype=np.float64)
 
 
 def _skinning_attribute(prim: Any, name: str) -> Any:
@@ -46,7 +46,7 @@ def _skinning_attribute(prim: Any, name: str) -> Any:
     return None
 
 
-def integers(values: Any) -> IndexArray:
+def index_array(values: Any) -> IndexArray:
     """An array of USD as indices; empty if absent."""
     return np.array([] if values is None else values, dtype=np.int64)
 
@@ -96,12 +96,12 @@ def display_colors(where: str, control: ControlMesh, prim: Any) -> tuple[str, Fl
     """Interpolation and linear colour and opacity (c, 4) of the face corners; None without, or with one for all."""
     api = usd_modules().UsdGeom.PrimvarsAPI(prim)
     color, opacity = map(api.FindPrimvarWithInheritance, ("displayColor", "displayOpacity"))
-    interpolation = str(color.GetInterpolation()) if color.HasValue() and len(stated(color)) else "constant"
+    interpolation = str(color.GetInterpolation()) if color.HasValue() and len(read_value(color)) else "constant"
     if interpolation == "constant":
         return interpolation, None
     values, rows = _at_corners(where, control, color)
     shares, share_rows = np.ones(1), np.zeros_like(rows)
-    if opacity.HasValue() and len(stated(opacity)):
+    if opacity.HasValue() and len(read_value(opacity)):
         shares, share_rows = _at_corners(where, control, opacity)
     if values.shape[1:] != (3,) or shares.ndim != 1:
         _refuse(where, color, f"got colours of shape {values.shape} and opacities of shape {shares.shape}")
@@ -138,7 +138,7 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
         name = primvar.GetPrimvarName()
         if name in taken or name.startswith("skel:") or not primvar.HasValue():
             continue
-        values = np.asarray(stated(primvar))
+        values = np.asarray(read_value(primvar))
         interpolation = str(primvar.GetInterpolation())
         expected = rows.get(interpolation)
         if expected is None or values.dtype.kind not in "iuf" or values.size == 0 or values.ndim > 2:
@@ -162,7 +162,7 @@ def corner_primvars(prim: Any) -> frozenset[str]:
 
 def primvar_values(where: str, primvar: Any) -> tuple[NDArray[Any], IndexArray, str]:
     """Values, the row of each element, and the interpolation; elements of several values become rows."""
-    values = np.asarray(stated(primvar))
+    values = np.asarray(read_value(primvar))
     size = primvar.GetElementSize()
     if size > 1 and len(values) % size == 0:
         values = values.reshape(len(values) // size, -1)
@@ -170,7 +170,7 @@ def primvar_values(where: str, primvar: Any) -> tuple[NDArray[Any], IndexArray, 
         values = values.astype(np.float32)
     numbers = np.arange(len(values))
     if primvar.IsIndexed():
-        numbers = integers(primvar.GetIndices() or primvar.GetIndices(usd_modules().Usd.TimeCode.EarliestTime()))
+        numbers = index_array(primvar.GetIndices() or primvar.GetIndices(usd_modules().Usd.TimeCode.EarliestTime()))
         if len(numbers) and (numbers.min() < 0 or numbers.max() >= len(values)):
             _refuse(where, primvar, f"got indices from {numbers.min()} to {numbers.max()} into {len(values)} values")
     return values, numbers, str(primvar.GetInterpolation())
@@ -196,13 +196,13 @@ def _weights(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[A
         joints, values = (np.repeat(table[:1], control.n_vertices, axis=0) for table in (joints, values))
     if joints.shape != values.shape or len(joints) != control.n_vertices or (joints.size and joints.min() < 0):
         _refuse(where, weights, f"got tables of {joints.shape} joints and {values.shape} weights")
-    joints, count = _in_skeleton_order(where, weights, joints, prim)
+    joints, count = _reorder_joints(where, weights, joints, prim)
     table = np.zeros((control.n_vertices, count))
     np.add.at(table, (np.arange(len(joints))[:, None], joints), values)
     return {JOINT_WEIGHTS: table}
 
 
-def _in_skeleton_order(where: str, weights: Any, joints: NDArray[Any], prim: Any) -> tuple[NDArray[Any], int]:
+def _reorder_joints(where: str, weights: Any, joints: NDArray[Any], prim: Any) -> tuple[NDArray[Any], int]:
     """Joint numbers in the order of the bound skeleton, and its number of joints."""
     skeleton = usd_modules().UsdSkel.BindingAPI(prim).GetInheritedSkeleton()
     joints_of_skeleton = list(skeleton.GetJointsAttr().Get() or []) if skeleton else []
@@ -236,7 +236,7 @@ def blend_shapes(where: str, control: ControlMesh, prim: Any) -> tuple[dict[str,
             raise FormatError(f"{where}: blend shape {name}: {target} is no blend shape. Export it again.")
         if shape.GetInbetweens():
             logger.warning("%s: blend shape %s: its in-betweens are left out", where, name)
-        points = integers(shape.GetPointIndicesAttr().Get())
+        points = index_array(shape.GetPointIndicesAttr().Get())
         shapes[name] = _sparse_offsets(f"{where}: blend shape {name}", control, shape.GetOffsetsAttr().Get(), points)
         if normal_offsets := shape.GetNormalOffsetsAttr().Get():
             place = f"{where}: normals of blend shape {name}"
@@ -284,7 +284,7 @@ def face_sets(prim: Any, n_faces: int, labels: Mapping[str, str]) -> dict[str, A
     if bound:
         materials[:] = number(bound)
     for subset in pxr.UsdGeom.Subset.GetAllGeomSubsets(pxr.UsdGeom.Imageable(prim)):
-        faces = integers(stated(subset.GetIndicesAttr()))
+        faces = index_array(read_value(subset.GetIndicesAttr()))
         if subset.GetElementTypeAttr().Get() != "face" or not len(faces) or faces.min() < 0 or faces.max() >= n_faces:
             continue
         material_of_subset = _bound_material(subset.GetPrim())
@@ -301,7 +301,7 @@ def face_sets(prim: Any, n_faces: int, labels: Mapping[str, str]) -> dict[str, A
             colors.append(np.full(3, np.nan))
         result |= {"face_materials": materials, "material_names": tuple(names), "material_colors": np.array(colors)}
     if groups:
-        result |= _joined_groups(groups, n_faces)
+        result |= _make_groups_disjoint(groups, n_faces)
     return result
 
 
@@ -311,7 +311,7 @@ def _bound_material(prim: Any) -> Any:
     return api.ComputeBoundMaterial("preview")[0] or api.ComputeBoundMaterial("full")[0]
 
 
-def _joined_groups(groups: list[tuple[str, IndexArray]], n_faces: int) -> dict[str, Any]:
+def _make_groups_disjoint(groups: list[tuple[str, IndexArray]], n_faces: int) -> dict[str, Any]:
     """Disjoint groups from overlapping ones: the given names first, then combinations."""
     names, inside = [name for name, _ in groups], np.zeros((n_faces, len(groups)), dtype=np.bool_)
     for group, (_, faces) in enumerate(groups):
@@ -332,7 +332,7 @@ def _diffuse_color(material: Any) -> FloatArray:
     return np.full(3, np.nan) if value is None else np.array(value, dtype=np.float64)
 
 
-def named_faces(mesh: ControlMesh) -> list[tuple[str, IndexArray, FloatArray | None]]:
+def faces_by_name(mesh: ControlMesh) -> list[tuple[str, IndexArray, FloatArray | None]]:
     """Name, faces and colour of every material; name and faces of every group."""
     listed: list[tuple[str, IndexArray, FloatArray | None]] = []
     if mesh.face_materials is not None:
@@ -348,7 +348,7 @@ def named_faces(mesh: ControlMesh) -> list[tuple[str, IndexArray, FloatArray | N
 _FLATTENING = 1e12
 
 
-def moved(points: FloatArray, matrix: FloatArray) -> FloatArray:
+def transform_points(points: FloatArray, matrix: FloatArray) -> FloatArray:
     """(n, 3) points transformed by a (4, 4) matrix of USD, for points as rows."""
     return np.asarray(points @ matrix[:3, :3] + matrix[3, :3])
 
@@ -375,7 +375,7 @@ def local_to_world(prim: Any) -> FloatArray:
     return matrix
 
 
-def unflattened(file: Path, prims: list[Any]) -> list[Any]:
+def drop_flattened(file: Path, prims: list[Any]) -> list[Any]:
     """Meshes that their transform does not flatten to a plane, line or point; all if it flattens every one."""
     flat = [_is_flattening(_to_world(prim)) for prim in prims]
     if not any(flat) or all(flat):

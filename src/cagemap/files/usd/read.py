@@ -22,18 +22,18 @@ from cagemap.files.usd.prims import (
     corner_primvars,
     corner_values,
     display_colors,
+    drop_flattened,
     face_sets,
-    integers,
+    index_array,
     is_mirrored,
     is_similarity,
     local_to_world,
-    moved,
     primvar_arrays,
-    stated,
-    unflattened,
+    read_value,
+    transform_points,
     uv_primvars,
 )
-from cagemap.files.usd.stages import named_damage, open_stage, usd_modules
+from cagemap.files.usd.stages import damage_as_error, open_stage, usd_modules
 from cagemap.mesh import ControlMesh, Scheme
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import reversed_corners
@@ -82,7 +82,7 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     """
     file = Path(path)
     stage, pxr = open_stage(file), usd_modules()
-    with named_damage(file):
+    with damage_as_error(file):
         prims = prims_of(stage, pxr.UsdGeom.Mesh)
         others = [*prims_of(stage, pxr.UsdGeom.Gprim), *prims_of(stage, pxr.UsdGeom.PointInstancer)]
         others = [prim for prim in others if not prim.IsA(pxr.UsdGeom.Mesh) and _is_final(prim)]
@@ -95,9 +95,9 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
         if hidden := [str(prim.GetPath()) for prim, kept in zip(prims, are_final, strict=True) if final and not kept]:
             text = "%s: left out invisible meshes, previews and prototypes: %s; %s"
             logger.warning(text, file, first_few(hidden), "make them visible, of purpose default, to keep them")
-        with_points = [prim for prim in final or prims if stated(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
+        with_points = [prim for prim in final or prims if read_value(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
         labels = material_labels(stage)
-        meshes = tuple(_read_prim(file, prim, labels) for prim in unflattened(file, with_points))
+        meshes = tuple(_read_prim(file, prim, labels) for prim in drop_flattened(file, with_points))
     if not meshes:
         what = f"got {len(prims)} without points" if prims else "got none"
         open_sets = _variants_without_choice(stage)
@@ -155,10 +155,10 @@ def read_usd(path: str | Path, *, mixed: bool = False) -> ControlMesh:
 
     With ``mixed``, meshes of different subdivision schemes are joined with their ``object_schemes``, to extract parts.
     """
-    return joined(path, read_usd_meshes(path), mixed=mixed)
+    return join_usd_meshes(path, read_usd_meshes(path), mixed=mixed)
 
 
-def joined(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool = False) -> ControlMesh:
+def join_usd_meshes(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool = False) -> ControlMesh:
     """The control mesh of `read_usd` from the meshes of its file."""
     file = Path(path)
     if len(meshes) == 1:
@@ -168,7 +168,7 @@ def joined(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool = False) 
             logger.warning(text, file, meshes[0].path, change)
         return replace(meshes[0].control, name=file.name)
     schemes = {mesh.control.scheme: mesh.path for mesh in meshes}
-    whole = replace(join_meshes([in_world(mesh).control for mesh in meshes]), name=file.name)
+    whole = replace(join_meshes([place_in_world(mesh).control for mesh in meshes]), name=file.name)
     if len(schemes) > 1 and mixed:
         return replace(whole, object_schemes=tuple(default_scheme(mesh.control) for mesh in meshes))
     if len(schemes) > 1:
@@ -201,14 +201,14 @@ def objects_of(control: ControlMesh) -> list[str]:
     return [control.object_names[number] for number in numbers]
 
 
-def in_world(mesh: UsdMesh) -> UsdMesh:
+def place_in_world(mesh: UsdMesh) -> UsdMesh:
     """The mesh and its blend shapes in world space, as an object named by its path; faces reversed if mirrored."""
     if is_mirrored(mesh.to_world):
-        mesh = _turned_round(mesh)
+        mesh = _reverse_orientation(mesh)
     control, turn = mesh.control, mesh.to_world[:3, :3]
     control = replace(
         control,
-        positions=moved(control.positions, mesh.to_world),
+        positions=transform_points(control.positions, mesh.to_world),
         face_objects=np.zeros(control.n_faces, dtype=np.int64),
         object_names=(mesh.path,),
     )
@@ -220,9 +220,9 @@ def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
     pxr = usd_modules()
     mesh = pxr.UsdGeom.Mesh(prim)
     where = f"{file}: {prim.GetPath()}"
-    positions = np.array(stated(mesh.GetPointsAttr()), dtype=np.float64).reshape(-1, 3)
-    sizes = integers(stated(mesh.GetFaceVertexCountsAttr()))
-    indices = integers(stated(mesh.GetFaceVertexIndicesAttr()))
+    positions = np.array(read_value(mesh.GetPointsAttr()), dtype=np.float64).reshape(-1, 3)
+    sizes = index_array(read_value(mesh.GetFaceVertexCountsAttr()))
+    indices = index_array(read_value(mesh.GetFaceVertexIndicesAttr()))
     if not len(sizes) or sizes.min() < 1 or sizes.sum() != len(indices):
         raise FormatError(
             f"{where}: expected face counts that sum to the {len(indices)} face vertex indices, got "
@@ -253,7 +253,7 @@ def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
         control = replace(control, vertex_colors=_mean_colors(where, control, encode_srgb(colors[:, :3])))
     path = str(prim.GetPath())
     read = UsdMesh(path, control, attributes, local_to_world(prim), corner_primvars(prim), shape_normals, colors)
-    return _turned_round(read) if mesh.GetOrientationAttr().Get() == "leftHanded" else read
+    return _reverse_orientation(read) if mesh.GetOrientationAttr().Get() == "leftHanded" else read
 
 
 def _mean_colors(where: str, control: ControlMesh, of_corners: FloatArray) -> FloatArray:
@@ -269,7 +269,7 @@ def _mean_colors(where: str, control: ControlMesh, of_corners: FloatArray) -> Fl
 def _scheme(where: str, mesh: Any) -> Scheme:
     words = []
     for name, known in _WORDS.items():
-        word = stated(mesh.GetPrim().GetAttribute(name))
+        word = read_value(mesh.GetPrim().GetAttribute(name))
         if str(word) not in known:
             raise FormatError(
                 f"{where}: expected {name} to be one of {', '.join(known)}, got {word!r}. Repair the file."
@@ -282,8 +282,11 @@ def _scheme(where: str, mesh: Any) -> Scheme:
 def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
     """Creases, corners and holes as fields of a control mesh."""
     result: dict[str, Any] = {}
-    chain, lengths = integers(stated(mesh.GetCreaseIndicesAttr())), integers(stated(mesh.GetCreaseLengthsAttr()))
-    values = _floats(stated(mesh.GetCreaseSharpnessesAttr()))
+    chain, lengths = (
+        index_array(read_value(mesh.GetCreaseIndicesAttr())),
+        index_array(read_value(mesh.GetCreaseLengthsAttr())),
+    )
+    values = _floats(read_value(mesh.GetCreaseSharpnessesAttr()))
     if len(chain):
         n_edges = lengths - 1
         if (
@@ -301,8 +304,8 @@ def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
         result["crease_edges"] = np.column_stack([chain[starts], chain[starts + 1]])
         per_edge = values if len(values) == n_edges.sum() else np.repeat(values, n_edges)
         result["crease_sharpness"] = np.clip(per_edge, 0.0, None)
-    corners = integers(stated(mesh.GetCornerIndicesAttr()))
-    sharpness = _floats(stated(mesh.GetCornerSharpnessesAttr()))
+    corners = index_array(read_value(mesh.GetCornerIndicesAttr()))
+    sharpness = _floats(read_value(mesh.GetCornerSharpnessesAttr()))
     if len(corners) != len(sharpness):
         raise FormatError(
             f"{where}: expected one sharpness a corner, got {len(corners)} corners and {len(sharpness)} sharpnesses. "
@@ -310,11 +313,11 @@ def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
         )
     if len(corners):
         result |= {"corner_vertices": corners, "corner_sharpness": np.clip(sharpness, 0.0, None)}
-    holes = integers(stated(mesh.GetHoleIndicesAttr()))
+    holes = index_array(read_value(mesh.GetHoleIndicesAttr()))
     return result | ({"hole_faces": np.unique(holes)} if len(holes) else {})
 
 
-def _turned_round(mesh: UsdMesh) -> UsdMesh:
+def _reverse_orientation(mesh: UsdMesh) -> UsdMesh:
     """A mesh and its values with reversed face orientation, for left-handed meshes."""
     control, attributes = mesh.control, mesh.attributes
     mirrored = reversed_corners(control.face_offsets)

@@ -162,7 +162,7 @@ def add_earlier(layer: Any, file: Path, prim_paths: Sequence[str], *, force: boo
             if "primvars:skel:jointIndices" in new.properties:  # they number other joints than the earlier ones
                 _remove(old, _SKINNING)
     # Values in both layers are removed from the earlier one, since stitching would mix them.
-    layer.Traverse("/", lambda path: _replaced(layer, earlier, path))
+    layer.Traverse("/", lambda path: _remove_replaced(layer, earlier, path))
     pxr.UsdUtils.StitchLayers(layer, earlier)
     return True
 
@@ -192,7 +192,7 @@ def _targets(prim: Any) -> Any:
     return prim.properties[_SHAPE_TARGETS].targetPathList
 
 
-def _replaced(layer: Any, earlier: Any, path: Any) -> None:
+def _remove_replaced(layer: Any, earlier: Any, path: Any) -> None:
     """Remove properties of the new layer's prim from the earlier one; keep the type `SkelRoot`."""
     new, old = layer.GetPrimAtPath(path), earlier.GetPrimAtPath(path)
     if path.IsPrimPath() and new and old:

@@ -11,9 +11,9 @@ import numpy as np
 from cagemap.character.joints import Skeleton, tails_of
 from cagemap.character.poses import parent_transforms, rotations_of
 from cagemap.errors import FormatError
-from cagemap.files.usd.prims import bind_transform, integers, moved
+from cagemap.files.usd.prims import bind_transform, index_array, transform_points
 from cagemap.files.usd.read import one_mesh, read_usd_meshes
-from cagemap.files.usd.stages import identifiers, named_damage, open_stage, usd_modules
+from cagemap.files.usd.stages import damage_as_error, identifiers, open_stage, usd_modules
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -31,13 +31,13 @@ def read_usd_skeleton(path: str | Path, control: ControlMesh | None = None) -> S
     if not skeleton:
         return None
     where = f"{path}: {skeleton.GetPath()}"
-    with named_damage(path):
+    with damage_as_error(path):
         joints, binds = joints_of(path, skeleton)
         bound_at = bind_transform(prim)
     if not np.isfinite(bound_at).all() or abs(np.linalg.det(bound_at)) < 1e-12:
         raise FormatError(f"{where}: the mesh's bind transform has no inverse. Export the skeleton again.")
     placed = binds @ np.linalg.inv(bound_at) @ (chosen.to_world if len(meshes) > 1 else np.eye(4))
-    return _named(joints, placed)
+    return _named_skeleton(joints, placed)
 
 
 def joints_of(path: str | Path, skeleton: Any) -> tuple[list[str], FloatArray]:
@@ -58,7 +58,7 @@ def joint_names(joints: list[str]) -> list[str]:
     return leaves if len(set(leaves)) == len(leaves) else joints
 
 
-def _named(joints: list[str], placed: FloatArray) -> Skeleton:
+def _named_skeleton(joints: list[str], placed: FloatArray) -> Skeleton:
     """A skeleton of joints by `joint_names`; tails are at the children."""
     names, parents = joint_names(joints), joint_parents(joints)
     heads = placed[:, 3, :3]
@@ -68,7 +68,7 @@ def _named(joints: list[str], placed: FloatArray) -> Skeleton:
 
 def joint_parents(joints: list[str]) -> IndexArray:
     """(j,) number of each joint's parent, its nearest listed ancestor in UsdSkel; -1 for a root."""
-    return integers(usd_modules().UsdSkel.Topology(joints).GetParentIndices())
+    return index_array(usd_modules().UsdSkel.Topology(joints).GetParentIndices())
 
 
 def write_usd_skeleton(stage: Any, prim: Any, skeleton: Skeleton, to_root: FloatArray) -> None:
@@ -133,7 +133,7 @@ def _binds(skeleton: Skeleton, to_root: FloatArray) -> FloatArray:
     axes = np.tile(np.eye(3), (count, 1, 1)) if skeleton.axes is None else skeleton.axes
     binds = np.tile(np.eye(4), (count, 1, 1))
     binds[:, :3, :3] = rotations_of(axes @ to_root[:3, :3])
-    binds[:, 3, :3] = moved(skeleton.heads, to_root)
+    binds[:, 3, :3] = transform_points(skeleton.heads, to_root)
     return binds
 
 

@@ -11,7 +11,7 @@ from cagemap.errors import FormatError
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.usd.prims import is_mirrored, is_similarity
 from cagemap.files.usd.read import read_usd_meshes
-from cagemap.files.usd.stages import is_usd, named_damage, open_stage, opened_once, usd_modules
+from cagemap.files.usd.stages import damage_as_error, is_usd, open_each_once, open_stage, usd_modules
 from cagemap.numerics.arrays import FloatArray
 
 # From Z up to Y up, for points as rows.
@@ -35,7 +35,7 @@ def stage_units(path: str | Path) -> StageSpace:
     if Path(path).suffix.lower() in SCENE_SUFFIXES:
         return StageSpace("Y", 1.0)
     pxr, stage = usd_modules(), open_stage(path)
-    with named_damage(path):
+    with damage_as_error(path):
         axis, length = str(pxr.UsdGeom.GetStageUpAxis(stage)), float(pxr.UsdGeom.GetStageMetersPerUnit(stage))
     if axis not in ("Y", "Z") or not 0.0 < length < float("inf"):
         raise FormatError(
@@ -46,7 +46,7 @@ def stage_units(path: str | Path) -> StageSpace:
 
 def stage_space(path: str | Path) -> StageSpace:
     """The space of a file's control mesh by `read_usd`; world space if it has several meshes."""
-    with opened_once():
+    with open_each_once():
         units, meshes = stage_units(path), read_usd_meshes(path)
     return replace(units, to_world=meshes[0].to_world) if len(meshes) == 1 else units
 

@@ -60,13 +60,13 @@ def identifiers(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
 
 def open_stage(path: str | Path) -> Any:
     """Open a USD file; warns of missing files that it refers to."""
-    stage, reasons = _opened(Path(path))
+    stage, reasons = _open_with_messages(Path(path))
     for reason in reasons:
         logger.warning("%s: %s", path, reason)
     return stage
 
 
-def _opened(file: Path) -> tuple[Any, list[str]]:
+def _open_with_messages(file: Path) -> tuple[Any, list[str]]:
     """The stage of a file, and what USD says of files that it refers to."""
     pxr = usd_modules()
     check_crate(file)
@@ -84,7 +84,7 @@ def _opened(file: Path) -> tuple[Any, list[str]]:
 
 
 @contextmanager
-def opened_once() -> Iterator[None]:
+def open_each_once() -> Iterator[None]:
     """Have `open_stage` open every file once in the block, so that its warnings are not repeated."""
     usd = usd_modules().Usd
     cache = usd.StageCache()
@@ -94,10 +94,10 @@ def opened_once() -> Iterator[None]:
 
 def other_files(path: str | Path) -> list[Path]:
     """Existing files of the other layers that a USD file is composed of, and of all images that its layers name."""
-    stage, _ = _opened(Path(path))  # a variable, since its layers are freed with the stage
-    with named_damage(path):
+    stage, _ = _open_with_messages(Path(path))  # a variable, since its layers are freed with the stage
+    with damage_as_error(path):
         layers = [layer for layer in stage.GetUsedLayers() if layer.realPath]
-        assets = (layer.ComputeAbsolutePath(asset) for layer in layers for asset in _of_layer(layer.realPath))
+        assets = (layer.ComputeAbsolutePath(asset) for layer in layers for asset in _layer_paths(layer.realPath))
         files = {
             *(Path(layer.realPath) for layer in layers),
             *(tile for name in assets for tile in texture_files(name)),
@@ -117,10 +117,10 @@ def _reason(error: Exception) -> str:
 
 
 @contextmanager
-def named_damage(file: str | Path) -> Iterator[None]:
+def damage_as_error(file: str | Path) -> Iterator[None]:
     """Turn errors of damaged values into a FormatError; USD unpacks values only when they are read."""
     pxr = usd_modules()
-    diagnostics = pxr.UsdUtils.CoalescingDiagnosticDelegate()  # as in `_opened`
+    diagnostics = pxr.UsdUtils.CoalescingDiagnosticDelegate()  # as in `_open_with_messages`
     try:
         yield
     except FormatError:
@@ -148,10 +148,10 @@ def asset_paths(name: str, content: bytes) -> tuple[str, ...]:
         file.write_bytes(content)
         try:
             if file.suffix.lower() != ".usdz":
-                return _of_layer(str(file))
+                return _layer_paths(str(file))
             holder = pxr.Sdf if hasattr(pxr.Sdf, "ZipFile") else pxr.Usd  # of older versions, such as 24.8
             entries = list(holder.ZipFile.Open(str(file)).GetFileNames())
-            paths_of = {entry: _of_layer(f"{file}[{entry}]") for entry in entries if entry.lower().endswith(_LAYERS)}
+            paths_of = {entry: _layer_paths(f"{file}[{entry}]") for entry in entries if entry.lower().endswith(_LAYERS)}
         except (pxr.Tf.ErrorException, UnicodeDecodeError, AttributeError):
             raise FormatError(f"{name}: cannot be read as USD. Export it again.") from None
     if any(entry.lower().endswith(".usdz") for entry in entries):
@@ -159,7 +159,7 @@ def asset_paths(name: str, content: bytes) -> tuple[str, ...]:
     return tuple(path for entry, paths in paths_of.items() for path in paths if not _is_entry(entry, path, entries))
 
 
-def _of_layer(path: str) -> tuple[str, ...]:
+def _layer_paths(path: str) -> tuple[str, ...]:
     """All asset paths of a layer; expressions both as written and as evaluated in this layer."""
     pxr = usd_modules()
     sublayers, references, payloads = pxr.UsdUtils.ExtractExternalReferences(path)

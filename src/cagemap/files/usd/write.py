@@ -17,7 +17,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.ownership import mark
 from cagemap.files.text import text_name
-from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, moved
+from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, transform_points
 from cagemap.files.usd.results import add_earlier, bind_textures
 from cagemap.files.usd.skeleton import write_usd_skeleton
 from cagemap.files.usd.space import StageSpace
@@ -66,9 +66,9 @@ class UsdResults:
         skeleton = self.skeleton
         if skeleton is not None:
             axes = None if skeleton.axes is None else skeleton.axes @ turn
-            heads, tails = (moved(ends, matrix) for ends in (skeleton.heads, skeleton.tails))
+            heads, tails = (transform_points(ends, matrix) for ends in (skeleton.heads, skeleton.tails))
             skeleton = replace(skeleton, heads=heads, tails=tails, axes=axes)
-        points = None if self.points is None else moved(self.points, matrix)
+        points = None if self.points is None else transform_points(self.points, matrix)
         return replace(self, attributes=attributes, points=points, skeleton=skeleton)
 
 

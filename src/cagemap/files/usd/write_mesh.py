@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.files.usd.prims import named_faces
+from cagemap.files.usd.prims import faces_by_name
 from cagemap.files.usd.results import define_material
 from cagemap.files.usd.stages import identifiers, usd_modules
 from cagemap.mesh import ControlMesh
@@ -82,7 +82,7 @@ def write_subsets(stage: Any, prim: Any, mesh: ControlMesh, materials: Mapping[s
         materials with the mesh's colours.
     """
     pxr = usd_modules()
-    named = named_faces(mesh)
+    named = faces_by_name(mesh)
     labels = identifiers(name for name, _, _ in named)
     for label, (name, faces, color) in zip(labels, named, strict=True):
         if color is None or materials is None or len(faces) < mesh.n_faces:

@@ -18,10 +18,10 @@ from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.read import gltf_weights
 from cagemap.files.npz import read_npy, read_npz, write_npy, write_npz
 from cagemap.files.ownership import mark
-from cagemap.files.schema import Record, checked_record, parse_json, to_json
+from cagemap.files.schema import Record, parse_json, parse_record, to_json
 from cagemap.files.text import is_number, read_text, require_file
 from cagemap.files.usd.prims import JOINT_WEIGHTS
-from cagemap.files.usd.read import in_world, one_mesh, read_usd_meshes
+from cagemap.files.usd.read import one_mesh, place_in_world, read_usd_meshes
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.values.part_numbering import FileRows, prim_rows, to_part
 from cagemap.mesh import ControlMesh
@@ -77,7 +77,7 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: 
 def _read_usd(file: Path, control: ControlMesh | None) -> Attributes:
     meshes = read_usd_meshes(file)
     # Several meshes are in world space, and so are their offsets.
-    meshes = meshes if len(meshes) == 1 else tuple(in_world(mesh) for mesh in meshes)
+    meshes = meshes if len(meshes) == 1 else tuple(place_in_world(mesh) for mesh in meshes)
     chosen = one_mesh(file, meshes, control)
     arrays = {name: _check(file, name, array) for name, array in chosen.attributes.items()}
     return to_part(arrays, None if control is None else prim_rows(meshes, chosen.path, control))
@@ -206,7 +206,7 @@ def read_groups(path: Path, count: int) -> dict[str, FloatArray]:
     """Read vertex groups as weights (count,) of all vertices, 0 outside the group."""
     stated = parse_json(read_text(path, "vertex groups"), path, _REMEDY)
     weights_of: dict[str, FloatArray] = {}
-    for group in checked_record(GroupsRecord, stated, path, _REMEDY).groups:
+    for group in parse_record(GroupsRecord, stated, path, _REMEDY).groups:
         vertices = np.array(group.vertices, dtype=np.float64)
         weights = [1.0] * len(vertices) if group.weights is None else group.weights
         if group.name in weights_of or len(weights) != len(vertices) or len(np.unique(vertices)) != len(vertices):

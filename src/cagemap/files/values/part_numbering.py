@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import input_file
-from cagemap.files.usd.read import UsdMesh, in_world, objects_of, read_usd, read_usd_meshes
+from cagemap.files.usd.read import UsdMesh, objects_of, place_in_world, read_usd, read_usd_meshes
 from cagemap.files.usd.stages import is_usd
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
@@ -159,7 +159,7 @@ def rows_of(path: Path | None, control: ControlMesh) -> FileRows | None:
     inside = [] if len(meshes) < 2 else objects_of(control)
     if len(inside) != 1:
         return FileRows(control, read_usd(path, mixed=True))
-    return prim_rows([in_world(mesh) for mesh in meshes], inside[0], control)
+    return prim_rows([place_in_world(mesh) for mesh in meshes], inside[0], control)
 
 
 def prim_rows(meshes: Sequence[UsdMesh], prim: str, control: ControlMesh) -> FileRows | None:
