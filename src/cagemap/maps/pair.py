@@ -9,7 +9,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cagemap.errors import ParameterError
-from cagemap.maps.places import CurvePair, curve_pairs, locate
+from cagemap.maps.places import curve_pairs, locate
+from cagemap.mesh.curves import CurvePair
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads
@@ -32,7 +33,7 @@ class PointPairs:
 
     target: SurfacePoints  #: points of the finest target
     source: SurfacePoints  #: as many points of the finest source, else ParameterError
-    curves: tuple[CurvePair, ...] = ()  #: curves that correspond as a whole
+    curves: tuple[CurvePair[SurfacePoints], ...] = ()  #: curves that correspond as a whole
 
     def __post_init__(self) -> None:
         if len(self.target) != len(self.source):

@@ -19,7 +19,7 @@ from cagemap.mesh.cage_points import Renumbering as Renumbering
 from cagemap.mesh.cage_points import find_repeats, outside_fault, repeated_fault, shared_names
 from cagemap.mesh.cage_points import on_cage as on_cage
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.curves import Curves, curve_faults, paired_curves
+from cagemap.mesh.curves import CageCurvePairs, curve_faults, paired_curves
 from cagemap.mesh.mesh_report import first_few, list_problems
 from cagemap.numerics.arrays import IndexArray, whole_numbers
 
@@ -40,7 +40,7 @@ class Landmarks:
     target_points: CagePoints = field(default_factory=lambda: CagePoints.of_vertices(np.zeros(0, dtype=np.int64)))
     source_points: CagePoints = field(default_factory=lambda: CagePoints.of_vertices(np.zeros(0, dtype=np.int64)))
     #: pairs of polylines that correspond as a whole; their single points need not
-    curves: Curves = field(default_factory=Curves.none)
+    curves: CageCurvePairs = ()
 
     def __post_init__(self) -> None:
         names = None if isinstance(self.names, str) or not isinstance(self.names, Iterable) else tuple(self.names)
@@ -50,7 +50,7 @@ class Landmarks:
         for side in ("target", "source"):
             object.__setattr__(self, side, whole_numbers(getattr(self, side), f"landmarks: {side}"))
             vertices, points = getattr(self, side), getattr(self, f"{side}_points")
-            known = len(points.corners) == len(vertices) and np.array_equal(points.vertices, vertices)
+            known = len(points) == len(vertices) and np.array_equal(points.vertices, vertices)
             if not known:
                 object.__setattr__(self, f"{side}_points", CagePoints.of_vertices(vertices))
 
@@ -71,7 +71,7 @@ class Landmarks:
 
     def __repr__(self) -> str:
         named = ", ".join(self.names[:3]) + (", ..." if len(self) > 3 else "")
-        also = f", {len(self.curves)} curves" if len(self.curves) else ""
+        also = f", {len(self.curves)} curves" if self.curves else ""
         return f"Landmarks({len(self)} pairs{f': {named}' if named else ''}{also})"
 
     def renumbered(self, target: Renumbering, source: Renumbering) -> Landmarks:
@@ -79,7 +79,9 @@ class Landmarks:
         on_target, on_source = self.target_points.renumbered(target), self.source_points.renumbered(source)
         inside = np.flatnonzero(np.all([on_target.corners >= 0, on_source.corners >= 0], axis=(0, 2)))
         moved = Landmarks.of_points(self.names, on_target, on_source, self.target_name, self.source_name)
-        return replace(moved._at(inside, inside), curves=self.curves.renumbered(target, source))
+        curves = [pair.renumbered(target, source) for pair in self.curves]
+        kept = [pair for pair in curves if all((side.points.corners >= 0).all() for side in (pair.target, pair.source))]
+        return replace(moved._at(inside, inside), curves=tuple(kept))
 
     def joined_with(self, others: Landmarks) -> Landmarks:
         """Return these pairs and curves followed by others, on the same meshes."""
@@ -90,7 +92,7 @@ class Landmarks:
             self.target_name,
             self.source_name,
         )
-        return replace(joined, curves=self.curves.joined_with(others.curves))
+        return replace(joined, curves=self.curves + others.curves)
 
     def reversed(self) -> Landmarks:
         """Return the same pairs with target and source exchanged."""
@@ -102,7 +104,7 @@ class Landmarks:
             source_name=self.target_name,
             target_points=self.source_points,
             source_points=self.target_points,
-            curves=self.curves.reversed(),
+            curves=tuple(pair.reversed() for pair in self.curves),
         )
 
     def new_since(self, before: Landmarks) -> IndexArray:
@@ -169,7 +171,7 @@ def pair_by_name(
     )
     landmarks = Landmarks.of_points(shared, on_target, on_source, target.name, source.name)
     curves, curve_notes = paired_curves(target_points, source_points, target, source)
-    if all(names) and not shared and not len(curves):
+    if all(names) and not shared and not curves:
         raise InvalidLandmarksError(
             f"landmark points: expected names that both sides have, got {first_few(names[0])} on the target and "
             f"{first_few(names[1])} on the source. Rename them so that those of the same place are called alike."

@@ -19,7 +19,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality, unshared_warnings
 from cagemap.maps.result import MatchResult, SpectralMap
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.curves import Curves
+from cagemap.mesh.curves import CageCurvePairs, CurvePair
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.parts import join_meshes
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -138,13 +138,14 @@ def _merged_landmarks(parts: Sequence[MatchResult]) -> Landmarks:
     return replace(landmarks, curves=_merged_curves(parts))
 
 
-def _merged_curves(parts: Sequence[MatchResult]) -> Curves:
+def _merged_curves(parts: Sequence[MatchResult]) -> CageCurvePairs:
     """Curves of all parts, numbered on the merged meshes."""
-    merged, starts = Curves.none(), [0, 0]
+    merged, starts = list[CurvePair[CagePoints]](), [0, 0]
     for part in parts:
-        merged = merged.joined_with(part.landmarks.curves.renumbered(*(partial(np.add, start) for start in starts)))
+        numbers = [partial(np.add, start) for start in starts]
+        merged += [pair.renumbered(*numbers) for pair in part.landmarks.curves]
         starts = [starts[0] + part.target.control.n_vertices, starts[1] + part.source.control.n_vertices]
-    return merged
+    return tuple(merged)
 
 
 def _least_confidence(parts: Sequence[MatchResult]) -> Confidence | None:
