@@ -76,6 +76,11 @@ class CurvePair(Generic[P]):
         """Two curves along control vertices."""
         return CurvePair(name, Curve.of_vertices(target, closed), Curve.of_vertices(source, closed))
 
+    @property
+    def points(self) -> tuple[P, P]:
+        """Points of target and source along the curves."""
+        return self.target.points, self.source.points
+
     def reversed(self) -> CurvePair[P]:
         """The pair with target and source exchanged."""
         return CurvePair(self.name, self.source, self.target)

@@ -85,10 +85,8 @@ INITIAL_LANDMARK_READERS = ((autosaved_landmarks, False), (file_landmarks, True)
 def split_by_part(landmarks: Landmarks, scene: Scene) -> tuple[Landmarks, Landmarks | None]:
     """Split landmarks into those of the open parts, renumbered to these, and the others."""
     used = landmarks.renumbered(scene.target.to_control_vertices, scene.source.to_control_vertices)
-    curves = [
-        pair for pair in used.curves if all((side.points.vertices >= 0).all() for side in (pair.target, pair.source))
-    ]
-    used = replace(used, curves=tuple(curves))
+    curves = tuple(pair for pair in used.curves if all((side.vertices >= 0).all() for side in pair.points))
+    used = replace(used, curves=curves)
     pair_names, curve_names = set(used.names), {pair.name for pair in curves}
     unused = landmarks.without([i for i, name in enumerate(landmarks.names) if name in pair_names])
     unused = replace(unused, curves=tuple(pair for pair in landmarks.curves if pair.name not in curve_names))
@@ -211,14 +209,14 @@ def _is_of_this_pair(path: Path, scene: Scene, files: Files) -> bool:
 def to_landmarks(landmarks: LandmarkList, target: ControlMesh, source: ControlMesh) -> Landmarks:
     """Convert the complete landmarks and curves of a list."""
     items = landmarks.complete_landmarks
-    converted = Landmarks.of_points(
+    return Landmarks.of_points(
         tuple(item.name for item in items),
         cage_points([item.target for item in items if item.target]),
         cage_points([item.source for item in items if item.source]),
         target.name,
         source.name,
+        landmarks.curves,
     )
-    return replace(converted, curves=landmarks.curves)
 
 
 def _named_points(

@@ -194,10 +194,10 @@ def _landmarks(request: RigRequest, bodies: tuple[Part, Part], characters: tuple
     points = on_bodies(given.target_points, given.source_points)
     curves = []
     for pair in given.curves:
-        target, source = on_bodies(pair.target.points, pair.source.points)
+        target, source = on_bodies(*pair.points)
         curves.append(CurvePair(pair.name, Curve(target, pair.target.closed), Curve(source, pair.source.closed)))
-    landmarks = Landmarks.of_points(given.names, points[0], points[1], given.target_name, given.source_name)
-    return replace(landmarks, curves=tuple(curves))
+    names = given.target_name, given.source_name
+    return Landmarks.of_points(given.names, points[0], points[1], *names, tuple(curves))
 
 
 def points_on_body(points: CagePoints, places: FloatArray, body: Part) -> CagePoints:

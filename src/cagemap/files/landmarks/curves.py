@@ -42,7 +42,7 @@ def pair_entries(path: str | Path, curves: CageCurvePairs) -> list[str]:
     """Entries of curves as JSON, as `pair_curves` reads them."""
     entries = []
     for pair in curves:
-        target, source = pair.target.points.vertices.tolist(), pair.source.points.vertices.tolist()
+        target, source = (side.vertices.tolist() for side in pair.points)
         if min(target + source, default=0) < 0:
             raise FormatError(
                 f"{path}: expected curves of control vertices, got '{pair.name}' with points between them. "
