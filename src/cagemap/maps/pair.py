@@ -43,7 +43,7 @@ class PointPairs:
             )
         names = tuple(self.names) or tuple(f"point {i}" for i in range(len(self)))
         if len(names) != len(self):
-            raise ParameterError(f"names: expected one for each of the {len(self)} landmarks, got {len(names)}")
+            raise ParameterError(f"names: expected one for each of the pair's {len(self)} landmarks, got {len(names)}")
         object.__setattr__(self, "names", names)
 
     def __repr__(self) -> str:
