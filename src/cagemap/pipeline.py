@@ -134,7 +134,7 @@ def match(
                 level_maps, point_map = hfm_map(pair, config.hfm, progress)
         progress("quality")
         with _timed(timings, "quality"):
-            quality = judge(target, point_map, pair.landmarks, landmarks.names)
+            quality = judge(target, point_map, pair.landmarks)
     return MatchResult(target, source, landmarks, point_map, quality, timings, level_maps=level_maps)
 
 
@@ -199,14 +199,14 @@ def match_pair(
         else:
             outliers, notes = dict[int, str](), list[str]()
             if config.check_landmarks:
-                outliers, notes = landmark_outliers(problem, landmarks.names, progress)
+                outliers, notes = landmark_outliers(problem, progress)
             trusted = problem.without(outliers)
             placements = search_placements(trusted, progress)
             progress("closest points")
             point_map = map_of_places(trusted, placements[0].map_positions)
             if config.check_landmarks:
                 progress("test landmarks on the map")
-                check = check_on_map(problem, landmarks.names, point_map, outliers, notes)
+                check = check_on_map(problem, point_map, outliers, notes)
                 mirrored, check = check_mirrored(problem, placements[0], outliers, check, progress)
                 confidence = mirrored or turned_limb_answers(placements, prepared)
         shared = shared_area(prepared, placements[0].map_positions)
@@ -260,7 +260,7 @@ def update_match(
     problem = Problem.of_landmarks(prepared, landmarks)
     with one_blas_thread(), _timed(timings, "map"):
         if config.check_landmarks:
-            check = check_changes(problem, landmarks.names, landmarks.new_since(before.landmarks), check, point_map)
+            check = check_changes(problem, landmarks.new_since(before.landmarks), check, point_map)
         trusted = problem.without(check.left_out)
         coincident = coincident_map(trusted)
         if coincident is not None:

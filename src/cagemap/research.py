@@ -304,22 +304,18 @@ def result_of_map(pair: Pair, point_map: PointMap, names: Sequence[str] = ()) ->
     point_map : PointMap
         See its ``from_vertices``, ``from_arrays`` and ``from_matrix``.
     names : sequence of str
-        Of the pair's landmarks. Its curves are not in the result.
+        Of the pair's landmarks, instead of its own. Its curves are not in the result.
 
     Raises
     ------
     ParameterError
         If the map is not of the target's finest level, or there is not a name for each landmark.
     """
-    count = len(pair.landmarks)
-    labels = tuple(names) or tuple(f"point {i}" for i in range(count))
-    if len(labels) != count:
-        raise ParameterError(f"names: expected one for each of the pair's {count} landmarks, got {len(labels)}")
     target, source = pair.target, pair.source
-    points = _cage_points(target, pair.landmarks.target), _cage_points(source, pair.landmarks.source)
-    landmarks = Landmarks.of_points(labels, *points, target.control.name, source.control.name)
-    quality = _judge(pair.target, point_map, pair.landmarks, labels)
-    return MatchResult(pair.target, pair.source, landmarks, point_map, quality)
+    named = replace(pair.landmarks, names=tuple(names) or pair.landmarks.names)
+    points = _cage_points(target, named.target), _cage_points(source, named.source)
+    landmarks = Landmarks.of_points(named.names, *points, target.control.name, source.control.name)
+    return MatchResult(target, source, landmarks, point_map, _judge(target, point_map, named))
 
 
 def tensors(*values: Any, dtype: Any = None, device: Any = None) -> Any:

@@ -15,7 +15,7 @@ from cagemap.maps.hypotheses.rigid_starts import AS_FILED
 from cagemap.maps.hypotheses.search import inverse_placement
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import PointPairs
-from cagemap.maps.places import CurvePair, SurfaceCurve
+from cagemap.mesh.curves import Curve, CurvePair
 from cagemap.mesh.parts import extract_faces
 from cagemap.operators import build_operators
 from cagemap.spectral import BasisConfig, Surface, hierarchical_basis
@@ -96,8 +96,8 @@ def test_a_reversed_pair_has_its_sides_exchanged(prepared: PreparedPair) -> None
     np.testing.assert_array_equal(back.level_masks.source, masks.target[: back.source_surface.n])
     vertices = np.arange(4)
     on = pair.source.finest_triangles
-    line = SurfaceCurve(PointPairs.of_vertices(on, on, vertices, vertices).target, False)
-    closed = SurfaceCurve(line.points, True)
+    line = Curve(PointPairs.of_vertices(on, on, vertices, vertices).target, False)
+    closed = Curve(line.points, True)
     pairs = PointPairs.of_vertices(on, on, vertices, vertices + 9)
     turned = PointPairs(pairs.target, pairs.source, (CurvePair("rim", line, closed),)).reversed()
     np.testing.assert_array_equal(turned.target.positions, pairs.source.positions)

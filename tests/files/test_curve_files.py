@@ -19,13 +19,13 @@ from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.mesh import Plain
-from cagemap.mesh.curves import CageCurves, Curves, chain_of_edges, curve_faults
+from cagemap.mesh.curves import Curve, CurvePair, chain_of_edges, curve_faults
 from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
 from cagemap.mesh.parts import join_meshes
 from cagemap.tasks.match_parts import PartInputs, ready_inputs
 
 from command_line import Run
-from curved_bar import RINGS, bar, ends_of, ring, rings_of, slid
+from curved_bar import bar, ends_of, ring, rings_of, slid
 
 
 @settings(max_examples=50, deadline=None)
@@ -56,9 +56,11 @@ def test_every_fault_of_curves_is_named() -> None:
     around = ring(mesh, 3.0)
 
     def faults(*chains: np.ndarray, closed: bool = True, source_closed: bool = True) -> str:
-        names = tuple("ab"[: len(chains)])
-        sides = [CageCurves.of_vertices(chains, [flag] * len(chains)) for flag in (closed, source_closed)]
-        return " ".join(curve_faults(Curves(names, *sides), mesh, mesh))
+        pairs = [
+            CurvePair(name, Curve.of_vertices(chain, closed), Curve.of_vertices(chain, source_closed))
+            for name, chain in zip("ab", chains, strict=False)
+        ]
+        return " ".join(curve_faults(tuple(pairs), mesh, mesh))
 
     assert faults(around) == ""
     assert f"a ({around[0]} to {around[2]})" in faults(around[[0, 2, 3]])
@@ -66,25 +68,27 @@ def test_every_fault_of_curves_is_named() -> None:
     assert "closed on one only: a" in faults(around, source_closed=False)
     assert f"a ({around[0]})" in faults(np.array([around[0], around[1], around[0], around[3]]))
     assert "fewer: a" in faults(around[:2])
-    lines = CageCurves.of_vertices([around[[0, 2, 3]]], [True])
-    broken = replace(Landmarks.none(), curves=Curves(("a",), lines, lines))
+    chain = around[[0, 2, 3]]
+    broken = replace(Landmarks.none(), curves=(CurvePair.of_vertices("a", chain, chain, closed=True),))
     with pytest.raises(InvalidLandmarksError, match="joined by edges"):
         check_landmarks(broken, mesh, mesh)
 
 
 def test_files_of_pairs_hold_curves(tmp_path: Path) -> None:
     mesh = bar()
-    rings = rings_of(mesh)
-    backwards = CageCurves.of_vertices([ring(mesh, height)[::-1] for height in RINGS], [True] * len(RINGS))
-    landmarks = replace(ends_of(mesh), curves=replace(rings, source=backwards))
+    rings = tuple(
+        replace(pair, source=Curve.of_vertices(pair.source.points.vertices[::-1], closed=True))
+        for pair in rings_of(mesh)
+    )
+    landmarks = replace(ends_of(mesh), curves=rings)
     write_landmarks(tmp_path / "pairs.json", landmarks)
     read, _ = read_landmarks(tmp_path / "pairs.json", "bar.obj", "slid.obj")
-    assert read.curves.names == landmarks.curves.names
-    np.testing.assert_array_equal(read.curves.target.points.vertices, rings.target.points.vertices)
-    np.testing.assert_array_equal(read.curves.source.points.vertices, backwards.points.vertices)
-    assert read.curves.source.closed.all()
-    turned = read.reversed().curves
-    np.testing.assert_array_equal(turned.target.points.vertices, read.curves.source.points.vertices)
+    for pair, written, turned in zip(read.curves, rings, read.reversed().curves, strict=True):
+        assert pair.name == written.name
+        np.testing.assert_array_equal(pair.target.points.vertices, written.target.points.vertices)
+        np.testing.assert_array_equal(pair.source.points.vertices, written.source.points.vertices)
+        assert pair.source.closed
+        np.testing.assert_array_equal(turned.target.points.vertices, pair.source.points.vertices)
 
 
 def test_curves_are_read_as_chains_edges_and_loops_that_come_back(tmp_path: Path) -> None:
@@ -92,9 +96,11 @@ def test_curves_are_read_as_chains_edges_and_loops_that_come_back(tmp_path: Path
     (tmp_path / "c.json").write_text(json.dumps({"target": "t.obj", "source": "s.obj", "curves": [entry]}))
     read, _ = read_landmarks(tmp_path / "c.json", "t.obj", "s.obj")
     assert len(read) == 0
-    assert read.curves.target.closed.tolist() == read.curves.source.closed.tolist() == [True]
-    assert read.curves.target.points.vertices.tolist() == [3, 4, 9]
-    assert sorted(read.curves.source.points.vertices.tolist()) == [3, 4, 9]
+    (lips,) = read.curves
+    assert lips.target.closed
+    assert lips.source.closed
+    assert lips.target.points.vertices.tolist() == [3, 4, 9]
+    assert sorted(lips.source.points.vertices.tolist()) == [3, 4, 9]
 
 
 @pytest.mark.parametrize(
@@ -116,7 +122,7 @@ def test_files_of_one_mesh_hold_curves_and_missing_ones_are_reported(tmp_path: P
     (tmp_path / "b.json").write_text(json.dumps(more))
     ours, theirs = (read_points(tmp_path / f"{name}.json") for name in "ab")
     landmarks, notes = pair_by_name(ours, theirs, mesh, mesh)
-    assert landmarks.curves.names == ("belt",)
+    assert [pair.name for pair in landmarks.curves] == ["belt"]
     assert notes == ("curves only on the source, which were not used: hem",)
     write_points(tmp_path / "c.json", theirs, mesh)
     again = read_points(tmp_path / "c.json")
@@ -172,8 +178,9 @@ def test_curves_on_pieces_that_are_set_aside_are_told() -> None:
     away = cube().with_positions(0.1 * cube().positions + 20.0)
     scan = replace(join_meshes([creature(), away]), scheme=Plain())
     n = creature().n_vertices
-    lines = CageCurves.of_vertices([scan.face(0)[:2], n + cube().face(0)[:2]], [False, False])
-    landmarks = replace(Landmarks.none(), curves=Curves(("kept", "lost"), lines, lines))
+    chains = {"kept": scan.face(0)[:2], "lost": n + cube().face(0)[:2]}
+    curves = tuple(CurvePair.of_vertices(name, chain, chain, closed=False) for name, chain in chains.items())
+    landmarks = replace(Landmarks.none(), curves=curves)
     ready = ready_inputs(PartInputs(scan, scan, landmarks))
-    assert ready.landmarks.curves.names == ("kept",)
+    assert [pair.name for pair in ready.landmarks.curves] == ["kept"]
     assert any("1 of 2 curves" in note for note in ready.notes)

@@ -35,7 +35,7 @@ from cagemap.files.result.surface_store import load_or_prepare, load_surface, sa
 from cagemap.files.values.attributes import read_attributes, write_attributes
 from cagemap.files.values.rigs import read_skeleton, write_shapes
 from cagemap.mesh import Plain
-from cagemap.mesh.curves import CageCurves, Curves
+from cagemap.mesh.curves import Curve, CurvePair
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.pipeline import prepare_surface
 from cagemap.spectral import BasisConfig
@@ -140,10 +140,8 @@ def enlarged() -> Document:
 
 
 def between_vertices(place: Path) -> None:
-    line = CageCurves(
-        CagePoints(np.array([[0, 1, 2]] * 2), np.full((2, 3), 1 / 3)), np.array([0, 2]), np.array([False])
-    )
-    write_landmarks(place / "l.json", replace(Landmarks.none(), curves=Curves(("lips",), line, line)))
+    line = Curve(CagePoints(np.array([[0, 1, 2]] * 2), np.full((2, 3), 1 / 3)), closed=False)
+    write_landmarks(place / "l.json", replace(Landmarks.none(), curves=(CurvePair("lips", line, line),)))
 
 
 REFUSED = {

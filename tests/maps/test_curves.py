@@ -20,7 +20,7 @@ from cagemap.maps.pair import Pair, point_pairs
 from cagemap.maps.places import curve_pairs, refined_edges
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
 from cagemap.mesh.cage_points import CagePoints
-from cagemap.mesh.curves import CageCurves, Curves
+from cagemap.mesh.curves import CurvePair
 from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, pair_by_name
 from cagemap.mesh.topology import mesh_topology
 from cagemap.paper.functional_constraints import curve_rows
@@ -80,9 +80,11 @@ def test_the_distance_between_curves_is_stated(without: MatchResult, with_curves
 def test_where_a_loop_begins_and_which_way_it_runs_is_free(surfaces: tuple, with_curves: MatchResult) -> None:
     """The same points in another order ask for the same: only sums are taken in another order."""
     mesh, curves = surfaces[0].control, with_curves.landmarks.curves
-    chains = [np.roll(ring(mesh, height), 1)[::-1] for height in RINGS]
-    turned = Curves(curves.names, CageCurves.of_vertices(chains, [True] * 3), curves.source)
-    again = match(*surfaces, replace(ends_of(mesh), curves=turned))
+    turned = [
+        CurvePair.of_vertices(pair.name, np.roll(ring(mesh, height), 1)[::-1], ring(mesh, height), closed=True)
+        for pair, height in zip(curves, RINGS, strict=True)
+    ]
+    again = match(*surfaces, replace(ends_of(mesh), curves=tuple(turned)))
     apart = np.linalg.norm(again.point_map.images.positions - with_curves.point_map.images.positions, axis=1)
     assert apart.max() < 1e-3
     assert apart.mean() < 1e-5
@@ -101,13 +103,11 @@ def test_curves_added_later_move_the_map(without: MatchResult) -> None:
 def test_a_result_keeps_its_curves(with_curves: MatchResult, tmp_path: Path) -> None:
     write_result(tmp_path / "RESULT", with_curves)
     stored = read_result(tmp_path / "RESULT")
-    curves = with_curves.landmarks.curves
-    assert stored.landmarks.curves.names == curves.names
-    for side in ("target", "source"):
-        kept, given_ = getattr(stored.landmarks.curves, side), getattr(curves, side)
-        np.testing.assert_array_equal(kept.points.corners, given_.points.corners)
-        np.testing.assert_array_equal(kept.starts, given_.starts)
-        np.testing.assert_array_equal(kept.closed, given_.closed)
+    for read, written in zip(stored.landmarks.curves, with_curves.landmarks.curves, strict=True):
+        assert read.name == written.name
+        for kept, given_ in ((read.target, written.target), (read.source, written.source)):
+            np.testing.assert_array_equal(kept.points.corners, given_.points.corners)
+            assert kept.closed == given_.closed
     assert stored.manifest["curves"][0]["mean"] == pytest.approx(with_curves.curve_misses[0].mean)
     assert stored.curve_misses[0].mean == pytest.approx(with_curves.curve_misses[0].mean, abs=1e-9)
 
@@ -126,7 +126,7 @@ def test_a_report_shows_curves(with_curves: MatchResult) -> None:
     from cagemap.report import build_page, draw_gallery
 
     result = with_curves
-    bare = replace(result, landmarks=replace(result.landmarks, curves=Curves.none()))
+    bare = replace(result, landmarks=replace(result.landmarks, curves=()))
     plain = draw_gallery(bare, size=(120, 90))
     drawn = draw_gallery(result, size=(120, 90))
     page = build_page(result, drawn)
@@ -208,7 +208,7 @@ def test_a_curve_through_places_lies_on_the_surface_near_them(surfaces: tuple) -
     check_landmarks(landmarks, mesh, mesh)
     assert notes == ()
     pair = curve_pairs(surfaces[0], surfaces[0], landmarks.curves)[0]
-    vertices = curve_pairs(surfaces[0], surfaces[0], rings_of(mesh).only([1]))[0]
+    vertices = curve_pairs(surfaces[0], surfaces[0], rings_of(mesh)[1:2])[0]
     assert len(pair.target.points) == 4 * 8
     away = vertices.target.line.nearest(pair.target.line.positions)[0] - pair.target.line.positions
     assert np.linalg.norm(away, axis=1).max() < 0.05
@@ -224,8 +224,7 @@ def test_curves_give_the_start_coordinates_and_no_vertex_twice(surfaces: tuple) 
     """Both rings, and the first once more, which has no vertices of its own left."""
     mesh = surfaces[0].control
     rings, landmarks = rings_of(mesh), ends_of(mesh)
-    again = Curves(("again",), rings.target.at([0]), rings.source.at([0]))
-    landmarks = replace(landmarks, curves=rings.joined_with(again))
+    landmarks = replace(landmarks, curves=(*rings, replace(rings[0], name="again")))
     pair = Pair(*surfaces, point_pairs(*surfaces, landmarks))
     problem = Problem(PreparedPair.build(*surfaces), pair.landmarks)
     for side, near, surface, level in zip(
@@ -242,7 +241,7 @@ def test_descriptors_of_a_curve_are_the_mean_of_its_points(surfaces: tuple) -> N
     pair = curve_pairs(*surfaces, rings_of(surfaces[0].control))[0]
     surface, curve = surfaces[0], pair.target
     vertices = curve.points.corners[np.arange(len(curve.points)), curve.points.barycentric.argmax(axis=1)]
-    expected = curve.shares @ surface.basis.rows(surface.finest_level, vertices)
+    expected = curve.line.point_shares @ surface.basis.rows(surface.finest_level, vertices)
     np.testing.assert_allclose(curve_rows(surface, [curve])[0], expected, atol=1e-10)
 
 

@@ -141,7 +141,7 @@ def test_landmarks_mirrored_as_a_whole_are_no_exchange_of_two(pair, graphs):
 def outliers(target: Surface, source: Surface, landmarks: Landmarks) -> tuple[dict[str, str], list[str]]:
     """Names of the pairs that a match leaves out with the evidence, and its notes about others."""
     problem = Problem.of_landmarks(prepare_pair(target, source, QUICK), landmarks)
-    found, notes = check.landmark_outliers(problem, landmarks.names, no_progress)
+    found, notes = check.landmark_outliers(problem, no_progress)
     return {landmarks.names[i]: evidence for i, evidence in found.items()}, notes
 
 
@@ -302,7 +302,7 @@ def test_strain_is_measured_on_clusters_of_the_users_graph(pair):
     for graph in (GraphConfig(), GraphConfig(joining_rounds=0)):
         prepared = PreparedPair.build(surface, surface, elastic=ElasticConfig(graph=graph))
         problem = Problem.of_landmarks(prepared, Landmarks(landmarks.names, landmarks.target, moved))
-        strains.append(check.check_on_map(problem, landmarks.names, found, {}, ()).strains)
+        strains.append(check.check_on_map(problem, found, {}, ()).strains)
     assert not np.allclose(*strains)
 
 
@@ -316,7 +316,7 @@ def test_a_suspect_of_a_plain_mesh_names_the_vertex_that_was_given(monkeypatch) 
     names = tuple(f"point {vertex}" for vertex in given)
     problem = Problem.of_landmarks(prepare_pair(surface, surface), Landmarks(names, given, given))
     found = PointMap.from_vertices(surface.finest_triangles, surface.finest_triangles, np.arange(mesh.n_vertices))
-    (suspect,) = check.check_on_map(problem, names, found, {2: DISTANCES}, ()).suspects
+    (suspect,) = check.check_on_map(problem, found, {2: DISTANCES}, ()).suspects
     said = mesh.file_vertex(given[2])
     assert (suspect.name, suspect.source_vertex, suspect.nearest_vertex) == (names[2], said, said)
 
@@ -330,7 +330,7 @@ def test_a_suspect_between_vertices_of_a_cage_names_the_nearest_control_vertex(p
     between = Landmarks.of_points(landmarks.names, points, points, control.name, control.name)
     problem = Problem.of_landmarks(prepare_pair(surface, surface), between)
     found = PointMap.from_vertices(*[surface.finest_triangles] * 2, np.arange(len(surface.vertices)))
-    (suspect,) = check.check_on_map(problem, landmarks.names, found, {2: DISTANCES}, ()).suspects
+    (suspect,) = check.check_on_map(problem, found, {2: DISTANCES}, ()).suspects
     assert suspect.source_vertex.number in corners
     assert suspect.source_vertex == suspect.nearest_vertex == control.file_vertex(suspect.source_vertex.number)
 

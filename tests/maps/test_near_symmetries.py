@@ -17,7 +17,7 @@ from cagemap.deform.problem import Problem
 from cagemap.files.meshes.obj import read_obj
 from cagemap.maps.hypotheses.confidence import SURE, TWO, WARNING_SIGNS, Confidence, mirrored_gain
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.curves import CageCurves, Curves
+from cagemap.mesh.curves import CurvePair
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import MatchResult, match, prepare_pair, prepare_surface
 
@@ -91,8 +91,8 @@ def test_a_corner_of_three_arms_with_a_curve_fits_its_mirror_image_better() -> N
     corner = solid(lambda x, y, z: (x < 2) + (y < 2) + (z < 2) > 1, 7, 5, 3)
     along_an_arm = (corner.positions[:, 1:] == corner.positions[:, 1:].min(axis=0)).all(axis=1)
     chain = np.flatnonzero(along_an_arm)[np.argsort(corner.positions[along_an_arm, 0])]
-    line = CageCurves.of_vertices([chain], [False])
-    wrong, right = gains(corner, 2, replace(Landmarks.none(), curves=Curves(("edge",), line, line)))
+    edge = CurvePair.of_vertices("edge", chain, chain, closed=False)
+    wrong, right = gains(corner, 2, replace(Landmarks.none(), curves=(edge,)))
     assert wrong > 3 * WARNING_SIGNS["mirrored"].bound
     assert right < 0.5 * WARNING_SIGNS["mirrored"].bound
 

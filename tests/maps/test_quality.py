@@ -255,8 +255,8 @@ def test_coverage_from_a_coarser_level_is_that_of_the_finest() -> None:
 def test_a_mirrored_map_is_called_inside_out_and_missed_landmarks_are_named() -> None:
     surface = surface_from(sphere(400, (1.0, 0.7, 0.5)))
     mirrored = SurfacePoints.nearest(surface, surface.positions * np.array([-1.0, 1.0, 1.0]))
-    landmarks = PointPairs.of_vertices(surface, surface, np.array([10]), np.array([10]))
-    figures = measure_quality(PointMap(surface, mirrored), landmarks, ["left ear"])
+    point = SurfacePoints.from_vertices(surface, np.array([10]))
+    figures = measure_quality(PointMap(surface, mirrored), PointPairs(point, point, names=("left ear",)))
     assert figures.flipped_area > 0.9
     assert "inside out" in figures.warnings[0]
     assert any("left ear" in warning for warning in figures.warnings)

@@ -15,7 +15,7 @@ from cagemap.files.result.folder import write_result
 from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.pair import nearest_free_vertices
 from cagemap.mesh.cage_points import CagePoints
-from cagemap.mesh.curves import CageCurves, Curves
+from cagemap.mesh.curves import CurvePair
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.tasks.suggest import suggested_landmarks
 
@@ -75,10 +75,10 @@ def test_points_between_vertices_and_curves_are_kept() -> None:
     control = result.target.control
     ring = control.face_indices[: int(control.face_sizes[0])]
     between = CagePoints(ring[None, :3], np.array([[0.5, 0.25, 0.25]]))
-    curves = Curves(("rim",), *(CageCurves.of_vertices([ring], [True]) for _ in range(2)))
+    curves = (CurvePair.of_vertices("rim", ring, ring, closed=True),)
     given = replace(Landmarks.of_points(("cheek",), between, between, "large.obj", "small.obj"), curves=curves)
     more = suggested_landmarks(replace(result, landmarks=given), 1)
     np.testing.assert_array_equal(more.target_points.weights[0], between.weights[0])
     np.testing.assert_array_equal(more.source_points.corners[0], between.corners[0])
     assert more.target[1] not in (-1, between.heaviest_corners[0])
-    assert more.curves.names == ("rim",)
+    assert [pair.name for pair in more.curves] == ["rim"]

@@ -162,15 +162,15 @@ def test_curves_of_a_file_are_used_and_saved_again(opened: Session, boxes: Path)
     opened.load(Path("rim.json"))
     until(lambda: opened.state.map.revision > revision, opened)
     opened.click("target", np.array([0.0, 0.0, 5.0]), np.array([0.0, 0.0, -1.0]))
-    assert opened.state.history.present.curves.names == ("rim",)
+    assert [pair.name for pair in opened.state.history.present.curves] == ["rim"]
     kept = read_autosave(autosave_path(opened.state.files.landmarks), (8, 8))
-    assert kept.curves.names == ("rim",)
-    np.testing.assert_array_equal(kept.curves.target.points.vertices, corners)
+    assert [pair.name for pair in kept.curves] == ["rim"]
+    np.testing.assert_array_equal(kept.curves[0].target.points.vertices, corners)
     for name in ("other.json", "both.points.json"):
         opened.save(name)
     assert json.loads((boxes / "other.json").read_text())["curves"] == [curve]
     opened.load(Path("both.target.points.json"), Path("both.source.points.json"))
-    np.testing.assert_array_equal(opened.state.history.present.curves.source.points.vertices, corners)
+    np.testing.assert_array_equal(opened.state.history.present.curves[0].source.points.vertices, corners)
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.curves import CageCurves, Curves
+from cagemap.mesh.curves import CurvePair
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.parts import extract_faces, in_one_piece, join_meshes, list_parts, numbers_on_part
 from cagemap.studio.autosave import FileTracker, autosave_path, read_autosave, read_autosave_parts, write_autosave
@@ -303,12 +303,11 @@ def test_loaded_landmarks_leave_those_of_other_parts(folder: Path) -> None:
 
 def test_curves_alone_on_other_parts_are_kept_by_the_autosave(folder: Path) -> None:
     corners = creature().face_indices[:4] + 8
-    lines = CageCurves.of_vertices((corners.tolist(),), (True,))
-    away = replace(Landmarks.none(), curves=Curves(("rim",), lines, lines))
+    away = replace(Landmarks.none(), curves=(CurvePair.of_vertices("rim", corners, corners, closed=True),))
     kept = autosave_path(folder / "a.json")
     write_autosave(kept, LandmarkList(unused_landmarks=away))
     n = figure().n_vertices
-    assert read_autosave(kept, (n, n)).curves.names == ("rim",)
+    assert read_autosave(kept, (n, n)).curves[0].name == "rim"
 
 
 def test_a_result_opens_the_parts_that_it_is_of(folder: Path) -> None:

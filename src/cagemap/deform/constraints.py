@@ -10,23 +10,7 @@ import numpy as np
 from cagemap.deform.config import DataConfig, ElasticConfig
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.spectral.surface import Surface
 from cagemap.surface.polylines import Polyline, normal_projections
-from cagemap.surface.surface_points import SurfacePoints
-
-
-def points_on_level(
-    surface: Surface, level: int, points: SurfacePoints, config: ElasticConfig = ElasticConfig()
-) -> CagePoints:
-    """Points of the finest surface as points of a coarser level's mesh; vertices of both stay vertices."""
-    vertices = surface.hierarchy.on_level(level, points.vertices)
-    on_level = CagePoints.of_vertices(vertices)
-    between = np.flatnonzero(vertices < 0)
-    if len(between):
-        mesh, weight = surface.triangles(level), config.fine_normal_weight
-        near = SurfacePoints.nearest(mesh, points.positions[between], points.normals[between], normal_weight=weight)
-        on_level.corners[between], on_level.weights[between] = near.corners, near.barycentric
-    return on_level
 
 
 def add_to_corners(

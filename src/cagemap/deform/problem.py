@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig, GraphConfig, Stage, StartConfig
-from cagemap.deform.constraints import CurveConstraint, PlacementConstraints, constrained_clusters, points_on_level
+from cagemap.deform.constraints import CurveConstraint, PlacementConstraints, constrained_clusters
 from cagemap.deform.data import SourceSamples
 from cagemap.deform.energy import NO_VERTICES, ElasticEnergy, bounded_energy
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
@@ -141,6 +141,17 @@ class PreparedPair:
         """(n_0,) numbers of the control vertices, the first of `vertices`; all of `vertices` if the target is plain."""
         return self.vertices[: self.target.control.n_vertices]
 
+    def on_mesh(self, points: SurfacePoints) -> CagePoints:
+        """Points of the finest target as points of `mesh`; vertices of both stay vertices."""
+        vertices = self.target.hierarchy.on_level(self.levels[0], points.vertices)
+        on_level = CagePoints.of_vertices(vertices)
+        between = np.flatnonzero(vertices < 0)
+        if len(between):
+            some, weight = points.at(between), self.elastic.fine_normal_weight
+            near = SurfacePoints.nearest(self.mesh, some.positions, some.normals, normal_weight=weight)
+            on_level.corners[between], on_level.weights[between] = near.corners, near.barycentric
+        return on_level
+
     @kept
     def graphs(self) -> tuple[ElasticGraph, ElasticGraph]:
         """Elastic graphs of the searched levels of target and source; built on first access."""
@@ -235,17 +246,12 @@ class Problem:
     @kept
     def constraints(self) -> PlacementConstraints:
         """Landmarks and curves on the mesh that the fine stage deforms."""
-        prepared, landmarks = self.prepared, self.landmarks
-
-        def on_mesh(points: SurfacePoints) -> CagePoints:
-            return points_on_level(prepared.target, prepared.levels[0], points, prepared.elastic)
-
-        curves = []
+        prepared, landmarks, curves = self.prepared, self.landmarks, list[CurveConstraint]()
         for pair in landmarks.curves:
-            anchors = on_mesh(pair.target.points)
+            anchors = prepared.on_mesh(pair.target.points)
             rest = Polyline(anchors.of(prepared.mesh.positions), pair.target.closed)
             curves.append(CurveConstraint(anchors, rest, pair.source.line))
-        return PlacementConstraints(on_mesh(landmarks.target), landmarks.source.positions, tuple(curves))
+        return PlacementConstraints(prepared.on_mesh(landmarks.target), landmarks.source.positions, tuple(curves))
 
     @kept
     def reverse_problem(self) -> Problem:

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cagemap.errors import ParameterError
-from cagemap.maps.places import CurvePair, curve_pairs, locate
+from cagemap.maps.places import curve_pairs, locate
+from cagemap.mesh.curves import CurvePair
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads
@@ -32,13 +33,18 @@ class PointPairs:
 
     target: SurfacePoints  #: points of the finest target
     source: SurfacePoints  #: as many points of the finest source, else ParameterError
-    curves: tuple[CurvePair, ...] = ()  #: curves that correspond as a whole
+    curves: tuple[CurvePair[SurfacePoints], ...] = ()  #: curves that correspond as a whole
+    names: tuple[str, ...] = ()  #: of the points, for messages; ``point 0``, ... if not given
 
     def __post_init__(self) -> None:
         if len(self.target) != len(self.source):
             raise ParameterError(
                 f"expected as many points on both surfaces, got {len(self.target)} and {len(self.source)}"
             )
+        names = tuple(self.names) or tuple(f"point {i}" for i in range(len(self)))
+        if len(names) != len(self):
+            raise ParameterError(f"names: expected one for each of the pair's {len(self)} landmarks, got {len(names)}")
+        object.__setattr__(self, "names", names)
 
     def __repr__(self) -> str:
         return f"PointPairs({len(self.target)} points, {len(self.curves)} curves)"
@@ -57,12 +63,13 @@ class PointPairs:
 
     def reversed(self) -> PointPairs:
         """The pairs and curves with target and source exchanged."""
-        return PointPairs(self.source, self.target, tuple(curve.reversed() for curve in self.curves))
+        return PointPairs(self.source, self.target, tuple(curve.reversed() for curve in self.curves), self.names)
 
     def only(self, kept: Sequence[int] | IndexArray) -> PointPairs:
         """The pairs at the given indices."""
         rows = np.asarray(kept, dtype=np.int64)
-        return PointPairs(self.target.at(rows), self.source.at(rows), self.curves)
+        names = tuple(self.names[row] for row in rows.tolist())
+        return PointPairs(self.target.at(rows), self.source.at(rows), self.curves, names)
 
     def without(self, left_out: Collection[int]) -> PointPairs:
         """The pairs except those at the given indices."""
@@ -144,4 +151,4 @@ def point_pairs(target: Surface, source: Surface, landmarks: Landmarks) -> Point
     """Landmarks of control meshes as points, and their curves as curves, of the finest surfaces."""
     sides = (target.finest_triangles, landmarks.target_points), (source.finest_triangles, landmarks.source_points)
     on_target, on_source = in_threads(lambda side: locate(*side), sides)
-    return PointPairs(on_target, on_source, curve_pairs(target, source, landmarks.curves))
+    return PointPairs(on_target, on_source, curve_pairs(target, source, landmarks.curves), landmarks.names)

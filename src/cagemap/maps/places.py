@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh.curves import CageCurves, Curves
+from cagemap.mesh.curves import CageCurvePairs, Curve, CurvePair
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.mesh.topology import mesh_topology
-from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
-from cagemap.numerics.threads import kept
+from cagemap.numerics.arrays import IndexArray, pair_keys
 from cagemap.spectral import Surface
 from cagemap.subdivision import Refinement
 from cagemap.surface.polylines import Polyline
@@ -83,37 +82,6 @@ def choose_points(chosen: NDArray[np.bool_], one: CagePoints, other: CagePoints)
     )
 
 
-@dataclass(frozen=True, eq=False)
-class SurfaceCurve:
-    """A polyline on a finest surface."""
-
-    points: SurfacePoints  # (m,) points along the curve
-    closed: bool
-
-    @kept
-    def line(self) -> Polyline:
-        """Polyline in space, at unit area."""
-        return Polyline(self.points.positions, self.closed)
-
-    @property
-    def shares(self) -> FloatArray:
-        """(m,) share of the curve's length that every point stands for, sum 1."""
-        return self.line.point_lengths / self.line.length
-
-
-@dataclass(frozen=True, eq=False)
-class CurvePair:
-    """Two curves that correspond as a whole."""
-
-    name: str
-    target: SurfaceCurve
-    source: SurfaceCurve
-
-    def reversed(self) -> CurvePair:
-        """The pair with target and source exchanged."""
-        return CurvePair(self.name, self.source, self.target)
-
-
 @dataclass(frozen=True)
 class CurveMiss:
     """Distances between the image of a curve and its counterpart, both ways, of sqrt(area)."""
@@ -123,41 +91,33 @@ class CurveMiss:
     worst: float
 
 
-def curve_pairs(target: Surface, source: Surface, curves: Curves) -> tuple[CurvePair, ...]:
+def curve_pairs(target: Surface, source: Surface, curves: CageCurvePairs) -> tuple[CurvePair[SurfacePoints], ...]:
     """Curves of control meshes as curves of the finest surfaces."""
-    sides = [
-        surface_curves(surface.refinement, surface.finest_triangles, lines) if len(lines) else ()
-        for surface, lines in ((target, curves.target), (source, curves.source))
-    ]
-    return tuple(CurvePair(*parts) for parts in zip(curves.names, *sides, strict=True))
+    return tuple(
+        CurvePair(pair.name, surface_curve(target, pair.target), surface_curve(source, pair.source)) for pair in curves
+    )
 
 
-def surface_curves(refinement: Refinement, finest: TriangleSurface, curves: CageCurves) -> tuple[SurfaceCurve, ...]:
-    """Curves of a control mesh on the finest surface: along subdivided edges, else straight."""
-    level = refinement.coarsest_level(CURVE_VERTICES)
-    vertices = curves.points.vertices
-    segments = curves.segments
-    ends = vertices[segments]
+def surface_curve(surface: Surface, curve: Curve[CagePoints]) -> Curve[SurfacePoints]:
+    """A curve of a control mesh on the finest surface: along subdivided edges, else straight."""
+    refinement, finest, segments = surface.refinement, surface.finest_triangles, curve.segments
+    at_points = locate(finest, curve.points)
     # An edge of a plain mesh is straight already.
-    chains = np.full((len(ends), 1), -1) if refinement.is_plain else refined_edges(refinement, ends, level)
-    on_edge = chains[:, -1] >= 0
-    at_ends = locate(finest, curves.points)
-    surface_lines = []
-    for i, closed in enumerate(curves.closed.tolist()):
-        curve_segments = np.flatnonzero(curves.curve_of[segments[:, 0]] == i)
-        pieces = [
-            SurfacePoints.from_vertices(finest, chains[row, :-1])
-            if on_edge[row]
-            else _straight(at_ends.at(segments[row, :1]), at_ends.at(segments[row, 1:]))
-            for row in curve_segments
-        ]
-        if not closed:
-            pieces.append(at_ends.at(segments[curve_segments[-1:], 1]))
-        points = SurfacePoints(
-            finest, np.concatenate([piece.triangle for piece in pieces]), np.vstack([p.barycentric for p in pieces])
-        )
-        surface_lines.append(SurfaceCurve(points, closed))
-    return tuple(surface_lines)
+    chains = np.full((len(segments), 1), -1)
+    if not refinement.is_plain:
+        chains = refined_edges(refinement, curve.points.vertices[segments], refinement.coarsest_level(CURVE_VERTICES))
+    pieces = [
+        SurfacePoints.from_vertices(finest, chain[:-1])
+        if chain[-1] >= 0
+        else _straight(at_points.at(ends[:1]), at_points.at(ends[1:]))
+        for chain, ends in zip(chains, segments, strict=True)
+    ]
+    if not curve.closed:
+        pieces.append(at_points.at(segments[-1:, 1]))
+    points = SurfacePoints(
+        finest, np.concatenate([piece.triangle for piece in pieces]), np.vstack([p.barycentric for p in pieces])
+    )
+    return Curve(points, curve.closed)
 
 
 def refined_edges(refinement: Refinement, ends: IndexArray, level: int) -> IndexArray:
@@ -180,13 +140,13 @@ def refined_edges(refinement: Refinement, ends: IndexArray, level: int) -> Index
     return np.where((keys[edges] == wanted)[:, None], chains, -1)
 
 
-def curve_miss(pair: CurvePair, point_map: PointMap) -> CurveMiss:
+def curve_miss(pair: CurvePair[SurfacePoints], point_map: PointMap) -> CurveMiss:
     """Distances from the image of the target curve to the source curve, and back."""
     image = Polyline(pair.target.points.interpolate(point_map.images.positions), pair.target.closed)
-    source = pair.source.line
+    target, source = pair.target.line, pair.source.line
     to_source = np.linalg.norm(source.nearest(image.positions)[0] - image.positions, axis=1)
     to_target = np.linalg.norm(image.nearest(source.positions)[0] - source.positions, axis=1)
-    mean = 0.5 * (pair.target.shares @ to_source + pair.source.shares @ to_target)
+    mean = 0.5 * (target.point_shares @ to_source + source.point_shares @ to_target)
     return CurveMiss(pair.name, float(mean), float(max(to_source.max(), to_target.max())))
 
 

@@ -203,12 +203,11 @@ def judge(
     target: Surface,
     point_map: PointMap,
     landmarks: PointPairs | None = None,
-    names: tuple[str, ...] = (),
     masks: Masks = WHOLE,
 ) -> QualityFigures:
     """Quality figures of any point map of the target's finest level, without ground truth; else ParameterError.
 
-    ``names`` are the landmarks', for warnings. ``masks`` weight both surfaces' vertices in the figures.
+    ``masks`` weight both surfaces' vertices in the figures.
     """
     if point_map.target.n != len(target.vertices):
         raise ParameterError(
@@ -217,13 +216,12 @@ def judge(
         )
     level = target.hierarchy.coarsest_level(COVERAGE_SAMPLES)
     asked = target.hierarchy.on_finest(level)[target.triangles(level).triangles]
-    return measure_quality(point_map, landmarks, names, coarse_triangles=asked, masks=masks)
+    return measure_quality(point_map, landmarks, coarse_triangles=asked, masks=masks)
 
 
 def measure_quality(
     point_map: PointMap,
     landmarks: PointPairs | None = None,
-    landmark_names: Sequence[str] = (),
     *,
     coarse_triangles: IndexArray | None = None,
     masks: Masks = WHOLE,
@@ -258,9 +256,9 @@ def measure_quality(
     ]
     area_ratios, aspect_ratios = in_threads(lambda asked: weighted_percentiles(*asked), distributions)
     errors = np.zeros(0) if landmarks is None else landmark_errors(point_map, landmarks)
+    names = () if landmarks is None else landmarks.names
     flipped_area = float(areas[flipped].sum() / areas.sum())
     vertex_areas = target.vertex_areas * counted / (target.vertex_areas @ counted)
-    names = tuple(landmark_names) or tuple(f"pair {i}" for i in range(len(errors)))
     return QualityFigures(
         landmark_errors=errors,
         flipped_area=flipped_area,

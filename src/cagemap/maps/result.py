@@ -116,8 +116,7 @@ class MatchResult:
         point_map = PointMap.from_arrays(
             target.finest_triangles, source.finest_triangles, points.triangle, points.barycentric
         )
-        trusted = self.trusted
-        quality = measure_quality(point_map, point_pairs(target, source, trusted), trusted.names)
+        quality = measure_quality(point_map, point_pairs(target, source, self.trusted))
         spectral = None
         if self.has_spectral:
             values = self.spectral.target_eigenvalues, self.spectral.source_eigenvalues
@@ -263,7 +262,7 @@ def result_of_fit(
     with one_blas_thread():
         jumps = jump_lengths(prepared, point_map, shared) if jumps is None else jumps
         jumping = jump_warnings(prepared, jumps)
-        quality = judge(target, point_map, points, check.trusted(landmarks).names, masks.within(shared))
+        quality = judge(target, point_map, points, masks.within(shared))
         unshared = () if shared is None else unshared_warnings(*shared.shares(point_map.target, point_map.source))
         foreign = foreign_warnings(quality.flipped_area, len(landmarks), len(check.suspects))
         quality = replace(

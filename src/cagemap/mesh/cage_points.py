@@ -67,6 +67,9 @@ class CagePoints:
         """(q,) control vertex of every point, -1 for points between vertices."""
         return np.where(self.weights.max(axis=1) >= AT_VERTEX, self.heaviest_corners, -1).astype(np.int64)
 
+    def __len__(self) -> int:
+        return len(self.corners)
+
     @property
     def keys(self) -> list[bytes]:
         """One key per point; equal points have equal keys."""

@@ -6,7 +6,8 @@ Single points of paired curves need not correspond. Ends of open curves do, in e
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -27,93 +28,70 @@ from cagemap.mesh.cage_points import (
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.topology import mesh_topology
-from cagemap.numerics.arrays import IndexArray, offsets_of, pair_keys
+from cagemap.numerics.arrays import IndexArray, pair_keys
+from cagemap.numerics.threads import kept
+from cagemap.surface.polylines import Polyline
+from cagemap.surface.surface_points import SurfacePoints
+
+P = TypeVar("P", CagePoints, SurfacePoints)
 
 
 @dataclass(frozen=True, eq=False)
-class CageCurves:
-    """Polylines on a control mesh."""
+class Curve(Generic[P]):
+    """A polyline of points of a control mesh, or of a finest surface."""
 
-    points: CagePoints  #: points of all curves, one curve after the other
-    starts: IndexArray  #: (q + 1,) curve i has the points ``starts[i]`` to ``starts[i + 1] - 1``
-    closed: np.ndarray  #: (q,) whether the last point of a curve is joined to its first
+    points: P
+    closed: bool  #: whether the last point is joined to the first
 
-    @classmethod
-    def of_vertices(cls, chains: Sequence[IndexArray], closed: Sequence[bool]) -> CageCurves:
-        """Curves from chains of control vertices."""
-        vertices = np.concatenate([np.zeros(0, dtype=np.int64), *chains]).astype(np.int64)
-        starts = offsets_of([len(chain) for chain in chains])
-        return cls(CagePoints.of_vertices(vertices), starts, np.array(closed, dtype=bool))
-
-    @classmethod
-    def joined(cls, curves: Sequence[CageCurves]) -> CageCurves:
-        """Concatenate several sets of curves."""
-        curves = (cls.of_vertices((), ()), *curves)
-        points = CagePoints.joined([part.points for part in curves])
-        sizes = np.concatenate([np.diff(part.starts) for part in curves])
-        return cls(points, offsets_of(sizes), np.concatenate([part.closed for part in curves]))
-
-    def __len__(self) -> int:
-        return len(self.closed)
-
-    @property
-    def curve_of(self) -> IndexArray:
-        """(c,) curve of every point."""
-        return np.repeat(np.arange(len(self)), np.diff(self.starts))
+    @staticmethod
+    def of_vertices(vertices: Sequence[int] | IndexArray, closed: bool) -> Curve[CagePoints]:
+        """The curve along control vertices."""
+        return Curve(CagePoints.of_vertices(np.asarray(vertices, dtype=np.int64)), closed)
 
     @property
     def segments(self) -> IndexArray:
         """(s, 2) indices of the two end points of every segment."""
-        count = len(self.points.corners)
-        after = np.arange(1, count + 1)
-        last = self.starts[1:] - 1
-        after[last] = np.where(self.closed, self.starts[:-1], -1)
-        joined = np.flatnonzero(after >= 0)
-        return np.column_stack([joined, after[joined]])
+        count = len(self.points)
+        first = np.arange(count if self.closed else count - 1)
+        return np.column_stack([first, (first + 1) % max(count, 1)])
 
-    def at(self, rows: Sequence[int]) -> CageCurves:
-        """The curves in the given rows."""
-        chosen = np.asarray(rows, dtype=np.int64)
-        kept = np.concatenate([np.zeros(0, dtype=np.int64), *(np.flatnonzero(self.curve_of == row) for row in rows)])
-        return CageCurves(self.points.at(kept), offsets_of(np.diff(self.starts)[chosen]), self.closed[chosen])
+    @kept
+    def line(self: Curve[SurfacePoints]) -> Polyline:
+        """Polyline in space, at unit area."""
+        return Polyline(self.points.positions, self.closed)
 
 
 @dataclass(frozen=True, eq=False)
-class Curves:
-    """Pairs of polylines that correspond as a whole."""
+class CurvePair(Generic[P]):
+    """Two curves that correspond as a whole."""
 
-    names: tuple[str, ...]  #: one per pair, such as ``left_eyelid``
-    target: CageCurves
-    source: CageCurves
+    name: str  #: such as ``left_eyelid``
+    target: Curve[P]
+    source: Curve[P]
 
-    @classmethod
-    def none(cls) -> Curves:
-        """An empty set of curves."""
-        return cls((), CageCurves.of_vertices((), ()), CageCurves.of_vertices((), ()))
+    @staticmethod
+    def of_vertices(
+        name: str, target: Sequence[int] | IndexArray, source: Sequence[int] | IndexArray, *, closed: bool
+    ) -> CurvePair[CagePoints]:
+        """Two curves along control vertices."""
+        return CurvePair(name, Curve.of_vertices(target, closed), Curve.of_vertices(source, closed))
 
-    def __len__(self) -> int:
-        return len(self.names)
+    @property
+    def points(self) -> tuple[P, P]:
+        """Points of target and source along the curves."""
+        return self.target.points, self.source.points
 
-    def reversed(self) -> Curves:
-        """The same pairs with target and source exchanged."""
-        return Curves(self.names, self.source, self.target)
+    def reversed(self) -> CurvePair[P]:
+        """The pair with target and source exchanged."""
+        return CurvePair(self.name, self.source, self.target)
 
-    def only(self, rows: Sequence[int]) -> Curves:
-        """The pairs in the given rows."""
-        return Curves(tuple(self.names[row] for row in rows), self.target.at(rows), self.source.at(rows))
+    def renumbered(self: CurvePair[CagePoints], target: Renumbering, source: Renumbering) -> CurvePair[CagePoints]:
+        """The pair with new vertex numbers of its points' corners; -1 for removed vertices."""
+        sides = (self.target, target), (self.source, source)
+        return CurvePair(self.name, *(Curve(side.points.renumbered(number), side.closed) for side, number in sides))
 
-    def renumbered(self, target: Renumbering, source: Renumbering) -> Curves:
-        """The curves with new vertex numbers of their points' corners; curves with a -1 are dropped."""
-        both = (self.target, target), (self.source, source)
-        sides = [replace(side, points=side.points.renumbered(number)) for side, number in both]
-        lost = [side.curve_of[(side.points.corners < 0).any(axis=1)] for side in sides]
-        kept = np.setdiff1d(np.arange(len(self)), np.concatenate(lost))
-        return Curves(self.names, *sides).only(kept.tolist())
 
-    def joined_with(self, others: Curves) -> Curves:
-        """Return these pairs followed by others."""
-        sides = (self.target, others.target), (self.source, others.source)
-        return Curves(self.names + others.names, *(CageCurves.joined(side) for side in sides))
+CageCurvePairs = tuple[CurvePair[CagePoints], ...]  # of two control meshes
 
 
 def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
@@ -140,7 +118,7 @@ def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
 
 def paired_curves(
     target_points: NamedPoints, source_points: NamedPoints, target: ControlMesh, source: ControlMesh
-) -> tuple[Curves, tuple[str, ...]]:
+) -> tuple[CageCurvePairs, tuple[str, ...]]:
     """Pair the curves of two meshes by name; also notes on names of one side only."""
     by_name = [{curve.name: curve for curve in points.curves} for points in (target_points, source_points)]
     shared, notes = shared_names(
@@ -148,29 +126,30 @@ def paired_curves(
         what="curves",
         noted="curves",
     )
-    sides = [
-        CageCurves.joined([on_cage_curve(curves_by_name[name], mesh) for name in shared])
+    on_target, on_source = (
+        [on_cage_curve(curves_by_name[name], mesh) for name in shared]
         for curves_by_name, mesh in zip(by_name, (target, source), strict=True)
-    ]
-    return Curves(shared, sides[0], sides[1]), notes
+    )
+    return tuple(map(CurvePair, shared, on_target, on_source)), notes
 
 
-def on_cage_curve(curve: NamedCurve, mesh: ControlMesh) -> CageCurves:
+def on_cage_curve(curve: NamedCurve, mesh: ControlMesh) -> Curve[CagePoints]:
     """Put a curve on a control mesh: its vertices, and nearest points to its positions."""
     names = tuple(f"{curve.name}, point {i}" for i in range(len(curve.vertices)))
-    points = on_cage(NamedPoints(names, curve.vertices, curve.positions), mesh)
-    return CageCurves(points, np.array([0, len(names)]), np.array([curve.closed]))
+    return Curve(on_cage(NamedPoints(names, curve.vertices, curve.positions), mesh), curve.closed)
 
 
-def curve_faults(curves: Curves, target: ControlMesh, source: ControlMesh) -> list[str]:
+def curve_faults(curves: CageCurvePairs, target: ControlMesh, source: ControlMesh) -> list[str]:
     """One sentence for each fault of the curves on two meshes."""
-    if not len(curves):
+    if not curves:
         return []  # saves listing the edges of large meshes
-    names = list(curves.names)
-    faults = [repeated_fault(names, "name of a curve")]
-    for side, lines, mesh in (("target", curves.target, target), ("source", curves.source, source)):
-        faults += _side_faults(side, lines, names, mesh)
-    halves = [name for name, a, b in zip(names, curves.target.closed, curves.source.closed, strict=True) if a != b]
+    names = [pair.name for pair in curves]
+    faults = [
+        repeated_fault(names, "name of a curve"),
+        *_side_faults("target", names, [pair.target for pair in curves], target),
+        *_side_faults("source", names, [pair.source for pair in curves], source),
+    ]
+    halves = [pair.name for pair in curves if pair.target.closed != pair.source.closed]
     if halves:
         faults.append(
             f"expected curves closed on both sides or open on both, got these closed on one only: {first_few(halves)}."
@@ -178,35 +157,34 @@ def curve_faults(curves: Curves, target: ControlMesh, source: ControlMesh) -> li
     return [fault for fault in faults if fault]
 
 
-def _side_faults(side: str, curves: CageCurves, names: list[str], mesh: ControlMesh) -> list[str]:
-    points, of = curves.points, curves.curve_of
-    if outside := outside_fault(points, [names[i] for i in of], mesh, f"{side} vertices of curves"):
+def _side_faults(side: str, names: list[str], curves: list[Curve[CagePoints]], mesh: ControlMesh) -> list[str]:
+    points = CagePoints.joined([curve.points for curve in curves])
+    named = list(zip(names, curves, strict=True))
+    of_points = [name for name, curve in named for _ in range(len(curve.points))]
+    if outside := outside_fault(points, of_points, mesh, f"{side} vertices of curves"):
         return [outside]
+    short = [name for name, curve in named if len(curve.points) < (3 if curve.closed else 2)]
+    again, apart = list[str](), list[str]()
+    edges = pair_keys(mesh_topology(mesh).edge_vertices, mesh.n_vertices)
+    for name, curve in named:
+        vertices, corners = curve.points.vertices, curve.points.corners
+        at_vertices = vertices[vertices >= 0]
+        again += [f"{name} ({at_vertices[i]})" for i in find_repeats(at_vertices)]
+        # A position may coincide with a vertex; only points given as vertices have to follow edges.
+        ends = np.where(corners[:, 0] == corners[:, 1], vertices, -1)[curve.segments]
+        joined = np.isin(pair_keys(ends, mesh.n_vertices), edges)
+        apart += [f"{name} ({a} to {b})" for a, b in ends[(ends >= 0).all(axis=1) & ~joined]]
     faults = []
-    short = np.flatnonzero(np.diff(curves.starts) < np.where(curves.closed, 3, 2))
-    if len(short):
+    if short:
         faults.append(
             f"expected curves of the {side} with two points or more, closed ones with three, got fewer: "
-            f"{first_few(names[i] for i in short)}."
+            f"{first_few(short)}."
         )
-    vertices = points.vertices
-    at_vertices = np.flatnonzero(vertices >= 0)
-    again = at_vertices[find_repeats((of * mesh.n_vertices + vertices)[at_vertices])]
-    if len(again):
-        listed = first_few(f"{names[of[i]]} ({vertices[i]})" for i in again)
-        faults.append(f"expected every {side} vertex once in a curve, got these again: {listed}.")
-    segments = curves.segments
-    # A position may coincide with a vertex; only points given as vertices have to follow edges.
-    stated = np.where(points.corners[:, 0] == points.corners[:, 1], vertices, -1)
-    ends = stated[segments]
-    joined = np.isin(pair_keys(ends, mesh.n_vertices), pair_keys(mesh_topology(mesh).edge_vertices, mesh.n_vertices))
-    apart = np.flatnonzero((ends >= 0).all(axis=1) & ~joined)
-    if len(apart):
-        listed = first_few(
-            f"{names[of[segments[i, 0]]]} ({vertices[segments[i, 0]]} to {vertices[segments[i, 1]]})" for i in apart
-        )
+    if again:
+        faults.append(f"expected every {side} vertex once in a curve, got these again: {first_few(again)}.")
+    if apart:
         faults.append(
             f"expected neighbours in a curve of the {side} to be joined by edges of {mesh.name}, got none "
-            f"for {listed}. Give every vertex along the curve, or places in space."
+            f"for {first_few(apart)}. Give every vertex along the curve, or places in space."
         )
     return faults

@@ -19,7 +19,7 @@ from cagemap.mesh.cage_points import Renumbering as Renumbering
 from cagemap.mesh.cage_points import find_repeats, outside_fault, repeated_fault, shared_names
 from cagemap.mesh.cage_points import on_cage as on_cage
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.curves import Curves, curve_faults, paired_curves
+from cagemap.mesh.curves import CageCurvePairs, curve_faults, paired_curves
 from cagemap.mesh.mesh_report import first_few, list_problems
 from cagemap.numerics.arrays import IndexArray, whole_numbers
 
@@ -40,7 +40,7 @@ class Landmarks:
     target_points: CagePoints = field(default_factory=lambda: CagePoints.of_vertices(np.zeros(0, dtype=np.int64)))
     source_points: CagePoints = field(default_factory=lambda: CagePoints.of_vertices(np.zeros(0, dtype=np.int64)))
     #: pairs of polylines that correspond as a whole; their single points need not
-    curves: Curves = field(default_factory=Curves.none)
+    curves: CageCurvePairs = ()
 
     def __post_init__(self) -> None:
         names = None if isinstance(self.names, str) or not isinstance(self.names, Iterable) else tuple(self.names)
@@ -50,16 +50,22 @@ class Landmarks:
         for side in ("target", "source"):
             object.__setattr__(self, side, whole_numbers(getattr(self, side), f"landmarks: {side}"))
             vertices, points = getattr(self, side), getattr(self, f"{side}_points")
-            known = len(points.corners) == len(vertices) and np.array_equal(points.vertices, vertices)
+            known = len(points) == len(vertices) and np.array_equal(points.vertices, vertices)
             if not known:
                 object.__setattr__(self, f"{side}_points", CagePoints.of_vertices(vertices))
 
     @classmethod
     def of_points(
-        cls, names: tuple[str, ...], target: CagePoints, source: CagePoints, target_name: str, source_name: str
+        cls,
+        names: tuple[str, ...],
+        target: CagePoints,
+        source: CagePoints,
+        target_name: str,
+        source_name: str,
+        curves: CageCurvePairs = (),
     ) -> Landmarks:
-        """Landmarks from pairs of points anywhere on the meshes."""
-        return cls(names, target.vertices, source.vertices, target_name, source_name, target, source)
+        """Landmarks from pairs of points anywhere on the meshes, and pairs of curves."""
+        return cls(names, target.vertices, source.vertices, target_name, source_name, target, source, curves)
 
     @classmethod
     def none(cls) -> Landmarks:
@@ -71,38 +77,28 @@ class Landmarks:
 
     def __repr__(self) -> str:
         named = ", ".join(self.names[:3]) + (", ..." if len(self) > 3 else "")
-        also = f", {len(self.curves)} curves" if len(self.curves) else ""
+        also = f", {len(self.curves)} curves" if self.curves else ""
         return f"Landmarks({len(self)} pairs{f': {named}' if named else ''}{also})"
 
     def renumbered(self, target: Renumbering, source: Renumbering) -> Landmarks:
         """Return the pairs with new vertex numbers; pairs with a removed vertex (-1) are dropped."""
         on_target, on_source = self.target_points.renumbered(target), self.source_points.renumbered(source)
         inside = np.flatnonzero(np.all([on_target.corners >= 0, on_source.corners >= 0], axis=(0, 2)))
-        moved = Landmarks.of_points(self.names, on_target, on_source, self.target_name, self.source_name)
-        return replace(moved._at(inside, inside), curves=self.curves.renumbered(target, source))
+        numbered = [pair.renumbered(target, source) for pair in self.curves]
+        curves = tuple(pair for pair in numbered if all((side.corners >= 0).all() for side in pair.points))
+        return self._with(self.names, on_target, on_source, curves)._at(inside, inside)
 
     def joined_with(self, others: Landmarks) -> Landmarks:
         """Return these pairs and curves followed by others, on the same meshes."""
-        joined = Landmarks.of_points(
-            self.names + others.names,
-            CagePoints.joined((self.target_points, others.target_points)),
-            CagePoints.joined((self.source_points, others.source_points)),
-            self.target_name,
-            self.source_name,
-        )
-        return replace(joined, curves=self.curves.joined_with(others.curves))
+        target, source = (self.target_points, others.target_points), (self.source_points, others.source_points)
+        joined = CagePoints.joined(target), CagePoints.joined(source)
+        return self._with(self.names + others.names, *joined, self.curves + others.curves)
 
     def reversed(self) -> Landmarks:
         """Return the same pairs with target and source exchanged."""
-        return replace(
-            self,
-            target=self.source,
-            source=self.target,
-            target_name=self.source_name,
-            source_name=self.target_name,
-            target_points=self.source_points,
-            source_points=self.target_points,
-            curves=self.curves.reversed(),
+        curves = tuple(pair.reversed() for pair in self.curves)
+        return Landmarks.of_points(
+            self.names, self.source_points, self.target_points, self.source_name, self.target_name, curves
         )
 
     def new_since(self, before: Landmarks) -> IndexArray:
@@ -127,14 +123,14 @@ class Landmarks:
 
     def _at(self, target: IndexArray, source: IndexArray) -> Landmarks:
         """Pair the target points of rows ``target`` with the source points of rows ``source``; target names stay."""
-        return replace(
-            self,
-            names=tuple(self.names[i] for i in target.tolist()),
-            target=self.target[target],
-            source=self.source[source],
-            target_points=self.target_points.at(target),
-            source_points=self.source_points.at(source),
-        )
+        names = tuple(self.names[i] for i in target.tolist())
+        return self._with(names, self.target_points.at(target), self.source_points.at(source), self.curves)
+
+    def _with(
+        self, names: tuple[str, ...], target: CagePoints, source: CagePoints, curves: CageCurvePairs
+    ) -> Landmarks:
+        """Other pairs and curves on the same meshes."""
+        return Landmarks.of_points(names, target, source, self.target_name, self.source_name, curves)
 
 
 def _composed(points: NamedPoints) -> NamedPoints:
@@ -167,14 +163,14 @@ def pair_by_name(
         on_cage(points, mesh).at(np.array([place[name] for name in shared], dtype=np.int64))
         for points, place, mesh in zip((target_points, source_points), places, (target, source), strict=True)
     )
-    landmarks = Landmarks.of_points(shared, on_target, on_source, target.name, source.name)
     curves, curve_notes = paired_curves(target_points, source_points, target, source)
-    if all(names) and not shared and not len(curves):
+    if all(names) and not shared and not curves:
         raise InvalidLandmarksError(
             f"landmark points: expected names that both sides have, got {first_few(names[0])} on the target and "
             f"{first_few(names[1])} on the source. Rename them so that those of the same place are called alike."
         )
-    return replace(landmarks, curves=curves), notes + curve_notes
+    landmarks = Landmarks.of_points(shared, on_target, on_source, target.name, source.name, curves)
+    return landmarks, notes + curve_notes
 
 
 def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMesh) -> None:

@@ -10,13 +10,14 @@ from scipy import sparse
 
 from cagemap.errors import ParameterError
 from cagemap.maps.pair import Pair
-from cagemap.maps.places import SurfaceCurve
+from cagemap.mesh.curves import Curve
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers
 from cagemap.numerics.kinds import Config
 from cagemap.numerics.threads import in_threads
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors, normalise_columns, signatures
 from cagemap.paper.symmetries import check_symmetry, symmetry_at, symmetry_operator
 from cagemap.spectral.surface import Surface
+from cagemap.surface.surface_points import SurfacePoints
 
 # Mean distance of neighbouring eigenvalues at unit area (Weyl's law). In this unit, eigenvalues are approximately their
 # indices in the spectrum, so that one weight suits all k and all surfaces.
@@ -145,7 +146,7 @@ def signature_functions(surface: Surface, filters: Filters, level: int) -> Float
     return np.concatenate([signatures(block, at_eigenvalues) for _, block in surface.basis.row_blocks(level)])
 
 
-def curve_rows(surface: Surface, curves: Sequence[SurfaceCurve]) -> FloatArray:
+def curve_rows(surface: Surface, curves: Sequence[Curve[SurfacePoints]]) -> FloatArray:
     """(q, k) basis rows of whole curves: length-weighted means of Phi~(v, :) along each.
 
     A landmark descriptor of such a row is the heat or wave that starts from the whole curve at once; points of the
@@ -153,7 +154,7 @@ def curve_rows(surface: Surface, curves: Sequence[SurfaceCurve]) -> FloatArray:
     """
     corners, places = np.unique(np.vstack([curve.points.corners for curve in curves]), return_inverse=True)
     rows = surface.basis_rows(corners)
-    weights = np.vstack([curve.shares[:, None] * curve.points.barycentric for curve in curves])
+    weights = np.vstack([curve.line.point_shares[:, None] * curve.points.barycentric for curve in curves])
     curve_of = np.repeat(np.arange(len(curves)), [3 * len(curve.points) for curve in curves])
     gather = sparse.csr_array((weights.ravel(), (curve_of, places.ravel())), shape=(len(curves), len(corners)))
     return np.asarray(gather @ rows)
@@ -162,7 +163,7 @@ def curve_rows(surface: Surface, curves: Sequence[SurfaceCurve]) -> FloatArray:
 def _spectral_data(
     surface: Surface,
     landmarks: IndexArray,
-    curves: Sequence[SurfaceCurve],
+    curves: Sequence[Curve[SurfacePoints]],
     symmetries: tuple[IndexArray, ...],
     filters: Filters,
     config: DescriptorConfig,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.maps.hypotheses.confidence import SURE
-from cagemap.maps.places import surface_curves
+from cagemap.maps.places import surface_curve
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.srgb import encode_srgb
@@ -326,17 +326,17 @@ def _make_overlay(models: _ModelPair, *, is_source: bool) -> _Overlay:
         surface, points, cage_curves, turn = (
             models.result.source,
             pairs.source_points,
-            pairs.curves.source,
+            [pair.source for pair in pairs.curves],
             viewpoints.source_turn,
         )
     else:
         surface, points, cage_curves, turn = (
             models.result.target,
             pairs.target_points,
-            pairs.curves.target,
+            [pair.target for pair in pairs.curves],
             viewpoints.target.turn,
         )
     finest = surface.finest_triangles
-    lines_on_surface = surface_curves(surface.refinement, finest, cage_curves) if len(cage_curves) else ()
-    curves = tuple(Polyline(curve.line.positions @ turn / finest.scale, curve.closed) for curve in lines_on_surface)
+    lines = [surface_curve(surface, curve).line for curve in cage_curves]
+    curves = tuple(Polyline(line.positions @ turn / finest.scale, line.closed) for line in lines)
     return _Overlay(surface.vertices[points.heaviest_corners] @ turn, curves)

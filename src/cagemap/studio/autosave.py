@@ -16,9 +16,9 @@ from cagemap.files.landmarks.pairs import format_pairs, parse_landmarks
 from cagemap.files.ownership import mark
 from cagemap.files.result.manifest import file_hash
 from cagemap.files.text import read_text, whole_characters
-from cagemap.mesh.curves import Curves
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.studio.landmarks import Landmark, LandmarkList, Place, SideNames
+from cagemap.studio.landmarks import SIDES, Landmark, LandmarkList, Place, SideNames
 
 _FORMAT = "cagemap-studio-autosave"
 _NUMBERING = "of the files"
@@ -87,7 +87,6 @@ def write_autosave(path: Path, landmarks: LandmarkList, parts: SideNames = (None
         for item in landmarks.items
     ]
     unused = Landmarks.none() if landmarks.unused_landmarks is None else landmarks.unused_landmarks
-    curves = (landmarks.curves or Curves.none()).joined_with(unused.curves)
     content = {
         "format": _FORMAT,
         "numbers": _NUMBERING,
@@ -95,7 +94,7 @@ def write_autosave(path: Path, landmarks: LandmarkList, parts: SideNames = (None
         "parts": parts,
         "items": items,
         "pairs": list(map(json.loads, format_pairs(unused))),
-        "curves": list(map(json.loads, pair_entries(path, curves))),
+        "curves": list(map(json.loads, pair_entries(path, landmarks.curves + unused.curves))),
     }
     write_whole(path, json.dumps(content, indent=1))
 
@@ -143,17 +142,16 @@ def read_autosave(path: Path, vertices: tuple[int, int]) -> LandmarkList:
             for entry in data["items"]
         )
         unused = parse_landmarks(path, {"pairs": data["pairs"], "curves": data["curves"]})
-        sides = (unused.target_points, unused.curves.target), (unused.source_points, unused.curves.source)
-        for (points, curve), count in zip(sides, vertices, strict=True):
-            if max(points.corners.max(initial=-1), curve.points.corners.max(initial=-1)) >= count:
+        for side, count in zip(SIDES, vertices, strict=True):
+            points = getattr(unused, f"{side}_points"), *(getattr(pair, side).points for pair in unused.curves)
+            if CagePoints.joined(points).corners.max(initial=-1) >= count:
                 raise ValueError(f"landmarks of a model that has more than {count} vertices")
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError, FormatError) as error:
         raise FormatError(
             f"{path}: expected an autosave of the studio for these models, found something else ({error!r}). "
             f"It was moved to {move_aside(path).name}."
         ) from None
-    curves = unused.curves if len(unused.curves) else None
-    return LandmarkList(items, curves, replace(unused, curves=Curves.none()) if len(unused) else None)
+    return LandmarkList(items, unused.curves, replace(unused, curves=()) if len(unused) else None)
 
 
 def move_aside(path: Path) -> Path:

@@ -17,7 +17,7 @@ from cagemap.files.landmarks.points import read_points
 from cagemap.files.ownership import is_own
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import NamedCurve
-from cagemap.mesh.curves import CageCurves, Curves
+from cagemap.mesh.curves import Curve
 from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, Renumbering, check_landmarks, pair_by_name
 from cagemap.studio.autosave import FileTracker, autosave_path, read_autosave
 from cagemap.studio.landmarks import SIDES, Landmark, LandmarkList, Side
@@ -56,10 +56,10 @@ def load_landmarks(
     used, unused = split_by_part(landmarks, scene)
     if unused is not None and len(unused):
         notes = (*notes, f"{len(unused)} landmarks are on other parts of the files; they stay in the file")
-    if unused is not None and len(unused.curves):
-        names = ", ".join(unused.curves.names)
+    if unused is not None and unused.curves:
+        names = ", ".join(pair.name for pair in unused.curves)
         notes = (*notes, f"curves on other parts or between vertices are not used here; they stay in the file: {names}")
-    return LandmarkList(_to_items(used, scene, 1), used.curves if len(used.curves) else None, unused), list(notes)
+    return LandmarkList(_to_items(used, scene, 1), used.curves, unused), list(notes)
 
 
 def file_landmarks(files: Files, scene: Scene, tracker: FileTracker) -> tuple[LandmarkList, list[str]] | None:
@@ -85,20 +85,18 @@ INITIAL_LANDMARK_READERS = ((autosaved_landmarks, False), (file_landmarks, True)
 def split_by_part(landmarks: Landmarks, scene: Scene) -> tuple[Landmarks, Landmarks | None]:
     """Split landmarks into those of the open parts, renumbered to these, and the others."""
     used = landmarks.renumbered(scene.target.to_control_vertices, scene.source.to_control_vertices)
-    curves = used.curves
-    at_vertices = [k for k in range(len(curves)) if not _has_points_between_vertices(curves.only([k]))]
-    used = replace(used, curves=curves.only(at_vertices))
-    pair_names, curve_names = set(used.names), set(used.curves.names)
+    curves = tuple(pair for pair in used.curves if all((side.vertices >= 0).all() for side in pair.points))
+    used = replace(used, curves=curves)
+    pair_names, curve_names = set(used.names), {pair.name for pair in curves}
     unused = landmarks.without([i for i, name in enumerate(landmarks.names) if name in pair_names])
-    unused_curves = [k for k, name in enumerate(landmarks.curves.names) if name not in curve_names]
-    unused = replace(unused, curves=landmarks.curves.only(unused_curves))
+    unused = replace(unused, curves=tuple(pair for pair in landmarks.curves if pair.name not in curve_names))
     return used, unused if len(unused) + len(unused.curves) else None
 
 
 def to_file_numbers(landmarks: LandmarkList, scene: Scene) -> LandmarkList:
     """Renumber landmarks from the open parts to the files' vertices."""
     target, source = scene.target.to_file_vertices, scene.source.to_file_vertices
-    curves = None if landmarks.curves is None else landmarks.curves.renumbered(target, source)
+    curves = tuple(pair.renumbered(target, source) for pair in landmarks.curves)
     items = tuple(_renumber(item, target, source) for item in landmarks.items)
     return replace(landmarks, items=items, curves=curves)
 
@@ -119,12 +117,12 @@ def to_part_numbers(file_list: LandmarkList, scene: Scene) -> tuple[LandmarkList
     landmarks = to_landmarks(outside, scene.target.file_mesh, scene.source.file_mesh)
     if file_list.unused_landmarks is not None:
         landmarks = landmarks.joined_with(file_list.unused_landmarks)
-    used, unused = split_by_part(replace(landmarks, curves=file_list.curves or Curves.none()), scene)
+    used, unused = split_by_part(replace(landmarks, curves=file_list.curves), scene)
     items = tuple(item for item, inside in zip(renumbered, is_inside, strict=True) if inside)
     items += _to_items(used, scene, 1 + max((item.number for item in items), default=0))
     if unused is not None and len(unused):
         notes.append(f"{len(unused)} landmarks are on other parts of the files; they are kept for these parts")
-    return LandmarkList(items, used.curves if len(used.curves) else None, unused), notes
+    return LandmarkList(items, used.curves, unused), notes
 
 
 def _to_items(landmarks: Landmarks, scene: Scene, first_number: int) -> tuple[Landmark, ...]:
@@ -165,9 +163,9 @@ def save_landmarks(
     complete = complete.renumbered(scene.target.to_file_vertices, scene.source.to_file_vertices)
     complete = complete if landmarks.unused_landmarks is None else complete.joined_with(landmarks.unused_landmarks)
     if not is_of_pairs(path):
-        sides: tuple[tuple[Side, CagePoints, CageCurves, ControlMesh], ...] = (
-            ("target", complete.target_points, complete.curves.target, target),
-            ("source", complete.source_points, complete.curves.source, source),
+        sides: tuple[tuple[Side, CagePoints, list[Curve[CagePoints]], ControlMesh], ...] = (
+            ("target", complete.target_points, [pair.target for pair in complete.curves], target),
+            ("source", complete.source_points, [pair.source for pair in complete.curves], source),
         )
         contents = [
             (side_file(path, side), _named_points(complete, points, curves, control), control)
@@ -211,28 +209,25 @@ def _is_of_this_pair(path: Path, scene: Scene, files: Files) -> bool:
 def to_landmarks(landmarks: LandmarkList, target: ControlMesh, source: ControlMesh) -> Landmarks:
     """Convert the complete landmarks and curves of a list."""
     items = landmarks.complete_landmarks
-    converted = Landmarks.of_points(
+    return Landmarks.of_points(
         tuple(item.name for item in items),
         cage_points([item.target for item in items if item.target]),
         cage_points([item.source for item in items if item.source]),
         target.name,
         source.name,
+        landmarks.curves,
     )
-    return converted if landmarks.curves is None else replace(converted, curves=landmarks.curves)
 
 
-def _has_points_between_vertices(curves: Curves) -> bool:
-    return any(bool((side.points.vertices < 0).any()) for side in (curves.target, curves.source))
-
-
-def _named_points(landmarks: Landmarks, points: CagePoints, curves: CageCurves, control: ControlMesh) -> NamedPoints:
+def _named_points(
+    landmarks: Landmarks, points: CagePoints, curves: list[Curve[CagePoints]], control: ControlMesh
+) -> NamedPoints:
     """Landmarks and curves of one model."""
     vertices = points.vertices
     positions = np.where(vertices[:, None] >= 0, np.nan, points.of(control.positions))
     named_curves = tuple(
-        NamedCurve(name, line.vertices, line.of(control.positions), bool(closed))
-        for k, (name, closed) in enumerate(zip(landmarks.curves.names, curves.closed, strict=True))
-        for line in (curves.at([k]).points,)
+        NamedCurve(pair.name, curve.points.vertices, curve.points.of(control.positions), curve.closed)
+        for pair, curve in zip(landmarks.curves, curves, strict=True)
     )
     return NamedPoints(landmarks.names, vertices, positions, control.name, named_curves)
 

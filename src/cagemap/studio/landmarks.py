@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from cagemap.mesh.curves import Curves
+from cagemap.mesh.curves import CageCurvePairs
 from cagemap.mesh.landmarks import Landmarks
 
 Side = Literal["target", "source"]
@@ -81,14 +81,14 @@ class LandmarkList:
     Attributes
     ----------
     items : tuple of Landmark
-    curves : Curves or None
+    curves : tuple of CurvePair
         Curves of the landmark file; used and saved again unchanged.
     unused_landmarks : Landmarks or None
         Pairs and curves on parts that are not open, with the files' vertex numbers; saved again unchanged.
     """
 
     items: tuple[Landmark, ...] = ()
-    curves: Curves | None = None
+    curves: CageCurvePairs = ()
     unused_landmarks: Landmarks | None = None
 
     def __len__(self) -> int:
@@ -102,7 +102,7 @@ class LandmarkList:
     @property
     def has_constraints(self) -> bool:
         """Whether a map has complete landmarks or curves to follow."""
-        return bool(self.complete_landmarks) or self.curves is not None
+        return bool(self.complete_landmarks or self.curves)
 
     @property
     def constraints(self) -> tuple[object, ...]:
@@ -215,16 +215,16 @@ def keep_unused_landmarks(landmarks: LandmarkList, before: LandmarkList) -> Land
     """
     new = Landmarks.none() if landmarks.unused_landmarks is None else landmarks.unused_landmarks
     old = Landmarks.none() if before.unused_landmarks is None else before.unused_landmarks
-    pairs = Landmarks.none() if len(new) else replace(old, curves=Curves.none())
-    curves = Curves.none() if len(new.curves) else old.curves
-    used_curves = landmarks.curves or Curves.none()
+    pairs = Landmarks.none() if len(new) else old
+    curves = () if new.curves else old.curves
     pairs = replace(pairs, names=_distinct_names(pairs.names, (item.name for item in landmarks.items)))
-    curves = replace(curves, names=_distinct_names(curves.names, (*used_curves.names, *new.curves.names)))
+    names = _distinct_names([pair.name for pair in curves], [pair.name for pair in landmarks.curves + new.curves])
+    curves = tuple(replace(pair, name=name) for pair, name in zip(curves, names, strict=True))
     joined = new.joined_with(replace(pairs, curves=curves))
     return replace(landmarks, unused_landmarks=joined if len(joined) + len(joined.curves) else None)
 
 
-def _distinct_names(names: tuple[str, ...], other_names: Iterable[str]) -> tuple[str, ...]:
+def _distinct_names(names: Sequence[str], other_names: Iterable[str]) -> tuple[str, ...]:
     """Names with a number appended to those among the other names."""
     others = set(other_names)
     used = others | set(names)

@@ -43,6 +43,11 @@ class Polyline:
         return np.asarray(0.5 * (after + np.roll(after, 1)))
 
     @property
+    def point_shares(self) -> FloatArray:
+        """(m,) share of the length that every point stands for, sum 1."""
+        return self.point_lengths / self.length
+
+    @property
     def length(self) -> float:
         """Sum of the lengths of all segments."""
         return float(self.point_lengths.sum())

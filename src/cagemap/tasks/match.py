@@ -254,7 +254,7 @@ def read_given_landmarks(
     more, more_notes = _read_pairs(request.curves, request)
     if len(more):
         raise ParameterError(f"--curves: expected curves alone, got landmarks in {request.curves}. Give --landmarks.")
-    return replace(landmarks, curves=landmarks.curves.joined_with(more.curves)), (*notes, *more_notes)
+    return replace(landmarks, curves=landmarks.curves + more.curves), (*notes, *more_notes)
 
 
 def _read_pairs(path: Path, request: MatchRequest) -> tuple[Landmarks, tuple[str, ...]]:

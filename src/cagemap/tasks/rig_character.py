@@ -30,7 +30,7 @@ from cagemap.files.usd.stages import USD_SUFFIXES, is_usd, usd_modules
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import CagePoints, NamedPoints, on_cage
-from cagemap.mesh.curves import Curves
+from cagemap.mesh.curves import Curve, CurvePair
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -196,14 +196,17 @@ def _landmarks(request: RigRequest, bodies: tuple[Part, Part], characters: tuple
     check_landmarks(given, *meshes)
     files = request.body, request.like
     places = [character_positions(*side) for side in zip(files, meshes, characters, strict=True)]
-    given_points, given_curves = (given.target_points, given.source_points), (given.curves.target, given.curves.source)
-    points = [points_on_body(*side) for side in zip(given_points, places, bodies, strict=True)]
-    curves = [
-        replace(one, points=points_on_body(one.points, place, body))
-        for one, place, body in zip(given_curves, places, bodies, strict=True)
-    ]
-    landmarks = Landmarks.of_points(given.names, points[0], points[1], given.target_name, given.source_name)
-    return replace(landmarks, curves=Curves(given.curves.names, curves[0], curves[1]))
+
+    def on_bodies(target: CagePoints, source: CagePoints) -> list[CagePoints]:
+        return [points_on_body(*side) for side in zip((target, source), places, bodies, strict=True)]
+
+    points = on_bodies(given.target_points, given.source_points)
+    curves = []
+    for pair in given.curves:
+        target, source = on_bodies(*pair.points)
+        curves.append(CurvePair(pair.name, Curve(target, pair.target.closed), Curve(source, pair.source.closed)))
+    names = given.target_name, given.source_name
+    return Landmarks.of_points(given.names, points[0], points[1], *names, tuple(curves))
 
 
 def points_on_body(points: CagePoints, places: FloatArray, body: Part) -> CagePoints:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from cagemap.errors import FormatError
@@ -58,11 +56,11 @@ def suggested_landmarks(result: MatchResult, count: int) -> Landmarks:
     partners = nearest_free_vertices(places, images[chosen], partnered)
     taken = set(result.landmarks.names)
     free = [name for i in range(1, count + len(taken) + 1) if (name := f"suggested {i}") not in taken]
-    more = Landmarks.of_points(
+    return Landmarks.of_points(
         (*result.landmarks.names, *free[:count]),
         CagePoints.joined((pairs.target_points, CagePoints.of_vertices(chosen))),
         CagePoints.joined((pairs.source_points, CagePoints.of_vertices(partners))),
         result.target.control.name,
         result.source.control.name,
+        pairs.curves,
     )
-    return replace(more, curves=pairs.curves)

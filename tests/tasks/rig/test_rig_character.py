@@ -201,12 +201,13 @@ def test_landmarks_between_vertices_and_curves_are_used(files: Character) -> Non
     landmarks = _landmarks(
         RigRequest(Path("B.glb"), Path("C.glb"), Path("O.glb"), Path("L.json")), parts, (target, source)
     )
-    assert (landmarks.names, landmarks.curves.names) == (("spot",), ("rim",))
-    sides = (landmarks.target_points, landmarks.curves.target), (landmarks.source_points, landmarks.curves.source)
-    for (points, curves), part, mesh, corner in zip(sides, parts, meshes, corners, strict=True):
+    (rim,) = landmarks.curves
+    assert (landmarks.names, rim.name) == (("spot",), "rim")
+    sides = (landmarks.target_points, rim.target), (landmarks.source_points, rim.source)
+    for (points, curve), part, mesh, corner in zip(sides, parts, meshes, corners, strict=True):
         places = mesh.positions[corner]
         np.testing.assert_allclose(points.of(part.mesh.positions)[0], np.array(weights) @ places, atol=1e-6)
-        np.testing.assert_allclose(curves.points.of(part.mesh.positions), places[:2], atol=1e-6)
+        np.testing.assert_allclose(curve.points.of(part.mesh.positions), places[:2], atol=1e-6)
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ import numpy as np
 from cagemap.errors import FormatError, InvalidLandmarksError
 from cagemap.files.text import whole_characters
 from cagemap.mesh.cage_points import NamedCurve
-from cagemap.mesh.curves import CageCurves, Curves, chain_of_edges
+from cagemap.mesh.curves import CageCurvePairs, Curve, CurvePair, chain_of_edges
 from cagemap.numerics.arrays import IndexArray, shown
 
 FORM = '{"name": "lips", "source": [3, 4, 9], "target": [7, 8, 2], "closed": true}'
@@ -25,31 +25,31 @@ MESH_FORM = '{"name": "lips", "vertices": [3, 4, 9], "closed": true}'
 _LARGEST = 2**62
 
 
-def pair_curves(path: Path, items: Any) -> Curves:
+def pair_curves(path: Path, items: Any) -> CageCurvePairs:
     """Curves of a landmark file with pairs of two meshes."""
-    names, sides, closed = [], {"target": [], "source": []}, {"target": [], "source": []}  # type: ignore[var-annotated]
+    curves = []
     for number, item in enumerate(_require_list(path, items, FORM)):
         name, entry = _require_entry(path, number, item, FORM)
-        names.append(name)
-        for side, chains in sides.items():
-            chain, loop = _chain(path, name, side, entry.get(side), entry.get("closed"), FORM)
-            chains.append(chain)
-            closed[side].append(loop)
-    return Curves(tuple(names), *(CageCurves.of_vertices(sides[side], closed[side]) for side in ("target", "source")))
+        target, source = (
+            Curve.of_vertices(*_chain(path, name, side, entry.get(side), entry.get("closed"), FORM))
+            for side in ("target", "source")
+        )
+        curves.append(CurvePair(name, target, source))
+    return tuple(curves)
 
 
-def pair_entries(path: str | Path, curves: Curves) -> list[str]:
+def pair_entries(path: str | Path, curves: CageCurvePairs) -> list[str]:
     """Entries of curves as JSON, as `pair_curves` reads them."""
     entries = []
-    for i, name in enumerate(curves.names):
-        chains = [side.at([i]).points.vertices for side in (curves.source, curves.target)]
-        if any((chain < 0).any() for chain in chains):
+    for pair in curves:
+        target, source = (side.vertices.tolist() for side in pair.points)
+        if min(target + source, default=0) < 0:
             raise FormatError(
-                f"{path}: expected curves of control vertices, got '{name}' with points between them. "
+                f"{path}: expected curves of control vertices, got '{pair.name}' with points between them. "
                 "Write a file of points for each mesh instead."
             )
-        shown = {"name": name, "source": chains[0].tolist(), "target": chains[1].tolist()}
-        entries.append(json.dumps(shown | {"closed": bool(curves.target.closed[i])}, ensure_ascii=False))
+        entry = {"name": pair.name, "source": source, "target": target, "closed": pair.target.closed}
+        entries.append(json.dumps(entry, ensure_ascii=False))
     return entries
 
 

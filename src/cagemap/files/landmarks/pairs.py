@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unicodedata import normalize
@@ -63,14 +62,14 @@ def read_landmarks(path: str | Path, target: str | Path, source: str | Path) -> 
 def parse_landmarks(file: Path, data: dict[str, Any]) -> Landmarks:
     """Landmarks from the parsed JSON of a landmark file."""
     pairs = [_pair(file, number, item) for number, item in enumerate(data.get("pairs", []))]
-    landmarks = Landmarks.of_points(
+    return Landmarks.of_points(
         tuple(name for name, _, _ in pairs),
         _points([target for _, target, _ in pairs]),
         _points([source for _, _, source in pairs]),
         _mesh_name(file, data, "target"),
         _mesh_name(file, data, "source"),
+        pair_curves(file, data.get("curves", [])),
     )
-    return replace(landmarks, curves=pair_curves(file, data.get("curves", [])))
 
 
 def format_pairs(landmarks: Landmarks) -> list[str]:

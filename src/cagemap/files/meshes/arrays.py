@@ -14,9 +14,10 @@ from cagemap.errors import FormatError, InvalidMeshError
 from cagemap.files.npz import ArraySpec, check_arrays, check_offsets, lie_in_triangles
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import SEVERAL, require_valid
-from cagemap.mesh.curves import CageCurves, Curves
+from cagemap.mesh.curves import CageCurvePairs, Curve, CurvePair
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.mesh.schemes import SCHEMES, Scheme, scheme_name
+from cagemap.numerics.arrays import offsets_of
 
 # Letters of sizes: c vertices, f faces, q face corners, t texture vertices, m materials.
 CONTROL_FORMS = {
@@ -111,25 +112,28 @@ def points_from_arrays(path: Path, arrays: Mapping[str, Any], prefix: str, remed
     return CagePoints(corners, weights)
 
 
-def curves_to_arrays(curves: Curves) -> dict[str, Any]:
-    """Arrays of curves; empty if there are none."""
+def curves_to_arrays(curves: CageCurvePairs) -> dict[str, Any]:
+    """Arrays of curves, one after the other; empty if there are none."""
     arrays: dict[str, Any] = {}
-    for side, lines in (("target", curves.target), ("source", curves.source)) if len(curves) else ():
-        parts = {"corners": lines.points.corners, "weights": lines.points.weights, "starts": lines.starts}
-        parts["closed"] = lines.closed.astype(np.int64)
+    for side in ("target", "source") if curves else ():
+        lines: list[Curve[CagePoints]] = [getattr(pair, side) for pair in curves]
+        points = CagePoints.joined([line.points for line in lines])
+        parts = {"corners": points.corners, "weights": points.weights}
+        parts["starts"] = offsets_of([len(line.points) for line in lines])
+        parts["closed"] = np.array([line.closed for line in lines], dtype=np.int64)
         arrays |= {f"{side}_curve_{name}": array for name, array in parts.items()}
     return arrays
 
 
 def curves_from_arrays(
     path: Path, arrays: Mapping[str, Any], names: Sequence[str], vertices: tuple[int, int], remedy: str
-) -> Curves:
+) -> CageCurvePairs:
     """Curves from the arrays of `curves_to_arrays`.
 
     ``vertices``: numbers of control vertices of target and source.
     """
     if not names:
-        return Curves.none()
+        return ()
     sides = []
     for side, count in zip(("target", "source"), vertices, strict=True):
         prefix = f"{side}_curve_"
@@ -145,8 +149,10 @@ def curves_from_arrays(
         check_offsets(path, f"{prefix}starts", starts, len(checked[f"{prefix}corners"]), remedy)
         if points is None or np.any(np.diff(starts) < 2):
             raise FormatError(f"{path}: {prefix}starts leave curves of fewer than two points. {remedy}")
-        sides.append(CageCurves(points, starts, checked[f"{prefix}closed"] == 1))
-    return Curves(tuple(names), sides[0], sides[1])
+        closed = (checked[f"{prefix}closed"] == 1).tolist()
+        rows = map(np.arange, starts[:-1], starts[1:])
+        sides.append([Curve(points.at(own), loop) for own, loop in zip(rows, closed, strict=True)])
+    return tuple(map(CurvePair, names, *sides))
 
 
 def scheme_to_entry(scheme: Scheme) -> dict[str, Any]:

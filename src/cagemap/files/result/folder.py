@@ -5,7 +5,7 @@ It has everything for transfers and reports; these compute no map and read no in
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -174,7 +174,7 @@ def read_result(folder: str | Path) -> MatchResult:
     counts = target.control.n_vertices, source.control.n_vertices
     curves = curves_from_arrays(root / ARRAYS, stored, [curve.name for curve in record.curves], counts, REMEDY)
     landmarks = stored_landmarks(
-        record.landmark_names, (sides[0].points, sides[1].points), (sides[0].name, sides[1].name)
+        record.landmark_names, (sides[0].points, sides[1].points), (sides[0].name, sides[1].name), curves
     )
     check = stored_check(record.landmark_check, arrays["landmark_errors"])
     other_answers = arrays.get("runner_up_images", np.zeros((0, 0, 3)))
@@ -182,7 +182,7 @@ def read_result(folder: str | Path) -> MatchResult:
     return MatchResult(
         target,
         source,
-        replace(landmarks, curves=curves),
+        landmarks,
         point_map,
         stored_quality(record.quality, check, arrays["landmark_errors"], arrays["trust"]),
         {stage: seconds or 0.0 for stage, seconds in record.timings.items()},

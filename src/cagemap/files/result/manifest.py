@@ -40,6 +40,7 @@ from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.curves import CageCurvePairs
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.mesh_report import FileVertex
 from cagemap.numerics.arrays import FloatArray
@@ -217,10 +218,12 @@ def stored_basis(record: BasisRecord | None, count: int | None) -> BasisConfig:
     )
 
 
-def stored_landmarks(names: list[str], points: tuple[CagePoints, CagePoints], meshes: tuple[str, str]) -> Landmarks:
-    """Landmarks at points of both meshes; numbered if they have no names."""
-    titles = tuple(names) or tuple(f"pair {i}" for i in range(len(points[0].corners)))
-    return Landmarks.of_points(titles, *points, *meshes)
+def stored_landmarks(
+    names: list[str], points: tuple[CagePoints, CagePoints], meshes: tuple[str, str], curves: CageCurvePairs
+) -> Landmarks:
+    """Landmarks at points of both meshes, numbered if they have no names, and curves."""
+    titles = tuple(names) or tuple(f"pair {i}" for i in range(len(points[0])))
+    return Landmarks.of_points(titles, *points, *meshes, curves)
 
 
 def stored_check(record: LandmarkCheckRecord | None, errors: FloatArray) -> LandmarkCheck:

@@ -19,8 +19,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality, unshared_warnings
 from cagemap.maps.result import MatchResult, SpectralMap
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.curves import Curves
-from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.spectral import Surface
@@ -61,15 +60,13 @@ def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> M
         barycentric[target_rows.vertices] = part.barycentric
     point_map = PointMap.from_arrays(target_surface, source_surface, triangle, barycentric)
     landmarks, check = _merged_landmarks(parts), _merged_checks(parts)
-    trusted = check.trusted(landmarks)
     masks = Masks(
         _merged_mask([part.masks.target for part in parts], target_numbers),
         _merged_mask([part.masks.source for part in parts], source_numbers),
     )
     shared = _merged_shared(parts, (target_numbers, source_numbers))
-    quality = measure_quality(
-        point_map, point_pairs(target, source, trusted), trusted.names, masks=masks.within(shared)
-    )
+    trusted = point_pairs(target, source, check.trusted(landmarks))
+    quality = measure_quality(point_map, trusted, masks=masks.within(shared))
     apart = () if shared is None else unshared_warnings(*shared.shares(target_surface, source_surface))
     kept = [text for part in parts for text in part.quality.match_warnings]
     trust = np.empty(target_surface.n)
@@ -122,27 +119,11 @@ def _merged_shared(
 
 
 def _merged_landmarks(parts: Sequence[MatchResult]) -> Landmarks:
-    """Landmarks of all parts, numbered on the merged meshes."""
-    sides = []
-    for side in ("target", "source"):
-        counts = [getattr(part, side).control.n_vertices for part in parts]
-        points = [getattr(part.landmarks, f"{side}_points") for part in parts]
-        starts = np.cumsum([0, *counts[:-1]])
-        corners = [cage_points.corners + start for cage_points, start in zip(points, starts, strict=True)]
-        sides.append(
-            CagePoints(np.concatenate(corners), np.concatenate([cage_points.weights for cage_points in points]))
-        )
-    names = tuple(name for part in parts for name in part.landmarks.names)
-    first = parts[0].landmarks
-    landmarks = Landmarks.of_points(names, sides[0], sides[1], first.target_name, first.source_name)
-    return replace(landmarks, curves=_merged_curves(parts))
-
-
-def _merged_curves(parts: Sequence[MatchResult]) -> Curves:
-    """Curves of all parts, numbered on the merged meshes."""
-    merged, starts = Curves.none(), [0, 0]
+    """Landmarks and curves of all parts, numbered on the merged meshes."""
+    merged, starts = Landmarks.none(), [0, 0]
     for part in parts:
-        merged = merged.joined_with(part.landmarks.curves.renumbered(*(partial(np.add, start) for start in starts)))
+        own = part.landmarks.renumbered(*(partial(np.add, start) for start in starts))
+        merged = own if part is parts[0] else merged.joined_with(own)
         starts = [starts[0] + part.target.control.n_vertices, starts[1] + part.source.control.n_vertices]
     return merged
 

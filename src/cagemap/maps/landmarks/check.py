@@ -131,12 +131,12 @@ class LandmarkCheck:
         }
 
 
-def landmark_outliers(problem: Problem, names: Sequence[str], progress: Progress) -> tuple[dict[int, str], list[str]]:
+def landmark_outliers(problem: Problem, progress: Progress) -> tuple[dict[int, str], list[str]]:
     """Indices of the pairs to leave out with the evidence, and notes about others.
 
     A suspect is left out only if a coarse fit without it is much cheaper.
     """
-    count, config = len(names), problem.prepared.elastic.landmarks
+    count, config = len(problem.landmarks), problem.prepared.elastic.landmarks
     if count < config.fewest_judged:
         note = f"{count} landmark pairs are too few to tell a wrong one; {config.fewest_judged} or more are checked"
         return {}, [note]
@@ -145,21 +145,22 @@ def landmark_outliers(problem: Problem, names: Sequence[str], progress: Progress
     if suspected is None:
         return {}, [CONTRADICTION]
     if suspected and has_merged_parts(problem):
-        return {}, [kept_note(suspected, names, EXTRA_HANDLES)]
+        return {}, [kept_note(problem, suspected, EXTRA_HANDLES)]
     if suspected:
         progress("map without doubtful landmarks")
         costs = coarse_map_cost(problem), coarse_map_cost(problem.without(suspected))
         min_cost_ratios = {DISTANCES: config.slip_by_distances, SIDES: config.slip_by_sides}
         if costs[0] < max(min_cost_ratios[evidence] for evidence in suspected.values()) * costs[1]:
-            return {}, [kept_note(suspected, names, NO_BETTER)]
+            return {}, [kept_note(problem, suspected, NO_BETTER)]
     return suspected, []
 
 
 def check_on_map(
-    problem: Problem, names: Sequence[str], point_map: PointMap, outliers: dict[int, str], notes: Sequence[str]
+    problem: Problem, point_map: PointMap, outliers: dict[int, str], notes: Sequence[str]
 ) -> LandmarkCheck:
     """Check of all landmarks, by a map without the outliers: their distances from it, and the strain of the others."""
-    count, config = len(names), problem.prepared.elastic.landmarks
+    names, config = problem.landmarks.names, problem.prepared.elastic.landmarks
+    count = len(names)
     if count < config.fewest_judged:
         return LandmarkCheck(notes=tuple(notes))
     trusted, kept = problem.without(outliers), np.setdiff1d(np.arange(count), list(outliers))
@@ -177,7 +178,7 @@ def check_on_map(
                 f"move by about {100 * strains[kept[strained]]:.0f} % of the model's size. It was kept; if it is a "
                 "mistake, correct it"
             )
-    suspects = tuple(_suspect(problem, point_map, names, i, outliers[i]) for i in sorted(outliers))
+    suspects = tuple(_suspect(problem, point_map, i, outliers[i]) for i in sorted(outliers))
     return LandmarkCheck(suspects, (*notes, *strain_notes), strains)
 
 
@@ -218,9 +219,9 @@ def large_handles(mesh: ControlMesh, config: LandmarkConfig) -> int:
     return handle_count(mesh) - max(handle_count(mesh, label_cells(mesh, size, offset)) for offset in OFFSETS)
 
 
-def kept_note(suspected: dict[int, str], names: Sequence[str], why: str) -> str:
+def kept_note(problem: Problem, suspected: dict[int, str], why: str) -> str:
     """Note about suspected pairs that were kept, and why."""
-    listed = ", ".join(f"'{names[i]}'" for i in sorted(suspected))
+    listed = ", ".join(f"'{problem.landmarks.names[i]}'" for i in sorted(suspected))
     kept = f"{why}, so all were kept"
     if SIDES in suspected.values():
         return (
@@ -235,7 +236,6 @@ def kept_note(suspected: dict[int, str], names: Sequence[str], why: str) -> str:
 
 def check_changes(
     problem: Problem,
-    names: Sequence[str],
     changed: IndexArray,
     check: LandmarkCheck,
     before: PointMap,
@@ -254,9 +254,9 @@ def check_changes(
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
     wrong = {int(kept[i]): evidence for i, evidence in suspected.items() if kept[i] in changed}
     if wrong and has_merged_parts(problem):
-        return replace(check, notes=tuple(dict.fromkeys((*check.notes, kept_note(wrong, names, EXTRA_HANDLES)))))
+        return replace(check, notes=tuple(dict.fromkeys((*check.notes, kept_note(problem, wrong, EXTRA_HANDLES)))))
     contradicted = [i for i in sorted(wrong) if landmark_miss(problem, before, i)[0] >= config.max_confirmed_miss]
-    new = tuple(_suspect(problem, before, names, i, wrong[i]) for i in contradicted)
+    new = tuple(_suspect(problem, before, i, wrong[i]) for i in contradicted)
     return replace(check, suspects=tuple(sorted((*check.suspects, *new), key=lambda suspect: suspect.pair)))
 
 
@@ -271,12 +271,13 @@ def foreign_warnings(folded: float, count: int, left_out: int) -> tuple[str, ...
     )
 
 
-def _suspect(problem: Problem, found: PointMap, names: Sequence[str], pair: int, evidence: str) -> LandmarkSuspect:
+def _suspect(problem: Problem, found: PointMap, pair: int, evidence: str) -> LandmarkSuspect:
     """Suspect for a pair that was left out of a map."""
-    source, (distance, nearest) = problem.prepared.source, landmark_miss(problem, found, pair)
-    given = nearest_control_vertex(source, problem.landmarks.source.positions[pair])
+    source, landmarks = problem.prepared.source, problem.landmarks
+    distance, nearest = landmark_miss(problem, found, pair)
+    given = nearest_control_vertex(source, landmarks.source.positions[pair])
     in_file = source.control.file_vertex
-    return LandmarkSuspect(names[pair], pair, distance, in_file(nearest), in_file(given), evidence)
+    return LandmarkSuspect(landmarks.names[pair], pair, distance, in_file(nearest), in_file(given), evidence)
 
 
 def landmark_miss(problem: Problem, point_map: PointMap, landmark: int) -> tuple[float, int]:

@@ -8,8 +8,10 @@ import numpy as np
 
 from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.meshes.formats import MESH_SUFFIXES
+from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.curves import Curve
 from cagemap.mesh.schemes import SCHEMES
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, offsets_of
 from cagemap.pictures.colors import distinct_colors
 from cagemap.studio.downloads import ARCHIVE_NAME, archive_name, textured_model_name
 from cagemap.studio.finish_layout import FOLDER_SUFFIX, in_page_words
@@ -61,7 +63,7 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "landmarks": [] if scene is None else _landmark_entries(state, scene),
         "probe": None if scene is None or state.probe is None else _probe_entry(state.probe, scene),
         "count": len(present.complete_landmarks),
-        "curves": 0 if present.curves is None else len(present.curves),
+        "curves": len(present.curves),
         "selected": state.selected,
         "proposal": state.proposal is not None,
         "undo": len(state.history.past),
@@ -88,18 +90,19 @@ def _capitalized(text: str) -> str:
 def line_drawing(state: StudioState, scene: Scene, side: Side, *, cage: bool) -> bytes:
     """The control mesh's edges, or the curves on the model, as binary glTF."""
     shape = scene.shape(side)
-    curves = state.history.present.curves
+    curves: list[Curve[CagePoints]] = [getattr(pair, side) for pair in state.history.present.curves]
     if cage:
         ends = shape.to_view(shape.edges).reshape(-1, 3)
         colors = np.tile(_CAGE_COLOR, (len(ends), 1))
         return pack_glb([_segments("cage", ends, np.arange(len(ends)).reshape(-1, 2), colors)])
-    if curves is None:
+    if not curves:
         return pack_glb([])
-    side_curves = curves.target if side == "target" else curves.source
-    vertices = side_curves.points.vertices
+    vertices = np.concatenate([curve.points.vertices for curve in curves])
+    counts = [len(curve.points) for curve in curves]
+    segments = [curve.segments + start for curve, start in zip(curves, offsets_of(counts)[:-1], strict=True)]
     points = shape.positions[vertices] + _LINE_HEIGHT * shape.radius * shape.normals[vertices]
-    colors = _COLORS[side_curves.curve_of % len(_COLORS)]
-    return pack_glb([_segments("curves", shape.to_view(points), side_curves.segments, colors)])
+    colors = _COLORS[np.repeat(np.arange(len(curves)), counts) % len(_COLORS)]
+    return pack_glb([_segments("curves", shape.to_view(points), np.vstack(segments), colors)])
 
 
 def _segments(name: str, points: FloatArray, ends: Any, colors: FloatArray) -> MeshPart:
