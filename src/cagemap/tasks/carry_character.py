@@ -92,6 +92,11 @@ def carry_character(
     rig, animations = None, source.animations  # without a skeleton, those of blend shapes
     if source.rig is not None:
         stages("skeleton and animations")
+        if weights is None:
+            notes.append(
+                f"{source_body.name} has no weights, so the body does not move with the skeleton: export the character "
+                "with the skin of its body, or name the part that has it as the body"
+            )
         rig = carry_rig(result.point_map, source.rig)
         animations, posed_otherwise = retarget_all(source.animations, source.rig, rig)
         if posed_otherwise:

@@ -226,6 +226,16 @@ def test_a_loose_piece_of_the_body_is_said_to_be_carried_along(run: Run, files: 
     assert ", 1 animation\n" in outcome.out
 
 
+@pytest.mark.slow
+def test_a_character_whose_body_has_no_weights_is_named(run: Run, files: Character) -> None:
+    """Of an FBX file the clothes may be skinned and the body not."""
+    bare, *others = files.parts
+    write_character(Path("C.glb"), replace(files, parts=(replace(bare, weights=None), *others)))
+    outcome = run("rig", "B.glb", "--like", "C.glb", "-o", "OUT.glb")
+    assert outcome.code == 0
+    assert f"{bare.name} has no weights, so the body does not move with the skeleton" in outcome.err
+
+
 def test_a_loose_piece_keeps_what_its_vertices_and_corners_have(body: ControlMesh) -> None:
     button = ball("button", body.positions[np.argmax(body.positions[:, 2])] + [0, 0, 0.3], 0.1)
     mesh = join_meshes([replace(one, face_objects=None, object_names=()) for one in (body, button)])
