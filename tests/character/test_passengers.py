@@ -10,6 +10,7 @@ import pytest
 from examples.shapes import cube, icosahedron, torus
 from scipy.spatial.transform import Rotation
 
+from cagemap.character.body_frames import BodyFrames, FrameConfig
 from cagemap.character.passengers import carry_passenger, carry_passengers
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
@@ -123,6 +124,16 @@ def test_what_was_outside_stays_outside(body: ControlMesh) -> None:
         assert before.min() > 0
         assert after.min() > 0
         assert np.median(after / before) == pytest.approx(1.0, abs=0.2)
+
+
+def test_frames_do_not_stretch_where_the_map_collapses(body: ControlMesh) -> None:
+    """A character's feet may be pieces of their own: the feet of the target are then on the edge of its legs."""
+    stub, triangles = body.positions.copy(), cage_triangles(body)[0]
+    stub[:, 0] = np.where(stub[:, 0] > 0.5, 0.5 + 0.01 * (stub[:, 0] - 0.5), stub[:, 0])
+    target = surface(body.positions, triangles)
+    point_map = PointMap.from_vertices(target, surface(stub, triangles), np.arange(target.n))
+    matrices = BodyFrames(point_map, FrameConfig(smoothing_rounds=0)).matrices
+    assert np.linalg.norm(matrices, 2, axis=(1, 2)).max() <= FrameConfig().max_stretch
 
 
 def test_layers_keep_their_order(body: ControlMesh) -> None:

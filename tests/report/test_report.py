@@ -131,6 +131,11 @@ def test_without_a_texture_material_colours_are_shown_and_without_those_a_checke
     bare = replace(result.source.control, face_materials=None, material_colors=None)
     plain = result.source.with_control(bare)
     assert draw_gallery(replace(result, source=plain), size=SIZE).appearance == "checker"
+    # Materials with images alone, as those of most GLB files, have no colours.
+    textured = replace(
+        result.source.control, material_colors=np.full_like(result.source.control.material_colors, np.nan)
+    )
+    assert draw_gallery(replace(result, source=result.source.with_control(textured)), size=SIZE).appearance == "checker"
     # One colour all over shows nothing.
     white = replace(result.source.control, material_colors=np.ones_like(result.source.control.material_colors))
     assert draw_gallery(replace(result, source=result.source.with_control(white)), size=SIZE).appearance == "checker"

@@ -100,9 +100,11 @@ def test_first_look_is_the_texture_else_materials_else_the_checker(result: Match
     described, content = opened(models, result)
     colors = unpacked(described["sides"][SOURCE]["key_colors"], content)
     assert len(np.unique(colors.round(2), axis=0)) == 2  # red and grey, and nothing between them
-    bare = replace(result.source.control, face_materials=None, material_colors=None)
-    plain = replace(result, source=result.source.with_control(bare))
-    assert report_models(plain, choose_viewpoints(plain)).looks[0].name == "Checker"
+    control = result.source.control
+    textured = replace(control, material_colors=np.full_like(control.material_colors, np.nan))  # by images alone
+    for bare in (replace(control, face_materials=None, material_colors=None), textured):
+        plain = replace(result, source=result.source.with_control(bare))
+        assert report_models(plain, choose_viewpoints(plain)).looks[0].name == "Checker"
 
 
 def test_masks_weights_and_shapes_are_there_where_they_are_known(result: MatchResult) -> None:

@@ -78,6 +78,18 @@ def test_the_preview_maps_and_follows_landmarks(opened: tuple[PreviewCache, Open
     np.testing.assert_allclose(back.position, scene.target.positions[0], atol=0.3)
 
 
+def test_an_image_that_a_source_lacks_is_named_on_the_page(tmp_path: Path) -> None:
+    for name in ("a.obj", "b.obj"):
+        write_mesh(tmp_path / name, unwrapped_cube())
+    text = (tmp_path / "b.obj").read_text()
+    (tmp_path / "b.obj").write_text("mtllib b.mtl\n" + text.replace("\nf ", "\nusemtl skin\nf ", 1))
+    (tmp_path / "b.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
+    task = OpenModels(PairFiles(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, tmp_path))
+    _, opened = run_task(None, task, lambda _: None)
+    (note,) = [note for note in opened.source.notes if "skin.png" in note]
+    assert note.startswith("b.obj: material skin: 'skin.png' is not found")
+
+
 @pytest.mark.slow
 def test_a_bake_writes_the_map_of_the_page_if_a_match_would_find_the_same(
     opened: tuple[PreviewCache, OpenModels], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

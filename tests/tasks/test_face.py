@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from cagemap.files.usd.stages import open_stage
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import Bodies, body_shapes, match_bodies
-from cagemap.tasks.face import _cut, _head_vertices, _landmarks, _on_body
+from cagemap.tasks.face import _cut, _head_vertices, _landmarks, _on_body, contact_sheet
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.face import FaceRequest
 
@@ -74,6 +75,15 @@ def shifts_of(arrays: Mapping[str, np.ndarray], number: int) -> np.ndarray:
     shifts = np.zeros((len(arrays["positions"]), 3))
     shifts[arrays["rows"][start:end]] = arrays["shifts"][start:end]
     return shifts
+
+
+def test_the_sheet_shows_the_face_wherever_it_looks() -> None:
+    kit = read_face_kit(("jawOpen",))
+    to_x = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    turned = replace(kit, mesh=kit.mesh.with_positions(kit.mesh.positions @ to_x), shapes={})
+    sides = (kit, np.eye(3)), (turned, to_x)
+    sheets = [contact_sheet(Character((part,)), part.name, [], part, turn) for part, turn in sides]
+    assert np.mean(sheets[0] != sheets[1]) < 0.01
 
 
 @pytest.mark.slow

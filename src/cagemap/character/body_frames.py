@@ -27,6 +27,7 @@ class FrameConfig(Config):
     min_distance: float = 2e-3  # smaller distances are raised to about this
     min_cosine: float = -0.3  # of the sample's normal with the closest point's normal: weight 0 here, 1 at cosine 1
     rotation_weight: float = 1e-6  # weight of the body's rotation in a frame, for neighbourhoods that form a line
+    max_stretch: float = 4.0  # of a frame. Where there is more, as on feet that the source lacks, the map is degenerate
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +138,14 @@ class BodyFrames:
             + weight * normals[:, :, None] * target_normals[:, None]
             + rotation_weight * self.rotation
         )
-        return np.asarray(np.linalg.solve(moments, covariance))
+        frames = np.linalg.solve(moments, covariance)
+        limit = self.config.max_stretch
+        degenerate = np.linalg.norm(frames, 2, axis=(1, 2)) > limit
+        left, stretches, right = np.linalg.svd(frames[degenerate])
+        # Without a jump at the limit, and without a stretch where the map collapses.
+        stretches = np.where(stretches > limit, np.maximum(1.0, limit**2 / np.maximum(stretches, limit)), stretches)
+        frames[degenerate] = (left * stretches[:, None]) @ right
+        return np.asarray(frames)
 
     def carry(self, points: FloatArray, distances: SignedDistances) -> tuple[FloatArray, FloatArray]:
         """Positions (m, 3) near the target of points near the source, and their frames (m, 3, 3)."""

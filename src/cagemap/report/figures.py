@@ -219,9 +219,7 @@ def _skins(models: _ModelPair, texture: Pixels | None, baked: Pixels | None) -> 
             return "texture", source_skin, Skin(texture=display_image(baked), corner_uvs=models.target.corner_uvs())
         return "texture", source_skin, Skin(vertex_colors=_pulled_back_texture(models, pixels))
     control = models.result.source.control
-    colors_of_faces = np.zeros((1, 3))
-    if control.face_materials is not None and control.material_colors is not None:
-        colors_of_faces = face_colors(control)
+    colors_of_faces = np.zeros((1, 3)) if control.face_colors is None else face_colors(control)
     if np.ptp(colors_of_faces, axis=0).any():  # a single colour shows nothing
         parents = models.source.face_parents[models.source.triangle_faces]
         colors = encode_srgb(colors_of_faces[parents])

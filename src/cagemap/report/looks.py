@@ -140,7 +140,7 @@ def _source_look(
             colors[TARGET] = sample_texture(pixels, uvs)[:, :3]
         return _SourceLook(Look("Texture", legend, colors[SOURCE], colors[TARGET]), keys, values)
     control = result.source.control
-    if control.face_materials is None or control.material_colors is None or source.control_faces is None:
+    if control.face_colors is None or source.control_faces is None:
         return None
     source_colors = encode_srgb(face_colors(control))
     if not np.ptp(source_colors, axis=0).any():  # a single colour shows nothing

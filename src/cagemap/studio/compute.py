@@ -34,6 +34,7 @@ from cagemap.studio.shape import refined_shape
 from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_skin
 from cagemap.studio.state import MapState
 from cagemap.studio.textures import textured
+from cagemap.studio.worker import logged_warnings
 from cagemap.subdivision import refine
 from cagemap.tasks.match import ComputedMatch
 
@@ -222,17 +223,20 @@ def run_task(
 
 
 def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, OpenedModel]:
-    """Read, check and refine both models."""
+    """Read, check and refine both models; what was logged about their files is in the source's notes."""
     progress("reading the models")
-    paths, conversions = zip(
-        *(converted_model(path, files.folder) for path in (files.target, files.source)), strict=True
-    )
-    sides = zip(paths, files.schemes, files.ups, files.parts, strict=True)
-    models = (open_model(path, scheme, up, files.vertices, part) for path, scheme, up, part in sides)
-    target, source = (
-        replace(model, notes=(*notes, *model.notes)) for notes, model in zip(conversions, models, strict=True)
-    )
-    return target, textured(source, files.texture or paths[1], files.folder, progress)
+    given = files.target, files.source
+    with logged_warnings() as logged:
+        paths, conversions = zip(*(converted_model(path, files.folder) for path in given), strict=True)
+        sides = zip(paths, files.schemes, files.ups, files.parts, strict=True)
+        models = (open_model(path, scheme, up, files.vertices, part) for path, scheme, up, part in sides)
+        target, source = (
+            replace(model, notes=(*notes, *model.notes)) for notes, model in zip(conversions, models, strict=True)
+        )
+        source = textured(source, files.texture or paths[1], files.folder, progress)
+    for path in (*given, *paths):
+        logged = [text.replace(str(path), path.name) for text in logged]
+    return target, replace(source, notes=(*source.notes, *dict.fromkeys(logged)))
 
 
 def find_map(

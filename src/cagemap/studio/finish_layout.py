@@ -247,6 +247,7 @@ PAGE_WORDS = {
     "--answer 1": "the other button above Match again",
     "`transfer --bake colors`": "Bake, Detailed mesh, Bake, colors",
     "`transfer --material-colors`": "Bake, More images, Material colours",
+    "carry with `cagemap transfer --unwrap`, which makes another layout": "give it a layout without overlaps",
     "--unwrap": "the studio does this when it bakes",
 }
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import _thread
 import gc
-import logging
 import os
 import queue
 import signal
@@ -21,7 +20,7 @@ from cagemap.errors import explain_error, use_option_names
 from cagemap.files.atomic import files_written
 from cagemap.numerics.process import set_up_process
 from cagemap.studio.finish import Command
-from cagemap.studio.worker import END_TIMEOUT, FinalResult, StageReply
+from cagemap.studio.worker import END_TIMEOUT, FinalResult, StageReply, logged_warnings
 from cagemap.tasks import runner_of
 from cagemap.tasks.progress import Stages
 
@@ -44,17 +43,6 @@ class RequestResult:
     warnings: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
     failure: str = ""
-
-
-class _WarningCollector(logging.Handler):
-    """Collects logged warnings."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.texts: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.texts.append(record.getMessage())
 
 
 class _StageSender(Stages):
@@ -87,23 +75,18 @@ def serve(connection: Connection) -> None:
 
 def run_command(command: Command, stages: Stages) -> RequestResult:
     """Run a command; return also its warnings and error."""
-    summary, failure, collector = "", "", _WarningCollector()
-    log = logging.getLogger("cagemap")
-    log.addHandler(collector)
-    try:
-        with files_written() as files:
-            try:
-                # `runner_of` loads libraries here, where it can be interrupted
-                run: Callable[..., tuple[str, Any]] = runner_of(command.request)
-                computed = {} if command.computed is None else {"computed": command.computed}
-                summary, warnings = run(command.request, stages, **computed)
-                collector.texts += warnings
-            except Exception as error:
-                failure = explain_error(error)
-    finally:
-        log.removeHandler(collector)
-    texts = tuple(dict.fromkeys(map(use_option_names, collector.texts)))  # some files are read several times
-    return RequestResult(summary, texts, tuple(file.resolve() for file in files), failure)
+    summary, failure = "", ""
+    with logged_warnings() as texts, files_written() as files:
+        try:
+            # `runner_of` loads libraries here, where it can be interrupted
+            run: Callable[..., tuple[str, Any]] = runner_of(command.request)
+            computed = {} if command.computed is None else {"computed": command.computed}
+            summary, warnings = run(command.request, stages, **computed)
+            texts += warnings
+        except Exception as error:
+            failure = explain_error(error)
+    distinct = tuple(dict.fromkeys(map(use_option_names, texts)))  # some files are read several times
+    return RequestResult(summary, distinct, tuple(file.resolve() for file in files), failure)
 
 
 def _listen(connection: Connection, commands: queue.SimpleQueue[Command]) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import multiprocessing
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -63,6 +64,19 @@ class FinalResult:
 
 class _CancelledError(Exception):
     """The task was cancelled."""
+
+
+@contextlib.contextmanager
+def logged_warnings() -> Iterator[list[str]]:
+    """A list that receives the warnings logged meanwhile."""
+    texts: list[str] = []
+    handler, log = logging.Handler(logging.WARNING), logging.getLogger("cagemap")
+    handler.emit = lambda record: texts.append(record.getMessage())  # type: ignore[method-assign]
+    log.addHandler(handler)
+    try:
+        yield texts
+    finally:
+        log.removeHandler(handler)
 
 
 class Worker:

@@ -29,6 +29,9 @@ from cagemap.tasks.progress import Stages
 
 # Least number of finest vertices of a body that is subdivided; plain meshes are not.
 BODY_VERTICES = 100_000
+# Least extent of the piece that is matched, of its body's: 0.25 if the body is missing under the clothes, 0.77 and more
+# if it is whole (docs/lab/characters.md).
+_MIN_PIECE_EXTENT = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +92,11 @@ def carry_character(
     rig, animations = None, source.animations  # without a skeleton, those of blend shapes
     if source.rig is not None:
         stages("skeleton and animations")
+        if weights is None:
+            notes.append(
+                f"{source_body.name} has no weights, so the body does not move with the skeleton: export the character "
+                "with the skin of its body, or name the part that has it as the body"
+            )
         rig = carry_rig(result.point_map, source.rig)
         animations, posed_otherwise = retarget_all(source.animations, source.rig, rig)
         if posed_otherwise:
@@ -126,13 +134,31 @@ class Bodies:
 
 
 def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stages) -> Bodies:
-    """Repair two parts if necessary, and match them."""
-    ready = ready_mesh(target.mesh), ready_mesh(source.mesh)
+    """Repair two parts if necessary, and match them.
+
+    Raises
+    ------
+    ParameterError
+        If a part's largest piece is only a fragment of it.
+    """
+    ready = _ready_body(target), _ready_body(source)
     landmarks = landmarks.renumbered(*(mesh.vertex_of.__getitem__ for mesh in ready))
     stages("prepare")
     levels = choose_level(ready[0].mesh, BODY_VERTICES), choose_level(ready[1].mesh, BODY_VERTICES)
     surfaces = prepare_surfaces(ready[0].mesh, ready[1].mesh, levels)
     return Bodies((target, source), ready, match(*surfaces, landmarks, progress=stages))
+
+
+def _ready_body(part: Part) -> RepairedMesh:
+    ready = ready_mesh(part.mesh)
+    extents = [float(np.linalg.norm(np.ptp(mesh.positions, axis=0))) for mesh in (ready.mesh, part.mesh)]
+    if extents[0] < _MIN_PIECE_EXTENT * extents[1]:
+        raise ParameterError(
+            f"{part.mesh.name}: expected a body in one piece, but {part.name} has {ready.repairs.pieces + 1} pieces, "
+            f"the largest spanning only {extents[0] / extents[1]:.0%} of it. If faces under the clothes were deleted, "
+            "export the whole body; or choose another part as the body."
+        )
+    return ready
 
 
 def _body_weights(bodies: Bodies, influences: int | None) -> sparse.csr_array | None:

@@ -74,7 +74,10 @@ def run_face(request: FaceRequest, stages: Stages) -> SummaryAndWarnings:
         made = character_glb(character, document)
         notes += write_character(request.output, character, made, [request.head], force=request.force)
         if request.sheet is not None:
-            write_image(request.sheet, contact_sheet(character, body.name, list(shapes), head), force=request.force)
+            turn = BodyFrames(bodies.result.point_map).rotation
+            write_image(
+                request.sheet, contact_sheet(character, body.name, list(shapes), head, turn), force=request.force
+            )
     absent = f"; there is no {ABSENT}" if request.only is None else ""
     return f"wrote {request.output}: {len(shapes)} face shapes on {body.name}{absent}", notes
 
@@ -160,12 +163,13 @@ def _on_body(shapes: dict[str, FloatArray], head: Part, body: Part) -> dict[str,
     return {name: np.where((number >= 0)[:, None], offsets[number], 0.0) for name, offsets in shapes.items()}
 
 
-def contact_sheet(character: Character, name: str, shapes: Sequence[str], head: Part) -> Image:
+def contact_sheet(character: Character, name: str, shapes: Sequence[str], head: Part, turn: FloatArray) -> Image:
     """Pictures of shapes of the part ``name``, in rows, after a picture of the face at rest.
 
     mouthClose corrects jawOpen and is shown with it.
 
-    ``head``: the part that the camera frames. Returns (h, w, 3) uint8.
+    ``head``: the part that the camera frames.
+    ``turn``: (3, 3) rotation of rows from a face with +Y up that looks to +Z. Returns (h, w, 3) uint8.
     """
     meshes = [part.mesh for part in character.parts]
     starts = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])
@@ -175,14 +179,14 @@ def contact_sheet(character: Character, name: str, shapes: Sequence[str], head: 
     rest = np.concatenate([mesh.positions for mesh in meshes])
     number = next(k for k, part in enumerate(character.parts) if part.name == name)
     part_shapes = character.parts[number].shapes
-    camera = frame(head.mesh.positions, _VIEW, aspect=1.0)
+    camera = frame(head.mesh.positions @ turn.T, _VIEW, aspect=1.0)
     cells = []
     for shape in (None, *shapes):
         places = rest.copy()
         if shape is not None:
             along = part_shapes.get("jawOpen", 0.0) if shape == "mouthClose" else 0.0
             places[starts[number] : starts[number + 1]] += part_shapes[shape] + along
-        model = Model(places, triangles)
+        model = Model(places @ turn.T, triangles)
         cells.append(render(model, Skin(), camera, width=_PIXELS, height=_PIXELS, floor=False))
     blank = np.full_like(cells[0], 255)
     cells += [blank] * (-len(cells) % min(_COLUMNS, len(cells)))

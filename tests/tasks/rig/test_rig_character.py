@@ -26,7 +26,9 @@ from cagemap.mesh.faces import face_areas, face_centres
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh
-from cagemap.tasks.carry_character import _set_aside
+from cagemap.subdivision import with_options
+from cagemap.tasks.carry_character import _set_aside, match_bodies
+from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
 from cagemap.tasks.rig_character import _kinds, _landmarks, _split_body, character_body, read_body
 
@@ -225,6 +227,16 @@ def test_a_loose_piece_of_the_body_is_said_to_be_carried_along(run: Run, files: 
     assert ", 1 animation\n" in outcome.out
 
 
+@pytest.mark.slow
+def test_a_character_whose_body_has_no_weights_is_named(run: Run, files: Character) -> None:
+    """Of an FBX file the clothes may be skinned and the body not."""
+    bare, *others = files.parts
+    write_character(Path("C.glb"), replace(files, parts=(replace(bare, weights=None), *others)))
+    outcome = run("rig", "B.glb", "--like", "C.glb", "-o", "OUT.glb")
+    assert outcome.code == 0
+    assert f"{bare.name} has no weights, so the body does not move with the skeleton" in outcome.err
+
+
 def test_a_loose_piece_keeps_what_its_vertices_and_corners_have(body: ControlMesh) -> None:
     button = ball("button", body.positions[np.argmax(body.positions[:, 2])] + [0, 0, 0.3], 0.1)
     mesh = join_meshes([replace(one, face_objects=None, object_names=()) for one in (body, button)])
@@ -239,6 +251,15 @@ def test_a_loose_piece_keeps_what_its_vertices_and_corners_have(body: ControlMes
     np.testing.assert_array_equal(piece.normals, of_corners[corners, :3])
     np.testing.assert_array_equal(piece.shape_normals["open"], of_corners[corners, 1:])
     np.testing.assert_array_equal(piece.colors, of_corners[corners])
+
+
+def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
+    """Of many characters only head and hands are there: the rest was deleted under the clothes."""
+    balls = [ball("piece", np.array([x, 0.0, 0.0]), size) for x, size in ((0.0, 0.15), (-0.9, 0.1), (0.9, 0.1))]
+    mesh = join_meshes([replace(one, face_objects=None, object_names=()) for one in balls])
+    body = Part("skin", with_options(replace(mesh, name="C.glb"), "none"))
+    with pytest.raises(ParameterError, match=r"C\.glb: .* skin has 3 pieces, the largest spanning only 2.% of it"):
+        match_bodies(body, body, Landmarks.none(), Stages())
 
 
 @pytest.mark.slow
