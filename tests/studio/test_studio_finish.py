@@ -47,7 +47,7 @@ from cagemap.studio.shape import refined_shape
 from cagemap.studio.skins import PreviewMap
 from cagemap.studio.state import Message, Output, RunningJob, add_message
 from cagemap.studio.workspace import Workspace
-from cagemap.tasks.bake_tiles import colors_remedy, doubled_target
+from cagemap.tasks.bake_tiles import colors_remedy, target_overlap_warnings
 from cagemap.tasks.detail_bakes import KINDS
 from cagemap.tasks.masks import mask_file
 from cagemap.tasks.requests.catalogue import COMMANDS, CommandOption, Key, Value, all_options
@@ -243,7 +243,7 @@ def test_messages_name_what_to_press_on_the_page_not_options_of_the_command_line
     assert in_page_words(note).endswith("there. To open another piece, press Open… and choose it under Part")
     assert "--" not in in_page_words(use_option_names(note))
     corners = np.array([(0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.1, 0.9)])
-    (overlap,) = doubled_target(cube().with_uvs(corners, np.tile(np.arange(4), 6)))
+    (overlap,) = target_overlap_warnings(cube().with_uvs(corners, np.tile(np.arange(4), 6)))
     assert in_page_words(overlap).endswith("one by one with Open…, Part, or give it a layout without overlaps")
     halves = {"face_materials": np.zeros(6, dtype=np.int64), "material_names": ("skin",)}
     for colors, label in (
