@@ -100,6 +100,16 @@ class ElasticGraph:
         return np.asarray(np.bincount(self.heads, of_edges, self.n), dtype=np.float64)
 
     @kept
+    def _known_cells(self) -> dict[tuple[int, GraphConfig], IndexArray]:
+        return {}
+
+    def cells(self, count: int, config: GraphConfig) -> IndexArray:
+        """(n,) connected grid cell in position and normal, for about ``count`` cells; computed once and kept."""
+        if (count, config) not in self._known_cells:
+            self._known_cells[count, config] = read_only(_cells(self, count, config))
+        return self._known_cells[count, config]
+
+    @kept
     def moments(self) -> sparse.csr_array:
         """(3 n, n) matrix B: row 3 i + b of B x holds ``sum_j w_ij e_ij,b (x_i - x_j)``."""
         weighted = (self.weights[:, None] * self.edges).ravel()
@@ -186,7 +196,7 @@ def cluster_graph(
     edge between two cells gets the sum of the fine edges' weights, scaled by squared lengths so that a linear function
     keeps its energy.
     """
-    cell = _cells(fine, min(count, fine.n), config)
+    cell = fine.cells(min(count, fine.n), config).copy()
     # Smallest numbers, so that np.unique puts them first, in order.
     cell[required] = -1 - np.arange(len(required))[::-1]
     _, cell = np.unique(cell, return_inverse=True)

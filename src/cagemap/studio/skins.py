@@ -25,7 +25,7 @@ DOUBTFUL_TRUST = 0.5
 # A seam lies between corners whose texture coordinates differ from the predicted step by more than this share of it.
 _SEAM_TOLERANCE = 0.6
 # Samples along a side of a triangle at a seam or material border, and of all these triangles together.
-_MIN_SAMPLES_PER_SIDE, _MAX_SAMPLES_PER_SIDE, _MAX_SAMPLES = 3, 8, 200_000
+_MIN_SAMPLES_PER_SIDE, _MAX_SAMPLES_PER_SIDE, _MAX_SAMPLES = 3, 8, 50_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,12 +228,11 @@ def seam_triangles(
     Texture coordinates are affine on a source triangle: extrapolated from one corner they are close to the next
     corner's, unless a seam lies between.
     """
-    corners = target.triangles
+    corners, jacobians = target.triangles, source.uv_jacobians[preview_map.triangle]
     at_seam = np.zeros(len(corners), dtype=bool)
     for k in range(3):
         start, end = corners[:, k], corners[:, (k + 1) % 3]
-        jacobians = source.uv_jacobians[preview_map.triangle[start]]
-        predicted = np.einsum("tij,tj->ti", jacobians, images[end] - images[start])
+        predicted = np.einsum("tij,tj->ti", jacobians[start], images[end] - images[start])
         error = np.linalg.norm(uvs[end] - uvs[start] - predicted, axis=1)
         at_seam |= error > _SEAM_TOLERANCE * np.linalg.norm(predicted, axis=1) + 0.01
     return at_seam
