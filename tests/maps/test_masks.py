@@ -27,7 +27,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.tasks.masks import mask_file, read_mask, read_masks
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.transfer import BakeOptions, bake_texture, prepare_transfer
-from cagemap.transfer.displacement import grey
+from cagemap.transfer.displacement import to_grey
 from cagemap.transfer.masks import bake_mask, blend, painted_mask, with_alpha
 
 from example_result import identity_result
@@ -205,7 +205,7 @@ def test_blending_goes_by_bands_of_rows() -> None:
     late = np.zeros((600, 4, 3), dtype=np.uint8)
     late[-1, -1, 0] = 90
     with pytest.raises(ParameterError, match="grey image"):
-        grey(late)
+        to_grey(late)
 
 
 def test_a_damaged_mask_is_refused(tmp_path: Path) -> None:

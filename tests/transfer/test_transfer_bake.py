@@ -19,7 +19,7 @@ from cagemap.transfer import (
     unwrap,
 )
 from cagemap.transfer import baking as bake_module
-from cagemap.transfer.mip_maps import halved, low_passed
+from cagemap.transfer.mip_maps import halve, low_passed
 
 from bake_images import BARE, noise, ramps, texel_centres
 from transfer_scenes import identity_map, plane, plane_map, spectrum
@@ -161,12 +161,12 @@ def test_labels_are_never_mixed() -> None:
 def test_halving_keeps_what_is_constant_and_reads_only_what_is_covered(height: int, width: int, seed: int) -> None:
     pixels = noise(height, width, 2, "float32", seed)
     covered = (noise(height, width, 1, "float32", seed + 1)[..., 0] > 0.5).astype(np.float32)
-    flat, share = halved(np.full_like(pixels, 0.7), covered)
+    flat, share = halve(np.full_like(pixels, 0.7), covered)
     assert flat.shape == (-(-height // 2), -(-width // 2), 2)
     np.testing.assert_allclose(flat, 0.7, atol=1e-5)
     np.testing.assert_allclose(share.mean(), covered.mean(), atol=1e-4)
     dirty = np.where(covered[..., None] > 0, 0.7, pixels).astype(np.float32)
-    half, _ = halved(dirty, covered)
+    half, _ = halve(dirty, covered)
     np.testing.assert_allclose(half[share > 0.1], 0.7, atol=1e-3)
     np.testing.assert_allclose(low_passed(dirty, covered)[covered > 0], 0.7, atol=1e-3)
     whole = np.rint(255 * pixels).astype(np.uint8)

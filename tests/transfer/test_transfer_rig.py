@@ -23,7 +23,14 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer import control_weights, prepare_transfer
 from cagemap.transfer.blend_shapes import carry_shape, contacts, prepare_shapes
-from cagemap.transfer.skin import carry_joints, carry_skin, chosen_joints, filled_in, mirrored_skin, normalised_skin
+from cagemap.transfer.skin import (
+    carry_joints,
+    carry_skin,
+    fill_unknown,
+    normalise_skin,
+    symmetrize_skin,
+    with_chosen_joints,
+)
 
 
 def surface_of(refinement: Refinement) -> TriangleSurface:
@@ -66,12 +73,12 @@ def test_untrusted_vertices_are_filled_in_between_their_neighbours(ring: Refinem
     known = np.ones(n, dtype=bool)
     known[20:40] = False
     values = np.random.default_rng(1).dirichlet(np.ones(3), n)
-    filled = filled_in(np.where(known[:, None], values, np.nan), net_of(ring.control), known)
+    filled = fill_unknown(np.where(known[:, None], values, np.nan), net_of(ring.control), known)
     np.testing.assert_array_equal(filled[known], values[known])
     assert filled.min() >= 0
     np.testing.assert_allclose(filled.sum(axis=1), 1, rtol=0, atol=1e-6)
     with pytest.raises(ParameterError, match="trusted nowhere"):
-        filled_in(values, net_of(ring.control), np.zeros(n, dtype=bool))
+        fill_unknown(values, net_of(ring.control), np.zeros(n, dtype=bool))
 
 
 def test_skin_that_is_none_is_refused(ring: Refinement) -> None:
@@ -96,15 +103,15 @@ def test_weights_whose_sums_are_a_little_off_are_normalised_and_said(ring: Refin
     skin[5] = 0.0
     given = skin * np.where(np.arange(n) < 10, 0.999, 1.0)[:, None]
     given[7] *= 1.06
-    kept, said = normalised_skin(given)
+    kept, said = normalise_skin(given)
     np.testing.assert_allclose(kept, skin, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(kept[10:], skin[10:])
     assert f"9 of {n} vertices" in said
     assert "from 0.999 to 1.059" in said
-    assert normalised_skin(skin) == (pytest.approx(skin, abs=0), "")
+    assert normalise_skin(skin) == (pytest.approx(skin, abs=0), "")
     for wrong in (0.85 * skin, 2 * skin, 100 * skin):
         with pytest.raises(ParameterError, match=r"0\.9 to 1\.1 is normalised"):
-            normalised_skin(wrong)
+            normalise_skin(wrong)
 
 
 def test_joints_follow_an_affine_map_exactly(ring: Refinement) -> None:
@@ -311,24 +318,24 @@ def test_chosen_joints_are_carried_and_others_share_the_rest() -> None:
     rng = np.random.default_rng(2)
     carried, own = rng.dirichlet(np.ones(5), 40), rng.dirichlet(np.ones(5), 40)
     own[3] = (0.25, 0.75, 0, 0, 0)  # all of chosen joints
-    mixed = chosen_joints(carried, own, np.array([0, 1]))
+    mixed = with_chosen_joints(carried, own, np.array([0, 1]))
     np.testing.assert_allclose(mixed.sum(axis=1), 1, atol=1e-12)
     np.testing.assert_array_equal(mixed[:, :2], carried[:, :2])
     np.testing.assert_array_equal(mixed[3], carried[3])
     others = np.arange(40) != 3
     shares = mixed[others, 2:] / mixed[others, 2:].sum(axis=1, keepdims=True)
     np.testing.assert_allclose(shares, own[others, 2:] / own[others, 2:].sum(axis=1, keepdims=True), atol=1e-12)
-    np.testing.assert_array_equal(chosen_joints(carried, own, np.arange(5)), carried)
+    np.testing.assert_array_equal(with_chosen_joints(carried, own, np.arange(5)), carried)
     with pytest.raises(ParameterError, match=r"joints: expected 0 to 4, got \[5\]"):
-        chosen_joints(carried, own, np.array([5]))
+        with_chosen_joints(carried, own, np.array([5]))
     with pytest.raises(ParameterError, match="one shape"):
-        chosen_joints(carried, own[1:], np.array([0]))
+        with_chosen_joints(carried, own[1:], np.array([0]))
 
 
 def test_mirrored_weights_are_symmetric() -> None:
     skin = np.random.default_rng(2).dirichlet(np.ones(3), 4)
     vertices, joints = np.array([1, 0, 2, 3]), np.array([0, 2, 1])
-    even = mirrored_skin(skin, vertices, joints)
+    even = symmetrize_skin(skin, vertices, joints)
     np.testing.assert_allclose(even, even[vertices][:, joints], atol=1e-15)
     np.testing.assert_allclose(even.sum(axis=1), 1)
-    np.testing.assert_allclose(mirrored_skin(even, vertices, joints), even, atol=1e-15)
+    np.testing.assert_allclose(symmetrize_skin(even, vertices, joints), even, atol=1e-15)

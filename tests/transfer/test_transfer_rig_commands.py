@@ -12,7 +12,7 @@ from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.mesh.mirrors import mirror_symmetries
-from cagemap.transfer.skin import chosen_joints
+from cagemap.transfer.skin import with_chosen_joints
 
 from command_line import Run
 from example_result import identity_result, textured_cube
@@ -67,7 +67,7 @@ def test_weights_of_some_joints_and_of_both_sides_alike(run: Run, result_folder:
     run.done("transfer R --weights w.csv --only", "arm.L, arm.R", "--base", "own.csv", "-o", "o.npz")
     with np.load(place / "o.npz") as carried:
         table = np.column_stack([carried[name] for name in names])
-    np.testing.assert_allclose(table, chosen_joints(given, own, np.array([1, 2])), atol=1e-9)
+    np.testing.assert_allclose(table, with_chosen_joints(given, own, np.array([1, 2])), atol=1e-9)
     run.done("transfer R --weights w.csv --only spine --base own.csv --influences 2 -o two.npz")
     with np.load(place / "two.npz") as carried:
         table = np.column_stack([carried[name] for name in names])

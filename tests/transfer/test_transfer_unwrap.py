@@ -169,7 +169,7 @@ def test_charts_that_run_over_themselves_are_found_as_one_by_one(seed: int, monk
     uvs, corner_uvs = np.concatenate(loops), np.arange(sizes.sum())
     control = ControlMesh.from_faces(np.zeros((len(uvs), 3)), np.split(corner_uvs, np.cumsum(sizes)[:-1]))
     chart = rng.integers(-1, 3, count)
-    found = layout._overlapping(control, uvs, corner_uvs, chart)
+    found = layout._overlapping_pairs(control, uvs, corner_uvs, chart)
     expected = {
         (a, b)
         for a, b in itertools.combinations(range(count), 2)
@@ -178,7 +178,7 @@ def test_charts_that_run_over_themselves_are_found_as_one_by_one(seed: int, monk
     assert len(expected) > 20
     assert {(min(pair), max(pair)) for pair in found.tolist()} == expected
     layout._loosen_overlaps(control, uvs, corner_uvs, chart)
-    assert not len(layout._overlapping(control, uvs, corner_uvs, chart))
+    assert not len(layout._overlapping_pairs(control, uvs, corner_uvs, chart))
 
 
 def test_degenerate_polygons_get_a_spot_of_their_own() -> None:

@@ -23,7 +23,7 @@ def move_vertices(part: Part, positions: FloatArray, shapes: dict[str, FloatArra
     moved = replace(part, mesh=part.mesh.with_positions(positions), shapes=part.shapes if shapes is None else shapes)
     if part.normals is None or (shapes is None and np.array_equal(positions, part.mesh.positions)):
         return moved
-    rotated = _rotated_normals(part.mesh, part.normals, [positions, *_shaped(moved, part.shape_normals)])
+    rotated = _rotated_normals(part.mesh, part.normals, [positions, *_shape_positions(moved, part.shape_normals)])
     offsets = dict(zip(part.shape_normals, (one - rotated[0] for one in rotated[1:]), strict=True))
     return replace(moved, normals=rotated[0], shape_normals=offsets)
 
@@ -37,12 +37,12 @@ def with_shape_normals(part: Part, names: Iterable[str]) -> Part:
     if normals is None:
         corners, _ = fan_triangles(mesh.face_offsets, mesh.face_indices)
         normals = vertex_normals(mesh.positions, corners)[mesh.face_indices]
-    rotated = _rotated_normals(mesh, normals, _shaped(part, names))
+    rotated = _rotated_normals(mesh, normals, _shape_positions(part, names))
     offsets = {name: one - normals for name, one in zip(names, rotated, strict=True)}
     return replace(part, normals=normals, shape_normals=part.shape_normals | offsets)
 
 
-def _shaped(part: Part, names: Iterable[str]) -> list[FloatArray]:
+def _shape_positions(part: Part, names: Iterable[str]) -> list[FloatArray]:
     """Vertex positions in each of the named shapes."""
     return [part.mesh.positions + part.shapes[name] for name in names]
 

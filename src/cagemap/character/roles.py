@@ -34,7 +34,7 @@ _FEWEST_JOINED = 3  # vertices along a common edge
 _MIN_JOINED_AREA = 0.1  # of the body's
 
 
-def joined_to(body: Part, parts: Sequence[Part]) -> list[Part]:
+def find_continuing_parts(body: Part, parts: Sequence[Part]) -> list[Part]:
     """Other parts that continue the body's surface: a torso whose lower edge is the upper edge of the legs."""
     tree, area = cKDTree(body.mesh.positions), float(face_areas(body.mesh).sum())
     reach = _SAME_PLACE * float(np.ptp(body.mesh.positions, axis=0).max())

@@ -135,7 +135,7 @@ def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: TaskOutco
             if earlier is not None:  # its files are replaced below: no key fits, their hashes stay
                 write_whole(_note_path(root, task), json.dumps({**earlier, "written_by": mark(), "key": ""}, indent=1))
             with files_written() as written:
-                figures = runner(_replacing(root, task, earlier or {}))
+                figures = runner(_allow_replacing(root, task, earlier or {}))
             for path, expected_hash in task.input_hashes.items():
                 if content_hash(path) != expected_hash:
                     raise FormatError(
@@ -325,7 +325,7 @@ def _output_sizes(root: Path, task: Task, written: list[Path]) -> dict[str, int]
     return sizes
 
 
-def _replacing(root: Path, task: Task, note: dict[str, Any]) -> Task:
+def _allow_replacing(root: Path, task: Task, note: dict[str, Any]) -> Task:
     """The task with permission to replace its tables, which have no mark, if no file changed since the noted run."""
     hashes = note.get("hashes", {})
     known = {root / path: value for path, value in hashes.items() if (root / path).is_file()}

@@ -187,13 +187,15 @@ def _shapes(
         shapes.append(Shape("Wrapped", None, source.to_page(wrapped)))
     for shape in carried.shapes:
         sides = ((source, shape.source), (target, shape.target))
-        shapes.append(Shape(shape.name, *(_displaced(side, offsets) for side, offsets in sides)))
+        shapes.append(Shape(shape.name, *(_displaced_positions(side, offsets) for side, offsets in sides)))
     for pose in carried.poses:
         sides = ((source, pose.source), (target, pose.target))
-        shapes.append(Shape(pose.name, *(_displaced(side, to - side.surface.control.positions) for side, to in sides)))
+        shapes.append(
+            Shape(pose.name, *(_displaced_positions(side, to - side.surface.control.positions) for side, to in sides))
+        )
     return tuple(shapes[:MAX_SHAPES])
 
 
-def _displaced(display: DisplaySurface, offsets: FloatArray) -> FloatArray:
+def _displaced_positions(display: DisplaySurface, offsets: FloatArray) -> FloatArray:
     """Displayed positions after offsets (n_0, 3) of the control vertices, in file units."""
     return display.positions + _prolong(display, offsets) @ display.turn / display.radius

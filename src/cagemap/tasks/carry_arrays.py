@@ -25,7 +25,7 @@ from cagemap.transfer import (
     transfer_of,
 )
 from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes
-from cagemap.transfer.skin import carry_skin, normalised_skin
+from cagemap.transfer.skin import carry_skin, normalise_skin
 from cagemap.wrap.net import counterpart_mask
 
 logger = logging.getLogger(__name__)
@@ -128,7 +128,7 @@ def carry_weights(result: MatchResult, weights: ArrayLike, *, influences: int | 
     given = real_numbers(weights, "skinning weights")
     if given.ndim != 2:
         raise ParameterError(f"skinning weights: expected an array (n, joints), got {given.shape}")
-    given, scaled = normalised_skin(given)
+    given, scaled = normalise_skin(given)
     if scaled:
         logger.warning("skinning weights: %s", scaled)
     target, source = result.target.refinement, result.source.refinement

@@ -35,7 +35,14 @@ from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import comma_words
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.tasks.usd_output import write_usd_results
-from cagemap.transfer.skin import carry_joints, chosen_joints, mirrored_skin, normalised, normalised_skin, pruned
+from cagemap.transfer.skin import (
+    carry_joints,
+    normalise_rows,
+    normalise_skin,
+    prune_rows,
+    symmetrize_skin,
+    with_chosen_joints,
+)
 
 # Mean distance of a mesh from its base, in units of sqrt(area), above which there is a warning.
 _APART = 0.05
@@ -49,7 +56,7 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     arrays = read_weights(request.weights, result.source.control, rows)
     _require_rows(arrays, result.source.control, rows, request)
     with values_of(request.weights):
-        skin, scaled = normalised_skin(weight_table(arrays))
+        skin, scaled = normalise_skin(weight_table(arrays))
     skeleton = None
     if request.joints is not None:
         skeleton = read_skeleton(request.joints, result.source.control)
@@ -102,7 +109,7 @@ def _limit_influences(request: TransferRequest, result: MatchResult, columns: At
 
 def _prune_influences(request: TransferRequest, table: FloatArray) -> FloatArray:
     """Weights with at most ``--influences`` joints at every vertex, of the same sums."""
-    return normalised(pruned(table, request.influences or None), table.sum(axis=1))
+    return normalise_rows(prune_rows(table, request.influences or None), table.sum(axis=1))
 
 
 def weight_table(arrays: Attributes) -> FloatArray:
@@ -246,7 +253,7 @@ def _symmetrize(control: ControlMesh, carried: FloatArray, names: Sequence[str])
             "--mirror: expected joints of both sides, such as arm.L and arm.R, got none by their names. "
             "Rename them, or leave it out."
         )
-    mirrored = [mirrored_skin(carried, mirror.image, joints) for mirror in mirror_symmetries(control)]
+    mirrored = [symmetrize_skin(carried, mirror.image, joints) for mirror in mirror_symmetries(control)]
     if not mirrored:
         raise ParameterError(f"--mirror: expected a target with a mirror plane, {control.name} has none. Leave it out.")
     return min(mirrored, key=lambda skin: float(np.abs(skin - carried).sum()))
@@ -269,5 +276,5 @@ def _with_chosen_joints(
     if any(own[name].shape != (control.n_vertices,) for name in names):
         raise ParameterError(f"--base {base}: expected weights of {', '.join(names)} for each vertex of {control.name}")
     kept = np.column_stack([own[name] for name in names]).astype(np.float64)
-    chosen = chosen_joints(carried, kept, columns)
+    chosen = with_chosen_joints(carried, kept, columns)
     return np.where(np.any(carried[:, columns], axis=1, keepdims=True), _prune_influences(request, chosen), chosen)

@@ -11,7 +11,7 @@ import numpy as np
 
 from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.poses import pose_at
-from cagemap.character.roles import find_body, joined_to
+from cagemap.character.roles import find_body, find_continuing_parts
 from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.errors import FormatError, ParameterError, values_of
 from cagemap.files.atomic import all_or_nothing, check_outputs
@@ -169,7 +169,7 @@ def character_body(character: Character, name: str | None, path: Path) -> Part:
 
 def _split_body(path: Path, character: Character, body: Part) -> list[str]:
     """A warning if other parts continue the body's surface."""
-    others = [part.name for part in joined_to(body, character.parts)]
+    others = [part.name for part in find_continuing_parts(body, character.parts)]
     if not others:
         return []
     return [

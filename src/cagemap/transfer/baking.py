@@ -144,7 +144,7 @@ def prepare_transfer(
 
 def target_tiles(target: TexturedSurface) -> list[int]:
     """UDIM numbers of the target layout's tiles, ascending; [0] for the unit square alone."""
-    corners, laid = target.corner_uvs(), _laid_out(target)
+    corners, laid = target.corner_uvs(), _is_laid_out(target)
     cells = tile_cells(corners[laid] if laid.any() else corners)
     return [int(tile) for tile in np.unique(udim_of(cells))] if cells.any() else [0]
 
@@ -228,7 +228,7 @@ def make_layout(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
     )
 
 
-def _laid_out(target: TexturedSurface) -> NDArray[np.bool_]:
+def _is_laid_out(target: TexturedSurface) -> NDArray[np.bool_]:
     """(t1,) whether a triangle has an area in the layout, and is no hole."""
     laid = np.asarray(triangle_areas(*target.layout()) > MIN_UV_AREA)
     return laid if target.holes is None else laid & ~target.holes
@@ -236,7 +236,7 @@ def _laid_out(target: TexturedSurface) -> NDArray[np.bool_]:
 
 def _require_covered(target: TexturedSurface, corner_uvs: FloatArray, tile: int) -> None:
     """Require that some triangle covers a part of the tile: otherwise its image would be black."""
-    laid = _laid_out(target)
+    laid = _is_laid_out(target)
     outside = (corner_uvs.max(axis=1) <= 0.0).any(axis=1) | (corner_uvs.min(axis=1) >= 1.0).any(axis=1)
     if not np.any(laid & ~outside):
         place = f"UDIM tile {tile}" if tile else "the unit square"

@@ -82,7 +82,7 @@ def bake_displacement(
         of integers, or as `bake_texture`.
     """
     options = options or BakeOptions()
-    laid = lay_texture(each_tile(texture, grey), *transfer.source.layout(), wrap=options.wrap)
+    laid = lay_texture(each_tile(texture, to_grey), *transfer.source.layout(), wrap=options.wrap)
     kept = output_dtype(dtype, laid.dtype)
     require_integer_range(laid, kept)
     middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
@@ -153,7 +153,7 @@ def vertex_stretch(transfer: Transfer) -> FloatArray:
     return np.clip(stretch, low, high)
 
 
-def grey(pixels: Pixels) -> Pixels:
+def to_grey(pixels: Pixels) -> Pixels:
     """One channel of a grey image; colour channels must be equal, alpha (channel 2 or 4) is ignored."""
     pixels = array_of(pixels)
     if pixels.ndim < 3 or pixels.shape[2] < 3:

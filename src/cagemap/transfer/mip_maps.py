@@ -68,7 +68,7 @@ class MipMaps:
                 }
                 levels[level] = replace(texture, tiles=texture.tiles | soft)
             if level < of_triangle.max():
-                pairs = {tile: halved(pixels, shares[tile]) for tile, pixels in tiles.items()}
+                pairs = {tile: halve(pixels, shares[tile]) for tile, pixels in tiles.items()}
                 tiles = {tile: pixels for tile, (pixels, _) in pairs.items()}
                 shares = {tile: covered for tile, (_, covered) in pairs.items()}
         return cls(levels, of_triangle, fine)
@@ -85,10 +85,10 @@ class MipMaps:
         return values
 
 
-def halved(pixels: Pixels, coverage: Coverage) -> tuple[Pixels, Coverage]:
+def halve(pixels: Pixels, coverage: Coverage) -> tuple[Pixels, Coverage]:
     """An image (h, w, c) and its coverage at half the size: (ceil(h / 2), ceil(w / 2), c) float32."""
     sides = [_kernels(count, count / ((count + 1) // 2), (count + 1) // 2, _lanczos) for count in pixels.shape[:2]]
-    return _filtered(pixels, coverage, sides[0], sides[1])
+    return _filter(pixels, coverage, sides[0], sides[1])
 
 
 def low_passed(pixels: Pixels, coverage: Coverage, like: Pixels | None = None) -> Pixels:
@@ -97,13 +97,13 @@ def low_passed(pixels: Pixels, coverage: Coverage, like: Pixels | None = None) -
     As float32, or in the number type and clipped to the range of ``like``: kernels overshoot at edges.
     """
     sides = [_kernels(count, 2.0, count, _mitchell) for count in pixels.shape[:2]]
-    return _filtered(pixels, coverage, sides[0], sides[1], like)[0]
+    return _filter(pixels, coverage, sides[0], sides[1], like)[0]
 
 
 _Matrices = tuple[sparse.csr_array, sparse.csr_array]
 
 
-def _filtered(
+def _filter(
     pixels: Pixels, coverage: Coverage, down: _Matrices, across: _Matrices, like: Pixels | None = None
 ) -> tuple[Pixels, Coverage]:
     """Normalised convolution by a kernel along both sides; means where too little of the kernel is covered.
@@ -125,7 +125,7 @@ def _filtered(
             values_in, weight = np.where(known[..., None], values_in, 0), np.where(known, weight, 0)
         table = np.dstack([values_in * weight[..., None], weight])
         sharp, mean = (
-            _separable(table, vertical[:, first:last], horizontal)
+            _apply_separably(table, vertical[:, first:last], horizontal)
             for vertical, horizontal in zip(row_matrices, across, strict=True)
         )
         values = np.where((sharp[..., -1] >= _MIN_KERNEL_SHARE)[..., None], sharp, mean)
@@ -140,7 +140,7 @@ def _filtered(
     return result, covered
 
 
-def _separable(table: NDArray[Any], down: sparse.csr_array, across: sparse.csr_array) -> NDArray[Any]:
+def _apply_separably(table: NDArray[Any], down: sparse.csr_array, across: sparse.csr_array) -> NDArray[Any]:
     """(h', w', c) product of a table (h, w, c) with a matrix for its rows and one for its columns."""
     height, width, channels = table.shape
     rows = (down @ table.reshape(height, -1)).reshape(-1, width, channels).transpose(1, 0, 2)

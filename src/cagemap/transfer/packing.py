@@ -45,7 +45,7 @@ def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, paddin
     for rows in members:
         local[rows] = np.arange(len(rows))
     shapes = [
-        (_upright(uvs[rows]), local[edges[edge_rows]])
+        (_rotate_upright(uvs[rows]), local[edges[edge_rows]])
         for rows, edge_rows in zip(members, members_of(islands[edges[:, 0]]), strict=True)
     ]
     boxes = np.array([np.ptp(points, axis=0) for points, _ in shapes])
@@ -54,7 +54,7 @@ def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, paddin
     packed = np.empty_like(uvs)
     while rounds < _ROUNDS or not np.isfinite(best):
         rounds += 1
-        placed, height = _sink(shapes, boxes, side, padding * _PACKING_SLACK * side)
+        placed, height = _place_islands(shapes, boxes, side, padding * _PACKING_SLACK * side)
         if rounds > _MAX_ROUNDS or not np.isfinite(height):
             raise too_wide
         extent = max(side, height)
@@ -66,7 +66,7 @@ def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, paddin
     return packed
 
 
-def _upright(points: FloatArray) -> FloatArray:
+def _rotate_upright(points: FloatArray) -> FloatArray:
     """Points of an island rotated so that their bounding box is smallest."""
     c, s = np.cos(_ANGLES), np.sin(_ANGLES)
     x, y = points.T
@@ -75,7 +75,9 @@ def _upright(points: FloatArray) -> FloatArray:
     return np.asarray(turned[np.flatnonzero(area <= area.min() * (1 + 1e-9))[0]])
 
 
-def _sink(shapes: list[_Island], boxes: FloatArray, side: float, margin: float) -> tuple[list[FloatArray], float]:
+def _place_islands(
+    shapes: list[_Island], boxes: FloatArray, side: float, margin: float
+) -> tuple[list[FloatArray], float]:
     """Points of all islands placed in a strip of width ``side``, the longest first, and its height.
 
     The height is infinite if an island with its margin is wider than the strip.

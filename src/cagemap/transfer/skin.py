@@ -29,25 +29,25 @@ def carry_skin(
     *,
     influences: int | None = 4,
 ) -> FloatArray:
-    """Skinning weights (c1, j) of the target's control vertices from the source's (c2, j), see `normalised_skin`.
+    """Skinning weights (c1, j) of the target's control vertices from the source's (c2, j), see `normalise_skin`.
 
     ``weights`` (c1, c2) are convex, see `cagemap.transfer.control_values.control_weights`. Where the map is not
     ``trusted`` (c1,), weights are harmonic on the net of the target's control mesh, so they stay convex.
     ``influences``: most joints per vertex, None for all; the smallest weights are left out. Rows sum to 1, unless the
     source rows that they come from are 0.
     """
-    skin, _ = normalised_skin(skin)
+    skin, _ = normalise_skin(skin)
     if len(skin) != weights.shape[1]:
         raise ParameterError(f"skinning weights: expected {weights.shape[1]} rows, one a vertex, got {len(skin)}")
     if influences is not None and influences < 1:
         raise ParameterError(
             f"influences: expected at least 1 joint a vertex, got {influences}. None, on the command line 0, keeps all."
         )
-    carried = filled_in(np.asarray(weights @ skin), net, trusted)
-    return normalised(pruned(carried, influences), carried.sum(axis=1))
+    carried = fill_unknown(np.asarray(weights @ skin), net, trusted)
+    return normalise_rows(prune_rows(carried, influences), carried.sum(axis=1))
 
 
-def normalised_skin(skin: FloatArray) -> tuple[FloatArray, str]:
+def normalise_skin(skin: FloatArray) -> tuple[FloatArray, str]:
     """Skinning weights (n, j) with rows that sum to 1 or 0, and a note if rows were scaled, else ''.
 
     Rows are not negative and sum to 0 (no joint) or to 1 within 0.1; those that sum to 1 or 0 are unchanged.
@@ -73,7 +73,7 @@ def normalised_skin(skin: FloatArray) -> tuple[FloatArray, str]:
     )
 
 
-def filled_in(values: FloatArray, net: ElasticGraph, known: NDArray[np.bool_]) -> FloatArray:
+def fill_unknown(values: FloatArray, net: ElasticGraph, known: NDArray[np.bool_]) -> FloatArray:
     """Values (n, q), kept where known and harmonic on the net elsewhere."""
     if known.all():
         return values
@@ -90,7 +90,7 @@ def filled_in(values: FloatArray, net: ElasticGraph, known: NDArray[np.bool_]) -
     return result
 
 
-def pruned(skin: FloatArray, influences: int | None) -> FloatArray:
+def prune_rows(skin: FloatArray, influences: int | None) -> FloatArray:
     """The largest ``influences`` weights of every row (n, j); among equal weights, the first joints."""
     if influences is None or influences >= skin.shape[1]:
         return skin
@@ -100,14 +100,14 @@ def pruned(skin: FloatArray, influences: int | None) -> FloatArray:
     return kept
 
 
-def normalised(skin: FloatArray, sums: FloatArray) -> FloatArray:
+def normalise_rows(skin: FloatArray, sums: FloatArray) -> FloatArray:
     """Rows scaled to sums (n,); rows that already have them, up to rounding, are unchanged."""
     present = skin.sum(axis=1)
     factors = np.divide(sums, present, out=np.ones_like(present), where=present > 0)
     return skin * np.where(np.abs(factors - 1) > 1e-12, factors, 1.0)[:, None]
 
 
-def chosen_joints(carried: FloatArray, own: FloatArray, chosen: IndexArray) -> FloatArray:
+def with_chosen_joints(carried: FloatArray, own: FloatArray, chosen: IndexArray) -> FloatArray:
     """Weights (n, j): carried ones of the chosen joints (q,), the mesh's own of other joints, scaled to sum 1.
 
     Rows of both tables sum to 1, or to 0 in ``own`` for vertices without weights. Rows whose own weights all belong to
@@ -128,7 +128,7 @@ def chosen_joints(carried: FloatArray, own: FloatArray, chosen: IndexArray) -> F
     return np.where((present > 0)[:, None], result, carried)
 
 
-def mirrored_skin(skin: FloatArray, vertices: IndexArray, joints: IndexArray) -> FloatArray:
+def symmetrize_skin(skin: FloatArray, vertices: IndexArray, joints: IndexArray) -> FloatArray:
     """Mean of skinning weights (n, j) and of their mirror image.
 
     ``vertices`` (n,) are those at mirror images, see `cagemap.mesh.mirrors`; ``joints`` (j,) the ones on the other

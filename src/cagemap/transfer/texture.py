@@ -256,8 +256,8 @@ def _accumulate(image, fine, options, layout, points, result):  # type: ignore[n
                 v += barycentric[s, k] * uvs[uv_triangles[t, k], 1]
             if repeat:
                 i, j, k = uv_triangles[t, 0], uv_triangles[t, 1], uv_triangles[t, 2]
-                u = _wrapped(u, (uvs[i, 0] + uvs[j, 0] + uvs[k, 0]) / 3.0)
-                v = _wrapped(v, (uvs[i, 1] + uvs[j, 1] + uvs[k, 1]) / 3.0)
+                u = _wrap_coordinate(u, (uvs[i, 0] + uvs[j, 0] + uvs[k, 0]) / 3.0)
+                v = _wrap_coordinate(v, (uvs[i, 1] + uvs[j, 1] + uvs[k, 1]) / 3.0)
             x = min(max(u * width - 0.5, 0.0), width - 1.0)
             y = min(max((1.0 - v) * height - 0.5, 0.0), height - 1.0)
             if nearest:
@@ -282,7 +282,7 @@ def _accumulate(image, fine, options, layout, points, result):  # type: ignore[n
 
 
 @numba.njit(cache=True, nogil=True)
-def _wrapped(place, centre):  # type: ignore[no-untyped-def]
+def _wrap_coordinate(place, centre):  # type: ignore[no-untyped-def]
     """A coordinate moved into 0 to 1 with its triangle's centre; the right edge of that square stays 1, not 0."""
     place -= np.floor(centre)
     return place - np.floor(place) if place < -OVERHANG or place > 1.0 + OVERHANG else place
@@ -310,7 +310,7 @@ def _six_points(f, weights):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _between(a, b, c, d, e, f, weights):  # type: ignore[no-untyped-def]
+def _interpolate_six(a, b, c, d, e, f, weights):  # type: ignore[no-untyped-def]
     """Weighted sum of six values, limited to the range of the middle two plus the peak of their slopes."""
     total = weights[0] * a + weights[1] * b + weights[2] * c + weights[3] * d + weights[4] * e + weights[5] * f
     rise, fall = max(min(c - b, d - e), 0.0), max(min(b - c, e - d), 0.0)
@@ -318,9 +318,9 @@ def _between(a, b, c, d, e, f, weights):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _along(pixels, halves, row, column, channel, across):  # type: ignore[no-untyped-def]
+def _interpolate_row(pixels, halves, row, column, channel, across):  # type: ignore[no-untyped-def]
     """Value between texels ``column`` and ``column + 1`` of a row."""
-    return _between(
+    return _interpolate_six(
         _value(pixels, halves, row, column - 2, channel),
         _value(pixels, halves, row, column - 1, channel),
         _value(pixels, halves, row, column, channel),
@@ -334,12 +334,12 @@ def _along(pixels, halves, row, column, channel, across):  # type: ignore[no-unt
 @numba.njit(cache=True, nogil=True)
 def _smooth_value(pixels, halves, r0, c0, channel, down, across):  # type: ignore[no-untyped-def]
     """Value between texels (r0, c0) and (r0 + 1, c0 + 1)."""
-    return _between(
-        _along(pixels, halves, r0 - 2, c0, channel, across),
-        _along(pixels, halves, r0 - 1, c0, channel, across),
-        _along(pixels, halves, r0, c0, channel, across),
-        _along(pixels, halves, r0 + 1, c0, channel, across),
-        _along(pixels, halves, r0 + 2, c0, channel, across),
-        _along(pixels, halves, r0 + 3, c0, channel, across),
+    return _interpolate_six(
+        _interpolate_row(pixels, halves, r0 - 2, c0, channel, across),
+        _interpolate_row(pixels, halves, r0 - 1, c0, channel, across),
+        _interpolate_row(pixels, halves, r0, c0, channel, across),
+        _interpolate_row(pixels, halves, r0 + 1, c0, channel, across),
+        _interpolate_row(pixels, halves, r0 + 2, c0, channel, across),
+        _interpolate_row(pixels, halves, r0 + 3, c0, channel, across),
         down,
     )

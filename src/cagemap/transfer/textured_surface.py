@@ -106,9 +106,9 @@ def tangent_frames(surface: TexturedSurface) -> TangentFrames:
     for k in range(3):
         normal = normals[triangles[:, k]]
         group_normals[groups[:, k]] = normal
-        in_plane = _projected(along, normal)
-        first = _projected(corners[(k + 1) % 3] - corners[k], normal)
-        second = _projected(corners[(k + 2) % 3] - corners[k], normal)
+        in_plane = _project_to_planes(along, normal)
+        first = _project_to_planes(corners[(k + 1) % 3] - corners[k], normal)
+        second = _project_to_planes(corners[(k + 2) % 3] - corners[k], normal)
         angle = np.arccos(np.clip(np.einsum("td,td->t", first, second), -1.0, 1.0))
         weighted = np.where(area != 0, angle, 0.0)[:, None] * in_plane
         sums += grouped_sums(groups[:, k], weighted, len(sums))
@@ -147,7 +147,7 @@ def _groups(
     return label_components(heads, tails, corner.size).reshape(-1, 3)
 
 
-def _projected(vectors: FloatArray, normals: FloatArray) -> FloatArray:
+def _project_to_planes(vectors: FloatArray, normals: FloatArray) -> FloatArray:
     """Vectors (k, 3) projected into the planes of unit normals, at unit length."""
     return normalize_rows(vectors - np.einsum("kd,kd->k", vectors, normals)[:, None] * normals)
 
@@ -161,7 +161,7 @@ def _any_tangent(normals: FloatArray) -> FloatArray:
 def plane_basis(normals: FloatArray, along: FloatArray) -> FloatArray:
     """(k, 3, 2) orthonormal bases of the planes perpendicular to normals; the first vector is towards ``along``."""
     unit = normalize_rows(normals)
-    first = _projected(along, unit)
+    first = _project_to_planes(along, unit)
     flat = np.linalg.norm(first, axis=1) < 0.5
     first[flat] = _any_tangent(unit[flat])
     return np.stack([first, np.cross(unit, first)], axis=2)

@@ -165,7 +165,7 @@ def _whole_polygons(control: ControlMesh, charts: _Charts) -> tuple[IndexArray, 
 
 def _loosen_overlaps(control: ControlMesh, uvs: FloatArray, corner_uvs: IndexArray, chart: IndexArray) -> None:
     """Remove polygons from charts, in place, until none overlap: charts of xatlas may overlap themselves."""
-    pairs = _overlapping(control, uvs, corner_uvs, chart)
+    pairs = _overlapping_pairs(control, uvs, corner_uvs, chart)
     while len(pairs):
         members, counts = np.unique(pairs, return_counts=True)
         worst = int(members[counts.argmax()])
@@ -174,7 +174,7 @@ def _loosen_overlaps(control: ControlMesh, uvs: FloatArray, corner_uvs: IndexArr
         pairs = pairs[(pairs != worst).all(axis=1)]
 
 
-def _overlapping(control: ControlMesh, uvs: FloatArray, corner_uvs: IndexArray, chart: IndexArray) -> IndexArray:
+def _overlapping_pairs(control: ControlMesh, uvs: FloatArray, corner_uvs: IndexArray, chart: IndexArray) -> IndexArray:
     """(q, 2) overlapping pairs of polygons of one chart, found by a sweep from left to right."""
     corners, begin = uvs[corner_uvs], control.face_offsets[:-1]
     low, high = np.minimum.reduceat(corners, begin), np.maximum.reduceat(corners, begin)

@@ -65,7 +65,7 @@ def bake_normal_map(
         If the image has fewer than three channels, or as `bake_texture`.
     """
     options = options or BakeOptions()
-    laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
+    laid = lay_texture(each_tile(texture, _first_three_channels), *transfer.source.layout(), wrap=options.wrap)
     kept = output_dtype(dtype, laid.dtype)
     signed = laid.dtype.kind == "f" and any(float(np.nanmin(tile)) < 0 for tile in laid.tiles.values())
     flip = green_flip(green, space)
@@ -117,7 +117,7 @@ def bake_vector_displacement(
     integers a new scale; a warning counts the texels that the rotation moves outside their range.
     """
     options = options or BakeOptions()
-    laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
+    laid = lay_texture(each_tile(texture, _first_three_channels), *transfer.source.layout(), wrap=options.wrap)
     kept = output_dtype(dtype, laid.dtype)
     require_integer_range(laid, kept)
     middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
@@ -229,13 +229,13 @@ def vector_pullback(
         images = mapped[corners[:, 1:]] - mapped[corners[:, :1]]
         n1 = np.einsum("sc,scd->sd", inside, normals[corners])
         n2 = np.einsum("sc,scd->sd", samples.barycentric, source_normals[source.triangles[samples.triangle]])
-        rotated = _rotated_to_target(vectors, n1, n2, edges, images)
+        rotated = _rotate_to_target(vectors, n1, n2, edges, images)
         return rotated if frames is None else _solve(frames.at(triangle, inside), rotated)
 
     return pull_back
 
 
-def _rotated_to_target(
+def _rotate_to_target(
     vectors: FloatArray, n1: FloatArray, n2: FloatArray, edges: FloatArray, images: FloatArray
 ) -> FloatArray:
     """(s, 3) ``Q^T v``; the map takes edges (s, 2, 3) of target triangles to their images."""
@@ -267,7 +267,7 @@ def _solve(frames: FloatArray, vectors: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("skd,sd->sk", duals, vectors) / safe[:, None])
 
 
-def _three(pixels: Pixels) -> Pixels:
+def _first_three_channels(pixels: Pixels) -> Pixels:
     """The first three channels."""
     if pixels.ndim != 3 or pixels.shape[2] < 3:
         raise ParameterError(f"expected three channels of directions, got an image of shape {pixels.shape}")

@@ -53,7 +53,7 @@ def fit_net(net: ControlNet, samples: Samples, config: WrapConfig, adjust: Adjus
     energy = replace(net.energy, admissible=similar_at(free, config.graph))
     positions = terms.start(energy)
     moving, stiffness = np.setdiff1d(free, detached), np.ones(net.graph.n)
-    positions = moved_locally(
+    positions = move_locally(
         net,
         samples,
         config,
@@ -139,7 +139,7 @@ def similar_at(points: IndexArray, config: GraphConfig) -> Admissible:
     return admissible
 
 
-def moved_locally(
+def move_locally(
     net: ControlNet,
     samples: Samples,
     config: WrapConfig,
@@ -219,7 +219,7 @@ def mend(
                     np.concatenate(pieces),
                 )
         similar = np.union1d(free_points(samples, config), np.flatnonzero(released))
-        moved = partial(moved_locally, net, samples, config, similar=similar, stiffness=stiffness, fixed=many)
+        moved = partial(move_locally, net, samples, config, similar=similar, stiffness=stiffness, fixed=many)
         moving = np.setdiff1d(graph.rings(corners, rings), detached)
         still_folded = folded[~small[folded] & (stiffness[folded] > numbers.stiffening)]
         flat = _lay_flat(graph, positions, np.intersect1d(still_folded, moving))
@@ -227,10 +227,10 @@ def mend(
         near = np.intersect1d(moving, graph.rings(lost, rings + numbers.release_rings))
         # Control points released from the constraint move further, which takes more rounds.
         positions = adjust(moved(positions, near, rounds=numbers.release_rounds))
-    return _without_folds(net, positions, folded_at_rest, detached, adjust, numbers)
+    return _flatten_last_folds(net, positions, folded_at_rest, detached, adjust, numbers)
 
 
-def _without_folds(
+def _flatten_last_folds(
     net: ControlNet,
     positions: FloatArray,
     folded_at_rest: NDArray[np.bool_],
