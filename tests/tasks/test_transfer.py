@@ -212,7 +212,7 @@ def test_every_file_of_several_maps_is_named_on_a_line_of_its_own(tmp_path: Path
     request = TransferRequest(tmp_path / "RESULT", tmp_path / "o.png", maps=maps, unwrap=True, target_mask="red")
     lines = run_transfer(request, Stages())[0].splitlines()
     files = ", ".join(str(tmp_path / name) for name in ("o_albedo.png", "o_roughness.png", "o_unwrapped.obj"))
-    assert lines == [f"wrote 2 maps: {files}", "  alpha says how much counts"]
+    assert lines == [f"wrote 2 maps: {files}", "  alpha holds the weights of the masks"]
 
 
 def test_booleans_are_labels_in_files_as_in_arrays(tmp_path: Path) -> None:

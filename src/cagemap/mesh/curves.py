@@ -57,7 +57,7 @@ class Curve(Generic[P]):
 
     @kept
     def line(self: Curve[SurfacePoints]) -> Polyline:
-        """Polyline in space, at unit area."""
+        """Polyline in space, on the surface scaled to unit area."""
         return Polyline(self.points.positions, self.closed)
 
 
@@ -86,9 +86,9 @@ class CurvePair(Generic[P]):
         return CurvePair(self.name, self.source, self.target)
 
     def renumbered(self: CurvePair[CagePoints], target: Renumbering, source: Renumbering) -> CurvePair[CagePoints]:
-        """The pair with new vertex numbers of its points' corners; -1 for removed vertices."""
+        """The pair with new vertex numbers, by functions of the old ones that give -1 for removed vertices."""
         sides = (self.target, target), (self.source, source)
-        return CurvePair(self.name, *(Curve(side.points.renumbered(number), side.closed) for side, number in sides))
+        return CurvePair(self.name, *(Curve(side.points.renumbered(to_new), side.closed) for side, to_new in sides))
 
 
 CageCurvePairs = tuple[CurvePair[CagePoints], ...]  # of two control meshes
@@ -101,15 +101,16 @@ def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
     graph = sparse.csr_array((np.ones(len(heads)), (heads, tails)), shape=(len(vertices), len(vertices)))
     degrees = np.diff(graph.indptr)
     branching, ends = vertices[degrees > 2].tolist(), vertices[degrees == 1].tolist()
-    order = depth_first_order(graph, int(np.argmax(degrees == 1)), return_predecessors=False)
-    left = np.delete(vertices, order).tolist()
-    found = {
+    first = int(np.argmax(degrees == 1))  # an end, or any vertex of a loop
+    order = depth_first_order(graph, first, return_predecessors=False)
+    unreached = np.delete(vertices, order).tolist()
+    faults = {
         f"a branch at vertex {first_few(branching)}": branching,
-        f"pieces that end at vertices {first_few(ends)}": ends[2:],
-        f"pieces: vertices {first_few(left)} are joined to no other": left,
+        f"pieces that end at vertices {first_few(ends)}": ends[2:],  # one chain has two
+        f"pieces: vertices {first_few(unreached)} are joined to no other": unreached,
     }
-    for text, vertices_found in found.items():
-        if vertices_found:
+    for text, found in faults.items():
+        if found:
             raise InvalidLandmarksError(
                 f"expected the edges of one chain or loop, got {text}. Make each a curve of its own."
             )
@@ -120,7 +121,7 @@ def paired_curves(
     target_points: NamedPoints, source_points: NamedPoints, target: ControlMesh, source: ControlMesh
 ) -> tuple[CageCurvePairs, tuple[str, ...]]:
     """Pair the curves of two meshes by name; also notes on names of one side only."""
-    by_name = [{curve.name: curve for curve in points.curves} for points in (target_points, source_points)]
+    both = [{curve.name: curve for curve in points.curves} for points in (target_points, source_points)]
     shared, notes = shared_names(
         *([curve.name for curve in points.curves] for points in (target_points, source_points)),
         what="curves",
@@ -128,7 +129,7 @@ def paired_curves(
     )
     on_target, on_source = (
         [on_cage_curve(curves_by_name[name], mesh) for name in shared]
-        for curves_by_name, mesh in zip(by_name, (target, source), strict=True)
+        for curves_by_name, mesh in zip(both, (target, source), strict=True)
     )
     return tuple(map(CurvePair, shared, on_target, on_source)), notes
 
@@ -149,10 +150,10 @@ def curve_faults(curves: CageCurvePairs, target: ControlMesh, source: ControlMes
         *_side_faults("target", names, [pair.target for pair in curves], target),
         *_side_faults("source", names, [pair.source for pair in curves], source),
     ]
-    halves = [pair.name for pair in curves if pair.target.closed != pair.source.closed]
-    if halves:
+    mixed = [pair.name for pair in curves if pair.target.closed != pair.source.closed]
+    if mixed:
         faults.append(
-            f"expected curves closed on both sides or open on both, got these closed on one only: {first_few(halves)}."
+            f"expected curves closed on both sides or open on both, got these closed on one only: {first_few(mixed)}."
         )
     return [fault for fault in faults if fault]
 
@@ -160,31 +161,32 @@ def curve_faults(curves: CageCurvePairs, target: ControlMesh, source: ControlMes
 def _side_faults(side: str, names: list[str], curves: list[Curve[CagePoints]], mesh: ControlMesh) -> list[str]:
     points = CagePoints.joined([curve.points for curve in curves])
     named = list(zip(names, curves, strict=True))
-    of_points = [name for name, curve in named for _ in range(len(curve.points))]
-    if outside := outside_fault(points, of_points, mesh, f"{side} vertices of curves"):
+    name_of_point = [name for name, curve in named for _ in range(len(curve.points))]
+    if outside := outside_fault(points, name_of_point, mesh, f"{side} vertices of curves"):
         return [outside]
     short = [name for name, curve in named if len(curve.points) < (3 if curve.closed else 2)]
-    again, apart = list[str](), list[str]()
+    repeated, unjoined = list[str](), list[str]()
     edges = pair_keys(mesh_topology(mesh).edge_vertices, mesh.n_vertices)
     for name, curve in named:
         vertices, corners = curve.points.vertices, curve.points.corners
         at_vertices = vertices[vertices >= 0]
-        again += [f"{name} ({at_vertices[i]})" for i in find_repeats(at_vertices)]
+        repeated += [f"{name} ({at_vertices[i]})" for i in find_repeats(at_vertices)]
         # A position may coincide with a vertex; only points given as vertices have to follow edges.
-        ends = np.where(corners[:, 0] == corners[:, 1], vertices, -1)[curve.segments]
+        given_as_vertex = corners[:, 0] == corners[:, 1]
+        ends = np.where(given_as_vertex, vertices, -1)[curve.segments]
         joined = np.isin(pair_keys(ends, mesh.n_vertices), edges)
-        apart += [f"{name} ({a} to {b})" for a, b in ends[(ends >= 0).all(axis=1) & ~joined]]
+        unjoined += [f"{name} ({a} to {b})" for a, b in ends[(ends >= 0).all(axis=1) & ~joined]]
     faults = []
     if short:
         faults.append(
             f"expected curves of the {side} with two points or more, closed ones with three, got fewer: "
             f"{first_few(short)}."
         )
-    if again:
-        faults.append(f"expected every {side} vertex once in a curve, got these again: {first_few(again)}.")
-    if apart:
+    if repeated:
+        faults.append(f"expected every {side} vertex once in a curve, got these again: {first_few(repeated)}.")
+    if unjoined:
         faults.append(
             f"expected neighbours in a curve of the {side} to be joined by edges of {mesh.name}, got none "
-            f"for {first_few(apart)}. Give every vertex along the curve, or places in space."
+            f"for {first_few(unjoined)}. Give every vertex along the curve, or places in space."
         )
     return faults

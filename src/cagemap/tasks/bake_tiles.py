@@ -50,7 +50,7 @@ from cagemap.transfer.texture import Pixels
 
 # Default width and height of an image, if no source or base image gives a size.
 DEFAULT_SIZE = 2048
-# Least overlapping share of a layout that is reported: faces of artists' layouts touch.
+# Least overlapping share of a layout that is reported; a small one is normal, since faces of artists' layouts touch.
 MIN_REPORTED_OVERLAP = 0.02
 _log = logging.getLogger(__name__)
 Baked = TypeVar("Baked", bound=Pixels | Image | Displacement)
@@ -129,14 +129,20 @@ def colors_remedy(mesh: ControlMesh) -> str:
 def prepare_bake(
     request: TransferRequest, result: MatchResult, stages: Stages, outputs: Mapping[str, Path]
 ) -> Prepared:
-    """Prepare the target's layout, a new one if requested, and find its tiles.
+    """Find the tiles of the target's layout; make and write a new layout if requested. Refuses outputs in use.
 
     ``outputs``: the images to bake, by their use as `preview_inputs` takes it.
     """
     mesh: Path | None = None
     warnings: list[str] = []
-    of_source = (request.texture, request.displacement, request.normal_map, request.vector_displacement, *request.maps)
-    if any(of_source):
+    source_images = (
+        request.texture,
+        request.displacement,
+        request.normal_map,
+        request.vector_displacement,
+        *request.maps,
+    )
+    if any(source_images):
         require_source_uvs(result)
     if request.unwrap:
         stages("unwrap")
@@ -155,13 +161,13 @@ def prepare_bake(
     transfer = transfer_of(result)
     tiles, outside = layout_tiles(transfer)
     warnings += [*outside, *target_overlap_warnings(result.target.control)]
-    if any(of_source) and result.masks.source is None:
+    if any(source_images) and result.masks.source is None:
         warnings += _source_overlap_warnings(result.source.control)
     images = [udim_path(output, tile) for output in outputs.values() for tile in tiles]
     meshes = () if mesh is None else (mesh, mesh.with_suffix(".mtl"))
-    others = [*meshes, *([] if request.usd is None else [request.usd])]
+    other_outputs = [*meshes, *([] if request.usd is None else [request.usd])]
     inputs = [*bake_inputs(request), *read_files(request.result, result.manifest)]
-    check_outputs([*images, *others], inputs, force=request.force)
+    check_outputs([*images, *other_outputs], inputs, force=request.force)
     if mesh is not None:
         bound = _material_images(request, {use: udim_path(output, tiles[0]) for use, output in outputs.items()})
         warnings += _write_unwrapped(request, result.target.control, result.manifest, bound)
@@ -171,7 +177,7 @@ def prepare_bake(
 def layout_tiles(transfer: Transfer) -> tuple[list[int], list[str]]:
     """UDIM numbers of the target layout's tiles, [0] for the unit square; and warnings."""
     cells = tile_cells(transfer.target.corner_uvs())
-    if cells.min() >= 0:
+    if cells.min() >= 0:  # UDIM has no numbers for others
         return target_tiles(transfer.target), []
     outside = float(np.mean((cells != 0).any(axis=1)))
     return [0], [f"{100 * outside:.1f} % of the target's layout lies outside the unit square and is not baked: move it"]
@@ -208,8 +214,8 @@ def bake_tiles(
     Masked texels take the base image, or get alpha.
 
     ``request``: its output is the image to write, or a pattern for several tiles.
-    ``bake``: ``options`` with the tile -> baked image.
-    ``name``: of the map, for display.
+    ``bake``: called with ``options``, which hold the tile; returns the baked image.
+    ``name``: of the map, to find its base image and to show.
     """
     return write_tiles(
         request.output,
@@ -266,7 +272,7 @@ def mask_function(
 
 
 def _apply_mask(image: Image, transfer: Transfer, base: Path | None, options: BakeOptions) -> Image:
-    """A baked image blended over its tile's base image (labels: not mixed), or with weights as alpha."""
+    """A baked image blended over its tile's base image, or with weights as alpha."""
     weight = bake_mask(transfer, size=image.size, options=options)
     if base is None:
         image = unpremultiply(image)
@@ -275,21 +281,21 @@ def _apply_mask(image: Image, transfer: Transfer, base: Path | None, options: Ba
     if under.associated != image.associated:
         image, under = unpremultiply(image), unpremultiply(under)
     # Floats without a stated colour space are linear, as in EXR.
-    spaces = [picture.color_space or "linear" * (picture.pixels.dtype.kind == "f") for picture in (under, image)]
+    spaces = [p.color_space or ("linear" if p.pixels.dtype.kind == "f" else "") for p in (under, image)]
     if all(spaces) and spaces[0] != spaces[1]:
         text = "--base %s is %s, what is baked over it %s: their numbers are mixed as they are. Convert one of them."
         _log.warning(text, base, *spaces)
-    below, full = under.pixels, unit(image.pixels.dtype)
+    below, full_scale = under.pixels, unit(image.pixels.dtype)
     if below.dtype != image.pixels.dtype:
-        below = to_dtype(below * (full / unit(below.dtype)), image.pixels.dtype)
-    if options.filter == "nearest":
+        below = to_dtype(below * (full_scale / unit(below.dtype)), image.pixels.dtype)
+    if options.filter == "nearest":  # labels are not mixed
         weight = (weight >= 0.5).astype(weight.dtype)
     return replace(image, pixels=blend(image.pixels, below, weight))
 
 
 def written_channels(request: TransferRequest, result: MatchResult, channels: int, name: str = "") -> int:
     """Channels of the image to write: one more if masks become alpha."""
-    opaque = channels % 2 == 1
+    opaque = channels in (1, 3)
     return channels + 1 if result.masks.any and opaque and base_of(request, name) is None else channels
 
 
@@ -305,7 +311,7 @@ def base_size(request: TransferRequest, name: str = "") -> int | None:
 def record_bake(
     request: TransferRequest, prepared: Prepared, entry: dict[str, Any], stages: Stages
 ) -> SummaryAndWarnings:
-    """Record a bake, in the manifest too; returns a summary and warnings."""
+    """Record a bake in the stages' figures and in the manifest; returns a summary and warnings."""
     outputs = [udim_path(request.output, tile) for tile in prepared.tiles]
     stages.record({"size": entry["size"], "tiles": prepared.tiles}, of=str(entry.get("map", "")))
     level = {} if request.level is None else {"level": request.level}
@@ -316,7 +322,7 @@ def record_bake(
     summary = f"wrote {', '.join(map(str, written))}; {entry['size']} x {entry['size']} texels"
     if prepared.transfer.masks.any:
         base = base_of(request, str(entry.get("map", "")))
-        outside = "alpha says how much counts" if base is None else f"outside the masks it is {base}"
+        outside = "alpha holds the weights of the masks" if base is None else f"outside the masks it is {base}"
         summary += f"\n  {outside}"
     return summary, prepared.warnings
 
@@ -355,7 +361,7 @@ def _material_images(request: TransferRequest, images: Mapping[str, Path]) -> di
 def _write_unwrapped(
     request: TransferRequest, control: ControlMesh, manifest: dict[str, Any], images: Mapping[str, str]
 ) -> list[str]:
-    """Write the target with its new layout and images, as its file with other UVs if possible; returns warnings."""
+    """Write the target with its new layout and images: a copy of its OBJ file, else a plain one; returns warnings."""
     mesh = unwrapped_name(request.output)
     original = input_file(request.result, manifest, "target")
     whole = control.file_vertices is None

@@ -102,27 +102,26 @@ def _part_in_world(
     document: Document, nodes: Nodes, skins: tuple[Skin, ...], joints: Joints | None, node: int, arrays: VertexArrays
 ) -> ReadPart | None:
     """A mesh node as a part in world space; None if it is scaled to nothing."""
-    stated = document.entry("nodes", node).get("skin")
-    weights, changes, whole = None, None, nodes.world[node]
-    if stated is not None and joints is not None:
-        skin, of = skins[stated], joints.of_skins[stated]
-        if arrays.joints.shape[1]:
-            weights = _weights(document, arrays, of, joints, node)
-            whole = skin.to_world
-            changes = np.tile(whole, (len(joints.rig.names), 1, 1))
-            changes[of] = skin.inverse_bind @ joints.rig.bind[of]
+    skin_number = document.entry("nodes", node).get("skin")
+    weights, joint_to_world, to_world = None, None, nodes.world[node]
+    if skin_number is not None and joints is not None:
+        skin, rig_joints = skins[skin_number], joints.of_skins[skin_number]
+        if arrays.joints.shape[1]:  # a skinned node without joint attributes stays where it is
+            weights = _weights(document, arrays, rig_joints, joints, node)
+            to_world = skin.to_world
+            joint_to_world = np.tile(to_world, (len(joints.rig.names), 1, 1))
+            joint_to_world[rig_joints] = skin.inverse_bind @ joints.rig.bind[rig_joints]
     elif joints is not None and (above := nearest_joint(nodes, joints.joint_of, int(nodes.parents[node]))) >= 0:
         count = arrays.control.n_vertices
         weights = sparse.csr_array(
             (np.ones(count), (np.arange(count), np.full(count, above))), shape=(count, len(joints.rig.names))
         )
-        whole = _bind_transform(
-            arrays, whole, joints.rig.bind[above], nodes.world[np.flatnonzero(joints.joint_of == above)[0]]
-        )
-    if abs(np.linalg.det(whole[:3, :3])) < 1e-12 * max(np.abs(whole[:3, :3]).max(), 1e-30) ** 3:
+        rest = nodes.world[np.flatnonzero(joints.joint_of == above)[0]]
+        to_world = _bind_transform(arrays, to_world, joints.rig.bind[above], rest)
+    if abs(np.linalg.det(to_world[:3, :3])) < 1e-12 * max(np.abs(to_world[:3, :3]).max(), 1e-30) ** 3:
         _log.warning("%s: %s is scaled to nothing and left out", document.file, arrays.control.name)
         return None
-    arrays = _vertices_in_world(arrays, whole, weights, changes)
+    arrays = _vertices_in_world(arrays, to_world, weights, joint_to_world)
     return _weld_part(arrays, weights, node)
 
 
@@ -154,7 +153,7 @@ def _weights(document: Document, arrays: VertexArrays, of: IndexArray, joints: J
 
 
 def _bind_transform(arrays: VertexArrays, world: FloatArray, bind: FloatArray, rest: FloatArray) -> FloatArray:
-    """A node's transform to the world, in the bind pose of the joint that it follows."""
+    """A node's transform to the world, moved with the joint that it follows from its rest pose to its bind pose."""
     if not is_invertible(rest[None]).all():
         return world
     return snap_to_exact(world @ np.linalg.inv(rest) @ bind, world, _homogeneous_rows(arrays))
@@ -165,22 +164,27 @@ def _homogeneous_rows(arrays: VertexArrays) -> FloatArray:
 
 
 def _vertices_in_world(
-    arrays: VertexArrays, whole: FloatArray, weights: sparse.csr_array | None, changes: FloatArray | None
+    arrays: VertexArrays,
+    to_world: FloatArray,
+    weights: sparse.csr_array | None,
+    joint_to_world: FloatArray | None,
 ) -> VertexArrays:
     """A mesh in world space; blended from the joints' transforms if its skin was bound in another pose."""
     points = _homogeneous_rows(arrays)
-    alike = changes is None or all(
-        snap_to_exact(change, whole, points) is whole for change in _used_joint_transforms(weights, changes)
+    # `snap_to_exact` returns its second argument itself where both move the points alike.
+    one_transform = joint_to_world is None or all(
+        snap_to_exact(transform, to_world, points) is to_world
+        for transform in _used_joint_transforms(weights, joint_to_world)
     )
-    if alike and np.array_equal(whole, np.eye(4)):
+    if one_transform and np.array_equal(to_world, np.eye(4)):
         return arrays
-    if weights is None or changes is None or alike:
-        placed, blended = points @ whole, whole
-        turned = {name: offsets @ whole[:3, :3] for name, offsets in arrays.shapes.items()}
+    if weights is None or joint_to_world is None or one_transform:
+        placed, blended = points @ to_world, to_world
+        shapes = {name: offsets @ to_world[:3, :3] for name, offsets in arrays.shapes.items()}
     else:
-        blended = np.asarray(weights @ changes.reshape(len(changes), 16)).reshape(-1, 4, 4)
+        blended = np.asarray(weights @ joint_to_world.reshape(len(joint_to_world), 16)).reshape(-1, 4, 4)
         placed = np.einsum("na,nab->nb", points, blended)
-        turned = {n: np.einsum("na,nab->nb", s, blended[:, :3, :3]) for n, s in arrays.shapes.items()}
+        shapes = {n: np.einsum("na,nab->nb", s, blended[:, :3, :3]) for n, s in arrays.shapes.items()}
     if not np.isfinite(placed).all() or np.abs(placed).max() > 1e100:
         raise FormatError(f"{arrays.control.name}: expected places of a moderate size, got others. Export it again.")
     normals, shape_normals = arrays.normals, arrays.shape_normals
@@ -189,9 +193,9 @@ def _vertices_in_world(
         shape_normals = {name: transform_offsets(offsets, normals, linear) for name, offsets in shape_normals.items()}
         normals = transform_normals(normals, linear)
     control = arrays.control.with_positions(placed[:, :3])
-    if np.linalg.det(whole[:3, :3]) < 0.0:
+    if np.linalg.det(to_world[:3, :3]) < 0.0:
         control = turn_faces(control, np.ones(control.n_faces, dtype=bool))
-    return replace(arrays, control=control, shapes=turned, normals=normals, shape_normals=shape_normals)
+    return replace(arrays, control=control, shapes=shapes, normals=normals, shape_normals=shape_normals)
 
 
 def transform_normals(normals: FloatArray, linear: FloatArray) -> FloatArray:
@@ -200,12 +204,13 @@ def transform_normals(normals: FloatArray, linear: FloatArray) -> FloatArray:
 
 
 def transform_offsets(offsets: FloatArray, normals: FloatArray, linear: FloatArray) -> FloatArray:
-    """Offsets (n, 3) of normals (n, 3), scaled as `transform_normals` scales the normals."""
+    """Offsets (n, 3) of normals (n, 3), divided by the lengths that `transform_normals` divides the normals by."""
     lengths = np.linalg.norm(_multiply_by_cofactors(normals, linear), axis=1, keepdims=True)
     return _multiply_by_cofactors(offsets, linear) / np.where(lengths > 0.0, lengths, 1.0)
 
 
 def _multiply_by_cofactors(vectors: FloatArray, linear: FloatArray) -> FloatArray:
+    """Vectors (n, 3), as rows, times |det| and the inverse transpose: normals of a surface under uneven scales."""
     cofactors = np.cross(linear[..., [1, 2, 0], :], linear[..., [2, 0, 1], :])
     signs = np.sign(np.linalg.det(linear))[..., None, None]
     rows = "na,ab->nb" if linear.ndim == 2 else "na,nab->nb"
@@ -242,7 +247,7 @@ def _weld_part(arrays: VertexArrays, weights: sparse.csr_array | None, node: int
 
 
 def _with_stored_vertices(mesh: ControlMesh) -> ControlMesh:
-    """The mesh with an added UV set that holds each corner's stored vertex: UVs survive welding."""
+    """The mesh with an added UV set that holds each corner's stored vertex, since welding keeps UVs."""
     numbers = np.column_stack([np.arange(mesh.n_vertices), np.zeros(mesh.n_vertices)]).astype(np.float64)
     if mesh.uvs is None:
         return replace(mesh, uvs=numbers, uv_indices=mesh.face_indices)
@@ -259,7 +264,7 @@ def _take_stored_vertices(mesh: ControlMesh) -> tuple[ControlMesh, IndexArray]:
 
 
 def _with_merged_uvs(mesh: ControlMesh) -> ControlMesh:
-    """The mesh with equal texture coordinates of a vertex merged: a hard edge alone makes no UV seam."""
+    """The mesh with equal texture coordinates of a vertex merged, so that a hard edge alone makes no UV seam."""
     if mesh.uvs is None or mesh.uv_indices is None:
         return mesh
     first, *others = (
