@@ -1,4 +1,4 @@
-"""Start, first look, map, landmark to preview, answers, frames, and a report: each in a headless Chromium."""
+"""Start, first map, checked map, landmark to preview, answers, frames, and a report: each in a headless Chromium."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ const turn = () => {
 };
 turn();
 """
-# Pictures of the target that the page has drawn: its own, a first look at the map, the map.
+# Pictures of the target that the page has drawn: its own, an unchecked map, the checked one.
 DRAWN_TARGETS = "return window.studio.views.sides.target.drawn"
 
 

@@ -62,7 +62,7 @@ def test_the_preview_maps_and_follows_landmarks(opened: tuple[PreviewCache, Open
     cache, second = run_task(cache, seven, lambda _: None, looks.append)
     # An update is shown before its quality is known, with the trust of the map before.
     (look,) = looks
-    assert look.map_state.rough
+    assert look.map_state.unchecked
     np.testing.assert_array_equal(look.preview_map.triangle, second.preview_map.triangle)
     np.testing.assert_array_equal(look.preview_map.trust, first.preview_map.trust)
     assert set(second.map_state.strain) == {f"v{v}" for v in range(7)}
@@ -158,8 +158,8 @@ def test_without_landmarks_the_preview_has_answers_to_choose_from(
     looks = list[MapUpdate]()
     cache, first = run_task(cache, FindMap(task.pair_files, LandmarkList()), lambda _: None, looks.append)
     # As the files stand, and the best of all rough fits; both are maps of every vertex, and said to be rough.
-    assert [look.map_state.rough for look in looks] == [True, True]
-    assert not first.map_state.rough
+    assert [look.map_state.unchecked for look in looks] == [True, True]
+    assert not first.map_state.unchecked
     assert {look.preview_map.triangle.shape for look in looks} == {first.preview_map.triangle.shape}
     # A box on a box: each half turn is an answer.
     assert len(first.map_state.answers) > 1

@@ -140,11 +140,13 @@ def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
     assert opened._preview.pair_files is not None
     task = FindMap(opened._preview.pair_files, LandmarkList())
     rough = MapUpdate(
-        replace(scene.preview_map, trust=np.ones(len(scene.preview_map.trust))), (b"rough", None), MapState(rough=True)
+        replace(scene.preview_map, trust=np.ones(len(scene.preview_map.trust))),
+        (b"rough", None),
+        MapState(unchecked=True),
     )
     opened._receive(task, rough)
     assert opened.scene.skins[0] == b"rough"
-    assert opened.state.map == replace(known, rough=True)
+    assert opened.state.map == replace(known, unchecked=True, from_start=False)
     # One that comes after the search was cancelled is not shown, and the cancelling is still said.
     opened._cancelled = True
     opened._receive(task, replace(rough, skins=(b"late", None)))
@@ -152,7 +154,7 @@ def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
     opened._receive(task, Failure(STOPPED_KIND, "killed"))
     assert opened.state.messages[-1].text == "cancelled"  # not: the map stays as it was
     opened._receive(task, MapUpdate(scene.preview_map, scene.skins, known))
-    assert (opened.state.map.rough, opened.state.map.revision) == (False, known.revision + 1)
+    assert (opened.state.map.unchecked, opened.state.map.revision) == (False, known.revision + 1)
 
 
 def test_a_bake_is_given_the_map_of_the_page_until_landmarks_change_it(

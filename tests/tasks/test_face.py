@@ -83,6 +83,7 @@ def test_the_sheet_shows_the_face_wherever_it_looks() -> None:
     turned = replace(kit, mesh=kit.mesh.with_positions(kit.mesh.positions @ to_x), shapes={})
     sides = (kit, np.eye(3)), (turned, to_x)
     sheets = [contact_sheet(Character((part,)), part.name, [], part, turn) for part, turn in sides]
+    assert np.mean(sheets[0] != sheets[0][0, 0]) > 0.2  # a face is there
     assert np.mean(sheets[0] != sheets[1]) < 0.01
 
 

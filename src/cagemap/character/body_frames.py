@@ -27,7 +27,8 @@ class FrameConfig(Config):
     min_distance: float = 2e-3  # smaller distances are raised to about this
     min_cosine: float = -0.3  # of the sample's normal with the closest point's normal: weight 0 here, 1 at cosine 1
     rotation_weight: float = 1e-6  # weight of the body's rotation in a frame, for neighbourhoods that form a line
-    max_stretch: float = 4.0  # of a frame. Where there is more, as on feet that the source lacks, the map is degenerate
+    # largest stretch of a frame, of the frames' median; beyond it the map collapses (docs/lab/passengers.md)
+    max_stretch: float = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,12 +140,14 @@ class BodyFrames:
             + rotation_weight * self.rotation
         )
         frames = np.linalg.solve(moments, covariance)
-        limit = self.config.max_stretch
-        degenerate = np.linalg.norm(frames, 2, axis=(1, 2)) > limit
-        left, stretches, right = np.linalg.svd(frames[degenerate])
-        # Without a jump at the limit, and without a stretch where the map collapses.
-        stretches = np.where(stretches > limit, np.maximum(1.0, limit**2 / np.maximum(stretches, limit)), stretches)
-        frames[degenerate] = (left * stretches[:, None]) @ right
+        sizes = np.linalg.norm(frames, axis=(1, 2))  # at least the largest stretch
+        median = float(np.median(sizes)) / np.sqrt(3.0)
+        limit = self.config.max_stretch * median
+        beyond = sizes > limit
+        left, stretches, right = np.linalg.svd(frames[beyond])
+        # Without a jump at the limit, and the median where the map collapses.
+        shrunk = np.maximum(median, limit**2 / np.maximum(stretches, limit))
+        frames[beyond] = (left * np.where(stretches > limit, shrunk, stretches)[:, None]) @ right
         return np.asarray(frames)
 
     def carry(self, points: FloatArray, distances: SignedDistances) -> tuple[FloatArray, FloatArray]:

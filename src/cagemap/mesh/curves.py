@@ -57,7 +57,7 @@ class Curve(Generic[P]):
 
     @kept
     def line(self: Curve[SurfacePoints]) -> Polyline:
-        """Polyline in space, on the surface scaled to unit area."""
+        """Polyline in space of a curve on a finest surface, which has unit area."""
         return Polyline(self.points.positions, self.closed)
 
 

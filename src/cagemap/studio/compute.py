@@ -234,7 +234,7 @@ def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, Open
             replace(model, notes=(*notes, *model.notes)) for notes, model in zip(conversions, models, strict=True)
         )
         source = textured(source, files.texture or paths[1], files.folder, progress)
-    for path in (*given, *paths):
+    for path in filter(None, (*given, *paths, files.texture)):
         logged = [text.replace(str(path), path.name) for text in logged]
     return target, replace(source, notes=(*source.notes, *dict.fromkeys(logged)))
 
@@ -258,8 +258,8 @@ def find_map(
     landmarks = to_landmarks(task.landmarks, cache.target.control, cache.source.control)
     has_constraints = bool(len(landmarks) + len(landmarks.curves))
     if task.answer is not None or not has_constraints:
-        rough = preview if cache.result is None else None
-        free_match = cache.free_match or match_pair(prepared_pair, progress=progress, preview=rough)
+        first_preview = preview if cache.result is None else None
+        free_match = cache.free_match or match_pair(prepared_pair, progress=progress, preview=first_preview)
         answer = cache.chosen_answer if task.answer is None else task.answer
         result = other_answer(free_match, answer, progress=progress) if answer else free_match
         config = MatchConfig(answer=answer)
@@ -281,7 +281,7 @@ def _unchecked_update(cache: PreviewCache, point_map: PointMap) -> MapUpdate:
     trust = np.ones(point_map.target.n) if cache.result is None else cache.result.quality.trust
     preview_map = PreviewMap(point_map.triangle, point_map.barycentric, trust)
     skin = target_skin(target.shape, target.look, source.shape, source.look, preview_map)
-    return MapUpdate(preview_map, (skin, None), MapState(rough=True))
+    return MapUpdate(preview_map, (skin, None), MapState(unchecked=True))
 
 
 def _prepare(cache: PreviewCache, progress: Progress) -> tuple[PreviewCache, PreparedPair]:

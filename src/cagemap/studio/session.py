@@ -306,16 +306,17 @@ class Session(LandmarkEdits):
         return state.history.present, None if scene is None else scene.preview_map
 
     def _receive(self, task: Task, result: object) -> None:
-        is_rough = isinstance(result, MapUpdate) and result.map_state.rough
+        is_unchecked = isinstance(result, MapUpdate) and result.map_state.unchecked
         with self._lock:
             with self.report_errors():
-                self._apply_result(task, result, is_rough=is_rough)
-            if not is_rough:  # under the same lock: nothing is left to cancel; afterwards: no flash of the last state
+                self._apply_result(task, result, is_unchecked=is_unchecked)
+            # Under the same lock: nothing is left to cancel. Afterwards: no flash of the last state.
+            if not is_unchecked:
                 self._change(preview_job=None)
 
-    def _apply_result(self, task: Task, result: object, *, is_rough: bool) -> None:
-        cancelled, self._cancelled = self._cancelled, self._cancelled and is_rough
-        if task.pair_files != self._preview.pair_files or (is_rough and cancelled):  # other models are open by now
+    def _apply_result(self, task: Task, result: object, *, is_unchecked: bool) -> None:
+        cancelled, self._cancelled = self._cancelled, self._cancelled and is_unchecked
+        if task.pair_files != self._preview.pair_files or (is_unchecked and cancelled):  # other models are open by now
             return
         files, ups = self._state.files, task.pair_files.ups
         if files is not None and self._scene is not None and files.ups != ups and not isinstance(result, Failure):
@@ -325,7 +326,7 @@ class Session(LandmarkEdits):
             case Failure() if result.kind == CANCELLED_KIND:  # the same models were opened again
                 pass
             case Failure() if cancelled and result.kind == STOPPED_KIND:
-                self._say("note", "cancelled" + ("" if self._state.map.rough else "; the map stays as it was"))
+                self._say("note", "cancelled" + ("" if self._state.map.unchecked else "; the map stays as it was"))
             case Failure():
                 is_ours = result.kind.isidentifier()  # the text of an internal error names its class
                 self._say("error", result.message if is_ours else f"{result.kind}: {result.message}")
@@ -345,10 +346,11 @@ class Session(LandmarkEdits):
                     scene.warm_up()  # not earlier: the page loads the models first
                 shown, job = self._state.map, self._state.preview_job
                 map_state = result.map_state.rename_landmarks(task.landmarks, self._state.history.present)
-                map_state = replace(shown, rough=True) if result.map_state.rough else map_state
-                seconds = 0.0 if job is None or map_state.rough else time.monotonic() - job.begun
+                if map_state.unchecked:
+                    map_state = replace(shown, unchecked=True, from_start=False)
+                seconds = 0.0 if job is None or map_state.unchecked else time.monotonic() - job.begun
                 first = shown.first_seconds or seconds
-                revision = shown.revision + (not map_state.rough)
+                revision = shown.revision + (not map_state.unchecked)
                 map_state = replace(map_state, revision=revision, first_seconds=first)
                 self._change(map=map_state, proposal=propose_place(scene, self._state.history.present))
             case bytes() if self._scene is not None and isinstance(task, ShowBaked):
@@ -371,7 +373,7 @@ class Session(LandmarkEdits):
             schemes, welds = (target.scheme, source.scheme), (target.weld, source.weld)
             files = replace(files, target=target.path or files.target, source=source.path or files.source)
             self._change(files=replace(files, schemes=schemes, welds=welds, texture=source.texture))
-        self._say_all(target.notes + source.notes)
+        self._say_all(tuple(map(in_page_words, target.notes + source.notes)))
         self._load_initial_landmarks()
 
     def _load_initial_landmarks(self) -> None:

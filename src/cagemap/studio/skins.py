@@ -186,6 +186,7 @@ def _sample_image(
 ) -> tuple[FloatArray, bytes]:
     """Sample source colours on target triangles: texture coordinates (3 t, 2) and a PNG.
 
+    ``images``: (n, 3) positions of the target's vertices on the source.
     Each triangle has a square of samples; those beyond its diagonal are moved onto it.
     """
     side = int(np.clip(np.sqrt(_MAX_SAMPLES / len(corners)), _MIN_SAMPLES_PER_SIDE, _MAX_SAMPLES_PER_SIDE))
@@ -225,6 +226,7 @@ def seam_triangles(
 ) -> NDArray[np.bool_]:
     """(t,) bool: target triangles with a texture seam of the source between their corners' images.
 
+    ``images``: (n, 3) positions of the target's vertices on the source; ``uvs``: (n, 2) the source's there.
     Texture coordinates are affine on a source triangle: extrapolated from one corner they are close to the next
     corner's, unless a seam lies between.
     """

@@ -117,7 +117,7 @@ class MapState:
         Warnings of the match.
     suggestion : int or None
         Control vertex of the target where the next landmark helps most.
-    rough : bool
+    unchecked : bool
         Whether the map shown is not checked yet: a rough one, or an update. The rest is of the one before.
     from_start : bool
         Whether a match with these landmarks finds this map; False for a map that was only updated.
@@ -137,7 +137,7 @@ class MapState:
     contradictions: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     suggestion: int | None = None
-    rough: bool = False
+    unchecked: bool = False
     from_start: bool = False
     poor: str = ""
     poses: tuple[str, ...] = ()

@@ -30,8 +30,8 @@ from cagemap.tasks.progress import Stages
 # Least number of finest vertices of a body that is subdivided; plain meshes are not.
 BODY_VERTICES = 100_000
 # Least extent of the piece that is matched, of its body's: 0.25 if the body is missing under the clothes, 0.77 and more
-# if it is whole (docs/lab/characters.md).
-_MIN_PIECE_EXTENT = 0.5
+# if it is whole (docs/lab/characters.md). Other pieces of a tenth of the area or less are no parts of the body.
+_MIN_PIECE_EXTENT, _MAX_OTHER_PIECES = 0.5, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ def carry_character(
         if weights is None:
             notes.append(
                 f"{source_body.name} has no weights, so the body does not move with the skeleton: export the character "
-                "with the skin of its body, or name the part that has it as the body"
+                "with the weights of its body, or choose a part that has weights as the body (rig: --like-part)"
             )
         rig = carry_rig(result.point_map, source.rig)
         animations, posed_otherwise = retarget_all(source.animations, source.rig, rig)
@@ -151,12 +151,13 @@ def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stage
 
 def _ready_body(part: Part) -> RepairedMesh:
     ready = ready_mesh(part.mesh)
-    extents = [float(np.linalg.norm(np.ptp(mesh.positions, axis=0))) for mesh in (ready.mesh, part.mesh)]
-    if extents[0] < _MIN_PIECE_EXTENT * extents[1]:
+    with_faces = part.mesh.positions[np.unique(part.mesh.face_indices)]
+    extents = [float(np.linalg.norm(np.ptp(points, axis=0))) for points in (ready.mesh.positions, with_faces)]
+    if ready.repairs.pieces_share > _MAX_OTHER_PIECES and extents[0] < _MIN_PIECE_EXTENT * extents[1]:
         raise ParameterError(
-            f"{part.mesh.name}: expected a body in one piece, but {part.name} has {ready.repairs.pieces + 1} pieces, "
-            f"the largest spanning only {extents[0] / extents[1]:.0%} of it. If faces under the clothes were deleted, "
-            "export the whole body; or choose another part as the body."
+            f"{part.mesh.name}: expected a surface in one piece, but {part.name} has {ready.repairs.pieces + 1} "
+            f"pieces, the largest spanning only {extents[0] / extents[1]:.0%} of it. If faces under the clothes were "
+            "deleted, export the whole body; or choose another part (rig: --body-part, --like-part; face: --part)."
         )
     return ready
 

@@ -48,8 +48,8 @@ def run_check(request: CheckRequest, stages: Stages) -> tuple[str, bool]:
         try:
             mesh, report, holds = _check_file(path, SubdivisionRequest(request.scheme), request.weld)
         except CagemapError as error:
-            said = {name: getattr(error, name) for name in ("code", "place", "remedy")}
-            values.append({"file": str(path), "usable": False, "error": str(error), **said})
+            fields = {name: getattr(error, name) for name in ("code", "place", "remedy")}
+            values.append({"file": str(path), "usable": False, "error": str(error), **fields})
             texts.append(f"{path}\n  cannot be read: {error}")
             sound = False
             continue

@@ -93,7 +93,7 @@ def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stage
         verdict = Consistency({}, 0, (), {})
         current = plan
         if step.name not in ("prepare", "match"):
-            verdict, current = _add_detours(plan, version)
+            verdict, current = _verdict_and_plan(plan, version)
         if step.name == PAGE_STEP:
             text, complete = _write_page(title, current, _kept_outcomes(current), verdict, time.perf_counter())
             lines.append(f"{number} page:\n{text}")
@@ -168,7 +168,7 @@ def _kept_outcomes(plan: Plan) -> dict[str, TaskOutcome]:
     return {name: outcome for name, outcome in kept.items() if outcome is not None} | missing
 
 
-def _add_detours(plan: Plan, version: str) -> tuple[Consistency, Plan]:
+def _verdict_and_plan(plan: Plan, version: str) -> tuple[Consistency, Plan]:
     """Consistency of finished maps, and the plan with detours around doubtful ones; under a file lock."""
     if not has_detours(plan):
         return Consistency({}, 0, (), {}), plan

@@ -54,12 +54,12 @@ def finite_array(values: ArrayLike, where: str) -> FloatArray:
     return array
 
 
-def vector_array(value: Any, *names: str, columns: int) -> FloatArray:
+def vector_attribute(value: Any, *names: str, columns: int) -> FloatArray:
     """A nested attribute that lists vectors, as an array (n, columns)."""
     return np.array(get(value, *names), dtype=np.float64).reshape(-1, columns)
 
 
-def index_array(value: Any, *names: str) -> IndexArray:
+def index_attribute(value: Any, *names: str) -> IndexArray:
     """A nested attribute that lists whole numbers, as an array (n,)."""
     return np.array(get(value, *names), dtype=np.int64)
 
@@ -99,7 +99,7 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
     """The mesh of a node, in the node's space; None if it has no polygons."""
     mesh, name = get(node, "mesh"), node_name(node)
     placed = row_matrix(get(node, "geometry_to_node"))
-    faces = index_array(mesh, "faces").reshape(-1, 2)
+    faces = index_attribute(mesh, "faces").reshape(-1, 2)
     kept = faces[:, 1] >= 3
     if not kept.any():
         return None
@@ -109,10 +109,10 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
     if np.linalg.det(placed[:3, :3]) < 0.0:
         place = -place % np.repeat(sizes, sizes)
     corners = np.repeat(begins, sizes) + place
-    points = index_array(mesh, "vertex_indices")
+    points = index_attribute(mesh, "vertex_indices")
     control = ControlMesh(
         finite_array(
-            vector_array(mesh, "vertices", columns=3) @ placed[:3, :3] + placed[3, :3], f"mesh {name}: positions"
+            vector_attribute(mesh, "vertices", columns=3) @ placed[:3, :3] + placed[3, :3], f"mesh {name}: positions"
         ),
         offsets,
         points[corners],
@@ -147,7 +147,7 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
 
 
 def _materials(mesh: Any, kept: NDArray[np.bool_]) -> dict[str, Any]:
-    slots = index_array(mesh, "face_material")
+    slots = index_attribute(mesh, "face_material")
     if not len(slots) or not list_attribute(mesh, "materials"):
         return {}
     numbers = slots[kept]
@@ -159,8 +159,8 @@ def _materials(mesh: Any, kept: NDArray[np.bool_]) -> dict[str, Any]:
 
 def _uv_set(uv_set: Any, corners: IndexArray, mesh: str) -> UvSet:
     uvs, name = get(uv_set, "vertex_uv"), get(uv_set, "name")
-    values = finite_array(vector_array(uvs, "values", columns=2), f"mesh {mesh}: UVs {name}")
-    return UvSet(name, values, index_array(uvs, "indices")[corners])
+    values = finite_array(vector_attribute(uvs, "values", columns=2), f"mesh {mesh}: UVs {name}")
+    return UvSet(name, values, index_attribute(uvs, "indices")[corners])
 
 
 def _corner_values(values: Any, corners: IndexArray) -> FloatArray | None:
@@ -168,7 +168,7 @@ def _corner_values(values: Any, corners: IndexArray) -> FloatArray | None:
     if not get(values, "exists"):
         return None
     table: FloatArray = np.array(get(values, "values"), dtype=np.float64)
-    return table[index_array(values, "indices")[corners]]
+    return table[index_attribute(values, "indices")[corners]]
 
 
 def _shapes(
@@ -186,7 +186,7 @@ def _shapes(
             note(f"{control.name}: shape {name} has {len(between)} shapes in between, which are left out")
         shape, amount = get(full, "shape"), float(get(full, "target_weight")) or 1.0
         offsets = np.zeros((control.n_vertices, 3))
-        moved = vector_array(shape, "position_offsets", columns=3) @ linear / amount
+        moved = vector_attribute(shape, "position_offsets", columns=3) @ linear / amount
         moved = finite_array(moved, f"mesh {control.name}: shape {name}")
         offsets[_vertices(shape, "offset_vertices", control)] = moved
         shapes[name] = offsets, channel
@@ -227,7 +227,7 @@ def _with_skin(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh
 
 def _vertices(value: Any, name: str, control: ControlMesh) -> IndexArray:
     """Vertices that a skin or shape lists, checked, since ufbx does not."""
-    vertices = index_array(value, name)
+    vertices = index_attribute(value, name)
     if vertices.size and (vertices.min() < 0 or vertices.max() >= control.n_vertices):
         raise FormatError(f"{control.name}: a skin or shape of {control.n_vertices} vertices lists {vertices.max()}")
     return vertices

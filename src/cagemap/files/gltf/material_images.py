@@ -87,7 +87,7 @@ def material_images(document: Document, material: str, only: str | None = None) 
     return tuple(image for image in images if image is not None)
 
 
-def _mark_content(name: str, data: bytes) -> bytes:
+def _content_with_mark(name: str, data: bytes) -> bytes:
     """The content of a file of this name if cagemap wrote it."""
     with tempfile.TemporaryDirectory() as folder:
         written = Path(folder) / name
@@ -100,7 +100,7 @@ def write_numbered(file: Path, data: bytes) -> Path:
     """Write a file; its name gets a number if a file of that name has another content. Returns the path."""
     files = (file.with_stem(f"{file.stem}{number or ''}") for number in itertools.count())
     free = next(
-        path for path in files if not path.exists() or path.read_bytes() in (data, _mark_content(file.name, data))
+        path for path in files if not path.exists() or path.read_bytes() in (data, _content_with_mark(file.name, data))
     )
     if not free.exists():
         write_whole(free, data)

@@ -121,19 +121,19 @@ class Contents:
         welded = f"{self.vertices}, made of {self.stored} in the file" if self.stored > self.vertices else ""
         rows = (
             ("body", self.body, "is matched"),
-            ("passengers", _first_names(self.passengers), "ride on the body"),
+            ("passengers", _count_and_names(self.passengers), "ride on the body"),
             ("skeleton", joints, "is carried, with its weights"),
-            ("shapes", _first_names(self.shapes), "are carried"),
-            ("textures", _first_names(self.textures), "are baked for the other body"),
-            ("animations", _first_names(moving), "are retargeted"),
-            ("extensions", _first_names(self.extensions), "are kept as they are"),
+            ("shapes", _count_and_names(self.shapes), "are carried"),
+            ("textures", _count_and_names(self.textures), "are baked for the other body"),
+            ("animations", _count_and_names(moving), "are retargeted"),
+            ("extensions", _count_and_names(self.extensions), "are kept as they are"),
             ("vertices", welded, "copies along seams are welded, so that later vertices have other numbers here"),
         )
         lines = [f"    {name:<12}{held}: {done}" for name, held, done in rows if held]
         return "\n".join(["  holds, and what `cagemap rig` does with it", *lines])
 
 
-def _first_names(names: tuple[str, ...] | list[str]) -> str:
+def _count_and_names(names: tuple[str, ...] | list[str]) -> str:
     return f"{len(names)} ({first_few(names)})" if names else ""
 
 

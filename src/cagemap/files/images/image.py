@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
-from cagemap.files.images.parts import apply_orientation, crop_to_display_window, require_one_picture
+from cagemap.files.images.parts import apply_orientation, fit_to_display_window, require_one_picture
 from cagemap.files.ownership import mark
 from cagemap.files.text import require_file, text_name
 from cagemap.mesh.udim import FIRST_TILE
@@ -130,7 +130,7 @@ def _read(file: Path) -> Image:
     form = opened.format_name()
     may_be_associated = form in ("tiff", "openexr")
     associated = may_be_associated and spec.alpha_channel >= 0 and not spec.getattribute("oiio:UnassociatedAlpha")
-    array = crop_to_display_window(array, spec) if form == "openexr" else array
+    array = fit_to_display_window(array, spec) if form == "openexr" else array
     array = apply_orientation(array, int(spec.getattribute("Orientation") or 1))
     profile = spec.getattribute("ICCProfile")
     return Image(

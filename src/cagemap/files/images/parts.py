@@ -47,7 +47,7 @@ def require_one_picture(file: Path, opened: Any) -> None:
         opened.seek_subimage(0, 0)
 
 
-def crop_to_display_window(pixels: Pixels, spec: Any) -> Pixels:
+def fit_to_display_window(pixels: Pixels, spec: Any) -> Pixels:
     """Pixels in the display window of an EXR, 0 outside its data window, which may be smaller or larger."""
     rows, columns = (
         (slice(max(lo, full), min(lo + size, full + count)), lo, full, count)

@@ -222,7 +222,7 @@ def stored_landmarks(
     names: list[str], points: tuple[CagePoints, CagePoints], meshes: tuple[str, str], curves: CageCurvePairs
 ) -> Landmarks:
     """Landmarks at points of both meshes, numbered if they have no names, and curves."""
-    titles = tuple(names) or tuple(f"pair {i}" for i in range(len(points[0])))
+    titles = tuple(names) or tuple(f"point {i}" for i in range(len(points[0])))
     return Landmarks.of_points(titles, *points, *meshes, curves)
 
 

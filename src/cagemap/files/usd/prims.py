@@ -196,13 +196,13 @@ def _weights(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[A
         joints, values = (np.repeat(table[:1], control.n_vertices, axis=0) for table in (joints, values))
     if joints.shape != values.shape or len(joints) != control.n_vertices or (joints.size and joints.min() < 0):
         _refuse(where, weights, f"got tables of {joints.shape} joints and {values.shape} weights")
-    joints, count = _reorder_joints(where, weights, joints, prim)
+    joints, count = _skeleton_joint_numbers(where, weights, joints, prim)
     table = np.zeros((control.n_vertices, count))
     np.add.at(table, (np.arange(len(joints))[:, None], joints), values)
     return {JOINT_WEIGHTS: table}
 
 
-def _reorder_joints(where: str, weights: Any, joints: NDArray[Any], prim: Any) -> tuple[NDArray[Any], int]:
+def _skeleton_joint_numbers(where: str, weights: Any, joints: NDArray[Any], prim: Any) -> tuple[NDArray[Any], int]:
     """Joint numbers in the order of the bound skeleton, and its number of joints."""
     skeleton = usd_modules().UsdSkel.BindingAPI(prim).GetInheritedSkeleton()
     joints_of_skeleton = list(skeleton.GetJointsAttr().Get() or []) if skeleton else []

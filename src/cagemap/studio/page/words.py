@@ -64,7 +64,7 @@ def verdict(state: StudioState, scene: Scene | None) -> str:
     map_state, preview_map = state.map, None if scene is None else scene.preview_map
     if scene is None or preview_map is None:
         return ""
-    if map_state.rough:
+    if map_state.unchecked:
         return "Not yet checked"
     if map_state.revision == 0:
         return ""
@@ -132,7 +132,7 @@ def _stage_text(stage: str) -> tuple[str, float | None]:
 def _next_step(state: StudioState) -> str:
     if state.files is None:
         return state.messages[-1].text if state.messages else "Open two models, or drop their files here."
-    if state.map.rough:  # cancelled
+    if state.map.unchecked:  # cancelled
         return "This map is not checked. Press Match again for the checked one."
     if state.map.revision == 0:
         return OPENING_TITLE
