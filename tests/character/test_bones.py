@@ -17,8 +17,8 @@ from cagemap.character.bones import (
     humanoid_joints,
     mirrored_joints,
 )
-from cagemap.character.roles import passenger_word
 from cagemap.character.values import Rig
+from cagemap.mesh.parts import passenger_word
 
 # Names and parents as the programs write them.
 REAL = {

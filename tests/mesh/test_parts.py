@@ -24,7 +24,7 @@ from cagemap.mesh.parts import (
     join_meshes,
     list_parts,
 )
-from cagemap.subdivision import refine
+from cagemap.subdivision import refine, with_options
 from cagemap.tasks import mesh_commands
 from cagemap.tasks.match import MatchRequest, matched_levels, read_inputs, run_match
 from cagemap.tasks.match_parts import material_pieces, pair_parts, requested_parts, select_parts
@@ -102,6 +102,26 @@ def test_the_largest_part_has_most_area_among_those_of_about_as_many_faces(scale
     body = body.with_positions(scale * body.positions)
     ground = ControlMesh.from_faces([[-99, 0, -99], [-99, 0, 99], [99, 0, 99], [99, 0, -99]], [[0, 1, 2, 3]])
     assert len(find_part(join_meshes([ground, icosahedron(), body]), "largest").faces) == faces
+
+
+@pytest.mark.parametrize(
+    ("body", "clothes", "scheme", "faces"),
+    [
+        ("man-male1591", "man-jeans01", "catmull-clark", 20),
+        ("/man/body", "/man/Shirt", "catmull-clark", 20),
+        ("teapot", "lid", "catmull-clark", 12),
+        ("eyes", "jeans", "catmull-clark", 12),
+        ("body", "jeans", "none", 12),
+    ],
+)
+@pytest.mark.parametrize("kind", ["object", "group"])
+def test_the_largest_part_of_a_control_mesh_is_not_named_like_clothes(
+    kind: str, body: str, clothes: str, scheme: str, faces: int
+) -> None:
+    large = triangulated(cube())
+    scene = join_meshes([icosahedron(), large.with_positions(9 * large.positions)])
+    labels = {f"face_{kind}s": np.repeat([0, 1], [20, 12]), f"{kind}_names": (body, clothes)}
+    assert len(find_part(with_options(replace(scene, **labels), scheme), "largest").faces) == faces
 
 
 def test_titles_of_components_are_unique_where_objects_are_named_by_numbers() -> None:

@@ -61,6 +61,10 @@ def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, b
         # A box on a cube: other answers are buttons.
         answers = "return [...document.querySelectorAll('#answers button')]"
         page.until(lambda: len(page.run(answers)) > 1, "other answers")
+        # Long names wrap, and no button is lower than its text.
+        long = "document.querySelectorAll('#answers button').forEach(one => one.textContent = 'limbs '.repeat(50));"
+        heights = page.run(f"{long} {answers}.map(one => [one.scrollHeight, one.clientHeight])")
+        assert all(text <= button for text, button in heights)
         page.run(f"{answers}[1].click()")
         page.until(lambda: page.revision() == 2, "the other answer")
         assert page.state("chosen") == 1

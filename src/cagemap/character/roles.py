@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,21 +11,7 @@ from cagemap.character.values import Part
 from cagemap.errors import ParameterError
 from cagemap.mesh.faces import face_areas
 from cagemap.mesh.mesh_report import first_few
-
-# Words in the names of passengers; those that begin other words (panther, hatchling) end there.
-_PASSENGER_WORDS = re.compile(
-    r"eye|lash|brow|teeth|tooth|tongue|hair|beard|moustache|helmet|glasses|shirt|jacket|suit|dress|skirt|trouser|cloth|"
-    r"outfit|garment|shoe|boot|sock|glove|belt|scarf|armor|armour|weapon|sword|accessor|"
-    r"(?:gum|hat|cap|top|coat|pant|jean|short|bag|cape)(?=s?(?-i:(?![a-z])))",
-    re.IGNORECASE,
-)
-
-
-def passenger_word(name: str) -> str:
-    """The passenger word in a part's name, in lower case; '' if none."""
-    match = _PASSENGER_WORDS.search(name)
-    return "" if match is None else match[0].lower()
-
+from cagemap.mesh.parts import passenger_word
 
 # Of the body's size: vertices closer than this are at the same place.
 _SAME_PLACE = 1e-5

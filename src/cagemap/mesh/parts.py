@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.mesh.control_mesh import NO_UV, ControlMesh, UvSet
 from cagemap.mesh.faces import face_areas, keep_faces
+from cagemap.mesh.schemes import Plain
 from cagemap.mesh.topology import face_components, face_pieces
 from cagemap.numerics.arrays import FloatArray, IndexArray, members_of, offsets_of, places_of
 
@@ -21,6 +23,13 @@ PART_KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
 # Share of the largest number of faces of a piece. A piece with fewer is a ground or a plate rather than the model.
 MIN_SHARE_OF_FACES = 0.5
+# Words in the names of passengers; those that begin other words (panther, hatchling) end there.
+_PASSENGER_WORDS = re.compile(
+    r"eye|lash|brow|teeth|tooth|tongue|hair|beard|moustache|helmet|glasses|shirt|jacket|suit|dress|skirt|trouser|cloth|"
+    r"outfit|garment|shoe|boot|sock|glove|belt|scarf|armor|armour|weapon|sword|accessor|"
+    r"(?:gum|hat|cap|top|coat|pant|jean|short|bag|cape)(?=s?(?-i:(?![a-z])))",
+    re.IGNORECASE,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +82,34 @@ def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
     return tuple(Part(part.kind, name, faces) for name, faces in zip(names, pieces, strict=True))
 
 
+def passenger_word(name: str) -> str:
+    """The passenger word in a part's name, in lower case; '' if none."""
+    match = _PASSENGER_WORDS.search(name)
+    return "" if match is None else match[0].lower()
+
+
 def largest_part(mesh: ControlMesh) -> Part:
-    """The connected piece of largest area among those that have enough faces (`MIN_SHARE_OF_FACES`)."""
+    """The connected piece of largest area among those that have enough faces (`MIN_SHARE_OF_FACES`).
+
+    In a control mesh, objects and groups with a passenger's name are taken only if there are no others. In a plain mesh
+    names do not count, as in `cagemap.mesh.plain.plain_mesh`, which keeps the largest piece.
+    """
     pieces, areas = connected_parts(mesh), face_areas(mesh)
     least = MIN_SHARE_OF_FACES * max(len(piece.faces) for piece in pieces)
-    return max((piece for piece in pieces if len(piece.faces) >= least), key=lambda one: areas[one.faces].sum())
+    large = [piece for piece in pieces if len(piece.faces) >= least]
+    if not isinstance(mesh.scheme, Plain):
+        of_passenger = _faces_of_passengers(mesh)
+        large = [piece for piece in large if not of_passenger[piece.faces].all()] or large
+    return max(large, key=lambda piece: areas[piece.faces].sum())
+
+
+def _faces_of_passengers(mesh: ControlMesh) -> NDArray[np.bool_]:
+    """(m,) whether a face's object or group has a passenger's name."""
+    found = np.zeros(mesh.n_faces, dtype=bool)
+    for kind, numbers, names in mesh.partitions:
+        if kind != "material" and numbers is not None:
+            found |= np.array([passenger_word(name) != "" for name in names], dtype=bool)[numbers]
+    return found
 
 
 def find_part(mesh: ControlMesh, name: str) -> Part:

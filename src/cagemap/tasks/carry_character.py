@@ -13,13 +13,13 @@ from cagemap.character.normals import move_vertices, with_shape_normals
 from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.passengers import carry_passengers
 from cagemap.character.retarget import retarget_all
-from cagemap.character.roles import find_body, passenger_word
+from cagemap.character.roles import find_body
 from cagemap.character.skeleton import carry_rig
 from cagemap.character.values import Character, Part
 from cagemap.errors import ParameterError
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import extract_faces, numbers_on_part
+from cagemap.mesh.parts import extract_faces, numbers_on_part, passenger_word
 from cagemap.mesh.repairs import RepairedMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pipeline import choose_level, match, prepare_surfaces

@@ -10,7 +10,7 @@ import numpy as np
 
 from cagemap.character.bones import humanoid_joints
 from cagemap.character.joints import Skeleton, tails_of
-from cagemap.character.roles import find_body, passenger_word
+from cagemap.character.roles import find_body
 from cagemap.character.values import Rig
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import NGONS
@@ -23,7 +23,7 @@ from cagemap.files.gltf.textures import texture_slots
 from cagemap.files.text import whole_characters
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
-from cagemap.mesh.parts import join_meshes
+from cagemap.mesh.parts import join_meshes, passenger_word
 from cagemap.numerics.arrays import FloatArray
 
 _log = logging.getLogger(__name__)
