@@ -60,7 +60,7 @@ class Repairs(Brief):
         if not self.pieces:
             return self.sentences()
         pieces = f"{count_noun(self.pieces, 'smaller piece')} ({count_noun(self.pieces_vertices, 'vertex')})"
-        return (f"{pieces} not matched: `cagemap rig` carries them along", *replace(self, pieces=0).sentences())
+        return (f"{pieces} not matched, but moved along with the body", *replace(self, pieces=0).sentences())
 
     def summary(self) -> dict[str, float]:
         """Numbers other than zero by name, for a manifest."""

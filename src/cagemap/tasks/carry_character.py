@@ -9,6 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from cagemap.character.doubled_pieces import doubled_pieces
 from cagemap.character.normals import move_vertices, with_shape_normals
 from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.passengers import carry_passengers
@@ -19,6 +20,7 @@ from cagemap.character.values import Character, Part
 from cagemap.errors import ParameterError
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.mesh.parts import extract_faces, numbers_on_part, passenger_word
 from cagemap.mesh.repairs import RepairedMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -75,7 +77,8 @@ def carry_character(
     matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages)
     result = matched.result
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]
-    pieces = _set_aside(source_body, matched.ready[1])
+    pieces, left_out = _pieces_to_carry(matched)
+    notes += left_out
     to_carry = [*chosen, *([] if pieces is None else [pieces])]
     stages("weights and shapes")
     weights, shapes = _body_weights(matched, influences), body_shapes(matched)
@@ -181,20 +184,48 @@ def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
     return {name: bodies.on_target(offsets) for name, offsets in carried.items()}
 
 
+def _pieces_to_carry(bodies: Bodies) -> tuple[Part | None, list[str]]:
+    """Unmatched pieces of the source's body without those that the target's body has itself, and a note on these."""
+    own, pieces = (_set_aside(part, ready) for part, ready in zip(bodies.given, bodies.ready, strict=True))
+    if own is None or pieces is None:
+        return pieces, []
+    mesh = pieces.mesh
+    placed = mesh.with_positions(carry_passengers(bodies.result, [mesh])[0].positions)
+    doubled = doubled_pieces(placed, own.mesh)
+    if not doubled:
+        return pieces, []
+    sizes = first_few([count_noun(len(faces), "face") for faces in doubled])
+    target, source = bodies.given
+    note = (
+        f"{count_noun(len(doubled), 'smaller piece')} of {source.mesh.name} ({sizes}) not carried, since "
+        f"{target.mesh.name} has its own there: to carry them, make them an object of their own"
+    )
+    left = np.setdiff1d(np.arange(mesh.n_faces), np.concatenate(doubled))
+    return _part_of_faces(pieces, left) if len(left) else None, [note]
+
+
 def _set_aside(body: Part, ready: RepairedMesh) -> Part | None:
     """Unmatched pieces of a body's mesh as a separate part; None without any."""
     mesh = body.mesh
     kept = np.maximum.reduceat(ready.vertex_of[mesh.face_indices], mesh.face_offsets[:-1]) >= 0
     if kept.all():
         return None
-    taken = extract_faces(mesh, np.flatnonzero(~kept))
+    pieces = _part_of_faces(body, np.flatnonzero(~kept))
+    name = f"{body.name} pieces"
+    return replace(pieces, name=name, mesh=replace(pieces.mesh, name=name))
+
+
+def _part_of_faces(body: Part, faces: IndexArray) -> Part:
+    """Some faces of a part, with the values of their vertices and corners."""
+    mesh = body.mesh
+    taken = extract_faces(mesh, faces)
     number = numbers_on_part(taken, mesh)
     rows = np.zeros(taken.n_vertices, dtype=np.int64)
     rows[number[number >= 0]] = np.flatnonzero(number >= 0)
-    corners = ~kept[mesh.corner_faces]
+    corners = np.isin(mesh.corner_faces, faces)
     return Part(
-        f"{body.name} pieces",
-        replace(taken, name=f"{body.name} pieces"),
+        body.name,
+        taken,
         None if body.weights is None else body.weights[rows],
         {name: offsets[rows] for name, offsets in body.shapes.items()},
         None if body.normals is None else body.normals[corners],

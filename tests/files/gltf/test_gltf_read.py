@@ -193,6 +193,22 @@ def test_check_says_what_a_file_holds(file: Path, tmp_path: Path) -> None:
     assert "holds" not in run_check(CheckRequest((tmp_path / "plain.obj",)), Stages())[0]
 
 
+def test_check_says_that_the_body_has_no_weights(tmp_path: Path) -> None:
+    document = arm()
+    clothes = document.json["nodes"][4]
+    nodes = [*document.json["nodes"][:4], clothes | {"name": "shirt"}, {"name": "bare", "mesh": 2}]
+    meshes = json.loads(json.dumps(document.json["meshes"]))
+    bare = {name: meshes[0]["primitives"][0]["attributes"][name] for name in ("POSITION", "TEXCOORD_0")}
+    meshes.append({"primitives": [{"attributes": bare, "indices": meshes[0]["primitives"][0]["indices"]}]})
+    scenes = [{"nodes": [0, 4, 5]}]
+    path = _written(tmp_path, changed(document, nodes=nodes, meshes=meshes, scenes=scenes))
+    text, _ = run_check(CheckRequest((path,)), Stages())
+    assert "body        bare: is matched" in text
+    assert (
+        "2 joints, at most 2 a vertex: is carried, but bare has no weights, so the body does not move with it" in text
+    )
+
+
 @pytest.mark.parametrize("output", ["shapes", "cube.npz"])
 def test_written_shapes_come_back_without_the_cage_at_rest(tmp_path: Path, output: str) -> None:
     cage = replace(cube(), name="cube.obj")

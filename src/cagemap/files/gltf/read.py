@@ -101,6 +101,7 @@ class Contents:
     vertices: int  # number of vertices after welding
     stored: int  # number of vertices in a glTF file; 0 for other formats
     joints: int
+    body_has_weights: bool
     influences: int  # largest number of joints with weights at a vertex
     humanoid: int  # joints that are humanoid bones, by the table of a VRM or by `humanoid_joints`
     shapes: tuple[str, ...]
@@ -119,10 +120,13 @@ class Contents:
         moving = [f"{name} ({seconds:.3g} s)" for name, seconds in self.animations]
         joints = f"{self.joints} joints{bones}, at most {self.influences} a vertex" if self.joints else ""
         welded = f"{self.vertices}, made of {self.stored} in the file" if self.stored > self.vertices else ""
+        skeleton = "is carried, with its weights"
+        if not self.body_has_weights:
+            skeleton = f"is carried, but {self.body} has no weights, so the body does not move with it"
         rows = (
             ("body", self.body, "is matched"),
             ("passengers", _count_and_names(self.passengers), "ride on the body"),
-            ("skeleton", joints, "is carried, with its weights"),
+            ("skeleton", joints, skeleton),
             ("shapes", _count_and_names(self.shapes), "are carried"),
             ("textures", _count_and_names(self.textures), "are baked for the other body"),
             ("animations", _count_and_names(moving), "are retargeted"),
@@ -152,6 +156,7 @@ def contents_of(scene: Scene) -> Contents:
         vertices=sum(part.mesh.n_vertices for part in parts),
         stored=sum(read_part.stored for read_part in scene.parts) if is_gltf else 0,
         joints=0 if rig is None else len(rig.names),
+        body_has_weights=body.weights is not None,
         influences=max((int(np.diff(table.indptr).max()) for table in weights), default=0),
         humanoid=len(humanoid_bones(document) or ({} if rig is None else humanoid_joints(rig))),
         shapes=tuple(dict.fromkeys(name for part in parts for name in part.shapes)),

@@ -1,0 +1,44 @@
+"""Pieces of a carried mesh at whose place the target has its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cagemap.character.doubled_pieces import doubled_pieces
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.parts import join_meshes
+
+from example_character import ball
+
+
+def balls(*sizes: tuple[float, float]) -> ControlMesh:
+    """Balls of centres along x and radii."""
+    made = [ball("ball", np.array([x, 0.0, 0.0]), radius) for x, radius in sizes]
+    return join_meshes([replace(one, face_objects=None, object_names=()) for one in made])
+
+
+@pytest.mark.parametrize(
+    ("own", "doubled"),
+    [
+        ([(0.0, 1.0)], [0]),
+        ([(0.1, 1.5)], [0]),  # an ear of another size
+        ([(5.0, 1.2), (0.2, 1.0)], [0, 1]),
+        ([(2.5, 1.0)], []),  # between both
+        ([(0.0, 6.0)], []),  # around them
+        ([(0.0, 0.2)], []),  # a button on it
+    ],
+)
+def test_a_piece_where_the_target_has_its_own_is_found(own: list[tuple[float, float]], doubled: list[int]) -> None:
+    carried = balls((0.0, 1.0), (5.0, 1.0))
+    size = carried.n_faces // 2
+    found = doubled_pieces(carried, balls(*own))
+    assert [set(faces.tolist()) for faces in found] == [set(range(k * size, (k + 1) * size)) for k in doubled]
+
+
+def test_a_piece_of_the_target_stands_for_one_piece() -> None:
+    """A hat on hair is carried to a body that has hair."""
+    (hair,) = doubled_pieces(balls((0.0, 1.1), (0.0, 1.0)), balls((0.0, 1.02)))
+    assert hair.min() > 0
