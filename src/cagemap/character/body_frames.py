@@ -27,7 +27,8 @@ class FrameConfig(Config):
     min_distance: float = 2e-3  # smaller distances are raised to about this
     min_cosine: float = -0.3  # of the sample's normal with the closest point's normal: weight 0 here, 1 at cosine 1
     rotation_weight: float = 1e-6  # weight of the body's rotation in a frame, for neighbourhoods that form a line
-    # largest stretch of a frame, of the frames' median; beyond it the map collapses (docs/lab/passengers.md)
+    # largest stretch of a frame, divided by the median stretch of all frames. Frames that stretch more are changed: the
+    # map collapses there (docs/lab/passengers.md)
     max_stretch: float = 4.0
 
 
@@ -139,16 +140,7 @@ class BodyFrames:
             + weight * normals[:, :, None] * target_normals[:, None]
             + rotation_weight * self.rotation
         )
-        frames = np.linalg.solve(moments, covariance)
-        sizes = np.linalg.norm(frames, axis=(1, 2))  # at least the largest stretch
-        median = float(np.median(sizes)) / np.sqrt(3.0)
-        limit = self.config.max_stretch * median
-        beyond = sizes > limit
-        left, stretches, right = np.linalg.svd(frames[beyond])
-        # Without a jump at the limit, and the median where the map collapses.
-        shrunk = np.maximum(median, limit**2 / np.maximum(stretches, limit))
-        frames[beyond] = (left * np.where(stretches > limit, shrunk, stretches)[:, None]) @ right
-        return np.asarray(frames)
+        return limit_stretches(np.linalg.solve(moments, covariance), self.config.max_stretch)
 
     def carry(self, points: FloatArray, distances: SignedDistances) -> tuple[FloatArray, FloatArray]:
         """Positions (m, 3) near the target of points near the source, and their frames (m, 3, 3)."""
@@ -181,3 +173,19 @@ def neighbor_means(corners: IndexArray, count: int) -> sparse.csr_array:
     matrix.sum_duplicates()
     matrix.data[:] = 1.0
     return sparse.csr_array(sparse.diags_array(1.0 / matrix.sum(axis=1)) @ matrix)
+
+
+def limit_stretches(frames: FloatArray, max_stretch: float) -> FloatArray:
+    """Reduce singular values of frames (n, 3, 3) that are larger than ``max_stretch`` times the median stretch m.
+
+    A singular value s above the limit L = ``max_stretch`` m becomes max(m, L^2 / s), which is continuous at L.
+    """
+    sizes = np.linalg.norm(frames, axis=(1, 2))  # no singular value is larger
+    median = float(np.median(sizes)) / np.sqrt(3.0)
+    limit = max_stretch * median
+    beyond = sizes > limit
+    left, stretches, right = np.linalg.svd(frames[beyond])
+    reduced = np.maximum(median, limit**2 / np.maximum(stretches, limit))
+    limited = frames.copy()
+    limited[beyond] = (left * np.where(stretches > limit, reduced, stretches)[:, None]) @ right
+    return limited

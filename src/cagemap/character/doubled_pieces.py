@@ -7,62 +7,56 @@ from scipy.spatial import cKDTree
 
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles, keep_faces
-from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
-from cagemap.surface.closest_points import build_tree, closest_points
-from cagemap.surface.triangles import triangle_areas, triangle_centres
+from cagemap.mesh.topology import face_components
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, members_of
+from cagemap.surface.closest_points import closest_points
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import triangle_centres
 
-# Pieces are at one place if this share of the area of each is within this distance of the other, of the larger
-# diagonal of their bounding boxes: ears of two elephants have 0.21 (docs/lab/characters.md).
-_SHARE = 0.75
-_MAX_DISTANCE = 0.25
-# Least ratio of the diagonals: ears of two elephants have 0.51. The distances do not see a ball in a larger one.
+# Two pieces are at one place if at least this share of the area of each piece is close to the other piece.
+_MIN_CLOSE_SHARE = 0.75
+# Largest distance that is close, divided by the larger diagonal of the bounding boxes of the two pieces. Ears of two
+# elephants have 0.21 (docs/lab/characters.md).
+_MAX_PIECE_DISTANCE = 0.25
+# Least ratio of the two diagonals; ears of two elephants have 0.51. A ball inside a much larger ball is close to it.
 _MIN_SIZE_RATIO = 0.4
 
 
-def _faces_of_pieces(mesh: ControlMesh) -> list[IndexArray]:
-    """Faces of every connected piece."""
-    labels = label_components(mesh.face_indices, mesh.face_indices[mesh.next_corners], mesh.n_vertices)
-    of_faces = labels[mesh.face_indices[mesh.face_offsets[:-1]]]
-    order = np.argsort(of_faces, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(of_faces[order])) + 1)
-
-
 def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[IndexArray]:
-    """Faces of every piece of ``carried`` at whose place ``own`` has a piece.
+    """Faces of every connected piece of ``carried`` that is at the place of a piece of ``own``.
 
-    Each piece of ``own`` stands for at most one piece: the one whose bounding box is nearest to its own.
+    Each piece of ``own`` counts for one piece of ``carried`` only: the one with the nearest bounding box.
     """
-    pieces = _faces_of_pieces(carried)
-    sides = [[_triangles(mesh, faces) for faces in _faces_of_pieces(mesh)] for mesh in (carried, own)]
-    boxes = [np.array([_box(corners) for corners in side]) for side in sides]
-    to_own = np.asarray(cKDTree(boxes[1]).query(boxes[0])[1])
-    to_carried = np.asarray(cKDTree(boxes[0]).query(boxes[1])[1])
+    pieces, own_pieces = (members_of(face_components(mesh)) for mesh in (carried, own))
+    surfaces = [_surface(carried, faces) for faces in pieces]
+    own_surfaces = [_surface(own, faces) for faces in own_pieces]
+    boxes, own_boxes = (np.array([_box(surface) for surface in side]) for side in (surfaces, own_surfaces))
+    to_own = np.asarray(cKDTree(own_boxes).query(boxes)[1])
+    to_carried = np.asarray(cKDTree(boxes).query(own_boxes)[1])
     return [
         faces
         for piece, faces in enumerate(pieces)
-        if to_carried[to_own[piece]] == piece and _are_at_one_place(sides[0][piece], sides[1][to_own[piece]])
+        if to_carried[to_own[piece]] == piece and _are_at_one_place(surfaces[piece], own_surfaces[to_own[piece]])
     ]
 
 
-def _triangles(mesh: ControlMesh, faces: IndexArray) -> FloatArray:
-    """(t, 3, 3) corners of the triangles of some faces."""
-    return np.asarray(mesh.positions[cage_triangles(keep_faces(mesh, faces))[0]])
+def _surface(mesh: ControlMesh, faces: IndexArray) -> TriangleSurface:
+    """Triangles of some faces, in the mesh's own unit; every triangle has three vertices of its own."""
+    corners = mesh.positions[cage_triangles(keep_faces(mesh, faces))[0]]
+    return TriangleSurface(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3))
 
 
-def _box(corners: FloatArray) -> FloatArray:
-    return np.concatenate([corners.min(axis=(0, 1)), corners.max(axis=(0, 1))])
+def _box(surface: TriangleSurface) -> FloatArray:
+    return np.concatenate([surface.positions.min(axis=0), surface.positions.max(axis=0)])
 
 
-def _are_at_one_place(first: FloatArray, second: FloatArray) -> bool:
-    small, large = sorted(float(np.linalg.norm(np.ptp(one.reshape(-1, 3), axis=0))) for one in (first, second))
-    reach = _MAX_DISTANCE * large
-    return small >= _MIN_SIZE_RATIO * large and _is_near(first, second, reach) and _is_near(second, first, reach)
+def _are_at_one_place(first: TriangleSurface, second: TriangleSurface) -> bool:
+    small, large = sorted(box_diagonal(side.positions) for side in (first, second))
+    reach = _MAX_PIECE_DISTANCE * large
+    return small >= _MIN_SIZE_RATIO * large and _is_close(first, second, reach) and _is_close(second, first, reach)
 
 
-def _is_near(corners: FloatArray, others: FloatArray, reach: float) -> bool:
-    """Whether most of the area of triangles is within ``reach`` of other ones."""
-    points, other_points = corners.reshape(-1, 3), others.reshape(-1, 3)
-    triangles, other_triangles = (np.arange(len(one)).reshape(-1, 3) for one in (points, other_points))
-    centres, areas = triangle_centres(points, triangles), triangle_areas(points, triangles)
-    distances = closest_points(build_tree(other_points, other_triangles), centres)[2]
-    return bool(areas[distances <= reach].sum() >= _SHARE * areas.sum())
+def _is_close(surface: TriangleSurface, other: TriangleSurface, reach: float) -> bool:
+    """Whether most of the area of a surface is within ``reach`` of another surface."""
+    distances = closest_points(other.tree, triangle_centres(surface.positions, surface.triangles))[2]
+    return bool(surface.areas[distances <= reach].sum() >= _MIN_CLOSE_SHARE * surface.areas.sum())

@@ -104,7 +104,7 @@ class ElasticGraph:
         return {}
 
     def cells(self, count: int, config: GraphConfig) -> IndexArray:
-        """(n,) connected grid cell in position and normal, for about ``count`` cells; kept for the next call."""
+        """(n,) connected grid cell of every vertex in position and normal, about ``count`` cells; cached."""
         if (count, config) not in self._known_cells:
             self._known_cells[count, config] = read_only(_cells(self, count, config))
         return self._known_cells[count, config]

@@ -138,11 +138,11 @@ class PreparedPair:
 
     @property
     def control_vertices(self) -> IndexArray:
-        """(n_0,) numbers of the control vertices, the first of `vertices`; all of `vertices` if the target is plain."""
+        """(n_0,) number of every control vertex in the finest level: the first entries of `vertices` (plain: all)."""
         return self.vertices[: self.target.control.n_vertices]
 
     def on_mesh(self, points: SurfacePoints) -> CagePoints:
-        """Points of the finest target as points of `mesh`; vertices of both stay vertices."""
+        """Points of the finest target surface as points of `mesh`. A vertex of both surfaces stays a vertex."""
         vertices = self.target.hierarchy.on_level(self.levels[0], points.vertices)
         on_level = CagePoints.of_vertices(vertices)
         between = np.flatnonzero(vertices < 0)

@@ -13,7 +13,7 @@ from cagemap.errors import InvalidLandmarksError
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.mesh_report import first_few
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
 from cagemap.surface.closest_points import build_tree, closest_points
 
 Renumbering = Callable[[IndexArray], IndexArray]
@@ -112,7 +112,7 @@ def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
     if len(free):
         triangles, _ = cage_triangles(mesh)
         held_by, barycentric, distances = closest_points(build_tree(mesh.positions, triangles), points.positions[free])
-        size = float(np.linalg.norm(np.ptp(mesh.positions, axis=0)))
+        size = box_diagonal(mesh.positions)
         far = np.flatnonzero(distances > MAX_DISTANCE * size)
         if len(far):
             listed = first_few(f"{points.names[free[i]]} ({distances[i]:.3g})" for i in far)
@@ -120,7 +120,7 @@ def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
                 f"expected landmark points on or near {mesh.name}, whose size is {size:.3g}, got distances {listed}. "
                 "Give the points of this mesh, in its unit and axis order; are target and source exchanged?"
             )
-        spread, typical = float(np.linalg.norm(np.ptp(points.positions[free], axis=0))), float(np.median(distances))
+        spread, typical = box_diagonal(points.positions[free]), float(np.median(distances))
         if len(free) >= 3 and typical > max(MAX_MEDIAN_DISTANCE * spread, 0.1 * MAX_DISTANCE * size):
             raise InvalidLandmarksError(
                 f"expected landmark points on {mesh.name}, whose size is {size:.3g}, got {len(free)} within "

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
 
 # Tolerances, of the bounding box diagonal: distance of most mirror images from vertices, and of all mirror images.
 MOST_WITHIN, ALL_WITHIN = 1e-3, 2e-2
@@ -47,7 +47,7 @@ def mirror_symmetries(control: ControlMesh) -> tuple[Mirror, ...]:
     within `ALL_WITHIN`. Faces need not be symmetric, as cages are often triangulated asymmetrically.
     """
     positions = control.positions
-    diagonal = float(np.linalg.norm(np.ptp(positions, axis=0)))
+    diagonal = box_diagonal(positions)
     centre = positions.mean(axis=0)
     _, principal = np.linalg.eigh((positions - centre).T @ (positions - centre))
     tree = cKDTree(positions)

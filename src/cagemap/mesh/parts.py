@@ -21,9 +21,10 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, members_of, offsets_
 
 PART_KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
-# Share of the largest number of faces of a piece. A piece with fewer is a ground or a plate rather than the model.
+# Least number of faces of `largest_part`, divided by the largest number of any piece. A ground or a plate has fewer.
 MIN_SHARE_OF_FACES = 0.5
-# Words in the names of passengers; those that begin other words (panther, hatchling) end there.
+# Words in the names of passengers: parts that are moved with the body. Those of the last line
+# count only at the end of a word or before a plural s: "panther" and "hatchling" name no passengers.
 _PASSENGER_WORDS = re.compile(
     r"eye|lash|brow|teeth|tooth|tongue|hair|beard|moustache|helmet|glasses|shirt|jacket|suit|dress|skirt|trouser|cloth|"
     r"outfit|garment|shoe|boot|sock|glove|belt|scarf|armor|armour|weapon|sword|accessor|"
@@ -83,16 +84,16 @@ def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
 
 
 def passenger_word(name: str) -> str:
-    """The passenger word in a part's name, in lower case; '' if none."""
+    """The word in a part's name that marks it as clothes, hair, eyes or equipment, in lower case; '' without one."""
     match = _PASSENGER_WORDS.search(name)
     return "" if match is None else match[0].lower()
 
 
 def largest_part(mesh: ControlMesh) -> Part:
-    """The connected piece of largest area among those that have enough faces (`MIN_SHARE_OF_FACES`).
+    """The connected piece of largest area, among pieces with enough faces (`MIN_SHARE_OF_FACES`).
 
-    In a control mesh, objects and groups with a passenger's name are taken only if there are no others. In a plain mesh
-    names do not count, as in `cagemap.mesh.plain.plain_mesh`, which keeps the largest piece.
+    In a control mesh, a piece named as a passenger (`passenger_word`) is taken only if all pieces are. Names in plain
+    meshes are ignored, since `cagemap.mesh.plain.plain_mesh` keeps the largest piece whatever its name is.
     """
     pieces, areas = connected_parts(mesh), face_areas(mesh)
     least = MIN_SHARE_OF_FACES * max(len(piece.faces) for piece in pieces)

@@ -19,6 +19,7 @@ from cagemap.mesh.topology import face_components, face_pieces, mesh_topology, u
 from cagemap.numerics.arrays import (
     FloatArray,
     IndexArray,
+    box_diagonal,
     grouped_sums,
     label_components,
     offsets_of,
@@ -158,7 +159,7 @@ def coincident_vertices(
     border = np.unique(ends[topology.outer_edges])
     places = mesh.positions if offsets is None else np.column_stack([mesh.positions, offsets])
     with np.errstate(over="ignore"):
-        diagonal = float(np.linalg.norm(np.ptp(mesh.positions[used_vertices(mesh)], axis=0)))
+        diagonal = box_diagonal(mesh.positions[used_vertices(mesh)])
     links = [border[_close_pairs(places[border], tolerance * diagonal)]]
     if collapse:
         links.append(ends[np.all(mesh.positions[ends[:, 0]] == mesh.positions[ends[:, 1]], axis=1)])

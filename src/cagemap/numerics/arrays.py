@@ -97,6 +97,11 @@ def label_components(heads: NDArray[np.integer], tails: NDArray[np.integer], cou
     return np.asarray(connected_components(edges, directed=False)[1], dtype=np.int64)
 
 
+def box_diagonal(points: FloatArray) -> float:
+    """Length of the diagonal of the bounding box of points (n, d)."""
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
 def members_of(labels: IndexArray) -> list[IndexArray]:
     """Ascending indices of every label that occurs, in the order of labels."""
     order = np.argsort(labels, kind="stable")

@@ -134,9 +134,9 @@ class Config(Brief):
                 negative = isinstance(default, int | float) and default < 0
                 least, most = self.RANGES.get(field.name, (-1.0 if negative else 0.0, np.inf))
             given = tuple(value) if several and isinstance(value, tuple | list | np.ndarray) else (value,)
-            if several and isinstance(value, list | np.ndarray):
-                object.__setattr__(self, field.name, given)
             given = tuple(one.item() if isinstance(one, np.generic) else one for one in given)
+            if isinstance(value, list | np.ndarray) and several:
+                object.__setattr__(self, field.name, given)  # a tuple, so that configs can be keys
             numbers = [one for one in given if _is(one, int if kind == "int" else float)]
             fits = kind not in ("int", "float") or len(numbers) == len(given)
             largest = most if field.name.startswith("max_") else min(most, sys.float_info.max)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
 from cagemap.pictures.camera import turn_angle
 from cagemap.surface.triangles import triangle_areas
 
@@ -94,7 +94,7 @@ def find_orientation(
 def _unit_points(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     """Points of a surface about their mean, of a diagonal of 1."""
     points = _sample_points(positions, triangles)
-    return np.asarray((points - points.mean(0)) / (float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0))
+    return np.asarray((points - points.mean(0)) / (box_diagonal(points) or 1.0))
 
 
 def matching_turn(images: FloatArray, positions: FloatArray, turn: FloatArray) -> FloatArray:

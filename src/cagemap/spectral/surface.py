@@ -72,7 +72,7 @@ class Surface:
             return hierarchical_basis(self.hierarchy, self.operators, self.config)
 
     def basis_rows(self, vertices: IndexArray | slice, level: int | None = None) -> FloatArray:
-        """(q, k) values of all k basis functions at q vertices of a level; default: the finest level."""
+        """(q, k) values of the k basis functions at q vertices of a level (None: the finest level)."""
         level = self.finest_level if level is None else level
         fine = max(level, self.basis.last_level)
         return self.basis.rows(fine, self.hierarchy.vertices_on(fine, level)[vertices])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -250,10 +249,10 @@ def find_map(
         If there is no such answer.
     """
     cache, prepared_pair = _prepare(cache, progress)
-    unchecked = partial(_unchecked_update, cache)
+    begun = cache
 
     def preview(point_map: PointMap) -> None:
-        show(unchecked(point_map))
+        show(_unchecked_update(begun, point_map))
 
     landmarks = to_landmarks(task.landmarks, cache.target.control, cache.source.control)
     has_constraints = bool(len(landmarks) + len(landmarks.curves))

@@ -148,7 +148,7 @@ def other_parts_surface(mesh: ControlMesh, faces: IndexArray, level: int) -> Oth
 
 
 def _listed_parts(mesh: ControlMesh, n_pieces: int) -> tuple[Part, ...]:
-    """Connected parts of a mesh, sorted by number of faces, largest first; no part twice, and not the whole mesh."""
+    """Connected parts of a mesh by decreasing number of faces, without duplicates and without the whole mesh."""
     all_parts = list_parts(mesh, pieces=1 < n_pieces < _MIN_SCAN_PIECES)
     parts: list[Part] = []
     for kind in PART_KINDS:

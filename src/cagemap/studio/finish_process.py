@@ -78,7 +78,7 @@ def run_command(command: Command, stages: Stages) -> RequestResult:
     summary, failure = "", ""
     with logged_warnings() as texts, files_written() as files:
         try:
-            # `runner_of` loads libraries here, where it can be interrupted
+            # `runner_of` imports the task's libraries: inside this block, so that Cancel can interrupt the import.
             run: Callable[..., tuple[str, Any]] = runner_of(command.request)
             computed = {} if command.computed is None else {"computed": command.computed}
             summary, warnings = run(command.request, stages, **computed)

@@ -310,7 +310,7 @@ class Session(LandmarkEdits):
         with self._lock:
             with self.report_errors():
                 self._apply_result(task, result, is_unchecked=is_unchecked)
-            # Under the same lock: nothing is left to cancel. Afterwards: no flash of the last state.
+            # Under the lock: nobody cancels a finished task. After the result: no page shows the old map as finished.
             if not is_unchecked:
                 self._change(preview_job=None)
 

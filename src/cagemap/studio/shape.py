@@ -9,7 +9,7 @@ import numpy as np
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.topology import mesh_topology
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
 from cagemap.numerics.threads import kept
 from cagemap.pictures import UP_AXES
 from cagemap.subdivision import Refinement, level_triangles, limit_normals, limit_positions, triangles
@@ -126,7 +126,7 @@ class Shape:
     @kept
     def radius(self) -> float:
         """Half the diagonal of the bounding box."""
-        return float(0.5 * np.linalg.norm(np.ptp(self.positions, axis=0)))
+        return 0.5 * box_diagonal(self.positions)
 
     def with_up(self, up: str | None) -> Shape:
         """The same shape with an axis of its file up in the view, "y" or "z"; None: as it is."""

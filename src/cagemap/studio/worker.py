@@ -66,17 +66,26 @@ class _CancelledError(Exception):
     """The task was cancelled."""
 
 
+class _WarningCollector(logging.Handler):
+    """Collects the texts of logged warnings."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.texts: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.texts.append(record.getMessage())
+
+
 @contextlib.contextmanager
 def logged_warnings() -> Iterator[list[str]]:
-    """A list that receives the warnings logged meanwhile."""
-    texts: list[str] = []
-    handler, log = logging.Handler(logging.WARNING), logging.getLogger("cagemap")
-    handler.emit = lambda record: texts.append(record.getMessage())  # type: ignore[method-assign]
-    log.addHandler(handler)
+    """A list to which every warning is added that is logged while the block runs."""
+    collector, log = _WarningCollector(), logging.getLogger("cagemap")
+    log.addHandler(collector)
     try:
-        yield texts
+        yield collector.texts
     finally:
-        log.removeHandler(handler)
+        log.removeHandler(collector)
 
 
 class Worker:

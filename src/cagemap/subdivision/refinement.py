@@ -85,8 +85,8 @@ class Refinement:
 
     control: ControlMesh
     scheme: Scheme
-    #: ``matrices[l]`` is S^l (n_{l+1}, n_l), whose rows sum to 1: first the points of vertices, then of edges, then of
-    #: faces (not with Loop). Vertex i of a level is vertex i of every finer one. Plain mesh: see ``coarse_vertices``.
+    #: ``matrices[l]`` is S^l (n_{l+1}, n_l); rows sum to 1. Vertex points come first, then edge points, then face
+    #: points (Loop has none), so vertex i keeps its number on finer levels. Plain meshes: see ``coarse_vertices``.
     matrices: tuple[csr_array, ...]
     levels: tuple[Level, ...]  #: ``levels[0]`` is the control mesh, ``levels[-1]`` the finest
     #: (n_{L-1},) for a plain mesh with coarse levels (`cagemap.operators.coarse_levels`): the number in the finest

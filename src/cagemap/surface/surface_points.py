@@ -20,7 +20,7 @@ TOLERANCE = 1e-4
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SurfacePoints:
-    """Points on one surface. ParameterError if the arrays have other shapes or values than points of the surface."""
+    """Points on one surface, as triangles and barycentric coordinates; ParameterError for invalid shapes or values."""
 
     surface: TriangleSurface
     triangle: IndexArray  #: (m,) triangle of each point

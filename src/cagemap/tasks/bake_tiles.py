@@ -129,7 +129,9 @@ def colors_remedy(mesh: ControlMesh) -> str:
 def prepare_bake(
     request: TransferRequest, result: MatchResult, stages: Stages, outputs: Mapping[str, Path]
 ) -> Prepared:
-    """Find the tiles of the target's layout; make and write a new layout if requested. Refuses outputs in use.
+    """Find the tiles of the target's layout, after a new layout was made and written if one is requested.
+
+    Refuses outputs that would replace inputs.
 
     ``outputs``: the images to bake, by their use as `preview_inputs` takes it.
     """

@@ -23,7 +23,8 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.mesh.parts import extract_faces, numbers_on_part, passenger_word
 from cagemap.mesh.repairs import RepairedMesh
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.mesh.topology import used_vertices
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
 from cagemap.pipeline import choose_level, match, prepare_surfaces
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights
 from cagemap.tasks.match_parts import ready_mesh
@@ -31,8 +32,9 @@ from cagemap.tasks.progress import Stages
 
 # Least number of finest vertices of a body that is subdivided; plain meshes are not.
 BODY_VERTICES = 100_000
-# Least extent of the piece that is matched, of its body's: 0.25 if the body is missing under the clothes, 0.77 and more
-# if it is whole (docs/lab/characters.md). Other pieces of a tenth of the area or less are no parts of the body.
+# A part is refused as a body if the diagonal of the bounding box of its largest piece is less than the first share of
+# the part's diagonal, and its other pieces have more than the second share of the area. The first share is 0.25 for
+# bodies deleted under the clothes, and at least 0.77 for whole bodies (docs/lab/characters.md).
 _MIN_PIECE_EXTENT, _MAX_OTHER_PIECES = 0.5, 0.1
 
 
@@ -137,7 +139,7 @@ class Bodies:
 
 
 def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stages) -> Bodies:
-    """Repair two parts if necessary, and match them.
+    """Match the meshes of two parts, after repairs if they need any.
 
     Raises
     ------
@@ -154,8 +156,8 @@ def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stage
 
 def _ready_body(part: Part) -> RepairedMesh:
     ready = ready_mesh(part.mesh)
-    with_faces = part.mesh.positions[np.unique(part.mesh.face_indices)]
-    extents = [float(np.linalg.norm(np.ptp(points, axis=0))) for points in (ready.mesh.positions, with_faces)]
+    with_faces = part.mesh.positions[used_vertices(part.mesh)]
+    extents = [box_diagonal(points) for points in (ready.mesh.positions, with_faces)]
     if ready.repairs.pieces_share > _MAX_OTHER_PIECES and extents[0] < _MIN_PIECE_EXTENT * extents[1]:
         raise ParameterError(
             f"{part.mesh.name}: expected a surface in one piece, but {part.name} has {ready.repairs.pieces + 1} "
@@ -185,7 +187,7 @@ def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
 
 
 def _pieces_to_carry(bodies: Bodies) -> tuple[Part | None, list[str]]:
-    """Unmatched pieces of the source's body without those that the target's body has itself, and a note on these."""
+    """The unmatched pieces of the source's body; pieces that the target's body has too are left out, with a note."""
     own, pieces = (_set_aside(part, ready) for part, ready in zip(bodies.given, bodies.ready, strict=True))
     if own is None or pieces is None:
         return pieces, []

@@ -93,7 +93,7 @@ def _local(document: Document, number: int) -> FloatArray:
 
 
 def scale_signs(document: Document, number: int) -> FloatArray:
-    """(3,) signs of a node's stated scale over the signs that `decompose_transform` gives its transform."""
+    """(3,) signs of a node's scale in the file, times the signs of the scale that `decompose_transform` gives it."""
     stated = document.entry("nodes", number).get("scale")
     scale = document.numbers(_REST["scale"] if stated is None else stated, f"nodes {number}: scale", 3)
     signs = np.where(scale < 0.0, -1.0, 1.0)

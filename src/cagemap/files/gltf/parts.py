@@ -153,7 +153,7 @@ def _weights(document: Document, arrays: VertexArrays, of: IndexArray, joints: J
 
 
 def _bind_transform(arrays: VertexArrays, world: FloatArray, bind: FloatArray, rest: FloatArray) -> FloatArray:
-    """A node's transform to the world, moved with the joint that it follows from its rest pose to its bind pose."""
+    """A node's transform to world space, with its joint in the bind pose instead of the pose ``rest`` of the file."""
     if not is_invertible(rest[None]).all():
         return world
     return snap_to_exact(world @ np.linalg.inv(rest) @ bind, world, _homogeneous_rows(arrays))
@@ -171,7 +171,7 @@ def _vertices_in_world(
 ) -> VertexArrays:
     """A mesh in world space; blended from the joints' transforms if its skin was bound in another pose."""
     points = _homogeneous_rows(arrays)
-    # `snap_to_exact` returns its second argument itself where both move the points alike.
+    # `snap_to_exact` returns ``to_world`` itself if both matrices give the same points up to rounding.
     one_transform = joint_to_world is None or all(
         snap_to_exact(transform, to_world, points) is to_world
         for transform in _used_joint_transforms(weights, joint_to_world)

@@ -113,7 +113,7 @@ def points_from_arrays(path: Path, arrays: Mapping[str, Any], prefix: str, remed
 
 
 def curves_to_arrays(curves: CageCurvePairs) -> dict[str, Any]:
-    """Arrays of curves, one after the other; empty if there are none."""
+    """Arrays of all curves; points of a curve follow those of the curve before. Empty without curves."""
     arrays: dict[str, Any] = {}
     for side in ("target", "source") if curves else ():
         lines: list[Curve[CagePoints]] = [getattr(pair, side) for pair in curves]

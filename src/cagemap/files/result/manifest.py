@@ -221,7 +221,7 @@ def stored_basis(record: BasisRecord | None, count: int | None) -> BasisConfig:
 def stored_landmarks(
     names: list[str], points: tuple[CagePoints, CagePoints], meshes: tuple[str, str], curves: CageCurvePairs
 ) -> Landmarks:
-    """Landmarks at points of both meshes, numbered if they have no names, and curves."""
+    """Landmarks and curves of a RESULT. Landmarks without names are called ``point 0``, ``point 1``, ..."""
     titles = tuple(names) or tuple(f"point {i}" for i in range(len(points[0])))
     return Landmarks.of_points(titles, *points, *meshes, curves)
 
