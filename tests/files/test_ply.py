@@ -305,7 +305,7 @@ def test_images_after_long_comments_are_found(tmp_path: Path) -> None:
         ("", "element edge 0\nproperty int texnumber\n", False),
     ],
 )
-@pytest.mark.parametrize("line_end", ["\n", "\r\n"])
+@pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
 def test_only_a_property_of_faces_numbers_their_images(
     vertices: str, faces: str, numbered: bool, line_end: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

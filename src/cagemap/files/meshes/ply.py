@@ -129,20 +129,21 @@ def _read_header(path: Path) -> bytes:
 
 
 def _header_of(content: bytes) -> bytes:
+    """Lines before ``end_header``, which may end in a carriage return alone, with line feeds."""
     end = END_LINE.search(content)
-    return content[: end.start() if end else None]
+    return content[: end.start() if end else None].replace(b"\r\n", b"\n").replace(b"\r", b"\n")
 
 
 def _has_texnumber(header: bytes) -> bool:
     """Whether faces have a ``texnumber``."""
-    elements = re.split(rb"[\r\n]+element\s+", header)
-    pattern = rb"face\s(?s:.*)[\r\n]property\s+\w+\s+texnumber(?!\S)"
+    elements = re.split(rb"\n+element\s+", header)
+    pattern = rb"face\s(?s:.*)\nproperty\s+\w+\s+texnumber(?!\S)"
     return any(re.match(pattern, element) for element in elements)
 
 
 def _image_names(header: bytes) -> list[str]:
     """Names of images in a PLY file's header, in the order of ``texnumber``."""
-    found = re.findall(rb"(?m)^comment TextureFile ([^\r\n]+)", header)
+    found = re.findall(rb"(?m)^comment TextureFile (.+)", header)
     return [name.decode("utf-8", "replace").strip() for name in found]
 
 
