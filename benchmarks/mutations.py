@@ -2,9 +2,10 @@
 
 Needs cosmic-ray and pytest-cov (``pip install ".[bench,test]"``). Mutations are made in a copy of the last commit. The
 fast tests run once to learn which test executes which line (FILE.coverage, kept). A mutation then runs the tests that
-execute its line, those of the package's own folder first. Lines that coverage does not see (compiled kernels, what runs
-at import) run their own folder, then all fast tests. Rows are written as they come, and what is there is not done
-again. Mutations of annotations, messages, docstrings, decorators and `strict` are not made. Figures: docs/lab/tests.md.
+execute its line: those of the package's own folder first, and of these the ones that execute the fewest lines of src.
+Lines that coverage does not see (compiled kernels, what runs at import) run their own folder, then all fast tests. Rows
+are written as they come, and what is there is not done again. Mutations of annotations, messages, docstrings,
+decorators and `strict` are not made. Figures: docs/lab/tests.md.
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ import resource
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 from cosmic_ray.mutating import mutate_code
@@ -65,12 +68,13 @@ def main() -> None:
         subprocess.run(["git", "clone", "-q", str(ROOT), str(copy)], check=True)
         (copy.parent / "shared").symlink_to(ROOT.parent / "shared")
         executed = executed_lines(copy, arguments.output.with_suffix(".coverage").absolute())
+        counts = line_counts(executed)
         chosen = mutations(copy, random.Random(arguments.seed))
         for number in range(arguments.count):
             path, change, places, mutated = next(chosen)
             if number < len(done):
                 continue
-            stages = tests_of(copy, executed, path, places)
+            stages = tests_of(copy, executed, counts, path, places)
             row = {"file": str(path), "change": change, "caught": caught(copy, path, mutated, stages)}
             lines.write(json.dumps(row) + "\n")
             lines.flush()
@@ -89,6 +93,13 @@ def executed_lines(copy: Path, file: Path) -> CoverageData:
     data = CoverageData(str(file))
     data.read()
     return data
+
+
+def line_counts(executed: CoverageData) -> Counter[str]:
+    """How many lines of src each test executes."""
+    lines = (executed.contexts_by_lineno(file).values() for file in executed.measured_files())
+    contexts = chain.from_iterable(chain.from_iterable(lines))
+    return Counter(context.partition("|")[0] for context in contexts)
 
 
 def mutations(copy: Path, choice: random.Random) -> Iterator[tuple[Path, list[str], list[int], str]]:
@@ -138,7 +149,7 @@ def stripped(text: str) -> ast.AST:
     return _Stripped().visit(ast.parse(text))
 
 
-def tests_of(copy: Path, executed: CoverageData, path: Path, lines: list[int]) -> list[list[str]]:
+def tests_of(copy: Path, executed: CoverageData, counts: Counter[str], path: Path, lines: list[int]) -> list[list[str]]:
     """Tests to run for a change of some lines of a file, in stages: until one fails."""
     own = str(Path("tests", path.relative_to(SOURCE).parts[0].removesuffix(".py")))
     tree = ast.parse((copy / path).read_text(encoding="utf-8"))
@@ -152,7 +163,8 @@ def tests_of(copy: Path, executed: CoverageData, path: Path, lines: list[int]) -
                 tests.add(test.partition("::")[0] if phase == "setup" else test)  # a fixture is its whole file's
     tests.discard("")
     if tests:
-        return [sorted(tests, key=lambda test: (not test.startswith(own + "/"), test))]
+        # Whole files have no count.
+        return [sorted(tests, key=lambda test: (not test.startswith(own + "/"), "::" not in test, counts[test], test))]
     return [*([[own]] if (copy / own).is_dir() else []), ["tests"]]
 
 
