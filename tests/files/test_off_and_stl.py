@@ -98,6 +98,7 @@ def test_stl_corners_at_one_place_are_one_vertex(tmp_path: Path) -> None:
         assert np.allclose(_corners(found), triangles, atol=1e-6)
         first = np.unique(found.face_indices, return_index=True)[1]
         assert np.array_equal(first, np.sort(first))  # numbered as they appear
+        np.testing.assert_array_equal([0, 0, 1] @ found.upright, [0, 1, 0])  # most STL files have +Z up
     file.write_text(text)
     with pytest.raises(FormatError, match="cut short"):
         read_mesh(file)

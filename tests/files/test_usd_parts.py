@@ -31,9 +31,9 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
+from cagemap.files.meshes.arrays import control_from_arrays, control_to_arrays
 from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.read import read_usd, read_usd_meshes
-from cagemap.files.usd.space import upright_turn
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
 from usd_scenes import complaints, full_cube, stage_at, usd_mesh
@@ -439,10 +439,23 @@ def test_a_mirrored_mesh_is_shown_upright(tmp_path: Path) -> None:
         mesh = usd_mesh(stage, "/mesh", cube())
         mesh.AddRotateYOp().Set(90.0)
         mesh.AddScaleOp().Set((-1.0, 2.0, 3.0))
-    turn = upright_turn(tmp_path / "mirrored.usda")
+    turn = read_usd(tmp_path / "mirrored.usda").upright
     assert turn is not None
     np.testing.assert_allclose(np.linalg.det(turn), 1.0)
     np.testing.assert_allclose([1, 0, 0] @ turn, [0, 1, 0], atol=1e-12)
+
+
+def test_several_meshes_are_upright_as_their_world(tmp_path: Path) -> None:
+    """A transform of a mesh is in its points; what is stored knows the up axis too."""
+    with stage_at(tmp_path / "two.usda") as stage:
+        UsdGeom.SetStageUpAxis(stage, "Z")
+        usd_mesh(stage, "/one", cube()).AddRotateYOp().Set(90.0)
+        usd_mesh(stage, "/two", cube())
+    whole = read_usd(tmp_path / "two.usda")
+    arrays = control_to_arrays(extract_faces(whole, np.arange(6)), "")
+    stored = control_from_arrays(tmp_path, arrays, "", (), "one", "")
+    for mesh in (whole, stored):
+        np.testing.assert_array_equal([0, 0, 1] @ mesh.upright, [0, 1, 0])
 
 
 def test_a_binding_without_its_schema_is_read_without_a_word_of_usd(

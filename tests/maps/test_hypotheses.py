@@ -14,14 +14,23 @@ from cagemap.deform.placement import Placement
 from cagemap.errors import InvalidLandmarksError
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
-from cagemap.maps.hypotheses.rigid_starts import AS_FILED, axis_rotations, rigid_starts, rotation_name
+from cagemap.maps.hypotheses.rigid_starts import (
+    AS_FILED,
+    BY_UP_AXES,
+    rigid_starts,
+    rotation_name,
+    rotation_penalty,
+    usual_rotations,
+)
 from cagemap.maps.hypotheses.search import cost_floor
 from cagemap.maps.masks import Masks
 from cagemap.mesh import Bilinear
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import FileVertex
 from cagemap.mesh.parts import extract_faces, join_meshes
+from cagemap.numerics.arrays import FloatArray
 from cagemap.pipeline import MatchConfig, match, prepare_pair, prepare_surface
+from cagemap.surface.alignment import Z_UP, axis_rotations
 from cagemap.surface.triangle_surface import TriangleSurface
 
 from plain_meshes import ball
@@ -34,6 +43,30 @@ def test_there_are_24_rotations_and_none_mirrors() -> None:
     assert all(np.linalg.det(matrix) == pytest.approx(1.0) for matrix in rotations)
     assert rotation_name(rotations[0]) == AS_FILED
     assert len({rotation_name(matrix) for matrix in rotations}) == 24
+
+
+@pytest.mark.parametrize(
+    ("upright", "name", "penalties"), [(None, "turned 90 degrees about -x", [1.3, 1.3]), (Z_UP, BY_UP_AXES, [1.0, 1.1])]
+)
+def test_a_rotation_between_up_axes_that_the_files_state_has_no_penalty(
+    upright: FloatArray | None, name: str, penalties: list[float]
+) -> None:
+    """A half turn about the vertical has the same one as where both files have +Y up."""
+    target, source = prepare_surface(replace(creature(), upright=upright), 1), prepare_surface(creature(), 1)
+    prepared, half_turn, tilted = prepare_pair(target, source), np.diag([-1.0, 1.0, -1.0]), Z_UP.T  # +Z becomes +Y
+    assert rotation_name(tilted, usual_rotations(prepared)) == name
+    assert [rotation_penalty(matrix, prepared) for matrix in (tilted, half_turn @ tilted)] == penalties
+    assert rotation_penalty(np.eye(3), prepared) == 1.0
+
+
+@pytest.mark.slow
+def test_a_model_with_another_axis_up_is_aligned_by_its_file() -> None:
+    """The shapes differ; an alignment that turns the files' axes was doubted."""
+    tilted = replace(creature().with_positions(creature().positions * (1.3, 1.0, 0.8) @ Z_UP.T), upright=Z_UP)
+    confidence = match(prepare_surface(tilted, 1), prepare_surface(creature(), 1), None, SEARCHED).confidence
+    assert confidence.signs["turned"] == 0.0
+    assert confidence.answers[0].name == BY_UP_AXES
+    assert BY_UP_AXES in confidence.message
 
 
 def test_boxes_agree_and_no_start_mirrors() -> None:

@@ -66,6 +66,7 @@ class ControlMesh:
     file_faces: IndexArray | None = None  #: (m,) the same of the faces
     #: (k, 2) vertex of the mesh and number of a further vertex of the file that was welded into it
     file_copies: IndexArray | None = None
+    upright: FloatArray | None = None  #: (3, 3) rotation for rows to +Y up, by the file or its format; None: unknown
     scheme: Scheme | None = None  #: subdivision scheme in the file; None without one
     name: str = "mesh"  #: name of the mesh in messages; usually its file name
 

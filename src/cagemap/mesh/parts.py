@@ -267,6 +267,7 @@ def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
         hole_faces=concatenate("hole_faces", faces),
         **file_numbers,
         file_copies=concatenate("file_copies", np.column_stack([vertices, 0 * vertices])),
+        upright=meshes[0].upright,
         scheme=meshes[0].scheme,
         name=meshes[0].name,
     )

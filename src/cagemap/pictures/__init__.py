@@ -14,12 +14,11 @@ from cagemap.pictures.colors import distinct_colors as distinct_colors
 from cagemap.pictures.colors import position_colors as position_colors
 from cagemap.pictures.colors import scalar_colors as scalar_colors
 from cagemap.pictures.orientation import UP_AXES as UP_AXES
-from cagemap.pictures.orientation import Y_UP as Y_UP
-from cagemap.pictures.orientation import Z_UP as Z_UP
 from cagemap.pictures.orientation import Orientation as Orientation
 from cagemap.pictures.orientation import find_orientation as find_orientation
 from cagemap.pictures.orientation import matching_turn as matching_turn
 from cagemap.pictures.orientation import shape_turn as shape_turn
+from cagemap.pictures.orientation import stated_turn as stated_turn
 from cagemap.pictures.orientation import usual_turn as usual_turn
 from cagemap.pictures.overlay import draw_dots as draw_dots
 from cagemap.pictures.overlay import draw_line as draw_line
@@ -31,3 +30,5 @@ from cagemap.pictures.render import render as render
 from cagemap.pictures.render import render_skins as render_skins
 from cagemap.pictures.render import sample_texture as sample_texture
 from cagemap.pictures.render import visible_points as visible_points
+from cagemap.surface.alignment import Y_UP as Y_UP
+from cagemap.surface.alignment import Z_UP as Z_UP

@@ -7,7 +7,6 @@ can show other axes; otherwise +Y is up. Bounds were chosen on the animals and n
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +14,9 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
 from cagemap.pictures.camera import turn_angle
+from cagemap.surface.alignment import Y_UP, Z_UP, axis_rotations
 from cagemap.surface.triangles import triangle_areas
 
-# Rotations, for rows, from a file's axes to Y up.
-Y_UP = np.eye(3)
-Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 UP_AXES = {"y": Y_UP, "z": Z_UP}
 SHAPE_REASON, DEFAULT_REASON = "as its shape shows", "as usual, its shape does not tell"
 # Rotation from facing +X to facing +Z, Y up.
@@ -57,6 +54,11 @@ class Orientation:
 def usual_turn(path: Path | None) -> FloatArray:
     """(3, 3) rotation of positions (rows) to Y up by a file's format: most STL files have Z up, others Y."""
     return Z_UP if path is not None and path.suffix.lower() == ".stl" else Y_UP
+
+
+def stated_turn(path: Path | None, upright: FloatArray | None) -> FloatArray | None:
+    """(3, 3) rotation of positions (rows) to Y up that a file states, its mesh's ``upright``; STL states none."""
+    return None if path is not None and path.suffix.lower() == ".stl" else upright
 
 
 def shape_turn(positions: FloatArray, triangles: IndexArray) -> FloatArray | None:
@@ -105,23 +107,13 @@ def matching_turn(images: FloatArray, positions: FloatArray, turn: FloatArray) -
     """
     a, b = images - images.mean(0), (positions - positions.mean(0)) @ turn
     covariance = a.T @ b
-    rotations = np.array([turn, *_axis_rotations()])
+    rotations = np.array([turn, *axis_rotations()])
     fits = np.einsum("rij,ij->r", rotations, covariance)
     size = float(np.linalg.norm(a) * np.linalg.norm(b))
     best = rotations[np.argmax(fits)] if fits.max() > fits[0] + MIN_FIT_GAIN * size else turn
     angle = np.radians(turn_angle(b, a @ best))
     cos, sin = np.cos(angle), np.sin(angle)
     return np.asarray(best @ np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]]))
-
-
-def _axis_rotations() -> list[FloatArray]:
-    """The 24 rotations that map axes to axes."""
-    signed = (
-        np.eye(3)[list(order)] * np.array(signs)
-        for order in permutations(range(3))
-        for signs in product((1, -1), repeat=3)
-    )
-    return [matrix for matrix in signed if np.linalg.det(matrix) > 0]
 
 
 def _axis_name(direction: FloatArray) -> str:

@@ -13,7 +13,6 @@ from cagemap.files.fbx.read import fbx_as_glb
 from cagemap.files.gltf.material_images import write_numbered
 from cagemap.files.images.image import Pixels, read_image, tile_files, write_image
 from cagemap.files.meshes.formats import read_whole
-from cagemap.files.usd.space import upright_turn
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.faces import cage_triangles
@@ -28,7 +27,7 @@ from cagemap.mesh.udim import udim_origin
 from cagemap.mesh.weld import weld_mesh, weld_tolerance
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import encode_srgb
-from cagemap.pictures import UP_AXES, shape_turn, usual_turn
+from cagemap.pictures import UP_AXES, shape_turn, stated_turn, usual_turn
 from cagemap.pipeline import choose_level
 from cagemap.studio.file_parts import NO_PARTS, PartChoices, SelectedPart, other_parts_surface, select_part
 from cagemap.studio.shape import OriginalMesh, Shape, refined_shape
@@ -248,7 +247,7 @@ def view_rotation(path: Path, up: str | None, mesh: ControlMesh) -> FloatArray:
     """(3, 3) rotation of rows to the view, by the given axis, a USD file's, the shape's or the usual one."""
     if up is not None:
         return UP_AXES[up]
-    stated = upright_turn(path)
+    stated = stated_turn(path, mesh.upright)
     if stated is None:
         stated = shape_turn(mesh.positions, cage_triangles(mesh)[0])
     return usual_turn(path) if stated is None else stated

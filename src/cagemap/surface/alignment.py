@@ -1,10 +1,33 @@
-"""Similarities between point sets: principal frames, and the best fit to given images."""
+"""Rotations between axes, and similarities between point sets: principal frames, and the best fit to given images."""
 
 from __future__ import annotations
+
+from itertools import permutations, product
 
 import numpy as np
 
 from cagemap.numerics.arrays import FloatArray
+
+# Rotations, for rows, from a file's axes to Y up.
+Y_UP = np.eye(3)
+Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+def axis_rotations() -> list[FloatArray]:
+    """The 24 rotations of coordinate axes to coordinate axes, sorted by angle; the identity first."""
+    rotations = []
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            matrix[np.arange(3), order] = signs
+            if np.linalg.det(matrix) > 0:
+                rotations.append(matrix)
+    return sorted(rotations, key=lambda matrix: -np.trace(matrix))
+
+
+def nearest_axis_rotation(rotation: FloatArray) -> FloatArray:
+    """The one of `axis_rotations` nearest to a matrix (3, 3)."""
+    return max(axis_rotations(), key=lambda axes: float((axes * rotation).sum()))
 
 
 def principal_frame(points: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

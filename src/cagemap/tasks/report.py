@@ -18,12 +18,11 @@ from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.meshes.ply import ply_image
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, input_file
-from cagemap.files.usd.space import upright_turn
 from cagemap.files.values.part_numbering import file_rows
 from cagemap.files.values.rigs import read_shapes
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
-from cagemap.pictures import UP_AXES, usual_turn
+from cagemap.pictures import UP_AXES, stated_turn, usual_turn
 from cagemap.report import (
     BakedImage,
     CarriedData,
@@ -78,7 +77,7 @@ def run_report(request: ReportRequest, stages: Stages) -> SummaryAndWarnings:
     carried = replace(carried_data(folder, result), images=_baked_images(folder, result, baked_entry))
     stages("draw")
     file = input_file(folder, result.manifest, "target")
-    upright, reason = None if file is None else upright_turn(file), "as its file says"
+    upright, reason = stated_turn(file, result.target.control.upright), "as its file says"
     if request.up is not None:
         upright, reason = UP_AXES[request.up], "as asked"
     write_report(

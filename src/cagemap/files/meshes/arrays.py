@@ -39,6 +39,7 @@ CONTROL_FORMS = {
     "file_vertices": ArraySpec(("c",), below="file_c", optional=True),
     "file_faces": ArraySpec(("f",), below="file_f", optional=True),
     "file_copies": ArraySpec(("copies", 2), below="file_c", optional=True),
+    "upright": ArraySpec((3, 3), optional=True),
 }
 CONTROL_ARRAYS = tuple(CONTROL_FORMS)
 # Names other than those of materials; each an array of text.

@@ -12,6 +12,7 @@ from cagemap.errors import FormatError
 from cagemap.files.text import read_bytes
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
+from cagemap.surface.alignment import Z_UP
 
 _REMEDY = "Export the mesh again as STL, PLY or OBJ."
 _TRIANGLE = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -26,7 +27,7 @@ _NAME = re.compile(rb"(?i)\b(?:end)?solid\b(?:(?!\bfacet\s+normal\b)[^\n])*")
 def read_stl(path: str | Path) -> ControlMesh:
     """Read a triangle mesh from an STL file; corners at exactly the same position are one vertex.
 
-    Vertices are numbered by first appearance; normals and attributes are ignored.
+    Vertices are numbered by first appearance; normals and attributes are ignored. Most STL files have +Z up.
     """
     file = Path(path)
     content = read_bytes(file, "an STL file")
@@ -42,7 +43,7 @@ def read_stl(path: str | Path) -> ControlMesh:
     number = np.empty(len(corners), dtype=np.int64)
     number[order] = np.argsort(np.argsort(first))[np.cumsum(fresh) - 1]
     offsets = np.arange(0, len(corners) + 1, 3)
-    return ControlMesh(places[np.sort(first)], offsets, number, name=file.name)
+    return ControlMesh(places[np.sort(first)], offsets, number, upright=Z_UP, name=file.name)
 
 
 def _binary(content: bytes) -> FloatArray | None:

@@ -44,6 +44,7 @@ from cagemap.mesh.weld import COLOR_STEP
 from cagemap.numerics.arrays import FloatArray, grouped_sums
 from cagemap.numerics.srgb import encode_srgb
 from cagemap.subdivision import default_scheme
+from cagemap.surface.alignment import Y_UP, Z_UP
 
 logger = logging.getLogger(__name__)
 
@@ -68,6 +69,7 @@ class UsdMesh:
     # column for each joint, blend shapes as ``blendShape:NAME``
     attributes: dict[str, Any]
     to_world: FloatArray  # (4, 4) from local to world space, for positions as rows with 1 appended
+    world_upright: FloatArray  # (3, 3) rotation of rows from world space to +Y up
     # names of attributes with rows for face corners; if no faces share vertices, the number of rows does not show it
     of_corners: frozenset[str] = frozenset()
     shape_normals: dict[str, FloatArray] = field(default_factory=dict)  # offsets (n, 3) of normals by blend shape
@@ -166,7 +168,8 @@ def join_usd_meshes(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool 
         if change == "mirrors" or not is_similarity(meshes[0].to_world):
             text = "%s: the transform of %s %s it, but the points are taken as they are; apply it to them"
             logger.warning(text, file, meshes[0].path, change)
-        return replace(meshes[0].control, name=file.name)
+        upright = upright_rotation(meshes[0].to_world[:3, :3] @ meshes[0].world_upright)
+        return replace(meshes[0].control, upright=upright, name=file.name)
     schemes = {mesh.control.scheme: mesh.path for mesh in meshes}
     whole = replace(join_meshes([place_in_world(mesh).control for mesh in meshes]), name=file.name)
     if len(schemes) > 1 and mixed:
@@ -179,6 +182,12 @@ def join_usd_meshes(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool 
             f"{', '.join(words.values())}). Match the one that is meant (`find_part` NAME)."
         )
     return whole
+
+
+def upright_rotation(linear: FloatArray) -> FloatArray:
+    """The rotation (3, 3) nearest to a linear map of rows; of a map that mirrors, left and right are exchanged."""
+    left, _, right = np.linalg.svd(linear)
+    return np.asarray(left @ right @ np.diag([np.linalg.det(left @ right), 1.0, 1.0]))
 
 
 def one_mesh(path: str | Path, meshes: tuple[UsdMesh, ...], control: ControlMesh | None) -> UsdMesh:
@@ -211,6 +220,7 @@ def place_in_world(mesh: UsdMesh) -> UsdMesh:
         positions=transform_points(control.positions, mesh.to_world),
         face_objects=np.zeros(control.n_faces, dtype=np.int64),
         object_names=(mesh.path,),
+        upright=mesh.world_upright,
     )
     shapes = {name: array @ turn for name, array in mesh.attributes.items() if name.startswith(BLEND_SHAPE)}
     return replace(mesh, control=control, attributes=mesh.attributes | shapes)
@@ -252,7 +262,9 @@ def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
     elif colors is not None:
         control = replace(control, vertex_colors=_mean_colors(where, control, encode_srgb(colors[:, :3])))
     path = str(prim.GetPath())
-    read = UsdMesh(path, control, attributes, local_to_world(prim), corner_primvars(prim), shape_normals, colors)
+    upright = Z_UP if str(pxr.UsdGeom.GetStageUpAxis(prim.GetStage())) == "Z" else Y_UP
+    to_world, of_corners = local_to_world(prim), corner_primvars(prim)
+    read = UsdMesh(path, control, attributes, to_world, upright, of_corners, shape_normals, colors)
     return _reverse_orientation(read) if mesh.GetOrientationAttr().Get() == "leftHanded" else read
 
 

@@ -85,15 +85,6 @@ def to_metres(space: StageSpace) -> FloatArray:
     return np.asarray(turned, dtype=np.float64)
 
 
-def upright_turn(path: Path) -> FloatArray | None:
-    """(3, 3) rotation for rows from the space of a file's control mesh to Y up; None for other formats."""
-    if not is_usd(path):
-        return None
-    left, _, right = np.linalg.svd(to_standard(path)[:3, :3])
-    # Of a mirror, left and right are exchanged: up stays up.
-    return np.asarray(left @ right @ np.diag([np.linalg.det(left @ right), 1.0, 1.0]))
-
-
 def between_spaces(target: Path | None, source: Path | None) -> FloatArray:
     """(4, 4) from the source's space to the target's; the identity unless both files state their units and axes."""
     if target is None or source is None or not (states_units(target) and states_units(source)):

@@ -6,44 +6,33 @@ elastic fit cannot undo a mirrored start.
 
 from __future__ import annotations
 
-from itertools import permutations, product
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cagemap.deform.config import SearchConfig
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair
 from cagemap.deform.refit import common_rotation
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
-from cagemap.surface.alignment import principal_frame, rotations_onto
+from cagemap.surface.alignment import Y_UP, axis_rotations, nearest_axis_rotation, principal_frame, rotations_onto
 from cagemap.surface.triangle_surface import TriangleSurface
 
-AS_FILED = "as the files stand"
-# The first so many of `rigid_starts` keep the files' axes.
-AS_FILED_STARTS = 2
+AS_FILED, BY_UP_AXES = "as the files stand", "by the files' up axes"
+# Starts of `rigid_starts` for one rotation.
+STARTS_OF_ROTATION = 2
 # Least extent of a box; a box that is flat along an axis is not stretched along it.
 LEAST_EXTENT = 1e-6
 
 
-def axis_rotations() -> list[FloatArray]:
-    """The 24 rotations of coordinate axes to coordinate axes, sorted by angle; the identity first."""
-    rotations = []
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            matrix = np.zeros((3, 3))
-            matrix[np.arange(3), order] = signs
-            if np.linalg.det(matrix) > 0:
-                rotations.append(matrix)
-    return sorted(rotations, key=lambda matrix: -np.trace(matrix))
-
-
-def rotation_name(matrix: FloatArray) -> str:
-    """Description of a rotation (3, 3) for a user."""
+def rotation_name(matrix: FloatArray, usual: Sequence[FloatArray] = ()) -> str:
+    """Description for a user of a rotation (3, 3), which may be one of the `usual_rotations`."""
     vector = Rotation.from_matrix(matrix).as_rotvec(degrees=True)
     angle = round(float(np.linalg.norm(vector)))
     if angle == 0:
         return AS_FILED
+    if _is_among(matrix, usual):
+        return BY_UP_AXES
     axis = np.round(vector / np.abs(vector).max()).astype(int)
     if np.count_nonzero(axis) == 1:
         sign = "-" if axis.sum() < 0 and angle != 180 else ""
@@ -53,25 +42,45 @@ def rotation_name(matrix: FloatArray) -> str:
 
 def axis_rotation(areas: FloatArray, maps: FloatArray) -> FloatArray:
     """The one of `axis_rotations` nearest to the differentials (n, 3, 3) of a placement with areas (n,)."""
-    common = common_rotation(areas, nearest_rotations(maps))
-    return max(axis_rotations(), key=lambda rotation: float((rotation * common).sum()))
+    return nearest_axis_rotation(common_rotation(areas, nearest_rotations(maps)))
 
 
-def rotation_penalty(matrix: FloatArray, config: SearchConfig) -> float:
-    """Factor on the cost of a placement that is rotated by one of `axis_rotations`: files seldom differ in axes."""
-    if matrix[1, 1] < 0.5:
-        return config.tilted_penalty
-    return 1.0 if matrix[0, 0] > 0.5 else config.turned_penalty
+def upright_axes(prepared: PreparedPair) -> tuple[FloatArray, FloatArray]:
+    """The ones of `axis_rotations` nearest to `ControlMesh.upright` of target and source."""
+    given = (side.control.upright for side in (prepared.target, prepared.source))
+    target, source = (Y_UP if upright is None else nearest_axis_rotation(upright) for upright in given)
+    return target, source
 
 
-def rigid_starts(points: FloatArray, areas: FloatArray, source: TriangleSurface) -> list[Placement]:
+def usual_rotations(prepared: PreparedPair) -> list[FloatArray]:
+    """Rotations (3, 3) of the target that files seldom differ from: none, and that of its up axis to the source's."""
+    target, source = upright_axes(prepared)
+    onto_source = source @ target.T
+    return [np.eye(3)] if np.array_equal(onto_source, np.eye(3)) else [np.eye(3), onto_source]
+
+
+def rotation_penalty(matrix: FloatArray, prepared: PreparedPair) -> float:
+    """Factor on the cost of a placement that is rotated by one of `axis_rotations`, but not as files usually are."""
+    config, (target, source) = prepared.elastic.search, upright_axes(prepared)
+
+    def penalty(rotation: FloatArray) -> float:
+        if rotation[1, 1] < 0.5:
+            return config.tilted_penalty
+        return 1.0 if rotation[0, 0] > 0.5 else config.turned_penalty
+
+    return min(penalty(matrix), penalty(source.T @ matrix @ target))
+
+
+def rigid_starts(
+    points: FloatArray, areas: FloatArray, source: TriangleSurface, usual: Sequence[FloatArray] = ()
+) -> list[Placement]:
     """Placements of points (k, 3) with areas (k,) that align bounding boxes or principal frames with the source's.
 
-    Boxes in all 24 axis rotations, with equal diagonals (one scale) or equal extents (three scales). Principal frames
-    in four rotations, not scaled.
+    Boxes in all 24 axis rotations, the ``usual`` ones first, with equal diagonals (one scale) or equal extents (three
+    scales). Principal frames in four rotations, not scaled.
     """
     starts = []
-    for matrix in axis_rotations():
+    for matrix in sorted(axis_rotations(), key=lambda one: not _is_among(one, usual)):
         turned = points @ matrix.T
         starts += [Placement(_fit_to_box(turned, source.positions, stretched)) for stretched in (False, True)]
     centre, axes, _ = principal_frame(points, areas)
@@ -79,6 +88,10 @@ def rigid_starts(points: FloatArray, areas: FloatArray, source: TriangleSurface)
     for rotation in rotations_onto(axes, source_axes):
         starts.append(Placement((points - centre) @ rotation.T + source_centre))
     return starts
+
+
+def _is_among(matrix: FloatArray, others: Sequence[FloatArray]) -> bool:
+    return any(np.array_equal(matrix, other) for other in others)
 
 
 def _fit_to_box(points: FloatArray, source_points: FloatArray, stretched: bool) -> FloatArray:

@@ -25,12 +25,13 @@ from cagemap.deform.problem import Clusters, PreparedPair, Problem, Tips, fitted
 from cagemap.deform.refit import finish_placement, inverse_positions
 from cagemap.maps.hypotheses.limbs import assigned_limbs, refit_distinct_to_tips
 from cagemap.maps.hypotheses.rigid_starts import (
-    AS_FILED_STARTS,
+    STARTS_OF_ROTATION,
     axis_rotation,
     rigid_starts,
     rotation_name,
     rotation_penalty,
     unmoved_start,
+    usual_rotations,
 )
 from cagemap.maps.masks import WHOLE
 from cagemap.maps.pair import Pair, Progress, no_progress
@@ -62,15 +63,15 @@ def fit_small_graph(
     rotated starts are tried unless an assignment is plausible, and their fits get a penalty. ``show`` gets the best fit
     of the starts in the files' axes, then the best of all.
     """
-    small, config = problem.small_clusters, problem.prepared.elastic.search
-    graph = small.energy.graph
+    prepared, small = problem.prepared, problem.small_clusters
+    config, graph, usual = prepared.elastic.search, small.energy.graph, usual_rotations(prepared)
 
     def fit_start(start: FloatArray, clusters: Clusters) -> Placement:
         with thread_limit(1):  # one thread for each start: its steps are too short to be split
             placed = coarse_fit(problem, start, clusters)
         rotation = axis_rotation(clusters.energy.graph.areas, placed.maps)
-        penalty = rotation_penalty(rotation, config) if with_rotations else 1.0
-        return replace(placed, name=rotation_name(rotation), penalty=penalty)
+        penalty = rotation_penalty(rotation, prepared) if with_rotations else 1.0
+        return replace(placed, name=rotation_name(rotation, usual), penalty=penalty)
 
     def fit_rigid_starts(starts: Sequence[Placement]) -> list[Placement]:
         return in_threads(lambda start: fit_start(start.positions, small), starts)
@@ -79,9 +80,10 @@ def fit_small_graph(
         clusters = problem.clusters_with(tips, config.small_graph_stage, config.small_graph_vertices)
         return tips, fit_start(zoomout_start(problem, clusters), clusters)
 
-    unmoved = unmoved_start(problem.prepared, graph.positions)
-    starts = [*unmoved, *rigid_starts(graph.positions, graph.areas, problem.prepared.source_surface)]
-    unrotated = distinct_placements(starts[: len(unmoved) + AS_FILED_STARTS], graph.areas, config.min_start_distance)
+    unmoved = unmoved_start(prepared, graph.positions)
+    starts = [*unmoved, *rigid_starts(graph.positions, graph.areas, prepared.source_surface, usual)]
+    first = starts[: len(unmoved) + STARTS_OF_ROTATION * len(usual)]
+    unrotated = distinct_placements(first, graph.areas, config.min_start_distance)
     rigid_fits = rank_placements(fit_rigid_starts(unrotated))
     show(rigid_fits[0])
     limb_fits = sorted(in_threads(fit_limbs, assigned_limbs(problem)), key=lambda fit: fit[1].penalised_cost)
@@ -136,7 +138,8 @@ def inverse_placement(problem: Problem, reverse: Placement) -> Placement:
     start, _ = inverse_positions(prepared.reverse_pair.mesh, reverse.map_positions, prepared.mesh, weight)
     positions = fine_fit(problem, start)
     rotation = axis_rotation(energy.graph.areas, energy.maps(positions))
-    return Placement(positions, reverse.cost, name=rotation_name(rotation), penalty=reverse.penalty)
+    name = rotation_name(rotation, usual_rotations(prepared))
+    return Placement(positions, reverse.cost, name=name, penalty=reverse.penalty)
 
 
 def search_placements(
