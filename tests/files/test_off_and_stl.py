@@ -11,7 +11,7 @@ from examples.shapes import creature, cube, icosahedron, triangulated
 
 from cagemap.errors import FormatError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import ControlMesh, Plain
 
 BOX = """OFF # a square and a triangle
 # by hand
@@ -99,6 +99,7 @@ def test_stl_corners_at_one_place_are_one_vertex(tmp_path: Path) -> None:
         first = np.unique(found.face_indices, return_index=True)[1]
         assert np.array_equal(first, np.sort(first))  # numbered as they appear
         np.testing.assert_array_equal([0, 0, 1] @ found.upright, [0, 1, 0])  # most STL files have +Z up
+        assert found.scheme == Plain()
     file.write_text(text)
     with pytest.raises(FormatError, match="cut short"):
         read_mesh(file)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.text import read_bytes
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import ControlMesh, Plain
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.alignment import Z_UP
 
@@ -27,7 +27,8 @@ _NAME = re.compile(rb"(?i)\b(?:end)?solid\b(?:(?!\bfacet\s+normal\b)[^\n])*")
 def read_stl(path: str | Path) -> ControlMesh:
     """Read a triangle mesh from an STL file; corners at exactly the same position are one vertex.
 
-    Vertices are numbered by first appearance; normals and attributes are ignored. Most STL files have +Z up.
+    Vertices are numbered by first appearance; normals and attributes are ignored. Most STL files have +Z up, and none
+    is a cage of a subdivision surface.
     """
     file = Path(path)
     content = read_bytes(file, "an STL file")
@@ -43,7 +44,7 @@ def read_stl(path: str | Path) -> ControlMesh:
     number = np.empty(len(corners), dtype=np.int64)
     number[order] = np.argsort(np.argsort(first))[np.cumsum(fresh) - 1]
     offsets = np.arange(0, len(corners) + 1, 3)
-    return ControlMesh(places[np.sort(first)], offsets, number, upright=Z_UP, name=file.name)
+    return ControlMesh(places[np.sort(first)], offsets, number, upright=Z_UP, scheme=Plain(), name=file.name)
 
 
 def _binary(content: bytes) -> FloatArray | None:
