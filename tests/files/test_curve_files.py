@@ -28,7 +28,7 @@ from command_line import Run
 from curved_bar import bar, ends_of, ring, rings_of, slid
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(3, 12), st.booleans(), st.integers(0, 2**32 - 1))
 def test_edges_in_any_order_make_the_chain(count: int, closed: bool, seed: int) -> None:
     random = np.random.default_rng(seed)

@@ -37,7 +37,7 @@ NAMES = st.text(st.characters(exclude_categories=("C", "Z")), min_size=1, max_si
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(st.data())
 @pytest.mark.parametrize("form", POINT_FORMS, ids=lambda form: form.ending)
 def test_what_is_written_reads_back(
@@ -164,7 +164,7 @@ def test_half_a_character_is_a_question_mark(tmp_path: Path, text: str) -> None:
     assert {found.mesh_name, *(curve.name for curve in found.curves)} <= {"", "?"}
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.lists(st.integers(0, 11), min_size=1, max_size=5), st.integers(0, 2**32 - 1))
 def test_places_on_the_mesh_are_found_where_they_are(triangles: list[int], seed: int) -> None:
     mesh = cube()

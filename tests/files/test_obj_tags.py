@@ -106,7 +106,7 @@ def tagged_meshes(draw: st.DrawFn) -> ControlMesh:
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=60, derandomize=True)
+@settings(max_examples=60, derandomize=True)
 @given(mesh=tagged_meshes())
 def test_what_is_written_is_read_again(mesh: ControlMesh, tmp_path_factory: pytest.TempPathFactory) -> None:
     path = tmp_path_factory.mktemp("obj") / "mesh.obj"

@@ -56,7 +56,7 @@ def test_a_set_of_faces_does_not_leak_and_a_vertex_group_is_refined() -> None:
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(width=st.floats(0.0, 1.0), face=st.integers(0, 5))
 def test_a_soft_edge_lies_inside_and_rises_no_faster_than_its_width(width: float, face: int) -> None:
     surface = _surface(cube(), 3)

@@ -60,7 +60,7 @@ def test_no_points_have_no_closest_points() -> None:
     assert barycentric.shape == (0, 3)
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(seed=st.integers(10, 10_000), weight=st.sampled_from([0.0, 0.3]), cosine=st.sampled_from([-2.0, 0.2]))
 def test_closest_points_agree_with_trying_every_triangle(seed: int, weight: float, cosine: float) -> None:
     rng = np.random.default_rng(seed)
@@ -102,7 +102,7 @@ def test_both_orders_of_the_tree_find_the_same_points(shuffled: bool) -> None:
     np.testing.assert_allclose(distance, expected, atol=1e-12)
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(seed=st.integers(10, 10_000), weight=st.sampled_from([0.0, 0.3]), cosine=st.sampled_from([-2.0, 0.2]))
 def test_a_limit_leaves_out_what_is_farther_and_nothing_else(seed: int, weight: float, cosine: float) -> None:
     rng = np.random.default_rng(seed)

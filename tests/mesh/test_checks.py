@@ -329,7 +329,7 @@ def test_arrays_that_do_not_fit_are_refused(change: dict[str, object], message: 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error")
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(mesh=polygon_meshes())
 def test_any_arrays_get_a_verdict(mesh: ControlMesh) -> None:
     """Degenerate faces, positions up to 1e308, anything: problems, not exceptions and not warnings."""

@@ -187,7 +187,7 @@ def test_a_mesh_of_skew_quads_looks_outwards_once_it_is_turned_round() -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.data())
 def test_whatever_comes_out_can_be_matched_or_is_refused(data: st.DataObject) -> None:
     """Random damage: faces on random vertices, moved onto each other, dropped and repeated."""

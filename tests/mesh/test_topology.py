@@ -90,7 +90,7 @@ def soups(draw: st.DrawFn) -> ControlMesh:
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(mesh=soups())
 def test_connectivity_agrees_with_the_slow_twin(mesh: ControlMesh) -> None:
     copies = duplicate_faces(mesh)

@@ -111,7 +111,7 @@ def test_finest_mass_is_diagonal_and_coarser_ones_are_not(refined):
     assert operators.mass[0].nnz > operators.mass[0].shape[0]
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(scale=st.floats(1e-6, 1e6), seed=st.integers(2, 10_000))
 def test_rigid_motion_and_scale_change_nothing(scale, seed):
     """Unit area removes the scale; the matrices see lengths and angles only."""

@@ -154,7 +154,7 @@ def test_rows_and_blocks_are_parts_of_the_dense_basis(creature, monkeypatch):
             np.testing.assert_allclose(phi[:, : below.shape[1]], below, rtol=0, atol=1e-12)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(2, 10_000), level=st.integers(0, 3))
 def test_projection_gives_back_coefficients_and_is_orthogonal(creature, seed, level):
     """(Phi^T M Phi)^{-1} Phi^T M f, whatever level f lives on."""

@@ -122,7 +122,7 @@ def test_the_whole_is_offered_where_it_can_be_opened() -> None:
     assert offer.whole if offer.opened is None else offer.opened in offer.titles
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.lists(st.integers(0, 3), min_size=18, max_size=18))
 def test_a_part_is_in_one_piece_where_its_mesh_is(numbers: list[int]) -> None:
     mesh = join_meshes([cube(), cube(), cube()])
@@ -198,7 +198,7 @@ def test_what_was_not_saved_opens_its_part_and_waits_on_the_others(folder: Path)
 
 
 @pytest.mark.slow
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.lists(st.integers(0, 7 + creature().n_vertices + 8), unique=True, max_size=12), st.data())
 def test_no_landmark_of_a_file_is_lost_by_opening_a_part(vertices: list[int], data: st.DataObject) -> None:
     whole = figure()

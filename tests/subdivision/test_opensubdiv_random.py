@@ -292,7 +292,7 @@ def _compare(data: st.DataObject, opensubdiv: Oracle) -> None:
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_random_creased_cages(data: st.DataObject, opensubdiv: Oracle) -> None:
     _compare(data, opensubdiv)

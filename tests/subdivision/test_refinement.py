@@ -167,7 +167,7 @@ def _relabelled(mesh: ControlMesh, seed: int) -> tuple[ControlMesh, np.ndarray]:
     return ControlMesh.from_faces(positions, faces), new
 
 
-@settings(deadline=None, max_examples=15, derandomize=True)
+@settings(max_examples=15, derandomize=True)
 @given(st.sampled_from(SHAPES), st.integers(2, 10**6))
 def test_numbering_does_not_matter(mesh: ControlMesh, seed: int) -> None:
     mesh = mesh.with_positions(mesh.positions + 0.1 * np.random.default_rng(seed).standard_normal(mesh.positions.shape))
@@ -181,7 +181,7 @@ def _sorted(points: np.ndarray) -> np.ndarray:
     return points[np.lexsort(np.round(points, 9).T)]
 
 
-@settings(deadline=None, max_examples=15, derandomize=True)
+@settings(max_examples=15, derandomize=True)
 @given(st.sampled_from(SHAPES), st.sampled_from([1e-8, 1.0, 1e8]), st.integers(2, 10**6))
 def test_rigid_motion_and_scale_commute_with_refinement(mesh: ControlMesh, scale: float, seed: int) -> None:
     rng = np.random.default_rng(seed)

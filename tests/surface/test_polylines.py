@@ -20,7 +20,7 @@ def test_the_nearest_point_may_lie_on_a_piece_away_from_the_nearest_vertex() -> 
     np.testing.assert_allclose(tangents, [[1, 0, 0]])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(2, 30), st.booleans(), st.integers(0, 2**32 - 1))
 def test_nearest_points_are_the_best_of_all_pieces(count: int, closed: bool, seed: int) -> None:
     """Tangled lines, some of whose pieces have no length."""

@@ -46,7 +46,7 @@ def test_area_of_flat_faces_is_the_same_for_quads_and_triangles() -> None:
     assert surface_area(square, quad) == surface_area(square, triangles(quad)) == 6.0
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(st.integers(0, 7), min_size=1, max_size=9))
 def test_fans_cover_every_polygon_once(sizes: list[int]) -> None:
     offsets = np.concatenate([[0], np.cumsum(sizes)])

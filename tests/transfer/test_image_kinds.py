@@ -107,7 +107,7 @@ def _exr(path: Path, pixels: np.ndarray, origin: tuple[int, int], window: tuple[
     output.close()
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given_by(x=st.integers(-9, 9), y=st.integers(-9, 9), width=st.integers(1, 12), height=st.integers(1, 12))
 def test_the_display_window_of_an_exr_is_the_image(x: int, y: int, width: int, height: int) -> None:
     pixels = np.random.default_rng(1).random((6, 7, 3)).astype(np.float16)

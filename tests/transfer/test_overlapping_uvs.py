@@ -25,7 +25,7 @@ def squares(places: list[tuple[float, float]], side: float, materials: list[int]
     return replace(mesh, face_materials=np.array(materials), material_names=("skin", "eyes"))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(shift=st.floats(0.0, 0.6), tile=st.tuples(st.integers(0, 9), st.integers(0, 3)))
 def test_the_share_is_that_of_the_area(shift: float, tile: tuple[int, int]) -> None:
     """Two squares, one moved to the right: their common part of both, in any tile."""
@@ -43,7 +43,7 @@ def test_what_only_touches_or_is_not_convex_is_not_doubled() -> None:
     assert overlapping_share(replace(squares([(0, 0)], 0.25), uvs=None, uv_indices=None)) == 0.0
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(side=st.floats(0.05, 0.3), place=st.tuples(st.floats(0.0, 0.6), st.floats(0.0, 0.6)))
 def test_squares_along_rows_of_texels_are_not_doubled(side: float, place: tuple[float, float]) -> None:
     """Counted along its sides, one of 77 texels would have 76 of them, and 3 % less area."""

@@ -156,7 +156,7 @@ def test_labels_are_never_mixed() -> None:
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(height=st.integers(1, 40), width=st.integers(1, 40), seed=st.integers(0, 99))
 def test_halving_keeps_what_is_constant_and_reads_only_what_is_covered(height: int, width: int, seed: int) -> None:
     pixels = noise(height, width, 2, "float32", seed)

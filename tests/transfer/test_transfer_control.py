@@ -101,7 +101,7 @@ def test_bilinear_on_a_square() -> None:
 
 @pytest.mark.slow
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_any_map_gives_convex_weights_and_labels_that_exist(seed: int) -> None:
     rng = np.random.default_rng(seed)
     both = refine(mixed(), 2), refine(cube(), 2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from examples.shapes import torus
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cagemap.maps.point_map import PointMap
@@ -172,7 +172,6 @@ def test_smooth_cells_have_all_their_texels(height: int, width: int, seed: int) 
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "float16", "float32"])
-@settings(deadline=None)  # the first one compiles
 @given(height=st.integers(1, 16), width=st.integers(1, 16), seed=st.integers(0, 99))
 def test_even_texels_need_no_cubic(dtype: str, height: int, width: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
