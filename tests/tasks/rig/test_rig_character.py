@@ -220,7 +220,7 @@ def test_a_loose_piece_of_the_body_is_said_to_be_carried_along(run: Run, files: 
     write_mesh("B.glb", replace(whole, name="body"), force=True)
     outcome = run("rig", "B.glb", "--like", "C.glb", "-o", "OUT.glb")
     assert outcome.code == 0
-    assert f"1 smaller piece ({button.n_vertices} vertices) not matched, but moved along with the body" in outcome.err
+    assert f"1 other piece ({button.n_vertices} vertices) not matched, but moved along with the body" in outcome.err
     assert "--part" not in outcome.err
     assert ", 1 animation\n" in outcome.out
 
