@@ -104,7 +104,7 @@ def body_areas(mesh: ControlMesh, labels: IndexArray) -> FloatArray:
 
     ``labels``: (m,) piece of each face.
     """
-    areas = np.bincount(labels, face_areas(mesh))
+    areas = np.asarray(np.bincount(labels, face_areas(mesh)), dtype=np.float64)
     others = np.where(np.bincount(labels, ~_faces_of_passengers(mesh)) > 0, areas, 0.0)
     return others if others.max() >= _MIN_SHARE_OF_AREA * areas.max() else areas
 
