@@ -27,27 +27,31 @@ def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[IndexArray]:
 
     Each piece of ``own`` counts for one piece of ``carried`` only: the one with the nearest bounding box.
     """
-    pieces, own_pieces = (members_of(face_components(mesh)) for mesh in (carried, own))
-    surfaces = [_surface(carried, faces) for faces in pieces]
-    own_surfaces = [_surface(own, faces) for faces in own_pieces]
-    boxes, own_boxes = (np.array([_box(surface) for surface in side]) for side in (surfaces, own_surfaces))
+    labels, own_labels = face_components(carried), face_components(own)
+    pieces, own_pieces = members_of(labels), members_of(own_labels)
+    boxes, own_boxes = _boxes(carried, labels), _boxes(own, own_labels)
     to_own = np.asarray(cKDTree(own_boxes).query(boxes)[1])
     to_carried = np.asarray(cKDTree(boxes).query(own_boxes)[1])
     return [
         faces
         for piece, faces in enumerate(pieces)
-        if to_carried[to_own[piece]] == piece and _are_at_one_place(surfaces[piece], own_surfaces[to_own[piece]])
+        if to_carried[to_own[piece]] == piece
+        and _are_at_one_place(_surface(carried, faces), _surface(own, own_pieces[to_own[piece]]))
     ]
+
+
+def _boxes(mesh: ControlMesh, labels: IndexArray) -> FloatArray:
+    """(k, 6) lowest and highest coordinates of each piece; ``labels`` (m,) are the pieces of faces."""
+    corners = mesh.positions[mesh.face_indices]
+    boxes = np.full((int(labels.max()) + 1, 6), np.inf)
+    np.minimum.at(boxes, labels[mesh.corner_faces], np.column_stack([corners, -corners]))
+    return boxes * np.array([1, 1, 1, -1, -1, -1])
 
 
 def _surface(mesh: ControlMesh, faces: IndexArray) -> TriangleSurface:
     """Triangles of some faces, in the mesh's own unit; every triangle has three vertices of its own."""
     corners = mesh.positions[cage_triangles(keep_faces(mesh, faces))[0]]
     return TriangleSurface(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3))
-
-
-def _box(surface: TriangleSurface) -> FloatArray:
-    return np.concatenate([surface.positions.min(axis=0), surface.positions.max(axis=0)])
 
 
 def _are_at_one_place(first: TriangleSurface, second: TriangleSurface) -> bool:

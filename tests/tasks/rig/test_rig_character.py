@@ -252,23 +252,29 @@ def test_a_loose_piece_keeps_what_its_vertices_and_corners_have(body: ControlMes
 
 
 @pytest.mark.slow
-def test_a_piece_that_the_body_has_itself_is_not_carried(body: ControlMesh) -> None:
-    """The source's button and ring, onto a body with a button."""
+@pytest.mark.parametrize("own_part", [False, True])
+def test_a_piece_that_the_body_has_itself_is_not_carried(body: ControlMesh, own_part: bool) -> None:
+    """The source's button and ring, onto a body with a button, or beside a part that is a button."""
     places = body.positions[[np.argmax(body.positions[:, 2]), np.argmin(body.positions[:, 2])]]
     balls = ball("button", places[0] + [0, 0, 0.3], 0.1), ball("ring", places[1] - [0, 0, 0.3], 0.1)
     parts = []
-    for name, pieces in (("B.glb", balls[:1]), ("C.glb", balls)):
+    for name, pieces in (("B.glb", () if own_part else balls[:1]), ("C.glb", balls)):
         meshes = [replace(one, face_objects=None, object_names=()) for one in (body, *pieces)]
         mesh = replace(with_options(join_meshes(meshes), "none"), name=name)
         parts.append(Part("body", mesh, shapes={"shift": np.ones((mesh.n_vertices, 3))}))
-    carried = carry_character(*(Character((part,)) for part in parts))
-    made, pieces = carried.character.parts
+    own = [Part("button", balls[0])] if own_part else []
+    characters = Character((parts[0], *own)), Character((parts[1],))
+    carried = carry_character(*characters)
+    made, *_, pieces = carried.character.parts
     assert made.mesh.n_vertices == parts[0].mesh.n_vertices
     assert pieces.name == "body pieces"
     np.testing.assert_allclose(pieces.mesh.positions, balls[1].positions, atol=1e-3)
     assert len(pieces.shapes["shift"]) == balls[1].n_vertices
     n_faces = balls[0].n_faces
     assert f"1 smaller piece of C.glb ({n_faces} faces) not carried, since B.glb has its own there" in carried.notes[-1]
+    every = carry_character(*characters, kinds={"body pieces": "rigid"})
+    assert every.character.parts[-1].mesh.n_vertices == balls[0].n_vertices + balls[1].n_vertices
+    assert not any("not carried" in note for note in every.notes)
 
 
 def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
