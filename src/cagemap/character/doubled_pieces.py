@@ -1,12 +1,14 @@
-"""Pieces of a carried mesh where the target has pieces of its own."""
+"""Pieces of a carried mesh where the target has the same part: as a piece of its own, or in its matched surface."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles, keep_faces
+from cagemap.mesh.parts import faces_of_passengers
 from cagemap.mesh.topology import face_components
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, members_of
 from cagemap.surface.closest_points import closest_points
@@ -20,6 +22,9 @@ _MIN_CLOSE_SHARE = 0.75
 _MAX_PIECE_DISTANCE = 0.25
 # Least ratio of the two diagonals; ears of two elephants have 0.51. A ball inside a much larger ball is close to it.
 _MIN_SIZE_RATIO = 0.4
+# The target's surface has a piece itself if at least the first share of the piece's area is close to triangles of the
+# target whose images have less than the second share of their area. Feet have 0.9, clothes 0 (docs/lab/characters.md).
+_MIN_COLLAPSED_SHARE, _MAX_AREA_RATIO = 0.3, 0.1
 
 
 def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[IndexArray]:
@@ -38,6 +43,29 @@ def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[IndexArray]:
         if to_carried[to_own[piece]] == piece
         and _are_at_one_place(_surface(carried, faces), _surface(own, own_pieces[to_own[piece]]))
     ]
+
+
+def pieces_in_surface(carried: ControlMesh, point_map: PointMap) -> list[IndexArray]:
+    """Faces of every connected piece of ``carried`` that the target's matched surface has itself.
+
+    The matched source lacks such a part (ears, feet), so the map takes the target's part to almost no area. Pieces
+    named as passengers are not among them: shoes, whose feet are deleted.
+    """
+    target, images = point_map.target, TriangleSurface(point_map.images.positions, point_map.target.triangles)
+    is_collapsed = images.areas < _MAX_AREA_RATIO * target.areas
+    if not is_collapsed.any():
+        return []
+    scaled, is_named = carried.with_positions(target.scale * carried.positions), faces_of_passengers(carried)
+    found = []
+    for faces in members_of(face_components(carried)):
+        if is_named[faces].all():
+            continue
+        piece = _surface(scaled, faces)
+        nearest, _, distances = closest_points(target.tree, triangle_centres(piece.positions, piece.triangles))
+        is_inside = is_collapsed[nearest] & (distances <= _MAX_PIECE_DISTANCE * box_diagonal(piece.positions))
+        if piece.areas[is_inside].sum() >= _MIN_COLLAPSED_SHARE * piece.areas.sum():
+            found.append(faces)
+    return found
 
 
 def _boxes(mesh: ControlMesh, labels: IndexArray) -> FloatArray:

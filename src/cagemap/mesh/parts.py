@@ -105,11 +105,11 @@ def body_areas(mesh: ControlMesh, labels: IndexArray) -> FloatArray:
     ``labels``: (m,) piece of each face.
     """
     areas = np.asarray(np.bincount(labels, face_areas(mesh)), dtype=np.float64)
-    others = np.where(np.bincount(labels, ~_faces_of_passengers(mesh)) > 0, areas, 0.0)
+    others = np.where(np.bincount(labels, ~faces_of_passengers(mesh)) > 0, areas, 0.0)
     return others if others.max() >= _MIN_SHARE_OF_AREA * areas.max() else areas
 
 
-def _faces_of_passengers(mesh: ControlMesh) -> NDArray[np.bool_]:
+def faces_of_passengers(mesh: ControlMesh) -> NDArray[np.bool_]:
     """(m,) whether a face's object or group has a passenger's name; its material, if no object or group has one."""
     found = np.zeros(mesh.n_faces, dtype=bool)
     for kind, numbers, names in mesh.partitions:

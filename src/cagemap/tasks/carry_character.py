@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cagemap.character.doubled_pieces import doubled_pieces
+from cagemap.character.doubled_pieces import doubled_pieces, pieces_in_surface
 from cagemap.character.normals import move_vertices, with_shape_normals
 from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.passengers import carry_passengers
@@ -195,20 +195,22 @@ def _pieces_to_carry(bodies: Bodies, others: Sequence[Part], named: Collection[s
     """
     unmatched, pieces = (_set_aside(part, ready) for part, ready in zip(bodies.given, bodies.ready, strict=True))
     own = [part.mesh for part in (*([] if unmatched is None else [unmatched]), *others)]
-    if not own or pieces is None or pieces.name in named:
+    if pieces is None or pieces.name in named:
         return pieces, []
     mesh = pieces.mesh
     placed = mesh.with_positions(carry_passengers(bodies.result, [mesh])[0].positions)
-    doubled = doubled_pieces(placed, join_meshes(own))
-    if not doubled:
+    found = pieces_in_surface(placed, bodies.result.point_map)
+    found += doubled_pieces(placed, join_meshes(own)) if own else []
+    if not found:
         return pieces, []
+    doubled = {int(faces[0]): faces for faces in found}.values()  # each piece once
     sizes = first_few([count_noun(len(faces), "face") for faces in doubled])
     target, source = bodies.given
     note = (
         f"{count_noun(len(doubled), 'smaller piece')} of {source.mesh.name} ({sizes}) not carried, since "
         f"{target.mesh.name} has its own there: to carry all, name {pieces.name!r} (rig: --rigid or --cloth)"
     )
-    left = np.setdiff1d(np.arange(mesh.n_faces), np.concatenate(doubled))
+    left = np.setdiff1d(np.arange(mesh.n_faces), np.concatenate(found))
     return _part_of_faces(pieces, left) if len(left) else None, [note]
 
 

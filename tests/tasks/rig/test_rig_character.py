@@ -33,7 +33,7 @@ from cagemap.tasks.requests.rig import RigRequest
 from cagemap.tasks.rig_character import _kinds, _landmarks, _split_body, character_body, read_body
 
 from command_line import Run
-from example_character import ball, write_character
+from example_character import ball, bare_body, write_character
 from plain_meshes import far_apart
 from rigged import image_error, part_named, rig_done, same_order
 
@@ -275,6 +275,20 @@ def test_a_piece_that_the_body_has_itself_is_not_carried(body: ControlMesh, own_
     every = carry_character(*characters, kinds={"body pieces": "rigid"})
     assert every.character.parts[-1].mesh.n_vertices == balls[0].n_vertices + balls[1].n_vertices
     assert not any("not carried" in note for note in every.notes)
+
+
+@pytest.mark.slow
+def test_feet_that_are_pieces_are_not_carried_to_a_body_with_feet() -> None:
+    body = bare_body(2)
+    height = body.positions[:, 1]
+    corners = (height < np.quantile([height.min(), height.max()], 0.15))[body.face_indices.reshape(-1, 3)]
+    parts = [extract_faces(body, np.flatnonzero(faces)) for faces in (~corners.any(axis=1), corners.all(axis=1))]
+    whole, cut = (
+        Part("body", with_options(replace(mesh, name="C.glb"), "none")) for mesh in (body, join_meshes(parts))
+    )
+    carried = carry_character(Character((whole,)), Character((cut,)))
+    assert [part.name for part in carried.character.parts] == ["body"]
+    assert "4 smaller pieces of C.glb" in carried.notes[-1]
 
 
 def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
