@@ -24,7 +24,9 @@ _MAX_PIECE_DISTANCE = 0.25
 _MIN_SIZE_RATIO = 0.4
 # The target's surface has a piece itself if at least the first share of the piece's area is close to triangles of the
 # target whose images have less than the second share of their area. Feet have 0.9, clothes 0 (docs/lab/characters.md).
-_MIN_COLLAPSED_SHARE, _MAX_AREA_RATIO = 0.3, 0.1
+_MIN_COLLAPSED_SHARE, _MAX_AREA_RATIO = 0.5, 0.1
+# Largest distance that is close to the surface, divided by the diagonal of the piece's bounding box.
+_MAX_SURFACE_DISTANCE = 0.4
 
 
 def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[IndexArray]:
@@ -62,7 +64,7 @@ def pieces_in_surface(carried: ControlMesh, point_map: PointMap) -> list[IndexAr
             continue
         piece = _surface(scaled, faces)
         nearest, _, distances = closest_points(target.tree, triangle_centres(piece.positions, piece.triangles))
-        is_inside = is_collapsed[nearest] & (distances <= _MAX_PIECE_DISTANCE * box_diagonal(piece.positions))
+        is_inside = is_collapsed[nearest] & (distances <= _MAX_SURFACE_DISTANCE * box_diagonal(piece.positions))
         if piece.areas[is_inside].sum() >= _MIN_COLLAPSED_SHARE * piece.areas.sum():
             found.append(faces)
     return found
