@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cagemap.character.doubled_pieces import doubled_pieces
+from cagemap.character.doubled_pieces import doubled_pieces, pieces_in_surface
+from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.parts import join_meshes
+from cagemap.surface.triangle_surface import TriangleSurface
 
 from example_character import ball
 
@@ -42,3 +44,29 @@ def test_a_piece_of_the_target_stands_for_one_piece() -> None:
     """A hat on hair is carried to a body that has hair."""
     (hair,) = doubled_pieces(balls((0.0, 1.1), (0.0, 1.0)), balls((0.0, 1.02)))
     assert hair.min() > 0
+
+
+@pytest.mark.parametrize(
+    ("pieces", "doubled"),
+    [
+        ([(1.0, 0.5), (-1.0, 0.5)], [0]),
+        ([(1.0, 0.9)], [0]),  # an ear of another size
+        ([(3.0, 0.5)], []),  # away from the body
+        ([(0.0, 1.1)], []),  # a suit around all of it
+    ],
+)
+def test_a_piece_that_the_surface_of_the_target_has_itself_is_found(
+    pieces: list[tuple[float, float]], doubled: list[int]
+) -> None:
+    """The map takes one end of a ball to a point: the source lacks it."""
+    whole = ball("body", np.zeros(3), 1.0)
+    surface = TriangleSurface.from_faces(whole.positions, whole.face_indices.reshape(-1, 3))
+    vertices = np.arange(surface.n)
+    is_end = whole.positions[:, 0] > 0.5
+    vertices[is_end] = vertices[is_end][0]
+    carried = balls(*pieces)
+    size = carried.n_faces // len(pieces)
+    found = pieces_in_surface(carried, PointMap.from_vertices(surface, surface, vertices))
+    assert [int(faces[0]) // size for faces in found] == doubled
+    shoes = replace(carried, face_materials=np.zeros(carried.n_faces, dtype=np.int64), material_names=("shoes",))
+    assert pieces_in_surface(shoes, PointMap.from_vertices(surface, surface, vertices)) == []

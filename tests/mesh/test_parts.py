@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 from examples.shapes import creature, cube, grid, icosahedron, poles, pyramid, torus, triangulated
 
+from cagemap.character.values import Character, Part
 from cagemap.errors import InvalidMeshError, ParameterError
+from cagemap.files.gltf.document import write_document
+from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.obj_write import write_obj
@@ -24,6 +27,7 @@ from cagemap.mesh.parts import (
     join_meshes,
     list_parts,
 )
+from cagemap.studio.models import open_model
 from cagemap.subdivision import refine, with_options
 from cagemap.tasks import mesh_commands
 from cagemap.tasks.match import MatchRequest, matched_levels, read_inputs, run_match
@@ -84,7 +88,7 @@ def test_parts_are_found_by_name() -> None:
     scene = _scene()
     np.testing.assert_array_equal(find_part(scene, "eye_left").faces, np.arange(6, 26))
     np.testing.assert_array_equal(find_part(scene, "material:cloth").faces, [3, 4, 5])
-    assert len(find_part(scene, "largest").faces) == 20
+    assert len(find_part(scene, "largest").faces) == 6
     with pytest.raises(ParameterError, match="there is none\\. It has object:body"):
         find_part(scene, "nose")
     both = replace(scene, group_names=("body", "rest"), face_groups=np.repeat([1, 0], [6, 40]))
@@ -111,17 +115,35 @@ def test_the_largest_part_has_most_area_among_those_of_about_as_many_faces(scale
         ("/man/body", "/man/Shirt", "catmull-clark", 20),
         ("teapot", "lid", "catmull-clark", 12),
         ("eyes", "jeans", "catmull-clark", 12),
-        ("body", "jeans", "none", 12),
+        ("body", "jeans", "none", 20),
+        ("body", "Brown", "none", 12),
     ],
 )
-@pytest.mark.parametrize("kind", ["object", "group"])
-def test_the_largest_part_of_a_control_mesh_is_not_named_like_clothes(
+@pytest.mark.parametrize("kind", ["object", "group", "material"])
+def test_the_largest_part_is_not_named_like_clothes(
     kind: str, body: str, clothes: str, scheme: str, faces: int
 ) -> None:
     large = triangulated(cube())
-    scene = join_meshes([icosahedron(), large.with_positions(9 * large.positions)])
+    scene = join_meshes([icosahedron(), large.with_positions(2 * large.positions)])
     labels = {f"face_{kind}s": np.repeat([0, 1], [20, 12]), f"{kind}_names": (body, clothes)}
     assert len(find_part(with_options(replace(scene, **labels), scheme), "largest").faces) == faces
+
+
+@pytest.mark.parametrize("suffix", ["glb", "obj"])
+@pytest.mark.parametrize("part", [None, "largest"])
+def test_of_a_clothed_file_without_subdivision_the_body_is_matched(
+    tmp_path: Path, suffix: str, part: str | None
+) -> None:
+    body, jeans = _named(triangulated(creature()), "body"), _named(triangulated(cube()), "jeans")
+    jeans = jeans.with_positions(0.5 * np.ptp(body.positions, axis=0).max() * jeans.positions)
+    path = tmp_path / f"figure.{suffix}"
+    write_obj(tmp_path / "figure.obj", join_meshes([jeans, body]))
+    plain = [Part(mesh.object_names[0], with_options(mesh, "none")) for mesh in (jeans, body)]
+    write_document(tmp_path / "figure.glb", character_glb(Character(tuple(plain))))
+    request = MatchRequest(path, path, tmp_path / "R", part=part, scheme="none")
+    (pair,) = read_inputs(request).parts
+    assert pair.source.n_faces == body.n_faces
+    assert open_model(path, "none", None, 300, part).control.n_faces == body.n_faces
 
 
 def test_titles_of_components_are_unique_where_objects_are_named_by_numbers() -> None:

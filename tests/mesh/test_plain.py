@@ -65,6 +65,39 @@ def test_what_scans_have_is_mended_or_set_aside_and_said() -> None:
     require_valid(plain.mesh)
 
 
+@pytest.mark.parametrize(
+    ("kind", "names", "scale", "kept"),
+    [
+        ("object", ("body", "jeans"), 2.0, 0),
+        ("group", ("body", "jeans"), 2.0, 0),
+        ("material", ("skin", "jeans"), 2.0, 0),
+        ("object", ("body", "jeans"), 9.0, 1),  # a button
+        ("object", ("hat", "jeans"), 2.0, 1),
+        ("object", ("hat", "body"), 0.5, 1),
+    ],
+)
+def test_the_piece_that_is_kept_is_not_named_like_clothes(
+    kind: str, names: tuple[str, str], scale: float, kept: int
+) -> None:
+    small, large = ball(), cube()
+    scene = join_meshes([small, large.with_positions(scale * large.positions)])
+    labels = {f"face_{kind}s": np.repeat([0, 1], [small.n_faces, 6]), f"{kind}_names": names}
+    plain = plain_mesh(replace(scene, **labels))
+    assert np.array_equal(np.flatnonzero(plain.vertex_of >= 0) >= small.n_vertices, [kept == 1] * plain.mesh.n_vertices)
+    assert plain.notes[-1].partition(" ")[2].startswith("1 other piece set aside")
+
+
+def test_materials_are_ignored_where_an_object_is_named_like_clothes() -> None:
+    """A man whose body has the material of a suit, a hat and a ball."""
+    toy, man = ball(), cube()
+    hat = toy.with_positions(0.5 * toy.positions)
+    scene = join_meshes([toy, man.with_positions(2.0 * man.positions), hat])
+    of_face = np.repeat([0, 1, 2], [toy.n_faces, 6, hat.n_faces])
+    objects = {"face_objects": of_face, "object_names": ("ball", "man", "hat")}
+    scene = replace(scene, **objects, face_materials=of_face, material_names=("red", "suit", "felt"))
+    assert plain_mesh(scene).mesh.n_vertices == man.n_vertices
+
+
 def test_sheets_that_share_an_edge_or_a_point_are_cut_apart() -> None:
     one, other = ball(), ball(2)
     other = other.with_positions(0.5 * other.positions)

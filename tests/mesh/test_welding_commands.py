@@ -71,7 +71,7 @@ def test_check_names_the_tolerance_and_takes_it(run: Run, folder: Path, monkeypa
     ("build", "usable", "said"),
     [
         (lambda: soup(animal(1)), True, "vertices joined with others at the same place"),
-        (lambda: join_meshes([animal(1), cube()]), True, "1 smaller piece set aside ("),
+        (lambda: join_meshes([animal(1), cube()]), True, "1 other piece set aside ("),
         (lambda: replace(animal(1), face_indices=animal(1).face_indices[::-1]), True, "faces turned round"),
         (moebius_strip, False, "Moebius"),
     ],

@@ -103,7 +103,7 @@ def test_files_to_result_and_back(tmp_path: Path) -> None:
         cache=tmp_path / "cache",
     )
     _, warnings = run_match(request, Stages())
-    assert any("1 smaller piece set aside" in text for text in warnings)
+    assert any("1 other piece set aside" in text for text in warnings)
     result = read_result(tmp_path / "RESULT")
     assert result.source.refinement.finest_level == 0
     assert result.target.refinement.finest_level > 0

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.face_kit import FORWARD, KEPT, LEAST, depths, face_arrays
+from benchmarks.face_kit import FIRST_OF_SOCKETS, FORWARD, KEPT, LEAST, depths, eye_slits, face_arrays
 from scipy import sparse
 
 from cagemap import tasks
@@ -93,6 +93,15 @@ def test_lips_of_the_kit_do_not_go_through_each_other() -> None:
     triangles = fan_triangles(kit.mesh.face_offsets, kit.mesh.face_indices)[0]
     found = depths(kit.mesh.positions, kit.shapes, triangles, FORWARD)
     assert max(found.values()) < 0.05, found
+
+
+@pytest.mark.parametrize("side", ["Left", "Right"])
+def test_blinks_of_the_kit_close_the_eyes(side: str) -> None:
+    kit = read_face_kit()
+    triangles = fan_triangles(kit.mesh.face_offsets, kit.mesh.face_indices)[0]
+    is_socket = np.arange(kit.mesh.n_vertices) >= FIRST_OF_SOCKETS
+    height, gap = eye_slits(kit.mesh.positions, triangles, is_socket, kit.shapes[f"eyeBlink{side}"])
+    assert gap < 0.02 * height
 
 
 def test_only_names_of_the_kit_are_taken() -> None:

@@ -1,12 +1,14 @@
-"""Pieces of a carried mesh where the target has pieces of its own."""
+"""Pieces of a carried mesh where the target has the same part: as a piece of its own, or in its matched surface."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles, keep_faces
+from cagemap.mesh.parts import faces_of_passengers
 from cagemap.mesh.topology import face_components
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, members_of
 from cagemap.surface.closest_points import closest_points
@@ -20,6 +22,11 @@ _MIN_CLOSE_SHARE = 0.75
 _MAX_PIECE_DISTANCE = 0.25
 # Least ratio of the two diagonals; ears of two elephants have 0.51. A ball inside a much larger ball is close to it.
 _MIN_SIZE_RATIO = 0.4
+# The target's surface has a piece itself if at least the first share of the piece's area is close to triangles of the
+# target whose images have less than the second share of their area. Feet have 0.9, clothes 0 (docs/lab/characters.md).
+_MIN_COLLAPSED_SHARE, _MAX_AREA_RATIO = 0.5, 0.1
+# Largest distance that is close to the surface, divided by the diagonal of the piece's bounding box.
+_MAX_SURFACE_DISTANCE = 0.4
 
 
 def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[IndexArray]:
@@ -27,27 +34,54 @@ def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[IndexArray]:
 
     Each piece of ``own`` counts for one piece of ``carried`` only: the one with the nearest bounding box.
     """
-    pieces, own_pieces = (members_of(face_components(mesh)) for mesh in (carried, own))
-    surfaces = [_surface(carried, faces) for faces in pieces]
-    own_surfaces = [_surface(own, faces) for faces in own_pieces]
-    boxes, own_boxes = (np.array([_box(surface) for surface in side]) for side in (surfaces, own_surfaces))
+    labels, own_labels = face_components(carried), face_components(own)
+    pieces, own_pieces = members_of(labels), members_of(own_labels)
+    boxes, own_boxes = _boxes(carried, labels), _boxes(own, own_labels)
     to_own = np.asarray(cKDTree(own_boxes).query(boxes)[1])
     to_carried = np.asarray(cKDTree(boxes).query(own_boxes)[1])
     return [
         faces
         for piece, faces in enumerate(pieces)
-        if to_carried[to_own[piece]] == piece and _are_at_one_place(surfaces[piece], own_surfaces[to_own[piece]])
+        if to_carried[to_own[piece]] == piece
+        and _are_at_one_place(_surface(carried, faces), _surface(own, own_pieces[to_own[piece]]))
     ]
+
+
+def pieces_in_surface(carried: ControlMesh, point_map: PointMap) -> list[IndexArray]:
+    """Faces of every connected piece of ``carried`` that the target's matched surface has itself.
+
+    The matched source lacks such a part (ears, feet), so the map takes the target's part to almost no area. Pieces
+    named as passengers are not among them: shoes, whose feet are deleted.
+    """
+    target, images = point_map.target, TriangleSurface(point_map.images.positions, point_map.target.triangles)
+    is_collapsed = images.areas < _MAX_AREA_RATIO * target.areas
+    if not is_collapsed.any():
+        return []
+    scaled, is_named = carried.with_positions(target.scale * carried.positions), faces_of_passengers(carried)
+    found = []
+    for faces in members_of(face_components(carried)):
+        if is_named[faces].all():
+            continue
+        piece = _surface(scaled, faces)
+        nearest, _, distances = closest_points(target.tree, triangle_centres(piece.positions, piece.triangles))
+        is_inside = is_collapsed[nearest] & (distances <= _MAX_SURFACE_DISTANCE * box_diagonal(piece.positions))
+        if piece.areas[is_inside].sum() >= _MIN_COLLAPSED_SHARE * piece.areas.sum():
+            found.append(faces)
+    return found
+
+
+def _boxes(mesh: ControlMesh, labels: IndexArray) -> FloatArray:
+    """(k, 6) lowest and highest coordinates of each piece; ``labels`` (m,) are the pieces of faces."""
+    corners = mesh.positions[mesh.face_indices]
+    boxes = np.full((int(labels.max()) + 1, 6), np.inf)
+    np.minimum.at(boxes, labels[mesh.corner_faces], np.column_stack([corners, -corners]))
+    return boxes * np.array([1, 1, 1, -1, -1, -1])
 
 
 def _surface(mesh: ControlMesh, faces: IndexArray) -> TriangleSurface:
     """Triangles of some faces, in the mesh's own unit; every triangle has three vertices of its own."""
     corners = mesh.positions[cage_triangles(keep_faces(mesh, faces))[0]]
     return TriangleSurface(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3))
-
-
-def _box(surface: TriangleSurface) -> FloatArray:
-    return np.concatenate([surface.positions.min(axis=0), surface.positions.max(axis=0)])
 
 
 def _are_at_one_place(first: TriangleSurface, second: TriangleSurface) -> bool:

@@ -23,7 +23,7 @@ from cagemap.mesh.faces import (
     with_corners_of,
 )
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
-from cagemap.mesh.parts import extract_faces
+from cagemap.mesh.parts import body_areas, extract_faces
 from cagemap.mesh.repairs import RepairedMesh, Repairs
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import require_structure
@@ -48,7 +48,7 @@ def plain_mesh(mesh: MeshLike) -> RepairedMesh:
     """Repair a mesh so that it can be matched without subdivision (scheme none).
 
     Joins repeated vertices, removes degenerate and duplicate faces, separates parts that only touch, orients faces
-    consistently and removes smaller pieces. A mesh without these faults keeps its vertex and face numbers.
+    consistently and keeps one piece. A mesh without these faults keeps its vertex and face numbers.
     InvalidMeshError if the arrays are no mesh, or the mesh is one-sided or has no area.
     """
     require_structure(mesh)
@@ -198,14 +198,14 @@ def turn_faces(mesh: ControlMesh, faces: NDArray[np.bool_]) -> ControlMesh:
 
 
 def _largest_piece(mesh: ControlMesh) -> tuple[ControlMesh, Repairs]:
-    """Keep the connected piece of largest area; also counts of removed pieces."""
+    """Keep the connected piece of largest area (`body_areas`); also counts of removed pieces."""
     labels = face_components(mesh)
     count = int(labels.max()) + 1
     if count == 1:
         return mesh, Repairs()
-    areas = np.bincount(labels, face_areas(mesh), minlength=count)
-    kept = labels == areas.argmax()
-    share = 1.0 - float(areas.max() / areas.sum()) if areas.sum() > 0 else 0.0
+    areas, body = np.bincount(labels, face_areas(mesh)), body_areas(mesh, labels).argmax()
+    kept = labels == body
+    share = 1.0 - float(areas[body] / areas.sum()) if areas.sum() > 0 else 0.0
     vertices = len(np.unique(mesh.face_indices[~kept[mesh.corner_faces]]))
     aside = Repairs(pieces=count - 1, pieces_share=share, pieces_vertices=vertices)
     return keep_faces(mesh, np.flatnonzero(kept)), aside

@@ -24,7 +24,7 @@ class Repairs(Brief):
     fins: int = 0  #: faces removed at edges of more than two faces
     cut_vertices: int = 0  #: vertices copied for every part, where parts touched only in an edge or a point
     turned_faces: int = 0  #: faces reversed to agree with their neighbours, or to look outwards
-    pieces: int = 0  #: removed smaller pieces: nothing is matched or transferred there
+    pieces: int = 0  #: removed pieces: nothing is matched or transferred there
     pieces_share: float = 0.0  #: their share of the area
     pieces_vertices: int = 0  #: their vertices
     pieces_weld: float = 0.0  #: tolerance of `cagemap.mesh.weld.weld_mesh` that joins pieces; 0 if none does
@@ -46,7 +46,7 @@ class Repairs(Brief):
             f"{count_noun(self.fins, 'face')} left out at edges of more than two faces": self.fins,
             f"{count_noun(self.cut_vertices, 'vertex')} split where parts only touch": self.cut_vertices,
             f"{count_noun(self.turned_faces, 'face')} turned round": self.turned_faces,
-            f"{count_noun(self.pieces, 'smaller piece')} set aside ({count_noun(self.pieces_vertices, 'vertex')}, "
+            f"{count_noun(self.pieces, 'other piece')} set aside ({count_noun(self.pieces_vertices, 'vertex')}, "
             f"{100 * self.pieces_share:.1f} % of the area): nothing is matched or transferred there. "
             f"{remedy}": self.pieces,
             f"{count_noun(self.loose_vertices, 'vertex')} of no face set aside": self.loose_vertices,
@@ -56,10 +56,10 @@ class Repairs(Brief):
         return tuple(sentence for sentence, count in count_of.items() if count)
 
     def sentences_of_body(self) -> tuple[str, ...]:
-        """`sentences` for `cagemap rig`, which moves smaller pieces along with the body."""
+        """`sentences` for `cagemap rig`, which moves other pieces along with the body."""
         if not self.pieces:
             return self.sentences()
-        pieces = f"{count_noun(self.pieces, 'smaller piece')} ({count_noun(self.pieces_vertices, 'vertex')})"
+        pieces = f"{count_noun(self.pieces, 'other piece')} ({count_noun(self.pieces_vertices, 'vertex')})"
         return (f"{pieces} not matched, but moved along with the body", *replace(self, pieces=0).sentences())
 
     def summary(self) -> dict[str, float]:

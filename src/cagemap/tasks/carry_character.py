@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cagemap.character.doubled_pieces import doubled_pieces
+from cagemap.character.doubled_pieces import doubled_pieces, pieces_in_surface
 from cagemap.character.normals import move_vertices, with_shape_normals
 from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.passengers import carry_passengers
@@ -21,7 +21,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
-from cagemap.mesh.parts import extract_faces, numbers_on_part, passenger_word
+from cagemap.mesh.parts import extract_faces, join_meshes, numbers_on_part, passenger_word
 from cagemap.mesh.repairs import RepairedMesh
 from cagemap.mesh.topology import used_vertices
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
@@ -79,7 +79,8 @@ def carry_character(
     matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages)
     result = matched.result
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]
-    pieces, left_out = _pieces_to_carry(matched)
+    others = [part for part in target.parts if part is not target_body]
+    pieces, left_out = _pieces_to_carry(matched, others, named=set(kinds or ()))
     notes += left_out
     to_carry = [*chosen, *([] if pieces is None else [pieces])]
     stages("weights and shapes")
@@ -87,7 +88,7 @@ def carry_character(
     body = replace(target_body, name=source_body.name, weights=weights, shapes={**shapes, **target_body.shapes})
     body = with_shape_normals(body, [name for name in source_body.shape_normals if name not in target_body.shapes])
     taken = {part.name for part in (body, *to_carry)}
-    extras = [_with_body_weights(part, body, taken) for part in target.parts if part is not target_body]
+    extras = [_with_body_weights(part, body, taken) for part in others]
     stages("passengers")
     carried = carry_passengers(result, [part.mesh for part in to_carry], kinds=kinds)
     dressed = [
@@ -186,23 +187,30 @@ def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
     return {name: bodies.on_target(offsets) for name, offsets in carried.items()}
 
 
-def _pieces_to_carry(bodies: Bodies) -> tuple[Part | None, list[str]]:
-    """The unmatched pieces of the source's body; pieces that the target's body has too are left out, with a note."""
-    own, pieces = (_set_aside(part, ready) for part, ready in zip(bodies.given, bodies.ready, strict=True))
-    if own is None or pieces is None:
+def _pieces_to_carry(bodies: Bodies, others: Sequence[Part], named: Collection[str]) -> tuple[Part | None, list[str]]:
+    """The unmatched pieces of the source's body, and notes; pieces that the target has too are left out.
+
+    ``others``: the target's parts beside its body.
+    ``named``: names of passengers; pieces with one of these names are all carried.
+    """
+    unmatched, pieces = (_set_aside(part, ready) for part, ready in zip(bodies.given, bodies.ready, strict=True))
+    own = [part.mesh for part in (*([] if unmatched is None else [unmatched]), *others)]
+    if pieces is None or pieces.name in named:
         return pieces, []
     mesh = pieces.mesh
     placed = mesh.with_positions(carry_passengers(bodies.result, [mesh])[0].positions)
-    doubled = doubled_pieces(placed, own.mesh)
-    if not doubled:
+    found = pieces_in_surface(placed, bodies.result.point_map)
+    found += doubled_pieces(placed, join_meshes(own)) if own else []
+    if not found:
         return pieces, []
+    doubled = {int(faces[0]): faces for faces in found}.values()  # each piece once
     sizes = first_few([count_noun(len(faces), "face") for faces in doubled])
     target, source = bodies.given
     note = (
         f"{count_noun(len(doubled), 'smaller piece')} of {source.mesh.name} ({sizes}) not carried, since "
-        f"{target.mesh.name} has its own there: to carry them, make them an object of their own"
+        f"{target.mesh.name} has its own there: to carry all, name {pieces.name!r} (rig: --rigid or --cloth)"
     )
-    left = np.setdiff1d(np.arange(mesh.n_faces), np.concatenate(doubled))
+    left = np.setdiff1d(np.arange(mesh.n_faces), np.concatenate(found))
     return _part_of_faces(pieces, left) if len(left) else None, [note]
 
 

@@ -33,7 +33,7 @@ from cagemap.tasks.requests.rig import RigRequest
 from cagemap.tasks.rig_character import _kinds, _landmarks, _split_body, character_body, read_body
 
 from command_line import Run
-from example_character import ball, write_character
+from example_character import ball, bare_body, write_character
 from plain_meshes import far_apart
 from rigged import image_error, part_named, rig_done, same_order
 
@@ -220,7 +220,7 @@ def test_a_loose_piece_of_the_body_is_said_to_be_carried_along(run: Run, files: 
     write_mesh("B.glb", replace(whole, name="body"), force=True)
     outcome = run("rig", "B.glb", "--like", "C.glb", "-o", "OUT.glb")
     assert outcome.code == 0
-    assert f"1 smaller piece ({button.n_vertices} vertices) not matched, but moved along with the body" in outcome.err
+    assert f"1 other piece ({button.n_vertices} vertices) not matched, but moved along with the body" in outcome.err
     assert "--part" not in outcome.err
     assert ", 1 animation\n" in outcome.out
 
@@ -252,23 +252,43 @@ def test_a_loose_piece_keeps_what_its_vertices_and_corners_have(body: ControlMes
 
 
 @pytest.mark.slow
-def test_a_piece_that_the_body_has_itself_is_not_carried(body: ControlMesh) -> None:
-    """The source's button and ring, onto a body with a button."""
+@pytest.mark.parametrize("own_part", [False, True])
+def test_a_piece_that_the_body_has_itself_is_not_carried(body: ControlMesh, own_part: bool) -> None:
+    """The source's button and ring, onto a body with a button, or beside a part that is a button."""
     places = body.positions[[np.argmax(body.positions[:, 2]), np.argmin(body.positions[:, 2])]]
     balls = ball("button", places[0] + [0, 0, 0.3], 0.1), ball("ring", places[1] - [0, 0, 0.3], 0.1)
     parts = []
-    for name, pieces in (("B.glb", balls[:1]), ("C.glb", balls)):
+    for name, pieces in (("B.glb", () if own_part else balls[:1]), ("C.glb", balls)):
         meshes = [replace(one, face_objects=None, object_names=()) for one in (body, *pieces)]
         mesh = replace(with_options(join_meshes(meshes), "none"), name=name)
         parts.append(Part("body", mesh, shapes={"shift": np.ones((mesh.n_vertices, 3))}))
-    carried = carry_character(*(Character((part,)) for part in parts))
-    made, pieces = carried.character.parts
+    own = [Part("button", balls[0])] if own_part else []
+    characters = Character((parts[0], *own)), Character((parts[1],))
+    carried = carry_character(*characters)
+    made, *_, pieces = carried.character.parts
     assert made.mesh.n_vertices == parts[0].mesh.n_vertices
     assert pieces.name == "body pieces"
     np.testing.assert_allclose(pieces.mesh.positions, balls[1].positions, atol=1e-3)
     assert len(pieces.shapes["shift"]) == balls[1].n_vertices
     n_faces = balls[0].n_faces
     assert f"1 smaller piece of C.glb ({n_faces} faces) not carried, since B.glb has its own there" in carried.notes[-1]
+    every = carry_character(*characters, kinds={"body pieces": "rigid"})
+    assert every.character.parts[-1].mesh.n_vertices == balls[0].n_vertices + balls[1].n_vertices
+    assert not any("not carried" in note for note in every.notes)
+
+
+@pytest.mark.slow
+def test_feet_that_are_pieces_are_not_carried_to_a_body_with_feet() -> None:
+    body = bare_body(2)
+    height = body.positions[:, 1]
+    corners = (height < np.quantile([height.min(), height.max()], 0.15))[body.face_indices.reshape(-1, 3)]
+    parts = [extract_faces(body, np.flatnonzero(faces)) for faces in (~corners.any(axis=1), corners.all(axis=1))]
+    whole, cut = (
+        Part("body", with_options(replace(mesh, name="C.glb"), "none")) for mesh in (body, join_meshes(parts))
+    )
+    carried = carry_character(Character((whole,)), Character((cut,)))
+    assert [part.name for part in carried.character.parts] == ["body"]
+    assert "4 smaller pieces of C.glb" in carried.notes[-1]
 
 
 def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
