@@ -22,7 +22,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 def energy() -> ElasticEnergy:
     refinement = refine(creature(), 1)
     mesh = TriangleSurface.from_faces(refinement.finest.positions, level_triangles(refinement, 1))
-    return ElasticEnergy.build(mesh_graph(mesh, mesh.triangles), 1e-2, any_map)
+    return ElasticEnergy(mesh_graph(mesh, mesh.triangles), 1e-2, any_map)
 
 
 @pytest.fixture(scope="module")
