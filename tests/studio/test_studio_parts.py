@@ -102,7 +102,7 @@ def test_what_is_left_alone_is_drawn_apart(folder: Path) -> None:
     rest = model.look.other_parts
     # The hat lies five above, the eye inside.
     assert rest.positions[:, 1].max() > 5
-    assert b'"other_parts"' in source_skin(model.shape, model.look)
+    assert b'"other_parts"' in source_skin(model)
     write_mesh(folder / "one.obj", creature())
     alone = open_model(folder / "one.obj", None, None, 300)
     assert alone.look.other_parts is None

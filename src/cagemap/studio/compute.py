@@ -276,10 +276,9 @@ def find_map(
 
 def _unchecked_update(cache: PreviewCache, point_map: PointMap) -> MapUpdate:
     """A map to be shown before its quality is known, with the trust of the map before."""
-    target, source = cache.target, cache.source
     trust = np.ones(point_map.target.n) if cache.result is None else cache.result.quality.trust
     preview_map = PreviewMap(point_map.triangle, point_map.barycentric, trust)
-    skin = target_skin(target.shape, target.look, source.shape, source.look, preview_map)
+    skin = target_skin(cache.target, cache.source, preview_map)
     return MapUpdate(preview_map, (skin, None), MapState(unchecked=True))
 
 
@@ -304,13 +303,13 @@ def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:
     result = cache.result
     assert result is not None
     preview_map = PreviewMap(result.point_map.triangle, result.point_map.barycentric, result.quality.trust)
-    target, source = cache.target, cache.source
-    shape = align_facing(source.shape, target.shape, preview_map)
-    rotated_skin = None if shape is source.shape else source_skin(shape, source.look)
-    skin = target_skin(target.shape, target.look, shape, source.look, preview_map)
+    target = cache.target
+    source = cache.source.with_shape(align_facing(cache.source.shape, target.shape, preview_map))
+    rotated_skin = None if source is cache.source else source_skin(source)
+    skin = target_skin(target, source, preview_map)
     free = None if cache.free_match is None else cache.free_match.confidence
     character = _source_character(cache)
-    cache = replace(cache, source=replace(source, shape=shape), character=character)
+    cache = replace(cache, source=source, character=character)
     worst = max(rate_figures(result.quality.summary()), key=lambda rating: rating.severity)
     config = None if len(result.landmarks.curves) else cache.config
     computed = None if config is None else ComputedMatch(result, config)
@@ -378,8 +377,8 @@ def _posed_skins(cache: PreviewCache, task: ShowPosed) -> tuple[bytes, bytes]:
         surfaces = target.shape.surface, source.shape.surface
         point_map = PointMap.from_arrays(*surfaces, preview_map.triangle, preview_map.barycentric)
         shapes = pose_shapes(character, pose, *shapes, preview_map, point_map)
-    skin = target_skin(shapes[0], target.look, shapes[1], source.look, preview_map)
-    return skin, source_skin(shapes[1], source.look)
+    target, source = (model.with_shape(shape) for model, shape in zip((target, source), shapes, strict=True))
+    return target_skin(target, source, preview_map), source_skin(source)
 
 
 def _baked_skin(cache: PreviewCache, task: ShowBaked) -> bytes:
@@ -398,4 +397,4 @@ def _baked_skin(cache: PreviewCache, task: ShowBaked) -> bytes:
     baked = with_texture(target.look, task.image)
     if shape.uvs is not None:
         shape = replace(shape, uvs=baked.to_image_uvs(shape.uvs))
-    return target_skin(shape, target.look, source.shape, source.look, preview_map, baked.jpeg)
+    return target_skin(target.with_shape(shape), source, preview_map, baked.jpeg)
