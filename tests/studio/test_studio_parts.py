@@ -276,8 +276,8 @@ def test_an_autosave_of_a_part_that_is_gone_keeps_nobody_out(folder: Path, monke
     session.open(files)
     models = session._preview.pair_files
     assert models.parts == ("object:nose", None)
-    session._receive(OpenModels(models), Failure("ParameterError", "no nose"))
-    assert "no nose" in session.state.messages[-1].text
+    session._receive(OpenModels(models), Failure("ParameterError", "no nose", ("no image",)))
+    assert [message.text for message in session.state.messages[-2:]] == ["no image", "no nose"]
     assert session._preview.pair_files.parts == (None, None)
     again = session._preview.pair_files
     session._receive(OpenModels(again), Failure("ParameterError", "no file"))

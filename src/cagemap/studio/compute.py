@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -222,20 +223,31 @@ def run_task(
 
 
 def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, OpenedModel]:
-    """Read, check and refine both models; what was logged about their files is in the source's notes."""
+    """Read, check and refine both models; what was logged about their files is in notes of the source or error."""
     progress("reading the models")
     given = files.target, files.source
     with logged_warnings() as logged:
-        paths, conversions = zip(*(converted_model(path, files.folder) for path in given), strict=True)
-        sides = zip(paths, files.schemes, files.ups, files.parts, strict=True)
-        models = (open_model(path, scheme, up, files.vertices, part) for path, scheme, up, part in sides)
-        target, source = (
-            replace(model, notes=(*notes, *model.notes)) for notes, model in zip(conversions, models, strict=True)
-        )
-        source = textured(source, files.texture or paths[1], files.folder, progress)
-    for path in filter(None, (*given, *paths, files.texture)):
-        logged = [text.replace(str(path), path.name) for text in logged]
-    return target, replace(source, notes=(*source.notes, *dict.fromkeys(logged)))
+        try:
+            paths, conversions = zip(*(converted_model(path, files.folder) for path in given), strict=True)
+            sides = zip(paths, files.schemes, files.ups, files.parts, strict=True)
+            models = (open_model(path, scheme, up, files.vertices, part) for path, scheme, up, part in sides)
+            target, source = (
+                replace(model, notes=(*notes, *model.notes)) for notes, model in zip(conversions, models, strict=True)
+            )
+            source = textured(source, files.texture or paths[1], files.folder, progress)
+        except Exception as error:
+            for text in _without_folders(logged, files):
+                error.add_note(text)
+            raise
+    return target, replace(source, notes=(*source.notes, *_without_folders(logged, files)))
+
+
+def _without_folders(texts: Sequence[str], files: PairFiles) -> tuple[str, ...]:
+    """Distinct texts, with paths of the pair's files relative to their folders."""
+    paths = filter(None, (files.target, files.source, files.texture))
+    for folder in {files.folder, *(path.parent for path in paths)}:
+        texts = [text.replace(f"{folder}{os.sep}", "") for text in texts]
+    return tuple(dict.fromkeys(texts))
 
 
 def find_map(

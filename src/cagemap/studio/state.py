@@ -143,6 +143,10 @@ class MapState:
     poses: tuple[str, ...] = ()
     first_seconds: float = 0.0
 
+    def without_findings(self) -> MapState:
+        """Return the state without what was found about the last checked map."""
+        return replace(self, confidence="", strain={}, contradictions={}, notes=(), poor="")
+
     def rename_landmarks(self, before: LandmarkList, now: LandmarkList) -> MapState:
         """Return the state with the new names of landmarks that kept their number and places."""
         names = {

@@ -304,7 +304,7 @@ export class Views {
   drawPicture(side, [, , w, h]) {
     const {camera: {position, quaternion, projectionMatrix}, parts} = side, ratio = this.renderer.getPixelRatio();
     const {look, other, split, doubts, cages, other_parts, pose} = this.shown;
-    const images = Object.values(this.sides).flatMap(one => Object.values(one.images));
+    const images = [side, this.sides.source].flatMap(one => Object.values(one.images));
     const key = JSON.stringify([w, h, ratio, position, quaternion, projectionMatrix, look, other, split, doubts, cages, other_parts, pose,
       this.wrapAmount(side), [...Object.values(parts), ...images].map(one => one.uuid)]);
     if (side.pictureKey === key) return;
