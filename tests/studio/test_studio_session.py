@@ -136,8 +136,9 @@ def test_a_map_that_is_computed_during_a_turn_is_computed_again(monkeypatch: pyt
 
 
 def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
-    opened._change(map=replace(opened.state.map, notes=("folded",), strain={"nose": 0.1}))
-    known, source = opened.state.map, opened.scene.source
+    checked, source = opened.state.map, opened.scene.source
+    known = replace(checked, notes=("folded",), strain={"nose": 0.1})
+    opened._change(map=known)
     turned = replace(source, rotation=source.rotation @ np.diag([-1.0, 1.0, -1.0]))
     opened._scene = scene = replace(opened.scene, source=turned)
     assert opened._preview.pair_files is not None
@@ -158,7 +159,7 @@ def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
     opened._receive(task, Failure(STOPPED_KIND, "killed"))
     assert opened.state.messages[-1].text == "cancelled"  # not: the map stays as it was
     assert (opened.state.map.notes, opened.state.map.strain) == ((), {})  # those of the map before
-    opened._receive(task, MapUpdate(scene.preview_map, scene.skins, known))
+    opened._receive(task, MapUpdate(scene.preview_map, scene.skins, checked))
     assert (opened.state.map.unchecked, opened.state.map.revision) == (False, known.revision + 1)
     np.testing.assert_array_equal(opened.scene.source.rotation, source.rotation)
 
