@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -32,9 +31,9 @@ from cagemap.studio.poses import animated_character, animation_poses, pose_shape
 from cagemap.studio.scene import Scene
 from cagemap.studio.shape import refined_shape
 from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_skin
-from cagemap.studio.state import MapState
+from cagemap.studio.state import MapState, number_duplicates
 from cagemap.studio.textures import textured
-from cagemap.studio.worker import logged_warnings
+from cagemap.studio.worker import logged_warnings, without_folders
 from cagemap.subdivision import refine
 from cagemap.tasks.match import ComputedMatch
 
@@ -226,6 +225,7 @@ def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, Open
     """Read, check and refine both models; what was logged about their files is in notes of the source or error."""
     progress("reading the models")
     given = files.target, files.source
+    folders = {files.folder, *(path.parent for path in (*given, files.texture) if path is not None)}
     with logged_warnings() as logged:
         try:
             paths, conversions = zip(*(converted_model(path, files.folder) for path in given), strict=True)
@@ -236,18 +236,10 @@ def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, Open
             )
             source = textured(source, files.texture or paths[1], files.folder, progress)
         except Exception as error:
-            for text in _without_folders(logged, files):
+            for text in without_folders(logged, folders):
                 error.add_note(text)
             raise
-    return target, replace(source, notes=(*source.notes, *_without_folders(logged, files)))
-
-
-def _without_folders(texts: Sequence[str], files: PairFiles) -> tuple[str, ...]:
-    """Distinct texts, with paths of the pair's files relative to their folders."""
-    paths = filter(None, (files.target, files.source, files.texture))
-    for folder in {files.folder, *(path.parent for path in paths)}:
-        texts = [text.replace(f"{folder}{os.sep}", "") for text in texts]
-    return tuple(dict.fromkeys(texts))
+    return target, replace(source, notes=(*source.notes, *without_folders(logged, folders)))
 
 
 def find_map(
@@ -302,12 +294,6 @@ def _prepare(cache: PreviewCache, progress: Progress) -> tuple[PreviewCache, Pre
     surfaces = prepare_surfaces(target.control, source.control, (target.level, source.level), progress=progress)
     prepared_pair = prepare_pair(*surfaces)
     return replace(cache, prepared_pair=prepared_pair), prepared_pair
-
-
-def number_duplicates(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of answers, with a number after each repetition."""
-    counts = [names[: i + 1].count(name) for i, name in enumerate(names)]
-    return tuple(f"{name} ({count})" if count > 1 else name for name, count in zip(names, counts, strict=True))
 
 
 def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -326,3 +327,9 @@ def add_message(messages: tuple[Message, ...], kind: MessageKind, text: str) -> 
     """Append a message; an equal earlier one is removed."""
     new = Message(kind, text.encode("utf-8", "backslashreplace").decode())  # file names may have invalid characters
     return (*(old for old in messages if old != new), new)[-MAX_MESSAGES:]
+
+
+def number_duplicates(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of answers, with a number after each repetition."""
+    counts = [names[: i + 1].count(name) for i, name in enumerate(names)]
+    return tuple(f"{name} ({count})" if count > 1 else name for name, count in zip(names, counts, strict=True))

@@ -7,7 +7,7 @@ import logging
 import multiprocessing
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -89,6 +89,13 @@ def logged_warnings() -> Iterator[list[str]]:
         yield collector.texts
     finally:
         log.removeHandler(collector)
+
+
+def without_folders(texts: Iterable[str], folders: Iterable[Path]) -> tuple[str, ...]:
+    """Distinct texts, with paths of files relative to folders."""
+    for folder in folders:
+        texts = [text.replace(f"{folder}{os.sep}", "") for text in texts]
+    return tuple(dict.fromkeys(texts))
 
 
 class Worker:
