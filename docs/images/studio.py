@@ -7,6 +7,7 @@ from contextlib import chdir
 from pathlib import Path
 
 import numpy as np
+from benchmarks.studio.waits import FULL_SIZE
 from tests.fixtures.browser_page import Page, chromium, studio
 
 HERE = Path(__file__).resolve().parent
@@ -15,12 +16,18 @@ LONG = 300.0  # seconds, for a bake
 
 def main() -> None:
     # Without models the studio opens the built-in pair, in the working folder.
-    with tempfile.TemporaryDirectory() as folder, chdir(folder), chromium() as browser, studio() as (_, address):
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        chdir(folder),
+        chromium(FULL_SIZE) as browser,
+        studio() as (_, address),
+    ):
         page = Page(browser, address)
 
         def keep(name: str, width: int, height: int) -> None:
             size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
             browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+            page.run("document.activeElement.blur()")
             page.press("frame")
             page.until(lambda: np.ptp(page.look("target")[..., :3]) > 100, "the models")
             page.screenshot(HERE / f"{name}.png")

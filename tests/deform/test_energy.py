@@ -27,7 +27,7 @@ def test_an_affine_deformation_costs_nothing(creature_at_3: tuple[Refinement, fl
     matrix, shift = affine(np.random.default_rng(11))
     positions = graph.positions @ matrix.T + shift
     laplacian = graph.laplacian
-    energy = ElasticEnergy.build(graph, 1e-2, bounded_maps)
+    energy = ElasticEnergy(graph, 1e-2, bounded_maps)
     maps = energy.maps(positions)
     np.testing.assert_allclose(maps, np.broadcast_to(matrix, maps.shape), atol=1e-6)  # ridge of 1e-9
     # The positions are then a solution of the energy's position equations.
@@ -39,7 +39,7 @@ def test_both_right_sides_are_those_of_the_energy(creature_at_3: tuple[Refinemen
     rng = np.random.default_rng(19)
     positions, maps = rng.standard_normal((graph.n, 3)), rng.standard_normal((graph.n, 3, 3))
     laplacian = graph.laplacian
-    energy = ElasticEnergy.build(graph, 1e-2, bounded_maps)
+    energy = ElasticEnergy(graph, 1e-2, bounded_maps)
     blocks, moments, divergence = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
     for i, j, weight, edge in zip(graph.heads, graph.tails, graph.weights, graph.edges, strict=True):
         blocks[i] += weight * np.outer(edge, edge)

@@ -45,6 +45,14 @@ def test_problems_made_of_one_keep_what_they_do_not_change(problem: Problem) -> 
     assert problem.clusters_with(stage=stage).energy.graph.n == problem.coarse_clusters.energy.graph.n
 
 
+def test_maps_of_clusters_are_factored_at_first_use(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An update of a map has no use for them."""
+    monkeypatch.setattr("cagemap.deform.energy.factor", lambda *_: pytest.fail("factored"))
+    clusters = problem.clusters_with(count=100).with_stage(Stage(3, (1.0, 1e-2), 1e-2))
+    with pytest.raises(pytest.fail.Exception, match="factored"):
+        clusters.energy.maps(clusters.energy.graph.positions)
+
+
 def test_distances_of_landmarks_are_measured_on_the_configured_graph(problem: Problem) -> None:
     body = problem.prepared.target
     # Tiny pieces of cells are not joined, so there are more clusters than asked for.

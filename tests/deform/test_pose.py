@@ -41,7 +41,7 @@ def energy() -> ElasticEnergy:
     """A creature of 380 vertices."""
     refinement = refine(creature(), 1)
     mesh = TriangleSurface.from_faces(refinement.finest.positions, level_triangles(refinement, 1))
-    return ElasticEnergy.build(mesh_graph(mesh, mesh.triangles), 1e-4, bounded_maps)
+    return ElasticEnergy(mesh_graph(mesh, mesh.triangles), 1e-4, bounded_maps)
 
 
 def lengths(energy: ElasticEnergy, positions: np.ndarray) -> np.ndarray:

@@ -73,6 +73,14 @@ side.marks = [behind, before].map((point, number) => ({number: number + 1, at: [
 const found = views.markAt(side, event);
 side.marks = kept;
 return [found?.number, behind.distanceTo(before)]"""
+# Whether a new image of the target leaves the picture of the source, which does not show it.
+LEFT = """
+const {views} = window.studio, {target, source} = views.sides, before = source.pictureKey, {images} = target;
+target.images = {...images, another: views.blank};
+views.render();
+target.images = images;
+views.changed();
+return source.pictureKey === before"""
 # Draw all pictures anew.
 ANEW = """
 const {views} = window.studio;
@@ -184,6 +192,8 @@ def test_the_screen_shows_what_drawing_anew_shows(page: Page) -> None:
         for side, seen in kept.items():
             np.testing.assert_array_equal(page.look(side), seen, err_msg=f"{name}: {side}")
     page.run("window.studio.views.set(arguments[0]); window.studio.views.frame()", before)
+    page.look("target")
+    assert page.run(LEFT)
 
 
 def test_a_hidden_landmark_does_not_cover_a_visible_one(page: Page) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import os
 import pickle
 import threading
 import time
@@ -13,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cagemap.errors import ParameterError
+from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import write_mesh
@@ -25,13 +27,13 @@ from cagemap.studio.compute import (
     PairFiles,
     PreviewCache,
     ShowBaked,
-    number_duplicates,
     run_task,
 )
 from cagemap.studio.landmark_files import to_landmarks
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.places import vertex_place
 from cagemap.studio.scene import Scene, map_place, mirror_place
+from cagemap.studio.state import number_duplicates
 from cagemap.studio.worker import CANCELLED_KIND, Failure, Worker, _serve_preview
 from cagemap.tasks.match import run_match
 from cagemap.tasks.progress import Stages
@@ -88,6 +90,29 @@ def test_an_image_that_a_source_lacks_is_named_on_the_page(tmp_path: Path) -> No
     _, opened = run_task(None, task, lambda _: None)
     (note,) = [note for note in opened.source.notes if "skin.png" in note]
     assert note.startswith("b.obj: material skin: 'skin.png' is not found")
+
+
+def test_what_reading_warned_of_is_said_with_the_error_that_ends_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("a.obj", "b.obj"):
+        write_mesh(tmp_path / name, unwrapped_cube())
+
+    def refuse(*_: object) -> None:
+        logging.getLogger("cagemap.files").warning("%s: no image", tmp_path / "skins" / "b.png")
+        raise FormatError("b.png is empty")
+
+    monkeypatch.setattr("cagemap.studio.compute.textured", refuse)
+    monkeypatch.setattr("cagemap.studio.worker._lower_priority", lambda: None)  # it is this process that serves
+    here, there = Pipe()
+    serving = threading.Thread(target=_serve_preview, args=(there,), daemon=True)
+    serving.start()
+    here.send(OpenModels(PairFiles(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, tmp_path)))
+    while not isinstance(failure := here.recv(), Failure):
+        pass
+    here.close()
+    serving.join(10)
+    assert failure == Failure("FormatError", "b.png is empty", (f"skins{os.sep}b.png: no image",))
 
 
 @pytest.mark.slow

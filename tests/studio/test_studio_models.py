@@ -47,6 +47,7 @@ from cagemap.studio.places import hit_place, nearest_place
 from cagemap.studio.scene import part_name
 from cagemap.studio.shape import Hit, pick, refined_shape
 from cagemap.studio.skins import (
+    DrawnModel,
     Look,
     PreviewMap,
     align_facing,
@@ -340,7 +341,7 @@ def test_every_tile_of_an_image_is_shown_on_its_faces(tmp_path: Path) -> None:
     # The page's card has the whole of it between 0 and 1.
     mesh = unwrapped_cube()
     shape = refined_shape(refine(mesh.with_uvs(2 * mesh.uvs, mesh.uv_indices), 1))
-    drawn = attributes_of(source_skin(shape, look), "model")
+    drawn = attributes_of(source_skin(DrawnModel(shape, look)), "model")
     assert shape.uvs.max() > 1.9
     assert 0.9 < drawn["TEXCOORD_0"].max() < 1.0
 
@@ -458,7 +459,7 @@ def test_borders_of_materials_and_seams_are_sampled_between_vertices() -> None:
     images = identity(len(shape.positions), shape.triangles)
     pixels = np.random.default_rng(4).integers(0, 255, (64, 64, 3), dtype=np.uint8)
     for look in (Look(colors=colors), Look(texture=pixels, jpeg=b"\xff\xd8\xff")):
-        data = target_skin(shape, Look(), shape, look, images)
+        data = target_skin(DrawnModel(shape, Look()), DrawnModel(shape, look), images)
         picture = imageio.imread(data[data.index(b"\x89PNG") :], extension=".png")
         seams = attributes_of(data, "seams")
         corners = seams["corners"]

@@ -102,7 +102,7 @@ def test_what_is_left_alone_is_drawn_apart(folder: Path) -> None:
     rest = model.look.other_parts
     # The hat lies five above, the eye inside.
     assert rest.positions[:, 1].max() > 5
-    assert b'"other_parts"' in source_skin(model.shape, model.look)
+    assert b'"other_parts"' in source_skin(model)
     write_mesh(folder / "one.obj", creature())
     alone = open_model(folder / "one.obj", None, None, 300)
     assert alone.look.other_parts is None
@@ -276,8 +276,8 @@ def test_an_autosave_of_a_part_that_is_gone_keeps_nobody_out(folder: Path, monke
     session.open(files)
     models = session._preview.pair_files
     assert models.parts == ("object:nose", None)
-    session._receive(OpenModels(models), Failure("ParameterError", "no nose"))
-    assert "no nose" in session.state.messages[-1].text
+    session._receive(OpenModels(models), Failure("ParameterError", "no nose", ("no image",)))
+    assert [message.text for message in session.state.messages[-2:]] == ["no image", "no nose"]
     assert session._preview.pair_files.parts == (None, None)
     again = session._preview.pair_files
     session._receive(OpenModels(again), Failure("ParameterError", "no file"))

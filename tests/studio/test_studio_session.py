@@ -136,7 +136,11 @@ def test_a_map_that_is_computed_during_a_turn_is_computed_again(monkeypatch: pyt
 
 
 def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
-    known, scene = opened.state.map, opened.scene
+    checked, source = opened.state.map, opened.scene.source
+    known = replace(checked, notes=("folded",), strain={"nose": 0.1})
+    opened._change(map=known)
+    turned = replace(source, rotation=source.rotation @ np.diag([-1.0, 1.0, -1.0]))
+    opened._scene = scene = replace(opened.scene, source=turned)
     assert opened._preview.pair_files is not None
     task = FindMap(opened._preview.pair_files, LandmarkList())
     rough = MapUpdate(
@@ -146,6 +150,7 @@ def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
     )
     opened._receive(task, rough)
     assert opened.scene.skins[0] == b"rough"
+    assert opened.scene.source is turned  # as it is drawn: only a checked map turns it
     assert opened.state.map == replace(known, unchecked=True, from_start=False)
     # One that comes after the search was cancelled is not shown, and the cancelling is still said.
     opened._cancelled = True
@@ -153,8 +158,10 @@ def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
     assert opened.scene.skins[0] == b"rough"
     opened._receive(task, Failure(STOPPED_KIND, "killed"))
     assert opened.state.messages[-1].text == "cancelled"  # not: the map stays as it was
-    opened._receive(task, MapUpdate(scene.preview_map, scene.skins, known))
+    assert (opened.state.map.notes, opened.state.map.strain) == ((), {})  # those of the map before
+    opened._receive(task, MapUpdate(scene.preview_map, scene.skins, checked))
     assert (opened.state.map.unchecked, opened.state.map.revision) == (False, known.revision + 1)
+    np.testing.assert_array_equal(opened.scene.source.rotation, source.rotation)
 
 
 def test_a_bake_is_given_the_map_of_the_page_until_landmarks_change_it(

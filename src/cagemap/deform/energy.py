@@ -15,6 +15,7 @@ from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.minimise import minimise
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, nearest_rotations
 from cagemap.numerics.factorization import Factorization, factor
+from cagemap.numerics.threads import kept
 from cagemap.surface.triangles import normalize_rows
 
 
@@ -72,22 +73,21 @@ class ElasticEnergy:
     """
 
     graph: ElasticGraph
-    factors: Factorization  # of ``G + epsilon L``
+    smoothing: float  # epsilon
     admissible: Admissible  # what differentials are restricted to: `bounded_maps`, `rotations` or `any_map`
 
-    @classmethod
-    def build(cls, graph: ElasticGraph, smoothing: float, admissible: Admissible) -> ElasticEnergy:
-        """Factor the (3 n, 3 n) matrix once for all iterations."""
-        edges = graph.edges
+    @kept
+    def factors(self) -> Factorization:
+        """Factors of the (3 n, 3 n) matrix ``G + epsilon L``."""
+        graph, edges = self.graph, self.graph.edges
         outer = graph.weights[:, None, None] * edges[:, :, None] * edges[:, None, :]
         blocks = grouped_sums(graph.heads, outer.reshape(-1, 9), graph.n).reshape(-1, 3, 3)
         blocks += RIDGE * float(np.einsum("naa->n", blocks).mean()) * np.eye(3)
-        return cls(graph, factor(graph.block_matrix(smoothing, blocks)), admissible)
+        return factor(graph.block_matrix(self.smoothing, blocks))
 
     def with_rest_shape(self, positions: FloatArray, normals: FloatArray, smoothing: float) -> ElasticEnergy:
         """The energy of another rest shape: positions and normals (n, 3)."""
-        graph = replace(self.graph, positions=positions, normals=normals)
-        return ElasticEnergy.build(graph, smoothing, self.admissible)
+        return replace(self, graph=replace(self.graph, positions=positions, normals=normals), smoothing=smoothing)
 
     def maps(self, positions: FloatArray) -> FloatArray:
         """(n, 3, 3) maps A for positions x (n, 3): ``(G + epsilon L) a = c``, before they are restricted."""
@@ -101,7 +101,7 @@ class ElasticEnergy:
 
 def bounded_energy(graph: ElasticGraph, smoothing: float, config: GraphConfig) -> ElasticEnergy:
     """Elastic energy of a graph whose differentials are bounded, see `bounded_maps`."""
-    return ElasticEnergy.build(graph, smoothing, partial(bounded_maps, config=config))
+    return ElasticEnergy(graph, smoothing, partial(bounded_maps, config=config))
 
 
 @dataclass(frozen=True, eq=False)

@@ -59,10 +59,15 @@ class ElasticGraph:
         """Number of vertices."""
         return len(self.positions)
 
-    @property
+    @kept
     def edges(self) -> FloatArray:
         """(2 m, 3) rest differences p_head - p_tail."""
-        return np.asarray(self.positions[self.heads] - self.positions[self.tails])
+        return read_only(self.positions.take(self.heads, axis=0) - self.positions.take(self.tails, axis=0))
+
+    @kept
+    def lengths(self) -> FloatArray:
+        """(2 m,) length of every edge."""
+        return read_only(np.linalg.norm(self.edges, axis=1))
 
     @kept
     def laplacian(self) -> sparse.csr_array:
@@ -73,8 +78,7 @@ class ElasticGraph:
     @kept
     def edge_lengths(self) -> sparse.csr_array:
         """(n, n) length of every edge."""
-        lengths = np.linalg.norm(self.edges, axis=1)
-        return sparse.csr_array((lengths, (self.heads, self.tails)), shape=(self.n, self.n))
+        return sparse.csr_array((self.lengths, (self.heads, self.tails)), shape=(self.n, self.n))
 
     def distances(self, vertices: IndexArray) -> FloatArray:
         """(k, n) distances along the edges from vertices (k,); infinite if unreached."""
@@ -208,7 +212,7 @@ def cluster_graph(
     order = np.lexsort((distance, cell))
     vertices = order[np.searchsorted(cell[order], np.arange(k))]
     across = cell[fine.heads] != cell[fine.tails]
-    lengths = np.linalg.norm(fine.edges, axis=1)[across]
+    lengths = fine.lengths[across]
     heads, tails = cell[fine.heads[across]], cell[fine.tails[across]]
     summed = sparse.coo_array((fine.weights[across] * lengths**2, (heads, tails)), shape=(k, k)).tocsr().tocoo()
     coarse_lengths = np.linalg.norm(fine.positions[vertices[summed.row]] - fine.positions[vertices[summed.col]], axis=1)

@@ -46,8 +46,7 @@ class Clusters:
 
     def with_stage(self, stage: Stage) -> Clusters:
         """The clusters with another coarse stage."""
-        energy = ElasticEnergy.build(self.energy.graph, stage.smoothing, self.energy.admissible)
-        return replace(self, energy=energy, stage=stage)
+        return replace(self, energy=replace(self.energy, smoothing=stage.smoothing), stage=stage)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -82,6 +81,7 @@ class PreparedPair:
             energy = bounded_energy(
                 level_graph(target, levels[0], elastic.graph), elastic.fine.smoothing, elastic.graph
             )
+            _ = energy.factors  # meanwhile
             trees.result()
         return cls(target, source, start, elastic, levels, energy, fitted, masks)
 

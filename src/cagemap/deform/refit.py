@@ -102,10 +102,10 @@ def rigid_pose(graph: ElasticGraph, positions: FloatArray, config: RefitConfig =
     """
     stage, posed = config.stage, positions
     blocks, right = graph.areas[:, None, None] * np.eye(3), graph.areas[:, None] * positions
-    energy = ElasticEnergy.build(graph, stage.smoothing, rotations)
+    energy = ElasticEnergy(graph, stage.smoothing, rotations)
     for _ in range(config.joint_rounds):
         stiffness = edge_stiffness(graph, energy.differentials(posed)[0], config)
-        energy = ElasticEnergy.build(replace(graph, weights=graph.weights * stiffness), stage.smoothing, rotations)
+        energy = ElasticEnergy(replace(graph, weights=graph.weights * stiffness), stage.smoothing, rotations)
         posed = minimise_constant(energy, blocks, right, posed, stage)
     return posed
 

@@ -35,7 +35,7 @@ def displacement_response(
     blocks B (n, 3, 3) and B y (n, 3) of ``(d - y)^T B (d - y)`` for displacements d.
     """
     stage, landmark_weight = config.response, config.landmark_weight
-    energy = ElasticEnergy.build(graph, stage.smoothing, any_map)
+    energy = ElasticEnergy(graph, stage.smoothing, any_map)
     blocks = graph.areas[:, None, None] * normals[:, :, None] * normals[:, None, :]
     right = np.zeros((graph.n, 3))
     if terms is not None:

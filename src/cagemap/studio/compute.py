@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,9 +31,9 @@ from cagemap.studio.poses import animated_character, animation_poses, pose_shape
 from cagemap.studio.scene import Scene
 from cagemap.studio.shape import refined_shape
 from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_skin
-from cagemap.studio.state import MapState
+from cagemap.studio.state import MapState, number_duplicates
 from cagemap.studio.textures import textured
-from cagemap.studio.worker import logged_warnings
+from cagemap.studio.worker import logged_warnings, without_folders
 from cagemap.subdivision import refine
 from cagemap.tasks.match import ComputedMatch
 
@@ -222,20 +222,24 @@ def run_task(
 
 
 def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, OpenedModel]:
-    """Read, check and refine both models; what was logged about their files is in the source's notes."""
+    """Read, check and refine both models; what was logged about their files is in notes of the source or error."""
     progress("reading the models")
     given = files.target, files.source
+    folders = {files.folder, *(path.parent for path in (*given, files.texture) if path is not None)}
     with logged_warnings() as logged:
-        paths, conversions = zip(*(converted_model(path, files.folder) for path in given), strict=True)
-        sides = zip(paths, files.schemes, files.ups, files.parts, strict=True)
-        models = (open_model(path, scheme, up, files.vertices, part) for path, scheme, up, part in sides)
-        target, source = (
-            replace(model, notes=(*notes, *model.notes)) for notes, model in zip(conversions, models, strict=True)
-        )
-        source = textured(source, files.texture or paths[1], files.folder, progress)
-    for path in filter(None, (*given, *paths, files.texture)):
-        logged = [text.replace(str(path), path.name) for text in logged]
-    return target, replace(source, notes=(*source.notes, *dict.fromkeys(logged)))
+        try:
+            paths, conversions = zip(*(converted_model(path, files.folder) for path in given), strict=True)
+            sides = zip(paths, files.schemes, files.ups, files.parts, strict=True)
+            models = (open_model(path, scheme, up, files.vertices, part) for path, scheme, up, part in sides)
+            target, source = (
+                replace(model, notes=(*notes, *model.notes)) for notes, model in zip(conversions, models, strict=True)
+            )
+            source = textured(source, files.texture or paths[1], files.folder, progress)
+        except Exception as error:
+            for text in without_folders(logged, folders):
+                error.add_note(text)
+            raise
+    return target, replace(source, notes=(*source.notes, *without_folders(logged, folders)))
 
 
 def find_map(
@@ -276,10 +280,9 @@ def find_map(
 
 def _unchecked_update(cache: PreviewCache, point_map: PointMap) -> MapUpdate:
     """A map to be shown before its quality is known, with the trust of the map before."""
-    target, source = cache.target, cache.source
     trust = np.ones(point_map.target.n) if cache.result is None else cache.result.quality.trust
     preview_map = PreviewMap(point_map.triangle, point_map.barycentric, trust)
-    skin = target_skin(target.shape, target.look, source.shape, source.look, preview_map)
+    skin = target_skin(cache.target, cache.source, preview_map)
     return MapUpdate(preview_map, (skin, None), MapState(unchecked=True))
 
 
@@ -293,24 +296,18 @@ def _prepare(cache: PreviewCache, progress: Progress) -> tuple[PreviewCache, Pre
     return replace(cache, prepared_pair=prepared_pair), prepared_pair
 
 
-def number_duplicates(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of answers, with a number after each repetition."""
-    counts = [names[: i + 1].count(name) for i, name in enumerate(names)]
-    return tuple(f"{name} ({count})" if count > 1 else name for name, count in zip(names, counts, strict=True))
-
-
 def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:
     """The current map for the page, with the source rotated to face like the target."""
     result = cache.result
     assert result is not None
     preview_map = PreviewMap(result.point_map.triangle, result.point_map.barycentric, result.quality.trust)
-    target, source = cache.target, cache.source
-    shape = align_facing(source.shape, target.shape, preview_map)
-    rotated_skin = None if shape is source.shape else source_skin(shape, source.look)
-    skin = target_skin(target.shape, target.look, shape, source.look, preview_map)
+    target = cache.target
+    source = cache.source.with_shape(align_facing(cache.source.shape, target.shape, preview_map))
+    rotated_skin = None if source is cache.source else source_skin(source)
+    skin = target_skin(target, source, preview_map)
     free = None if cache.free_match is None else cache.free_match.confidence
     character = _source_character(cache)
-    cache = replace(cache, source=replace(source, shape=shape), character=character)
+    cache = replace(cache, source=source, character=character)
     worst = max(rate_figures(result.quality.summary()), key=lambda rating: rating.severity)
     config = None if len(result.landmarks.curves) else cache.config
     computed = None if config is None else ComputedMatch(result, config)
@@ -378,8 +375,8 @@ def _posed_skins(cache: PreviewCache, task: ShowPosed) -> tuple[bytes, bytes]:
         surfaces = target.shape.surface, source.shape.surface
         point_map = PointMap.from_arrays(*surfaces, preview_map.triangle, preview_map.barycentric)
         shapes = pose_shapes(character, pose, *shapes, preview_map, point_map)
-    skin = target_skin(shapes[0], target.look, shapes[1], source.look, preview_map)
-    return skin, source_skin(shapes[1], source.look)
+    target, source = (model.with_shape(shape) for model, shape in zip((target, source), shapes, strict=True))
+    return target_skin(target, source, preview_map), source_skin(source)
 
 
 def _baked_skin(cache: PreviewCache, task: ShowBaked) -> bytes:
@@ -398,4 +395,4 @@ def _baked_skin(cache: PreviewCache, task: ShowBaked) -> bytes:
     baked = with_texture(target.look, task.image)
     if shape.uvs is not None:
         shape = replace(shape, uvs=baked.to_image_uvs(shape.uvs))
-    return target_skin(shape, target.look, source.shape, source.look, preview_map, baked.jpeg)
+    return target_skin(target.with_shape(shape), source, preview_map, baked.jpeg)

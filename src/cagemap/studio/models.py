@@ -30,8 +30,8 @@ from cagemap.numerics.srgb import encode_srgb
 from cagemap.pictures import UP_AXES, shape_turn, stated_turn, usual_turn
 from cagemap.pipeline import choose_level
 from cagemap.studio.file_parts import NO_PARTS, PartChoices, SelectedPart, other_parts_surface, select_part
-from cagemap.studio.shape import OriginalMesh, Shape, refined_shape
-from cagemap.studio.skins import Look
+from cagemap.studio.shape import OriginalMesh, refined_shape
+from cagemap.studio.skins import DrawnModel, Look
 from cagemap.subdivision import refine, with_options
 from cagemap.transfer import face_colors
 
@@ -46,15 +46,13 @@ _PART_NOTE = (
 
 
 @dataclass(frozen=True, eq=False)
-class OpenedModel:
+class OpenedModel(DrawnModel):
     """A model as the studio has opened it.
 
     Attributes
     ----------
     level : int
         Subdivision level of the preview.
-    shape : Shape
-    look : Look
     mirror : (n_control,) int64 or None
         Mirror image of each control vertex.
     notes : tuple of str
@@ -73,8 +71,6 @@ class OpenedModel:
     """
 
     level: int
-    shape: Shape
-    look: Look
     mirror: IndexArray | None
     notes: tuple[str, ...] = ()
     part_choices: PartChoices = NO_PARTS
@@ -201,7 +197,7 @@ def _open_welded(
     shape = refined_shape(refine(mesh, level), original, rotation)
     mirror = next((plane.image for plane in mirror_symmetries(mesh)), None)
     look = replace(_material_look(mesh), other_parts=other_parts_surface(whole, selected.other_faces, level))
-    return OpenedModel(level, shape, look, mirror, part_choices=selected.part_choices, scheme=scheme, dense=dense)
+    return OpenedModel(shape, look, level, mirror, part_choices=selected.part_choices, scheme=scheme, dense=dense)
 
 
 def _with_file_vertices(selected: SelectedPart, welded: RepairedMesh) -> SelectedPart:
@@ -230,7 +226,7 @@ def _open_plain(
     is_left_out = plain.vertex_of[selected.mesh.face_indices] < 0  # corners of pieces that are set aside
     other_faces = np.union1d(selected.other_faces, faces[selected.mesh.corner_faces[is_left_out]])
     look = replace(_material_look(plain.mesh), other_parts=other_parts_surface(whole, other_faces, 0))
-    return OpenedModel(0, shape, look, None, plain.notes, selected.part_choices, NO_SCHEME)
+    return OpenedModel(shape, look, 0, None, plain.notes, selected.part_choices, NO_SCHEME)
 
 
 def _require_one_piece(control: ControlMesh) -> None:

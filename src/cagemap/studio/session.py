@@ -322,12 +322,15 @@ class Session(LandmarkEdits):
         if files is not None and self._scene is not None and files.ups != ups and not isinstance(result, Failure):
             self._scene = self._scene.turned(ups)
             self._change(files=replace(files, ups=ups))
+        if isinstance(result, Failure) and self._state.map.unchecked:  # the map shown will not be checked
+            self._change(map=self._state.map.without_findings())
         match result:
             case Failure() if result.kind == CANCELLED_KIND:  # the same models were opened again
                 pass
             case Failure() if cancelled and result.kind == STOPPED_KIND:
                 self._say("note", "cancelled" + ("" if self._state.map.unchecked else "; the map stays as it was"))
             case Failure():
+                self._say_all(result.notes)
                 is_ours = result.kind.isidentifier()  # the text of an internal error names its class
                 self._say("error", result.message if is_ours else f"{result.kind}: {result.message}")
                 if isinstance(task, OpenModels) and files is not None and files.parts != self._requested_parts:
@@ -340,7 +343,9 @@ class Session(LandmarkEdits):
             case MapUpdate() if self._scene is not None and isinstance(task, FindMap):
                 before, (target, source) = self._scene, result.skins
                 scene = replace(before, preview_map=result.preview_map, skins=(target, source or before.skins[1]))
-                self._scene = scene = replace(scene, source=scene.aligned_source)
+                if not result.map_state.unchecked:
+                    scene = replace(scene, source=scene.aligned_source)
+                self._scene = scene
                 self._computed = result.computed
                 if before.preview_map is None or scene.source is not before.source:
                     scene.warm_up()  # not earlier: the page loads the models first

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass, replace
+from typing import Self
 
 import imageio.v3 as imageio
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.files.images.image import Pixels
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.srgb import encode_srgb as to_display
+from cagemap.numerics.threads import kept
 from cagemap.pictures.camera import turn_angle
 from cagemap.studio.file_parts import OtherParts
 from cagemap.studio.glb import MeshPart, pack_glb
@@ -57,6 +60,62 @@ class Look:
 
 
 @dataclass(frozen=True, eq=False)
+class DrawnModel:
+    """A model in the view.
+
+    Attributes
+    ----------
+    shape : Shape
+    look : Look
+    """
+
+    shape: Shape
+    look: Look
+
+    def with_shape(self, shape: Shape) -> Self:
+        """The model with another shape; itself, with all that it keeps, if it has this one."""
+        return self if shape is self.shape else replace(self, shape=shape)
+
+    @kept
+    def geometry(self) -> tuple[IndexArray, IndexArray, dict[str, FloatArray]]:
+        """The model as it is drawn without a map: triangles, and for each vertex its shape vertex and attributes.
+
+        Has one vertex for each combination of point, texture coordinates and colour.
+        """
+        shape, look = self.shape, self.look
+        columns = [shape.triangles]
+        if shape.uv_triangles is not None:
+            columns.append(shape.uv_triangles)
+        if look.colors is not None:
+            palette, color = np.unique(look.colors, axis=0, return_inverse=True)
+            columns.append(np.repeat(color.ravel()[shape.faces][:, None], 3, axis=1))
+        key = np.zeros(shape.triangles.size, dtype=np.int64)
+        for column in columns:
+            key = key * (column.max(initial=0) + 1) + column.ravel()
+        _, first, corners = np.unique(key, return_index=True, return_inverse=True)
+        vertex = shape.triangles.ravel()[first]
+        attributes: dict[str, FloatArray] = {
+            "POSITION": shape.to_view(shape.positions[vertex]),
+            "NORMAL": shape.directions_to_view(shape.normals[vertex]),
+            "COLOR_1": np.broadcast_to(CLAY_COLOR, (len(vertex), 3)),
+        }
+        if shape.uvs is not None and shape.uv_triangles is not None:
+            attributes["TEXCOORD_1"] = shape.uvs[shape.uv_triangles.ravel()[first]]
+        if look.colors is not None:
+            attributes["COLOR_1"] = to_display(palette)[columns[-1].ravel()[first]]
+        return corners.reshape(-1, 3), vertex, attributes
+
+    @kept
+    def other_parts(self) -> tuple[MeshPart, ...]:
+        """Parts of the file that are not open."""
+        parts, shape = self.look.other_parts, self.shape
+        if parts is None:
+            return ()
+        attributes = {"POSITION": shape.to_view(parts.positions), "NORMAL": shape.directions_to_view(parts.normals)}
+        return (MeshPart("other_parts", attributes, parts.triangles),)
+
+
+@dataclass(frozen=True, eq=False)
 class PreviewMap:
     """Images of a target shape's vertices on the source shape.
 
@@ -73,7 +132,8 @@ class PreviewMap:
 
     def pull_back(self, triangles: IndexArray, values: FloatArray) -> FloatArray:
         """Interpolate values at corners of source triangles at the image of each target vertex."""
-        return np.asarray(np.einsum("nc,ncd->nd", self.barycentric, values[triangles[self.triangle]]))
+        corners = triangles.take(self.triangle, axis=0)
+        return np.asarray(np.einsum("nc,ncd->nd", self.barycentric, values.take(corners, axis=0)))
 
 
 def align_facing(source: Shape, target: Shape, preview_map: PreviewMap | None) -> Shape:
@@ -88,26 +148,21 @@ def align_facing(source: Shape, target: Shape, preview_map: PreviewMap | None) -
     return replace(source, rotation=source.rotation @ [[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]])
 
 
-def source_skin(shape: Shape, look: Look) -> bytes:
+def source_skin(model: DrawnModel) -> bytes:
     """The source with its own materials, as binary glTF in view coordinates.
 
     COLOR_1: material colours; TEXCOORD_0: texture coordinates in the image "texture".
     """
+    look, (corners, _, geometry) = model.look, model.geometry
     images = {} if look.jpeg is None else {"texture": look.jpeg}
-    corners, _, attributes = _base_attributes(shape, look)
-    layout = attributes.pop("TEXCOORD_1", None)
-    if layout is not None and images:
-        attributes["TEXCOORD_0"] = look.to_image_uvs(layout)
-    return pack_glb([MeshPart("model", attributes, corners), *_other_parts(shape, look)], images)
+    attributes = {name: values for name, values in geometry.items() if name != "TEXCOORD_1"}
+    if "TEXCOORD_1" in geometry and images:
+        attributes["TEXCOORD_0"] = look.to_image_uvs(geometry["TEXCOORD_1"])
+    return pack_glb([MeshPart("model", attributes, corners), *model.other_parts], images)
 
 
 def target_skin(
-    target: Shape,
-    target_look: Look,
-    source: Shape,
-    source_look: Look,
-    preview_map: PreviewMap | None,
-    baked: bytes | None = None,
+    target_model: DrawnModel, source_model: DrawnModel, preview_map: PreviewMap | None, baked: bytes | None = None
 ) -> bytes:
     """The target with its own and the source's materials, as binary glTF in view coordinates.
 
@@ -116,11 +171,12 @@ def target_skin(
     material borders of the source form the mesh "seams", coloured by samples in the image "seams".
     """
     textures = {} if baked is None else {"baked": baked}
-    corners, vertex, attributes = _base_attributes(target, target_look)
+    corners, vertex, geometry = target_model.geometry
     if preview_map is None:
-        return pack_glb([MeshPart("model", attributes, corners), *_other_parts(target, target_look)], textures)
+        return pack_glb([MeshPart("model", geometry, corners), *target_model.other_parts], textures)
+    target, source, source_look = target_model.shape, source_model.shape, source_model.look
     images = preview_map.pull_back(source.triangles, source.positions)
-    attributes |= {
+    attributes = geometry | {
         "_PLACE": source.to_view(images)[vertex],
         "_PLACE_NORMAL": source.directions_to_view(preview_map.pull_back(source.triangles, source.normals))[vertex],
         "_TRUST": preview_map.trust[vertex],
@@ -141,44 +197,7 @@ def target_skin(
         seam_attributes = {name: values[seam_corners] for name, values in attributes.items()} | {"TEXCOORD_0": uvs}
         seams = [MeshPart("seams", seam_attributes, np.arange(len(seam_corners)).reshape(-1, 3))]
     model = MeshPart("model", attributes, corners[~at_seam])
-    return pack_glb([model, *seams, *_other_parts(target, target_look)], textures)
-
-
-def _base_attributes(shape: Shape, look: Look) -> tuple[IndexArray, IndexArray, dict[str, FloatArray]]:
-    """Geometry of a model as it is drawn without a map: triangles, and for each vertex its shape vertex and attributes.
-
-    Has one vertex for each combination of point, texture coordinates and colour.
-    """
-    columns = [shape.triangles]
-    if shape.uv_triangles is not None:
-        columns.append(shape.uv_triangles)
-    if look.colors is not None:
-        palette, color = np.unique(look.colors, axis=0, return_inverse=True)
-        columns.append(np.repeat(color.ravel()[shape.faces][:, None], 3, axis=1))
-    key = np.zeros(shape.triangles.size, dtype=np.int64)
-    for column in columns:
-        key = key * (column.max(initial=0) + 1) + column.ravel()
-    _, first, corners = np.unique(key, return_index=True, return_inverse=True)
-    vertex = shape.triangles.ravel()[first]
-    attributes: dict[str, FloatArray] = {
-        "POSITION": shape.to_view(shape.positions[vertex]),
-        "NORMAL": shape.directions_to_view(shape.normals[vertex]),
-        "COLOR_1": np.broadcast_to(CLAY_COLOR, (len(vertex), 3)),
-    }
-    if shape.uvs is not None and shape.uv_triangles is not None:
-        attributes["TEXCOORD_1"] = shape.uvs[shape.uv_triangles.ravel()[first]]
-    if look.colors is not None:
-        attributes["COLOR_1"] = to_display(palette)[columns[-1].ravel()[first]]
-    return corners.reshape(-1, 3), vertex, attributes
-
-
-def _other_parts(shape: Shape, look: Look) -> list[MeshPart]:
-    """Parts of the file that are not open, in the view."""
-    parts = look.other_parts
-    if parts is None:
-        return []
-    attributes = {"POSITION": shape.to_view(parts.positions), "NORMAL": shape.directions_to_view(parts.normals)}
-    return [MeshPart("other_parts", attributes, parts.triangles)]
+    return pack_glb([model, *seams, *target_model.other_parts], textures)
 
 
 def _sample_image(
@@ -217,8 +236,8 @@ def _source_colors(source: Shape, look: Look, triangle: IndexArray, barycentric:
     if look.texture is None or source.uvs is None or source.uv_triangles is None:
         assert look.colors is not None
         return np.rint(255 * to_display(look.colors[source.faces[triangle]])).astype(np.uint8)
-    uvs = np.einsum("nc,ncd->nd", barycentric, source.uvs[source.uv_triangles[triangle]])
-    return texture_colors(look, uvs)
+    corners = source.uv_triangles.take(triangle, axis=0)
+    return texture_colors(look, np.einsum("nc,ncd->nd", barycentric, source.uvs.take(corners, axis=0)))
 
 
 def seam_triangles(
@@ -230,14 +249,29 @@ def seam_triangles(
     Texture coordinates are affine on a source triangle: extrapolated from one corner they are close to the next
     corner's, unless a seam lies between.
     """
-    corners, jacobians = target.triangles, source.uv_jacobians[preview_map.triangle]
-    at_seam = np.zeros(len(corners), dtype=bool)
-    for k in range(3):
-        start, end = corners[:, k], corners[:, (k + 1) % 3]
-        predicted = np.einsum("tij,tj->ti", jacobians[start], images[end] - images[start])
-        error = np.linalg.norm(uvs[end] - uvs[start] - predicted, axis=1)
-        at_seam |= error > _SEAM_TOLERANCE * np.linalg.norm(predicted, axis=1) + 0.01
+    at_seam = np.zeros(len(target.triangles), dtype=np.bool_)
+    arrays = target.triangles, source.uv_jacobians, preview_map.triangle, images, uvs
+    _mark_seams(tuple(map(read_only, arrays)), at_seam)
     return at_seam
+
+
+@numba.njit(cache=True, nogil=True)
+def _mark_seams(arrays, at_seam):  # type: ignore[no-untyped-def]
+    """Mark triangles with an edge across a seam."""
+    triangles, jacobians, image_triangle, images, uvs = arrays
+    for t in range(len(triangles)):
+        for k in range(3):
+            start, end = triangles[t, k], triangles[t, (k + 1) % 3]
+            jacobian = jacobians[image_triangle[start]]
+            x = images[end, 0] - images[start, 0]
+            y = images[end, 1] - images[start, 1]
+            z = images[end, 2] - images[start, 2]
+            u = jacobian[0, 0] * x + jacobian[0, 1] * y + jacobian[0, 2] * z
+            v = jacobian[1, 0] * x + jacobian[1, 1] * y + jacobian[1, 2] * z
+            du, dv = uvs[end, 0] - uvs[start, 0] - u, uvs[end, 1] - uvs[start, 1] - v
+            if np.sqrt(du * du + dv * dv) > _SEAM_TOLERANCE * np.sqrt(u * u + v * v) + 0.01:
+                at_seam[t] = True
+                break
 
 
 def texture_colors(look: Look, uvs: FloatArray) -> NDArray[np.uint8]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -142,6 +143,10 @@ class MapState:
     poor: str = ""
     poses: tuple[str, ...] = ()
     first_seconds: float = 0.0
+
+    def without_findings(self) -> MapState:
+        """Return the state without what was found about the last checked map."""
+        return replace(self, confidence="", strain={}, contradictions={}, notes=(), poor="")
 
     def rename_landmarks(self, before: LandmarkList, now: LandmarkList) -> MapState:
         """Return the state with the new names of landmarks that kept their number and places."""
@@ -322,3 +327,9 @@ def add_message(messages: tuple[Message, ...], kind: MessageKind, text: str) -> 
     """Append a message; an equal earlier one is removed."""
     new = Message(kind, text.encode("utf-8", "backslashreplace").decode())  # file names may have invalid characters
     return (*(old for old in messages if old != new), new)[-MAX_MESSAGES:]
+
+
+def number_duplicates(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of answers, with a number after each repetition."""
+    counts = [names[: i + 1].count(name) for i, name in enumerate(names)]
+    return tuple(f"{name} ({count})" if count > 1 else name for name, count in zip(names, counts, strict=True))

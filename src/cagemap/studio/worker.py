@@ -7,7 +7,7 @@ import logging
 import multiprocessing
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -35,10 +35,13 @@ class Failure:
     kind : str
         Name of the error's class, `STOPPED_KIND` or `CANCELLED_KIND`.
     message : str
+    notes : tuple of str
+        Added to the error by `BaseException.add_note`.
     """
 
     kind: str
     message: str
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,13 @@ def logged_warnings() -> Iterator[list[str]]:
         yield collector.texts
     finally:
         log.removeHandler(collector)
+
+
+def without_folders(texts: Iterable[str], folders: Iterable[Path]) -> tuple[str, ...]:
+    """Distinct texts, with paths of files relative to folders."""
+    for folder in folders:
+        texts = [text.replace(f"{folder}{os.sep}", "") for text in texts]
+    return tuple(dict.fromkeys(texts))
 
 
 class Worker:
@@ -237,14 +247,19 @@ def _serve_preview(connection: Connection) -> None:
                 connection.send(FinalResult(result))
             except _CancelledError:
                 connection.send(Failure(CANCELLED_KIND, "the computation was cancelled"))
-            except CagemapError as error:
-                connection.send(Failure(type(error).__name__, str(error)))
-            except MemoryError:
-                connection.send(Failure("MemoryError", "not enough memory for surfaces of this size; ask for fewer"))
             except (EOFError, BrokenPipeError, KeyboardInterrupt):
                 raise
             except Exception as error:  # a bug must not end the studio
-                connection.send(Failure(f"internal error, {type(error).__name__}", str(error)))
+                connection.send(_failure_of(error))
+
+
+def _failure_of(error: Exception) -> Failure:
+    kind, message = type(error).__name__, str(error)
+    if isinstance(error, MemoryError):
+        message = "not enough memory for surfaces of this size; ask for fewer"
+    elif not isinstance(error, CagemapError):
+        kind = f"internal error, {kind}"
+    return Failure(kind, message, tuple(getattr(error, "__notes__", ())))
 
 
 def _lower_priority() -> None:

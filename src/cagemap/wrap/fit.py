@@ -169,7 +169,7 @@ def move_locally(
         maps = admissible(net.energy.maps(positions)[part], graph.normals)
         changed = run_rounds(graph, lambda _: maps, terms, positions[part], rounds)
     else:
-        energy = ElasticEnergy.build(graph, config.smoothing, admissible)
+        energy = ElasticEnergy(graph, config.smoothing, admissible)
         changed = run_rounds(graph, energy.differentials, terms, positions[part], rounds)
     moved = positions.copy()
     moved[part] = changed

@@ -6,7 +6,8 @@ const LOOKS = {texture: 0, colours: 1, checker: 2, plain: 3, baked: 4};
 const FIELD_OF_VIEW = 0.6;  // radians, vertically: little perspective, as modellers like it
 const FIRST = [1.85, 0.69, 2.64], AXES = {1: [0, 0, 1], 3: [1, 0, 0], 7: [0, 1, 0.001]};
 const NO_BLENDING = 0, ALWAYS = 1;  // of three.js
-const MARK = 48, GRIP = 9, STILL = 4;  // pixels: square of a mark, how close grips it, what is no drag
+// Pixels: square of a mark, from it to its number (an eye stays visible), how close grips it, what is no drag.
+const MARK = 72, LEADER = 12, GRIP = 9, STILL = 4;
 
 export class Views {
   // `handlers` has functions click, probe, move, select and hint for what is done to the models.
@@ -187,12 +188,17 @@ export class Views {
     const text = `${number}${wrong ? '!' : solid ? '' : '?'}`;
     pen.globalAlpha = 1;
     pen.font = '600 10px system-ui, sans-serif';
-    pen.lineWidth = 2.5;
     pen.lineJoin = 'round';
-    pen.strokeStyle = '#000b';
-    pen.strokeText(text, x + radius + 1, y - radius + 1);
-    pen.fillStyle = '#fff';
-    pen.fillText(text, x + radius + 1, y - radius + 1);
+    pen.beginPath();
+    pen.moveTo(x + 0.7 * radius, y - 0.7 * radius);
+    pen.lineTo(x + LEADER - 1, y - LEADER + 1);
+    for (const [width, color] of [[2.5, '#000b'], [1, '#fff']]) {
+      Object.assign(pen, {lineWidth: width, strokeStyle: color});
+      pen.stroke();
+    }
+    Object.assign(pen, {lineWidth: 2.5, strokeStyle: '#000b', fillStyle: '#fff'});
+    pen.strokeText(text, x + LEADER, y - LEADER);
+    pen.fillText(text, x + LEADER, y - LEADER);
   }
 
   // Cameras
@@ -304,7 +310,7 @@ export class Views {
   drawPicture(side, [, , w, h]) {
     const {camera: {position, quaternion, projectionMatrix}, parts} = side, ratio = this.renderer.getPixelRatio();
     const {look, other, split, doubts, cages, other_parts, pose} = this.shown;
-    const images = Object.values(this.sides).flatMap(one => Object.values(one.images));
+    const images = [side, this.sides.source].flatMap(one => Object.values(one.images));
     const key = JSON.stringify([w, h, ratio, position, quaternion, projectionMatrix, look, other, split, doubts, cages, other_parts, pose,
       this.wrapAmount(side), [...Object.values(parts), ...images].map(one => one.uuid)]);
     if (side.pictureKey === key) return;
