@@ -2,7 +2,7 @@
 
 `python -m benchmarks.face_kit write FOLDER` writes `src/cagemap/character/face/face.npz` from the folder
 `characters/face`: the neutral head of ICT-FaceKit and the shapes that ARKit names, as rows and half-precision shifts.
-Blinks are enlarged until the lids meet; lips and lids that go through each other are moved apart. Run it again only
+Blinks are enlarged by `BLINK_SCALE`; lips and lids that go through each other are moved apart. Run it again only
 when the shapes change.
 
 `python -m benchmarks.face_kit measure HEAD...` matches heads that look along +Z without landmarks

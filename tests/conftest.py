@@ -34,7 +34,7 @@ gc.set_threshold(50_000)  # looking for cycles as often as usual takes a tenth o
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
-# How long a test takes says how busy the machine is.
+# No deadlines and no check for slow examples: times depend on what else the machine does.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("untimed")
 

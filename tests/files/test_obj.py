@@ -31,7 +31,7 @@ from example_result import textured_cube
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 # What str.splitlines and friends take for line ends or blanks may stand inside a name.
 NAME = st.text(st.characters(exclude_characters="\r\n\0\t\\#", exclude_categories=["Cs", "Zs", "Cc"]), max_size=6)
-QUICK = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+QUICK = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 
 
 @st.composite

@@ -16,7 +16,7 @@ from cagemap.files.result.merged_parts import merge_results
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
 from cagemap.maps.hypotheses.rigid_starts import (
     AS_FILED,
-    BY_UP_AXES,
+    BY_FILE_AXES,
     rigid_starts,
     rotation_name,
     rotation_penalty,
@@ -45,18 +45,28 @@ def test_there_are_24_rotations_and_none_mirrors() -> None:
     assert len({rotation_name(matrix) for matrix in rotations}) == 24
 
 
+ABOUT_X, ABOUT_Y, ABOUT_Z = (Rotation.from_rotvec(np.pi * axis).as_matrix().round() for axis in np.eye(3))
+
+
 @pytest.mark.parametrize(
-    ("upright", "name", "penalties"), [(None, "turned 90 degrees about -x", [1.3, 1.3]), (Z_UP, BY_UP_AXES, [1.0, 1.1])]
+    ("up_axes", "penalties"),
+    [
+        # of no rotation, of those that bring +Z to +Y and +Y to +Z, of half turns about Y, Z and X, and of two together
+        ((None, None), [1.0, 1.3, 1.3, 1.1, 1.3, 1.3, 1.3]),
+        ((Z_UP, None), [1.0, 1.0, 1.3, 1.1, 1.3, 1.3, 1.1]),
+        ((None, Z_UP), [1.0, 1.3, 1.0, 1.1, 1.3, 1.3, 1.1]),
+        ((Z_UP, Z_UP), [1.0, 1.3, 1.3, 1.3, 1.1, 1.3, 1.3]),
+    ],
 )
-def test_a_rotation_between_up_axes_that_the_files_state_has_no_penalty(
-    upright: FloatArray | None, name: str, penalties: list[float]
+def test_rotations_between_the_axes_that_the_files_state_have_no_penalty(
+    up_axes: tuple[FloatArray | None, FloatArray | None], penalties: list[float]
 ) -> None:
-    """A half turn about the vertical has the same one as where both files have +Y up."""
-    target, source = prepare_surface(replace(creature(), upright=upright), 1), prepare_surface(creature(), 1)
-    prepared, half_turn, tilted = prepare_pair(target, source), np.diag([-1.0, 1.0, -1.0]), Z_UP.T  # +Z becomes +Y
-    assert rotation_name(tilted, usual_rotations(prepared)) == name
-    assert [rotation_penalty(matrix, prepared) for matrix in (tilted, half_turn @ tilted)] == penalties
-    assert rotation_penalty(np.eye(3), prepared) == 1.0
+    """Half turns about the vertical have a small one."""
+    prepared = prepare_pair(*(prepare_surface(replace(creature(), upright=upright), 1) for upright in up_axes))
+    rotations = (np.eye(3), Z_UP.T, Z_UP, ABOUT_Y, ABOUT_Z, ABOUT_X, ABOUT_Y @ Z_UP.T)
+    assert [rotation_penalty(matrix, prepared) for matrix in rotations] == penalties
+    names = [rotation_name(matrix, usual_rotations(prepared)) for matrix in rotations]
+    assert [name == BY_FILE_AXES for name in names] == [False, *(cost == 1.0 for cost in penalties[1:])]
 
 
 @pytest.mark.slow
@@ -65,8 +75,8 @@ def test_a_model_with_another_axis_up_is_aligned_by_its_file() -> None:
     tilted = replace(creature().with_positions(creature().positions * (1.3, 1.0, 0.8) @ Z_UP.T), upright=Z_UP)
     confidence = match(prepare_surface(tilted, 1), prepare_surface(creature(), 1), None, SEARCHED).confidence
     assert confidence.signs["turned"] == 0.0
-    assert confidence.answers[0].name == BY_UP_AXES
-    assert BY_UP_AXES in confidence.message
+    assert confidence.answers[0].name == BY_FILE_AXES
+    assert BY_FILE_AXES in confidence.message
 
 
 def test_boxes_agree_and_no_start_mirrors() -> None:

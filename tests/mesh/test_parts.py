@@ -88,7 +88,7 @@ def test_parts_are_found_by_name() -> None:
     scene = _scene()
     np.testing.assert_array_equal(find_part(scene, "eye_left").faces, np.arange(6, 26))
     np.testing.assert_array_equal(find_part(scene, "material:cloth").faces, [3, 4, 5])
-    assert len(find_part(scene, "largest").faces) == 6
+    assert len(find_part(scene, "largest").faces) == 20
     with pytest.raises(ParameterError, match="there is none\\. It has object:body"):
         find_part(scene, "nose")
     both = replace(scene, group_names=("body", "rest"), face_groups=np.repeat([1, 0], [6, 40]))

@@ -73,7 +73,8 @@ def test_what_scans_have_is_mended_or_set_aside_and_said() -> None:
         ("material", ("skin", "jeans"), 2.0, 0),
         ("object", ("body", "jeans"), 9.0, 1),  # a button
         ("object", ("hat", "jeans"), 2.0, 1),
-        ("object", ("hat", "body"), 0.5, 1),
+        ("object", ("hat", "body"), 0.8, 1),
+        ("object", ("suit", "head"), 0.4, 0),  # the body is deleted
     ],
 )
 def test_the_piece_that_is_kept_is_not_named_like_clothes(

@@ -34,7 +34,7 @@ from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.places import vertex_place
 from cagemap.studio.scene import Scene, map_place, mirror_place
 from cagemap.studio.state import number_duplicates
-from cagemap.studio.worker import CANCELLED_KIND, Failure, Worker, _serve_preview
+from cagemap.studio.worker import CANCELLED_KIND, Failure, FinalResult, Worker, _serve_preview
 from cagemap.tasks.match import run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.match import MatchRequest
@@ -108,11 +108,13 @@ def test_what_reading_warned_of_is_said_with_the_error_that_ends_it(
     serving = threading.Thread(target=_serve_preview, args=(there,), daemon=True)
     serving.start()
     here.send(OpenModels(PairFiles(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, tmp_path)))
-    while not isinstance(failure := here.recv(), Failure):
-        pass
+    replies = list[object]()
+    while not replies or not isinstance(replies[-1], FinalResult | Failure):
+        assert here.poll(60)
+        replies.append(here.recv())
     here.close()
     serving.join(10)
-    assert failure == Failure("FormatError", "b.png is empty", (f"skins{os.sep}b.png: no image",))
+    assert replies[-1] == Failure("FormatError", "b.png is empty", (f"skins{os.sep}b.png: no image",))
 
 
 @pytest.mark.slow

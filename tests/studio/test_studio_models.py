@@ -47,6 +47,7 @@ from cagemap.studio.places import hit_place, nearest_place
 from cagemap.studio.scene import part_name
 from cagemap.studio.shape import Hit, pick, refined_shape
 from cagemap.studio.skins import (
+    SEAM_TOLERANCE,
     DrawnModel,
     Look,
     PreviewMap,
@@ -449,6 +450,22 @@ def test_seams_are_found_where_texture_coordinates_jump() -> None:
     island = shape.faces
     own = island[mapped.triangle[shape.triangles]]
     np.testing.assert_array_equal(crossing, (own != own[:, :1]).any(axis=1))
+
+
+def test_compiled_seams_are_those_of_numpy() -> None:
+    rng, shape = np.random.default_rng(5), refined_shape(refine(unwrapped_cube(), 2))
+    count = len(shape.positions)
+    triangle = np.where(rng.random(count) < 0.1, 40, 0)
+    mapped = PreviewMap(triangle, rng.dirichlet(np.ones(3), count), np.ones(count))
+    images, steps = rng.normal(size=(count, 3)), rng.normal(size=(count, 2))
+    uvs = np.einsum("nij,nj->ni", shape.uv_jacobians[triangle], images) + 0.1 * steps
+    expected = np.zeros(len(shape.triangles), dtype=bool)
+    for start, end in zip(shape.triangles.T, np.roll(shape.triangles.T, -1, axis=0), strict=True):
+        predicted = np.einsum("tij,tj->ti", shape.uv_jacobians[triangle[start]], images[end] - images[start])
+        error = np.linalg.norm(uvs[end] - uvs[start] - predicted, axis=1)
+        expected |= error > SEAM_TOLERANCE * np.linalg.norm(predicted, axis=1) + 0.01
+    assert 0.1 < expected.mean() < 0.9
+    np.testing.assert_array_equal(seam_triangles(shape, shape, mapped, images, uvs), expected)
 
 
 def test_borders_of_materials_and_seams_are_sampled_between_vertices() -> None:

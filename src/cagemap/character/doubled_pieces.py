@@ -8,12 +8,12 @@ from scipy.spatial import cKDTree
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles, keep_faces
-from cagemap.mesh.parts import faces_of_passengers
+from cagemap.mesh.parts import passenger_pieces, piece_boxes
 from cagemap.mesh.topology import face_components
-from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, members_of
+from cagemap.numerics.arrays import IndexArray, box_diagonal, members_of
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import triangle_centres
+from cagemap.surface.triangles import triangle_areas, triangle_centres
 
 # Two pieces are at one place if at least this share of the area of each piece is close to the other piece.
 _MIN_CLOSE_SHARE = 0.75
@@ -36,7 +36,7 @@ def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[IndexArray]:
     """
     labels, own_labels = face_components(carried), face_components(own)
     pieces, own_pieces = members_of(labels), members_of(own_labels)
-    boxes, own_boxes = _boxes(carried, labels), _boxes(own, own_labels)
+    boxes, own_boxes = piece_boxes(carried, labels), piece_boxes(own, own_labels)
     to_own = np.asarray(cKDTree(own_boxes).query(boxes)[1])
     to_carried = np.asarray(cKDTree(boxes).query(own_boxes)[1])
     return [
@@ -57,25 +57,16 @@ def pieces_in_surface(carried: ControlMesh, point_map: PointMap) -> list[IndexAr
     is_collapsed = images.areas < _MAX_AREA_RATIO * target.areas
     if not is_collapsed.any():
         return []
-    scaled, is_named = carried.with_positions(target.scale * carried.positions), faces_of_passengers(carried)
-    found = []
-    for faces in members_of(face_components(carried)):
-        if is_named[faces].all():
-            continue
-        piece = _surface(scaled, faces)
-        nearest, _, distances = closest_points(target.tree, triangle_centres(piece.positions, piece.triangles))
-        is_inside = is_collapsed[nearest] & (distances <= _MAX_SURFACE_DISTANCE * box_diagonal(piece.positions))
-        if piece.areas[is_inside].sum() >= _MIN_COLLAPSED_SHARE * piece.areas.sum():
-            found.append(faces)
-    return found
-
-
-def _boxes(mesh: ControlMesh, labels: IndexArray) -> FloatArray:
-    """(k, 6) lowest and highest coordinates of each piece; ``labels`` (m,) are the pieces of faces."""
-    corners = mesh.positions[mesh.face_indices]
-    boxes = np.full((int(labels.max()) + 1, 6), np.inf)
-    np.minimum.at(boxes, labels[mesh.corner_faces], np.column_stack([corners, -corners]))
-    return boxes * np.array([1, 1, 1, -1, -1, -1])
+    labels, places = face_components(carried), target.scale * carried.positions
+    triangles, faces = cage_triangles(carried)
+    piece, areas = labels[faces], triangle_areas(places, triangles)
+    boxes = target.scale * piece_boxes(carried, labels)
+    reach = _MAX_SURFACE_DISTANCE * np.linalg.norm(boxes[:, 3:] - boxes[:, :3], axis=1)
+    nearest, _, distances = closest_points(target.tree, triangle_centres(places, triangles))
+    is_inside = is_collapsed[nearest] & (distances <= reach[piece])
+    inside, whole = (np.bincount(piece, area, len(boxes)) for area in (areas * is_inside, areas))
+    is_found = (inside > 0) & (inside >= _MIN_COLLAPSED_SHARE * whole) & ~passenger_pieces(carried, labels)
+    return [faces for number, faces in enumerate(members_of(labels)) if is_found[number]]
 
 
 def _surface(mesh: ControlMesh, faces: IndexArray) -> TriangleSurface:
@@ -93,4 +84,5 @@ def _are_at_one_place(first: TriangleSurface, second: TriangleSurface) -> bool:
 def _is_close(surface: TriangleSurface, other: TriangleSurface, reach: float) -> bool:
     """Whether most of the area of a surface is within ``reach`` of another surface."""
     distances = closest_points(other.tree, triangle_centres(surface.positions, surface.triangles))[2]
-    return bool(surface.areas[distances <= reach].sum() >= _MIN_CLOSE_SHARE * surface.areas.sum())
+    close = surface.areas[distances <= reach].sum()
+    return bool(close > 0 and close >= _MIN_CLOSE_SHARE * surface.areas.sum())

@@ -59,10 +59,10 @@ class ElasticGraph:
         """Number of vertices."""
         return len(self.positions)
 
-    @kept
+    @property
     def edges(self) -> FloatArray:
         """(2 m, 3) rest differences p_head - p_tail."""
-        return read_only(self.positions.take(self.heads, axis=0) - self.positions.take(self.tails, axis=0))
+        return np.asarray(self.positions.take(self.heads, axis=0) - self.positions.take(self.tails, axis=0))
 
     @kept
     def lengths(self) -> FloatArray:
@@ -76,13 +76,13 @@ class ElasticGraph:
         return sparse.csr_array(sparse.diags_array(np.asarray(weights.sum(axis=1)).ravel()) - weights)
 
     @kept
-    def edge_lengths(self) -> sparse.csr_array:
-        """(n, n) length of every edge."""
+    def length_matrix(self) -> sparse.csr_array:
+        """(n, n) sparse matrix of `lengths`."""
         return sparse.csr_array((self.lengths, (self.heads, self.tails)), shape=(self.n, self.n))
 
     def distances(self, vertices: IndexArray) -> FloatArray:
         """(k, n) distances along the edges from vertices (k,); infinite if unreached."""
-        return np.asarray(dijkstra(self.edge_lengths, indices=vertices))
+        return np.asarray(dijkstra(self.length_matrix, indices=vertices))
 
     @kept
     def station_distances(self) -> FloatArray:

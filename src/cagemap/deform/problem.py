@@ -81,7 +81,7 @@ class PreparedPair:
             energy = bounded_energy(
                 level_graph(target, levels[0], elastic.graph), elastic.fine.smoothing, elastic.graph
             )
-            _ = energy.factors  # meanwhile
+            _ = energy.factors  # factored while the other thread builds search trees
             trees.result()
         return cls(target, source, start, elastic, levels, energy, fitted, masks)
 

@@ -22,13 +22,13 @@ PART_KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
 # Least number of faces of `largest_part`, divided by the largest number of any piece. A ground or a plate has fewer.
 MIN_SHARE_OF_FACES = 0.5
-# Least area of a piece that is taken instead of a larger one named as a passenger, divided by the area of that one.
-# A head whose body is deleted under the clothes has 0.10; unnamed eyes have less than 0.01 (docs/lab/characters.md).
-_MIN_SHARE_OF_AREA = 0.05
+# Least diagonal of the bounding box of a body's piece, divided by that of all pieces: at least 0.77 for whole bodies,
+# 0.25 for the head of a body that is deleted under the clothes (docs/lab/characters.md).
+MIN_BODY_EXTENT = 0.5
 # Words in the names of passengers: parts that are moved with the body. Those of the last line
 # count only at the end of a word or before a plural s: "panther" and "hatchling" name no passengers.
 _PASSENGER_WORDS = re.compile(
-    r"eye|lash|brow(?!n)|teeth|tooth|tongue|hair|beard|moustache|helmet|glasses|shirt|jacket|suit|dress|skirt|trouser|cloth|"
+    r"eye|lash|brow(?!(?-i:n))|teeth|tooth|tongue|hair|beard|moustache|helmet|glasses|shirt|jacket|suit|dress|skirt|trouser|cloth|"
     r"outfit|garment|shoe|boot|sock|glove|belt|scarf|armor|armour|weapon|sword|accessor|"
     r"(?:gum|hat|cap|top|coat|pant|jean|short|bag|cape)(?=s?(?-i:(?![a-z])))",
     re.IGNORECASE,
@@ -100,16 +100,34 @@ def largest_part(mesh: ControlMesh) -> Part:
 
 
 def body_areas(mesh: ControlMesh, labels: IndexArray) -> FloatArray:
-    """(k,) area of each connected piece; 0 for pieces named as passengers, unless all others are small.
+    """(k,) area of each connected piece; 0 for `passenger_pieces`, unless the largest of the others is small.
 
     ``labels``: (m,) piece of each face.
     """
-    areas = np.asarray(np.bincount(labels, face_areas(mesh)), dtype=np.float64)
-    others = np.where(np.bincount(labels, ~faces_of_passengers(mesh)) > 0, areas, 0.0)
-    return others if others.max() >= _MIN_SHARE_OF_AREA * areas.max() else areas
+    areas, boxes = np.bincount(labels, face_areas(mesh)), piece_boxes(mesh, labels)
+    others = np.where(passenger_pieces(mesh, labels), 0.0, areas)
+    low, high = boxes[others.argmax()].reshape(2, 3)
+    whole = np.linalg.norm(boxes[:, 3:].max(axis=0) - boxes[:, :3].min(axis=0))
+    is_body = others.any() and np.linalg.norm(high - low) >= MIN_BODY_EXTENT * whole
+    return np.asarray(others if is_body else areas)
 
 
-def faces_of_passengers(mesh: ControlMesh) -> NDArray[np.bool_]:
+def piece_boxes(mesh: ControlMesh, labels: IndexArray) -> FloatArray:
+    """(k, 6) lowest, then highest coordinates of each piece; ``labels`` (m,) are the pieces of faces."""
+    corners = mesh.positions[mesh.face_indices]
+    boxes = np.full((int(labels.max()) + 1, 6), np.inf)
+    np.minimum.at(boxes, labels[mesh.corner_faces], np.column_stack([corners, -corners]))
+    return boxes * np.array([1, 1, 1, -1, -1, -1])
+
+
+def passenger_pieces(mesh: ControlMesh, labels: IndexArray) -> NDArray[np.bool_]:
+    """(k,) whether at least half of a piece's area is named as a passenger; ``labels`` (m,) are the pieces of faces."""
+    areas = face_areas(mesh)
+    of_passengers = np.bincount(labels, areas * _faces_of_passengers(mesh))
+    return np.asarray((of_passengers > 0) & (of_passengers >= 0.5 * np.bincount(labels, areas)))
+
+
+def _faces_of_passengers(mesh: ControlMesh) -> NDArray[np.bool_]:
     """(m,) whether a face's object or group has a passenger's name; its material, if no object or group has one."""
     found = np.zeros(mesh.n_faces, dtype=bool)
     for kind, numbers, names in mesh.partitions:

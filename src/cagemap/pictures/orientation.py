@@ -56,9 +56,9 @@ def usual_turn(path: Path | None) -> FloatArray:
     return Z_UP if path is not None and path.suffix.lower() == ".stl" else Y_UP
 
 
-def stated_turn(path: Path | None, upright: FloatArray | None) -> FloatArray | None:
+def stated_turn(path: Path, upright: FloatArray | None) -> FloatArray | None:
     """(3, 3) rotation of positions (rows) to Y up that a file states, its mesh's ``upright``; STL states none."""
-    return None if path is not None and path.suffix.lower() == ".stl" else upright
+    return None if path.suffix.lower() == ".stl" else upright
 
 
 def shape_turn(positions: FloatArray, triangles: IndexArray) -> FloatArray | None:

@@ -26,7 +26,7 @@ CLAY_COLOR = np.array([0.69, 0.68, 0.67])
 # Places with less trust are marked.
 DOUBTFUL_TRUST = 0.5
 # A seam lies between corners whose texture coordinates differ from the predicted step by more than this share of it.
-_SEAM_TOLERANCE = 0.6
+SEAM_TOLERANCE = 0.6
 # Samples along a side of a triangle at a seam or material border, and of all these triangles together.
 _MIN_SAMPLES_PER_SIDE, _MAX_SAMPLES_PER_SIDE, _MAX_SAMPLES = 3, 8, 50_000
 
@@ -106,8 +106,8 @@ class DrawnModel:
         return corners.reshape(-1, 3), vertex, attributes
 
     @kept
-    def other_parts(self) -> tuple[MeshPart, ...]:
-        """Parts of the file that are not open."""
+    def other_part_meshes(self) -> tuple[MeshPart, ...]:
+        """Parts of the file that are not open, as they are drawn."""
         parts, shape = self.look.other_parts, self.shape
         if parts is None:
             return ()
@@ -158,7 +158,7 @@ def source_skin(model: DrawnModel) -> bytes:
     attributes = {name: values for name, values in geometry.items() if name != "TEXCOORD_1"}
     if "TEXCOORD_1" in geometry and images:
         attributes["TEXCOORD_0"] = look.to_image_uvs(geometry["TEXCOORD_1"])
-    return pack_glb([MeshPart("model", attributes, corners), *model.other_parts], images)
+    return pack_glb([MeshPart("model", attributes, corners), *model.other_part_meshes], images)
 
 
 def target_skin(
@@ -173,7 +173,7 @@ def target_skin(
     textures = {} if baked is None else {"baked": baked}
     corners, vertex, geometry = target_model.geometry
     if preview_map is None:
-        return pack_glb([MeshPart("model", geometry, corners), *target_model.other_parts], textures)
+        return pack_glb([MeshPart("model", geometry, corners), *target_model.other_part_meshes], textures)
     target, source, source_look = target_model.shape, source_model.shape, source_model.look
     images = preview_map.pull_back(source.triangles, source.positions)
     attributes = geometry | {
@@ -197,7 +197,7 @@ def target_skin(
         seam_attributes = {name: values[seam_corners] for name, values in attributes.items()} | {"TEXCOORD_0": uvs}
         seams = [MeshPart("seams", seam_attributes, np.arange(len(seam_corners)).reshape(-1, 3))]
     model = MeshPart("model", attributes, corners[~at_seam])
-    return pack_glb([model, *seams, *target_model.other_parts], textures)
+    return pack_glb([model, *seams, *target_model.other_part_meshes], textures)
 
 
 def _sample_image(
@@ -269,7 +269,7 @@ def _mark_seams(arrays, at_seam):  # type: ignore[no-untyped-def]
             u = jacobian[0, 0] * x + jacobian[0, 1] * y + jacobian[0, 2] * z
             v = jacobian[1, 0] * x + jacobian[1, 1] * y + jacobian[1, 2] * z
             du, dv = uvs[end, 0] - uvs[start, 0] - u, uvs[end, 1] - uvs[start, 1] - v
-            if np.sqrt(du * du + dv * dv) > _SEAM_TOLERANCE * np.sqrt(u * u + v * v) + 0.01:
+            if np.sqrt(du * du + dv * dv) > SEAM_TOLERANCE * np.sqrt(u * u + v * v) + 0.01:
                 at_seam[t] = True
                 break
 

@@ -145,7 +145,7 @@ class MapState:
     first_seconds: float = 0.0
 
     def without_findings(self) -> MapState:
-        """Return the state without what was found about the last checked map."""
+        """Return the state without what was found about the last checked map; answers, suggestion and poses stay."""
         return replace(self, confidence="", strain={}, contradictions={}, notes=(), poor="")
 
     def rename_landmarks(self, before: LandmarkList, now: LandmarkList) -> MapState:

@@ -6,6 +6,7 @@ import contextlib
 import logging
 import multiprocessing
 import os
+import re
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -92,10 +93,10 @@ def logged_warnings() -> Iterator[list[str]]:
 
 
 def without_folders(texts: Iterable[str], folders: Iterable[Path]) -> tuple[str, ...]:
-    """Distinct texts, with paths of files relative to folders."""
-    for folder in folders:
-        texts = [text.replace(f"{folder}{os.sep}", "") for text in texts]
-    return tuple(dict.fromkeys(texts))
+    """Distinct texts, with paths of files relative to the innermost of folders that has them."""
+    beginnings = sorted({re.escape(f"{folder}{os.sep}") for folder in folders}, key=len, reverse=True)
+    in_folder = re.compile(rf"(?<![\w.\-/\\])(?:{'|'.join(beginnings)})")
+    return tuple(dict.fromkeys(in_folder.sub("", text) for text in texts))
 
 
 class Worker:

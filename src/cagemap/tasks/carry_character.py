@@ -21,7 +21,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
-from cagemap.mesh.parts import extract_faces, join_meshes, numbers_on_part, passenger_word
+from cagemap.mesh.parts import MIN_BODY_EXTENT, extract_faces, join_meshes, numbers_on_part, passenger_word
 from cagemap.mesh.repairs import RepairedMesh
 from cagemap.mesh.topology import used_vertices
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
@@ -32,10 +32,9 @@ from cagemap.tasks.progress import Stages
 
 # Least number of finest vertices of a body that is subdivided; plain meshes are not.
 BODY_VERTICES = 100_000
-# A part is refused as a body if the diagonal of the bounding box of its largest piece is less than the first share of
-# the part's diagonal, and its other pieces have more than the second share of the area. The first share is 0.25 for
-# bodies deleted under the clothes, and at least 0.77 for whole bodies (docs/lab/characters.md).
-_MIN_PIECE_EXTENT, _MAX_OTHER_PIECES = 0.5, 0.1
+# A part is refused as a body if the piece that is matched spans less than `MIN_BODY_EXTENT` of it, and the other pieces
+# have more than this share of the area.
+_MAX_OTHER_PIECES = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +144,7 @@ def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stage
     Raises
     ------
     ParameterError
-        If a part's largest piece is only a fragment of it.
+        If the piece of a part that is matched is only a fragment of it.
     """
     ready = _ready_body(target), _ready_body(source)
     landmarks = landmarks.renumbered(*(mesh.vertex_of.__getitem__ for mesh in ready))
@@ -159,11 +158,12 @@ def _ready_body(part: Part) -> RepairedMesh:
     ready = ready_mesh(part.mesh)
     with_faces = part.mesh.positions[used_vertices(part.mesh)]
     extents = [box_diagonal(points) for points in (ready.mesh.positions, with_faces)]
-    if ready.repairs.pieces_share > _MAX_OTHER_PIECES and extents[0] < _MIN_PIECE_EXTENT * extents[1]:
+    if ready.repairs.pieces_share > _MAX_OTHER_PIECES and extents[0] < MIN_BODY_EXTENT * extents[1]:
         raise ParameterError(
             f"{part.mesh.name}: expected a surface in one piece, but {part.name} has {ready.repairs.pieces + 1} "
-            f"pieces, the largest spanning only {extents[0] / extents[1]:.0%} of it. If faces under the clothes were "
-            "deleted, export the whole body; or choose another part (rig: --body-part, --like-part; face: --part)."
+            f"pieces, and the one that is matched spans only {extents[0] / extents[1]:.0%} of it. If faces under the "
+            "clothes were deleted, export the whole body; or choose another part (rig: --body-part, --like-part; "
+            "face: --part)."
         )
     return ready
 
@@ -207,8 +207,8 @@ def _pieces_to_carry(bodies: Bodies, others: Sequence[Part], named: Collection[s
     sizes = first_few([count_noun(len(faces), "face") for faces in doubled])
     target, source = bodies.given
     note = (
-        f"{count_noun(len(doubled), 'smaller piece')} of {source.mesh.name} ({sizes}) not carried, since "
-        f"{target.mesh.name} has its own there: to carry all, name {pieces.name!r} (rig: --rigid or --cloth)"
+        f"{count_noun(len(doubled), 'piece')} of {source.mesh.name} ({sizes}) not carried, since {target.mesh.name} "
+        f"has its own there: to carry all, name {pieces.name!r} (rig: --rigid, --cloth), or make one an object"
     )
     left = np.setdiff1d(np.arange(mesh.n_faces), np.concatenate(found))
     return _part_of_faces(pieces, left) if len(left) else None, [note]

@@ -77,7 +77,10 @@ def run_report(request: ReportRequest, stages: Stages) -> SummaryAndWarnings:
     carried = replace(carried_data(folder, result), images=_baked_images(folder, result, baked_entry))
     stages("draw")
     file = input_file(folder, result.manifest, "target")
-    upright, reason = stated_turn(file, result.target.control.upright), "as its file says"
+    upright, reason = (
+        stated_turn(file or Path(result.target.control.name), result.target.control.upright),
+        "as its file says",
+    )
     if request.up is not None:
         upright, reason = UP_AXES[request.up], "as asked"
     write_report(

@@ -129,8 +129,9 @@ class Samples:
         count = sampled.n_vertices
         rows = refinement.rows(slice(count), refinement.finest_level, net.level)
         areas = vertex_areas(sampled.positions, refinement.faces(level))
-        lengths = np.linalg.norm(graph.edges, axis=1)
-        around = np.bincount(graph.heads, lengths, graph.n) / np.maximum(np.bincount(graph.heads, minlength=graph.n), 1)
+        around = np.bincount(graph.heads, graph.lengths, graph.n) / np.maximum(
+            np.bincount(graph.heads, minlength=graph.n), 1
+        )
         weights = follow[:count] * areas / areas.sum()
         return cls(rows, images.at(slice(count)), config.max_slide * (rows @ around), weights, pinned[:count])
 

@@ -45,6 +45,7 @@ from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.faces import reversed_corners
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray
+from cagemap.surface.alignment import Y_UP
 
 _log = logging.getLogger(__name__)
 
@@ -130,7 +131,7 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
             table[~table.any(axis=1), 0] = 1.0
             table = sparse.csr_array(table / table.sum(axis=1, keepdims=True))
         placed = place_in_world(replace(mesh, to_world=mesh_to_world))
-        control = replace(placed.control, name=name, face_objects=None, object_names=())
+        control = replace(placed.control, name=name, upright=Y_UP, face_objects=None, object_names=())
         shapes = {
             label.removeprefix(BLEND_SHAPE): offsets
             for label, offsets in placed.attributes.items()

@@ -13,9 +13,10 @@ from cagemap.files.usd.prims import is_mirrored, is_similarity
 from cagemap.files.usd.read import read_usd_meshes
 from cagemap.files.usd.stages import damage_as_error, is_usd, open_each_once, open_stage, usd_modules
 from cagemap.numerics.arrays import FloatArray
+from cagemap.surface.alignment import Z_UP
 
 # From Z up to Y up, for points as rows.
-_Z_TO_Y = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+_Z_TO_Y = np.block([[Z_UP, np.zeros((3, 1))], [np.zeros((1, 3)), np.eye(1)]])
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,6 +35,7 @@ from cagemap.files.usd.write_mesh import (
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import reversed_corners
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.alignment import Z_UP, nearest_axis_rotation
 
 _log = logging.getLogger(__name__)
 
@@ -84,13 +85,16 @@ def write_usd(
     """Write a control mesh, or a refined one, as a USD file of its own: ``/Asset/mesh``.
 
     A mesh with a scheme is a subdivision surface, one without is polygons (``none``). Without a ``space`` the file
-    states metres with Y up. With ``add``, earlier results of cagemap in the file are kept; returns whether there were
-    any.
+    states metres, and the mesh's up axis. With ``add``, earlier results of cagemap in the file are kept; returns
+    whether there were any.
     """
     file = Path(path)
     check_usd_path(file)
     pxr = usd_modules()
-    stage = new_stage(space or StageSpace("Y", 1.0), "SkelRoot" if _needs_skeleton(results) else "Xform")
+    is_z_up = mesh.upright is not None and np.array_equal(nearest_axis_rotation(mesh.upright), Z_UP)
+    stage = new_stage(
+        space or StageSpace("Z" if is_z_up else "Y", 1.0), "SkelRoot" if _needs_skeleton(results) else "Xform"
+    )
     prim = pxr.UsdGeom.Mesh.Define(stage, "/Asset/mesh")
     if mesh.scheme is not None and mesh.scheme.creasing != "uniform":
         text = "%s: creasing %s has no place in USD and is left out: creases of uneven sharpness come out otherwise"

@@ -18,7 +18,7 @@ from cagemap.numerics.arrays import FloatArray, nearest_rotations
 from cagemap.surface.alignment import Y_UP, axis_rotations, nearest_axis_rotation, principal_frame, rotations_onto
 from cagemap.surface.triangle_surface import TriangleSurface
 
-AS_FILED, BY_UP_AXES = "as the files stand", "by the files' up axes"
+AS_FILED, BY_FILE_AXES = "as the files stand", "by the axes that the files state"
 # Starts of `rigid_starts` for one rotation.
 STARTS_OF_ROTATION = 2
 # Least extent of a box; a box that is flat along an axis is not stretched along it.
@@ -32,7 +32,7 @@ def rotation_name(matrix: FloatArray, usual: Sequence[FloatArray] = ()) -> str:
     if angle == 0:
         return AS_FILED
     if _is_among(matrix, usual):
-        return BY_UP_AXES
+        return BY_FILE_AXES
     axis = np.round(vector / np.abs(vector).max()).astype(int)
     if np.count_nonzero(axis) == 1:
         sign = "-" if axis.sum() < 0 and angle != 180 else ""
@@ -53,22 +53,26 @@ def upright_axes(prepared: PreparedPair) -> tuple[FloatArray, FloatArray]:
 
 
 def usual_rotations(prepared: PreparedPair) -> list[FloatArray]:
-    """Rotations (3, 3) of the target that files seldom differ from: none, and that of its up axis to the source's."""
+    """Rotations (3, 3) without a penalty: none, and that of the target's axes to the source's as the files state."""
     target, source = upright_axes(prepared)
     onto_source = source @ target.T
     return [np.eye(3)] if np.array_equal(onto_source, np.eye(3)) else [np.eye(3), onto_source]
 
 
 def rotation_penalty(matrix: FloatArray, prepared: PreparedPair) -> float:
-    """Factor on the cost of a placement that is rotated by one of `axis_rotations`, but not as files usually are."""
+    """Factor on the cost of a placement rotated by one of `axis_rotations`; 1 for `usual_rotations`.
+
+    Another rotation costs less about the vertical, that of the files' axes or, where these differ, also Y.
+    """
     config, (target, source) = prepared.elastic.search, upright_axes(prepared)
+    stated = source.T @ matrix @ target
 
     def penalty(rotation: FloatArray) -> float:
         if rotation[1, 1] < 0.5:
             return config.tilted_penalty
         return 1.0 if rotation[0, 0] > 0.5 else config.turned_penalty
 
-    return min(penalty(matrix), penalty(source.T @ matrix @ target))
+    return penalty(stated) if np.array_equal(target, source) else min(penalty(stated), penalty(matrix))
 
 
 def rigid_starts(

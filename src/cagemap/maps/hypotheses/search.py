@@ -60,8 +60,8 @@ def fit_small_graph(
     """Best fits of a small graph, cheapest first: of assigned limbs, with their tips; and all to fit without tips.
 
     The second list has those of assigned limbs too: tips of limbs of unlike length do not correspond. With rotations,
-    rotated starts are tried unless an assignment is plausible, and their fits get a penalty. ``show`` gets the best fit
-    of the starts in the files' axes, then the best of all.
+    rotated starts are tried unless an assignment is plausible, and fits get a `rotation_penalty`. ``show`` gets the
+    best fit of the starts with `usual_rotations`, then the best of all.
     """
     prepared, small = problem.prepared, problem.small_clusters
     config, graph, usual = prepared.elastic.search, small.energy.graph, usual_rotations(prepared)
