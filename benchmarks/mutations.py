@@ -116,7 +116,7 @@ def mutations(copy: Path, choice: random.Random) -> Iterator[tuple[Path, list[st
         before, after = texts[path].splitlines(), mutated.splitlines()
         places = [i for i, (old, new) in enumerate(zip(before, after, strict=False)) if old != new]
         change = [f"- {before[i].strip()}\n  + {after[i].strip()}" for i in places]
-        if change and ast.dump(stripped(texts[path])) != ast.dump(stripped(mutated)):
+        if change and stripped(mutated) not in ("", stripped(texts[path])):
             yield path, change, [i + 1 for i in places], mutated
 
 
@@ -144,9 +144,12 @@ class _Stripped(ast.NodeTransformer):
         return ast.Constant("")
 
 
-def stripped(text: str) -> ast.AST:
-    """The syntax of a module as far as mutations of it count; None where it is none any more."""
-    return _Stripped().visit(ast.parse(text))
+def stripped(text: str) -> str:
+    """The syntax of a module as far as mutations of it count; empty if the text is no Python."""
+    try:
+        return ast.dump(_Stripped().visit(ast.parse(text)))
+    except SyntaxError:
+        return ""
 
 
 def tests_of(copy: Path, executed: CoverageData, counts: Counter[str], path: Path, lines: list[int]) -> list[list[str]]:
