@@ -20,9 +20,9 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, members_of, offsets_
 
 PART_KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
-# Least number of faces of `largest_part`, divided by the largest number of any piece. A ground or a plate has fewer.
+# Least number of faces of `largest_part`, divided by the largest number of a piece of the body: excludes ground planes.
 MIN_SHARE_OF_FACES = 0.5
-# Least diagonal of the bounding box of a body's piece, divided by that of all pieces: at least 0.77 for whole bodies,
+# Least diagonal of the bounding box of the body, divided by that of the whole mesh: at least 0.77 for whole bodies,
 # 0.25 for the head of a body that is deleted under the clothes (docs/lab/characters.md).
 MIN_BODY_EXTENT = 0.5
 # Words in the names of passengers: parts that are moved with the body. Those of the last line
@@ -100,9 +100,9 @@ def largest_part(mesh: ControlMesh) -> Part:
 
 
 def body_areas(mesh: ControlMesh, labels: IndexArray) -> FloatArray:
-    """(k,) area of each connected piece; 0 for `passenger_pieces`, unless the largest of the others is small.
+    """(k,) area of each connected piece; 0 for `passenger_pieces`, if another piece can be the body.
 
-    ``labels``: (m,) piece of each face.
+    The largest other piece must span `MIN_BODY_EXTENT` of the mesh. ``labels``: (m,) piece of each face.
     """
     areas, boxes = np.bincount(labels, face_areas(mesh)), piece_boxes(mesh, labels)
     others = np.where(passenger_pieces(mesh, labels), 0.0, areas)
@@ -215,11 +215,13 @@ def renumbered_copies(copies: IndexArray | None, number: IndexArray) -> IndexArr
 
 
 def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
-    """(n,) vertex of a part made by `extract_faces`, or of the mesh welded, for every vertex of the mesh, or -1."""
+    """(n,) vertex of the part for every vertex of the mesh, -1 if absent; the part may be the whole mesh, welded."""
     assert part.file_vertices is not None
     file_numbers = np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices
     number = np.full(int(file_numbers.max()) + 1, -1, dtype=np.int64)
-    number[part.file_vertices[::-1]] = np.arange(part.n_vertices)[::-1]  # the first copy of a split vertex
+    number[part.file_vertices[::-1]] = np.arange(part.n_vertices)[
+        ::-1
+    ]  # reversed: the first copy of a split vertex is kept
     if part.file_copies is not None:
         welded, copies = part.file_copies[part.file_copies[:, 1] < len(number)].T
         number[copies] = welded
@@ -227,7 +229,7 @@ def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
 
 
 def in_one_piece(mesh: ControlMesh, parts: Sequence[Part]) -> tuple[Part, ...]:
-    """Those of disjoint parts that are connected."""
+    """The parts that are connected; parts must not overlap."""
     of_corner = part_of_corners(mesh, parts) + 1
     # One node for every pair of a vertex and a part around it.
     nodes, corners = np.unique(mesh.face_indices * (len(parts) + 1) + of_corner, return_inverse=True)
@@ -244,7 +246,7 @@ def part_of_corners(mesh: ControlMesh, parts: Sequence[Part]) -> IndexArray:
 
 
 def _own_scheme(part: ControlMesh) -> dict[str, Any]:
-    """Arguments of `ControlMesh` for a part's scheme, if its objects have one of ``object_schemes`` in common."""
+    """The scheme of a part's objects as arguments of `ControlMesh`, if they have the same one; else none."""
     objects = () if part.face_objects is None or not part.object_schemes else np.unique(part.face_objects).tolist()
     schemes = {part.object_schemes[number] for number in objects}
     return {"scheme": schemes.pop(), "object_schemes": ()} if len(schemes) == 1 else {}
@@ -258,7 +260,7 @@ def _used(values: FloatArray, indices: IndexArray) -> tuple[FloatArray, IndexArr
 def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
     """Join meshes into one, with the vertices and faces of each in turn.
 
-    Materials, objects, groups and UV sets of the same name are merged. Where a mesh lacks a UV set, all its corners
+    Up axis, scheme and name are the first mesh's. Materials, objects, groups and UV sets of the same name are merged. Where a mesh lacks a UV set, all its corners
     get `NO_UV`, so that nothing is baked onto it.
     """
     vertices = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])[:-1]

@@ -1,7 +1,7 @@
 """Rigid starts without landmarks: align bounding boxes or principal axes, or keep the files' positions.
 
-A start is a rough position on the source for every vertex of the target's coarse graph. All preserve orientation: the
-elastic fit cannot undo a mirrored start.
+A start is a rough position on the source for every vertex of the target's coarse graph. None is mirrored: the elastic
+fit cannot undo that.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from cagemap.surface.alignment import Y_UP, axis_rotations, nearest_axis_rotatio
 from cagemap.surface.triangle_surface import TriangleSurface
 
 AS_FILED, BY_FILE_AXES = "as the files stand", "by the axes that the files state"
-# Starts of `rigid_starts` for one rotation.
-STARTS_OF_ROTATION = 2
+# Starts of `rigid_starts` for each rotation: boxes with one scale and with three.
+STARTS_PER_ROTATION = 2
 # Least extent of a box; a box that is flat along an axis is not stretched along it.
 LEAST_EXTENT = 1e-6
 
@@ -45,34 +45,36 @@ def axis_rotation(areas: FloatArray, maps: FloatArray) -> FloatArray:
     return nearest_axis_rotation(common_rotation(areas, nearest_rotations(maps)))
 
 
-def upright_axes(prepared: PreparedPair) -> tuple[FloatArray, FloatArray]:
-    """The ones of `axis_rotations` nearest to `ControlMesh.upright` of target and source."""
+def up_rotations(prepared: PreparedPair) -> tuple[FloatArray, FloatArray]:
+    """Rotations (3, 3) for rows of target and source to +Y up, to the nearest axes; the identity if it is unknown."""
     given = (side.control.upright for side in (prepared.target, prepared.source))
     target, source = (Y_UP if upright is None else nearest_axis_rotation(upright) for upright in given)
     return target, source
 
 
 def usual_rotations(prepared: PreparedPair) -> list[FloatArray]:
-    """Rotations (3, 3) without a penalty: none, and that of the target's axes to the source's as the files state."""
-    target, source = upright_axes(prepared)
+    """Rotations (3, 3) without a penalty: the identity, and the one from the target's up axis to the source's."""
+    target, source = up_rotations(prepared)
     onto_source = source @ target.T
     return [np.eye(3)] if np.array_equal(onto_source, np.eye(3)) else [np.eye(3), onto_source]
 
 
 def rotation_penalty(matrix: FloatArray, prepared: PreparedPair) -> float:
-    """Factor on the cost of a placement rotated by one of `axis_rotations`; 1 for `usual_rotations`.
+    """Factor on the cost of a placement that is rotated by one of `axis_rotations`; 1 for `usual_rotations`.
 
-    Another rotation costs less about the vertical, that of the files' axes or, where these differ, also Y.
+    A rotation about the up axis has the factor ``turned_penalty``, others ``tilted_penalty``. If the files' up axes
+    differ, one of the files may be wrong: the smaller factor counts, with these axes and with +Y up in both.
     """
-    config, (target, source) = prepared.elastic.search, upright_axes(prepared)
-    stated = source.T @ matrix @ target
+    config, (target, source) = prepared.elastic.search, up_rotations(prepared)
+    between_upright = source.T @ matrix @ target
 
-    def penalty(rotation: FloatArray) -> float:
+    def penalty(rotation: FloatArray) -> float:  # +Y up; entries are -1, 0 or 1
         if rotation[1, 1] < 0.5:
             return config.tilted_penalty
         return 1.0 if rotation[0, 0] > 0.5 else config.turned_penalty
 
-    return penalty(stated) if np.array_equal(target, source) else min(penalty(stated), penalty(matrix))
+    penalties = penalty(between_upright), penalty(matrix)
+    return penalties[0] if np.array_equal(target, source) else min(penalties)
 
 
 def rigid_starts(

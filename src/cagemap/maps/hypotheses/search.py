@@ -25,7 +25,7 @@ from cagemap.deform.problem import Clusters, PreparedPair, Problem, Tips, fitted
 from cagemap.deform.refit import finish_placement, inverse_positions
 from cagemap.maps.hypotheses.limbs import assigned_limbs, refit_distinct_to_tips
 from cagemap.maps.hypotheses.rigid_starts import (
-    STARTS_OF_ROTATION,
+    STARTS_PER_ROTATION,
     axis_rotation,
     rigid_starts,
     rotation_name,
@@ -82,7 +82,7 @@ def fit_small_graph(
 
     unmoved = unmoved_start(prepared, graph.positions)
     starts = [*unmoved, *rigid_starts(graph.positions, graph.areas, prepared.source_surface, usual)]
-    first = starts[: len(unmoved) + STARTS_OF_ROTATION * len(usual)]
+    first = starts[: len(unmoved) + STARTS_PER_ROTATION * len(usual)]
     unrotated = distinct_placements(first, graph.areas, config.min_start_distance)
     rigid_fits = rank_placements(fit_rigid_starts(unrotated))
     show(rigid_fits[0])
