@@ -260,8 +260,8 @@ def _used(values: FloatArray, indices: IndexArray) -> tuple[FloatArray, IndexArr
 def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
     """Join meshes into one, with the vertices and faces of each in turn.
 
-    Up axis, scheme and name are the first mesh's. Materials, objects, groups and UV sets of the same name are merged. Where a mesh lacks a UV set, all its corners
-    get `NO_UV`, so that nothing is baked onto it.
+    Up axis, scheme and name are the first mesh's. Materials, objects, groups and UV sets of the same name are merged.
+    Where a mesh lacks a UV set, all its corners get `NO_UV`, so that nothing is baked onto it.
     """
     vertices = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])[:-1]
     faces = np.cumsum([0, *(mesh.n_faces for mesh in meshes)])[:-1]
