@@ -296,7 +296,8 @@ def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
     balls = [ball("piece", np.array([x, 0.0, 0.0]), size) for x, size in ((0.0, 0.15), (-0.9, 0.1), (0.9, 0.1))]
     mesh = join_meshes([replace(one, face_objects=None, object_names=()) for one in balls])
     body = Part("skin", with_options(replace(mesh, name="C.glb"), "none"))
-    with pytest.raises(ParameterError, match=r"C\.glb: .* skin has 3 pieces, and the one that is matched spans only 2.% of it"):
+    message = r"C\.glb: .* skin has 3 pieces, and the one that is matched spans only 2.% of it"
+    with pytest.raises(ParameterError, match=message):
         match_bodies(body, body, Landmarks.none(), Stages())
 
 
