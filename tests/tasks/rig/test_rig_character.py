@@ -271,7 +271,7 @@ def test_a_piece_that_the_body_has_itself_is_not_carried(body: ControlMesh, own_
     np.testing.assert_allclose(pieces.mesh.positions, balls[1].positions, atol=1e-3)
     assert len(pieces.shapes["shift"]) == balls[1].n_vertices
     n_faces = balls[0].n_faces
-    assert f"1 smaller piece of C.glb ({n_faces} faces) not carried, since B.glb has its own there" in carried.notes[-1]
+    assert f"1 piece of C.glb ({n_faces} faces) not carried, since B.glb has its own there" in carried.notes[-1]
     every = carry_character(*characters, kinds={"body pieces": "rigid"})
     assert every.character.parts[-1].mesh.n_vertices == balls[0].n_vertices + balls[1].n_vertices
     assert not any("not carried" in note for note in every.notes)
@@ -288,7 +288,7 @@ def test_feet_that_are_pieces_are_not_carried_to_a_body_with_feet() -> None:
     )
     carried = carry_character(Character((whole,)), Character((cut,)))
     assert [part.name for part in carried.character.parts] == ["body"]
-    assert "4 smaller pieces of C.glb" in carried.notes[-1]
+    assert "4 pieces of C.glb" in carried.notes[-1]
 
 
 def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
