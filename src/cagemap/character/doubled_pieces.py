@@ -8,9 +8,9 @@ from scipy.spatial import cKDTree
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles, keep_faces
-from cagemap.mesh.parts import passenger_pieces, piece_boxes
+from cagemap.mesh.parts import passenger_pieces
 from cagemap.mesh.topology import face_components
-from cagemap.numerics.arrays import IndexArray, box_diagonal, members_of
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, members_of
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import triangle_areas, triangle_centres
@@ -22,9 +22,11 @@ _MIN_CLOSE_SHARE = 0.75
 _MAX_PIECE_DISTANCE = 0.25
 # Least ratio of the two diagonals; ears of two elephants have 0.51. A ball inside a much larger ball is close to it.
 _MIN_SIZE_RATIO = 0.4
-# The target's surface has a piece itself if at least the first share of the piece's area is close to triangles of the
-# target whose images have less than the second share of their area. Feet have 0.9, clothes 0 (docs/lab/characters.md).
-_MIN_COLLAPSED_SHARE, _MAX_AREA_RATIO = 0.5, 0.1
+# A triangle of the target is collapsed if the area of its image, divided by its own area, is less than this.
+_MAX_AREA_RATIO = 0.1
+# The target's surface has a piece itself if at least this share of the piece's area is close to collapsed triangles.
+# Feet have a share of 0.9, clothes of 0 (docs/lab/characters.md).
+_MIN_COLLAPSED_SHARE = 0.5
 # Largest distance that is close to the surface, divided by the diagonal of the piece's bounding box.
 _MAX_SURFACE_DISTANCE = 0.4
 
@@ -36,7 +38,7 @@ def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[IndexArray]:
     """
     labels, own_labels = face_components(carried), face_components(own)
     pieces, own_pieces = members_of(labels), members_of(own_labels)
-    boxes, own_boxes = piece_boxes(carried, labels), piece_boxes(own, own_labels)
+    boxes, own_boxes = _boxes(carried, labels), _boxes(own, own_labels)
     to_own = np.asarray(cKDTree(own_boxes).query(boxes)[1])
     to_carried = np.asarray(cKDTree(boxes).query(own_boxes)[1])
     return [
@@ -60,13 +62,21 @@ def pieces_in_surface(carried: ControlMesh, point_map: PointMap) -> list[IndexAr
     labels, places = face_components(carried), target.scale * carried.positions
     triangles, faces = cage_triangles(carried)
     piece, areas = labels[faces], triangle_areas(places, triangles)
-    boxes = target.scale * piece_boxes(carried, labels)
+    boxes = target.scale * _boxes(carried, labels)
     reach = _MAX_SURFACE_DISTANCE * np.linalg.norm(boxes[:, 3:] - boxes[:, :3], axis=1)
     nearest, _, distances = closest_points(target.tree, triangle_centres(places, triangles))
     is_inside = is_collapsed[nearest] & (distances <= reach[piece])
     inside, whole = (np.bincount(piece, area, len(boxes)) for area in (areas * is_inside, areas))
     is_found = (inside > 0) & (inside >= _MIN_COLLAPSED_SHARE * whole) & ~passenger_pieces(carried, labels)
     return [faces for number, faces in enumerate(members_of(labels)) if is_found[number]]
+
+
+def _boxes(mesh: ControlMesh, labels: IndexArray) -> FloatArray:
+    """(k, 6) lowest, then highest coordinates of each piece; ``labels`` (m,) are the pieces of faces."""
+    corners = mesh.positions[mesh.face_indices]
+    boxes = np.full((int(labels.max()) + 1, 6), np.inf)
+    np.minimum.at(boxes, labels[mesh.corner_faces], np.column_stack([corners, -corners]))
+    return boxes * np.array([1, 1, 1, -1, -1, -1])
 
 
 def _surface(mesh: ControlMesh, faces: IndexArray) -> TriangleSurface:

@@ -16,7 +16,7 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.control_mesh import NO_UV, ControlMesh, UvSet
 from cagemap.mesh.faces import face_areas, keep_faces
 from cagemap.mesh.topology import face_components, face_pieces
-from cagemap.numerics.arrays import FloatArray, IndexArray, members_of, offsets_of, places_of
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, members_of, offsets_of, places_of
 
 PART_KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
@@ -104,20 +104,14 @@ def body_areas(mesh: ControlMesh, labels: IndexArray) -> FloatArray:
 
     The largest other piece must span `MIN_BODY_EXTENT` of the mesh. ``labels``: (m,) piece of each face.
     """
-    areas, boxes = np.bincount(labels, face_areas(mesh)), piece_boxes(mesh, labels)
-    others = np.where(passenger_pieces(mesh, labels), 0.0, areas)
-    low, high = boxes[others.argmax()].reshape(2, 3)
-    whole = np.linalg.norm(boxes[:, 3:].max(axis=0) - boxes[:, :3].min(axis=0))
-    is_body = others.any() and np.linalg.norm(high - low) >= MIN_BODY_EXTENT * whole
-    return np.asarray(others if is_body else areas)
-
-
-def piece_boxes(mesh: ControlMesh, labels: IndexArray) -> FloatArray:
-    """(k, 6) lowest, then highest coordinates of each piece; ``labels`` (m,) are the pieces of faces."""
-    corners = mesh.positions[mesh.face_indices]
-    boxes = np.full((int(labels.max()) + 1, 6), np.inf)
-    np.minimum.at(boxes, labels[mesh.corner_faces], np.column_stack([corners, -corners]))
-    return boxes * np.array([1, 1, 1, -1, -1, -1])
+    areas, named = np.bincount(labels, face_areas(mesh)), passenger_pieces(mesh, labels)
+    others = np.where(named, 0.0, areas)
+    if named.any() and others.any():
+        corners = mesh.positions[mesh.face_indices]
+        of_largest = corners[labels[mesh.corner_faces] == others.argmax()]
+        if box_diagonal(of_largest) >= MIN_BODY_EXTENT * box_diagonal(corners):
+            return np.asarray(others)
+    return np.asarray(areas)
 
 
 def passenger_pieces(mesh: ControlMesh, labels: IndexArray) -> NDArray[np.bool_]:
@@ -219,9 +213,8 @@ def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
     assert part.file_vertices is not None
     file_numbers = np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices
     number = np.full(int(file_numbers.max()) + 1, -1, dtype=np.int64)
-    number[part.file_vertices[::-1]] = np.arange(part.n_vertices)[
-        ::-1
-    ]  # reversed: the first copy of a split vertex is kept
+    # In reverse, so that the first copy of a split vertex is kept.
+    number[part.file_vertices[::-1]] = np.arange(part.n_vertices)[::-1]
     if part.file_copies is not None:
         welded, copies = part.file_copies[part.file_copies[:, 1] < len(number)].T
         number[copies] = welded
