@@ -13,6 +13,7 @@ from cagemap.files.gltf.primitives import material_names
 from cagemap.files.text import make_distinct
 
 _COLOR = "baseColorTexture"
+WEBP = "EXT_texture_webp"
 REPEAT, CLAMP, MIRROR = 10497, 33071, 33648  # wrap modes of samplers
 
 
@@ -25,6 +26,12 @@ def texture_slots(material: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, 
             yield name, value
         elif name != "extras":
             yield from texture_slots(value)
+
+
+def image_number(document: Document, texture: dict[str, Any], where: str) -> Any:
+    """The number of a texture's image, of its WebP image if it has no other; None without one."""
+    webp = document.table(document.table(texture, "extensions", where), WEBP, where)
+    return texture.get("source", webp.get("source"))
 
 
 def with_images(document: Document, images: Mapping[tuple[str, str], bytes]) -> Document:
@@ -82,7 +89,7 @@ def _slot(material: dict[str, Any], slot: str, document: Document) -> dict[str, 
 
 
 # Extensions of materials and textures, or their beginnings.
-_OF_MATERIALS = ("KHR_materials_", "KHR_texture_transform", "EXT_texture_webp")
+_OF_MATERIALS = ("KHR_materials_", "KHR_texture_transform", WEBP)
 
 
 def with_materials_of(document: Document, given: Document, names: Sequence[str]) -> tuple[Document, dict[str, str]]:
