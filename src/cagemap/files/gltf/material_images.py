@@ -17,7 +17,7 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.primitives import material_names
-from cagemap.files.gltf.textures import MIRROR, REPEAT, image_number, texture_slots
+from cagemap.files.gltf.textures import MIRROR, REPEAT, WITHOUT_IMAGE, image_number, texture_slots
 from cagemap.files.images.image import Image, Pixels, image_of_bytes, write_image
 from cagemap.files.ownership import seal
 from cagemap.numerics.arrays import FloatArray
@@ -146,10 +146,13 @@ def with_copied_materials(
 
 
 def _with_slots(entry: dict[str, Any], kept: Collection[str]) -> dict[str, Any]:
-    """A material without its other textures."""
+    """A material without its other textures, and without the factors that they had."""
     others = {slot for slot, _ in texture_slots(entry)} - set(kept)
     tables = {name: _with_slots(value, kept) for name, value in entry.items() if isinstance(value, dict)}
-    return {name: tables.get(name, value) for name, value in entry.items() if name not in others}
+    left = {name: tables.get(name, value) for name, value in entry.items() if name not in others}
+    for slot in others.intersection(entry):
+        left |= WITHOUT_IMAGE.get(slot, {})
+    return left
 
 
 def _number(document: Document, material: str) -> int:

@@ -16,6 +16,12 @@ _COLOR = "baseColorTexture"
 WEBP = "EXT_texture_webp"
 REPEAT, CLAMP, MIRROR = 10497, 33071, 33648  # wrap modes of samplers
 
+# Factors in place of an image that is left out: those of the image would make the surface a mirror, or glow.
+WITHOUT_IMAGE: dict[str, dict[str, Any]] = {
+    "metallicRoughnessTexture": {"metallicFactor": 0.0, "roughnessFactor": 0.5},
+    "emissiveTexture": {"emissiveFactor": [0.0, 0.0, 0.0]},
+}
+
 
 def texture_slots(material: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Texture slots in use of a material and its extensions: name, and the object that refers to the texture."""

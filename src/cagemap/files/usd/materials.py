@@ -13,7 +13,7 @@ import numpy as np
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.material_images import MaterialImage, material_images, png_bytes
 from cagemap.files.gltf.primitives import material_names
-from cagemap.files.gltf.textures import CLAMP, MIRROR, REPEAT, texture_slots
+from cagemap.files.gltf.textures import CLAMP, MIRROR, REPEAT, WITHOUT_IMAGE, texture_slots
 from cagemap.files.images.image import image_of_bytes
 from cagemap.files.ownership import is_own, mark
 from cagemap.files.usd.results import connect_texture, define_material, uv_reader
@@ -62,7 +62,7 @@ def write_materials(
         used, holders = {one.slot: one for one in material_images(document, name)}, dict(texture_slots(entry))
         for wanted, slot, channels, scale, bias in _inputs(document, entry, name, holders):
             if slot not in used:
-                if slot not in (_NORMAL, _OCCLUSION):
+                if slot not in (_NORMAL, _OCCLUSION) and not (slot in holders and slot in WITHOUT_IMAGE):
                     _set_constant(surface, wanted, scale)
                 continue
             number = used[slot].image
