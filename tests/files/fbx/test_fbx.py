@@ -232,3 +232,14 @@ def test_the_same_character_as_glb_and_as_fbx(shared_data: Path) -> None:
         assert np.abs(part.weights - twin.weights[:, joints]).max() < 1e-6
         for name, offsets in part.shapes.items():
             np.testing.assert_allclose(offsets, twin.shapes[name], atol=2e-6)
+
+
+@pytest.mark.parametrize("inherits", [True, False])
+def test_meshes_below_a_hidden_group_are_hidden_if_they_inherit_it(tmp_path: Path, inherits: bool) -> None:
+    made = fbx_arm()
+    group = made.add("Model", "helpers", "Null", properties(Visibility=0.0))
+    stated = () if inherits else (properties(Visibility_Inheritance=0),)
+    box = made.add("Model", "box", "Mesh", *stated, to=made.add("Model", "inner", "Null", to=group))
+    made.add("Geometry", "box", "Mesh", *BOX, to=box)
+    parts = read_character(fbx_file(tmp_path, made)).parts
+    assert [part.name for part in parts] == (["strip"] if inherits else ["strip", "box"])
