@@ -272,3 +272,16 @@ def test_weights_of_shapes_follow_their_names(interpolation: str, of_node: bool)
         for name, keys_of in expected.items():
             for one, other in zip(keys_of, found[name], strict=True):
                 np.testing.assert_array_equal(one, other)
+
+
+def test_variants_of_materials_stay_and_lost_values_of_primitives_are_named(caplog: pytest.LogCaptureFixture) -> None:
+    document = _textured()
+    strip = document.json["meshes"][0]["primitives"][0]
+    strip["attributes"] |= {"COLOR_1": 0, "_HEAT": 0}
+    variants = {"KHR_materials_variants": {"mappings": [{"material": 1, "variants": [0]}]}}
+    strip["extensions"] = variants | {"ACME_hair": {}}
+    again = character_glb(character_of(document), document)
+    (primitive,) = again.json["meshes"][0]["primitives"]
+    assert primitive["extensions"] == variants
+    assert "extensions" not in again.json["meshes"][1]["primitives"][0]
+    assert caplog.messages == ["made.glb: strip: ACME_hair, COLOR_1, _HEAT are left out, which cagemap does not read"]
