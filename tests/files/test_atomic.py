@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from cagemap.files.atomic import (
     write_whole,
 )
 from cagemap.files.images.image import write_image
+from cagemap.files.meshes import obj_write
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.ownership import is_own, mark, seal
 from cagemap.files.result.folder import ARRAYS, write_result
@@ -303,3 +305,17 @@ def test_an_archive_with_the_beginning_of_another_end_is_not_ours(tmp_path: Path
     assert is_own(archive)
     archive.write_bytes(archive.read_bytes() + b"PK\x05\x06")
     assert not is_own(archive)
+
+
+def test_an_obj_and_its_materials_are_written_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also inside another block that writes files together."""
+    red = replace(cube(), face_materials=np.zeros(6, np.int64), material_names=("red",))
+    with all_or_nothing():
+        write_mesh(tmp_path / "box.obj", red)
+        assert not (tmp_path / "box.mtl").exists()
+    before = [path.read_bytes() for path in sorted(tmp_path.iterdir())]
+    assert len(before) == 2
+    monkeypatch.setattr(obj_write, "write_whole", lambda *_, **__: fail_after(0, FormatError("full")))
+    with pytest.raises(FormatError, match="full"):
+        write_mesh(tmp_path / "box.obj", replace(red, material_names=("blue",)))
+    assert [path.read_bytes() for path in sorted(tmp_path.iterdir())] == before

@@ -54,7 +54,13 @@ def _tell(*files: Path) -> None:
 
 @contextmanager
 def all_or_nothing() -> Iterator[None]:
-    """Move the files that `atomic_path` writes into place at the block's end; none after an error."""
+    """Move the files that `atomic_path` writes into place at the block's end; none after an error.
+
+    Inside another such block, at the end of the outer one.
+    """
+    if _together.get() is not None:
+        yield
+        return
     moves: list[tuple[_Step, _Step]] = []
     with ExitStack() as removed:
         token = _together.set((moves, removed))

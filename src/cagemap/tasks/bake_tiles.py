@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.files.atomic import check_outputs
+from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.images.image import (
     UDIM_MARK,
     Image,
@@ -246,7 +246,7 @@ def write_tiles(
     ``bake``, ``stages``, ``name``: as in `bake_tiles`.
     ``finished``: a baked image -> the image to write.
     """
-    with ThreadPool(1) as writer:
+    with all_or_nothing(), ThreadPool(1) as writer:
         writes: list[Future[None]] = []
         for number, tile in enumerate(tiles):
             place = f"tile {tile}, {number + 1} of {len(tiles)}" if tile else ""
