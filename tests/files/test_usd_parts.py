@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from examples.shapes import creature, cube, poles, torus
 
+from cagemap.files.gltf.primitives import material_names
 from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.values.attributes import read_attributes
@@ -468,3 +469,23 @@ def test_a_binding_without_its_schema_is_read_without_a_word_of_usd(
         prim.CreateRelationship("material:binding").SetTargets(["/red"])
     assert read_usd(tmp_path / "cube.usda").material_names == ("red",)
     assert capfd.readouterr().err == ""
+
+
+def test_a_face_in_several_groups_is_written_into_each_and_names_are_kept_as_display_names(tmp_path: Path) -> None:
+    """One and two of `g one two` would lose the face; `Skin.001` is no name of a prim."""
+    mesh = replace(
+        cube(),
+        face_groups=np.array([0, 3, 3, 3, 1, 2]),
+        group_names=("one", "two", "one two", ""),
+        face_materials=np.array([0, 0, 0, 1, 1, 1]),
+        material_names=("Skin.001", "eye"),
+    )
+    write_usd(tmp_path / "box.usda", mesh)
+    stage = Usd.Stage.Open(str(tmp_path / "box.usda"))
+    subsets = UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(stage.GetPrimAtPath("/Asset/mesh")))
+    found = {one.GetPrim().GetDisplayName(): list(one.GetIndicesAttr().Get()) for one in subsets}
+    assert found == {"one": [0, 5], "two": [4, 5], "Skin.001": [0, 1, 2], "eye": [3, 4, 5]}
+    assert stage.GetPrimAtPath("/Asset/materials/Skin_001").GetDisplayName() == "Skin.001"
+    read = read_usd(tmp_path / "box.usda")
+    assert read.group_names == ("one", "two", "", "one two")
+    assert read.material_names == material_names(usd_document(tmp_path / "box.usda")) == ("Skin.001", "eye")

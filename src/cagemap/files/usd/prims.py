@@ -333,14 +333,20 @@ def _diffuse_color(material: Any) -> FloatArray:
 
 
 def faces_by_name(mesh: ControlMesh) -> list[tuple[str, IndexArray, FloatArray | None]]:
-    """Name, faces and colour of every material; name and faces of every group."""
+    """Name, faces and colour of every material; name and faces of every group.
+
+    A face in a group of several words is in the group of each word, as in OBJ's ``g one two``.
+    """
     listed: list[tuple[str, IndexArray, FloatArray | None]] = []
     if mesh.face_materials is not None:
         for number, name in enumerate(mesh.material_names):
             color = np.full(3, np.nan) if mesh.material_colors is None else mesh.material_colors[number]
             listed.append((name, np.flatnonzero(mesh.face_materials == number), color))
     if mesh.face_groups is not None:
-        listed += [(n, np.flatnonzero(mesh.face_groups == i), None) for i, n in enumerate(mesh.group_names)]
+        words = [name.split() for name in mesh.group_names]
+        for word in dict.fromkeys(one for of_group in words for one in of_group):
+            inside = np.array([word in of_group for of_group in words])
+            listed.append((word, np.flatnonzero(inside[mesh.face_groups]), None))
     return [(name, faces, color) for name, faces, color in listed if name and len(faces)]
 
 

@@ -131,12 +131,13 @@ def prims_of(stage: Any, kind: Any) -> list[Any]:
 
 
 def material_labels(stage: Any) -> dict[str, str]:
-    """Names of all materials by path: their own, or the path if another material has it; one name for all instances."""
+    """Names of all materials by path: as displayed, or the path if another material has it; one for all instances."""
     label_of: dict[Any, str] = {}
     labels, taken = dict[str, str](), set[str]()
     for prim in prims_of(stage, usd_modules().UsdShade.Material):
         source, path = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim, str(prim.GetPath())
-        label_of.setdefault(source, path if prim.GetName() in taken else prim.GetName())
+        name = prim.GetDisplayName() or prim.GetName()
+        label_of.setdefault(source, path if name in taken else name)
         labels[path] = label_of[source]
         taken.add(labels[path])
     return labels

@@ -53,7 +53,6 @@ def with_materials(document: Document, stage: Any, users: Mapping[str, tuple[tup
         entry |= {"doubleSided": True} if double_sided else {}
         surface = shade.Material(named[name]).ComputeSurfaceSource()[0] if name in named else None
         if surface and surface.GetIdAttr().Get() == "UsdPreviewSurface":
-            entry["name"] = named[name].GetDisplayName() or name
             made.fill(entry, surface, sets)
     return made.binary.document(made.top)
 
