@@ -243,3 +243,18 @@ def test_meshes_below_a_hidden_group_are_hidden_if_they_inherit_it(tmp_path: Pat
     made.add("Geometry", "box", "Mesh", *BOX, to=box)
     parts = read_character(fbx_file(tmp_path, made)).parts
     assert [part.name for part in parts] == (["strip"] if inherits else ["strip", "box"])
+
+
+def test_joints_without_weights_whose_bind_matrix_has_no_inverse_are_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Their matrix places nothing; the file was refused."""
+    made = fbx_arm()
+    skin = next(one for one in made.objects if one.properties[2] == "Skin").properties[0]
+    flat = Node("Transform", (np.diag([1.0, 1.0, 0.0, 1.0]).ravel(),))
+    cluster = made.add("Deformer", "", "Cluster", flat, Node("TransformLink", (np.eye(4).ravel(),)), to=skin)
+    made.connect(made.add("Model", "dead", "LimbNode"), cluster)
+    character = read_character(fbx_file(tmp_path, made))
+    assert character.rig.names == ("upper", "lower")
+    assert character.parts[0].weights.shape == (6, 2)
+    assert "strip: 1 joint without weights left out of its skin; their bind matrices have no inverse" in caplog.text

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from cagemap.errors import FormatError
+from cagemap.files.gltf.nodes import is_invertible
 from cagemap.files.gltf.parts import transform_normals
 from cagemap.files.text import make_distinct
 from cagemap.mesh import ControlMesh, Plain
@@ -222,7 +223,15 @@ def _with_skin(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh
     weights.sum_duplicates()
     weights.eliminate_zeros()
     inverse = finite_array([matrices[bone] for bone in bones], f"mesh {name}: bind pose of the skin")
-    return replace(made, weights=weights, bones=bones, inverse_bind=inverse)
+    kept = is_invertible(inverse) | (weights.sum(axis=0) > 0.0)
+    if not kept.all():
+        left = count_noun(int((~kept).sum()), "joint")
+        note(f"{name}: {left} without weights left out of its skin; their bind matrices have no inverse")
+    joints = np.flatnonzero(kept)
+    if not len(joints):
+        return made
+    of_joints = tuple(bones[joint] for joint in joints)
+    return replace(made, weights=weights[:, joints], bones=of_joints, inverse_bind=inverse[joints])
 
 
 def _vertices(value: Any, name: str, control: ControlMesh) -> IndexArray:
