@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.character.poses import pose_at, world_transforms
 from cagemap.character.values import skinned_positions
+from cagemap.errors import FormatError
 from cagemap.files.gltf.character import character_of
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.nodes import transform
@@ -185,3 +186,21 @@ def test_joints_that_two_skins_bind_in_other_poses_move_both_as_the_file_says() 
             meant = np.einsum("va,vab->vb", np.column_stack([points[number], np.ones(6)]), blended)[:, :3]
             got = skinned_positions(part, rig, placed)
             np.testing.assert_allclose(got[np.lexsort(got.T.round(3))], meant[np.lexsort(meant.T.round(3))], atol=1e-5)
+
+
+def test_of_keys_at_the_same_time_the_last_one_counts(caplog: pytest.LogCaptureFixture) -> None:
+    document = arm()
+    times = document.json["animations"][0]["samplers"][0]["input"]
+    at = document.json["bufferViews"][document.json["accessors"][times]["bufferView"]]["byteOffset"]
+
+    def with_times(*stated: float) -> Document:
+        (data,) = document.buffers
+        return replace(document, buffers=(data[:at] + np.array(stated, "<f4").tobytes() + data[at + 12 :],))
+
+    (before,), (after,) = (character_of(one).animations for one in (document, with_times(0.0, 2.0, 2.0)))
+    for one, other in zip(before.tracks, after.tracks, strict=True):
+        np.testing.assert_array_equal(other.times, [0.0, 2.0])
+        np.testing.assert_array_equal(other.values, one.values[[0, 2]])
+    assert caplog.messages == ["made.glb: animations 0 has several keys at the same time, the last one is used"]
+    with pytest.raises(FormatError, match="rotation of lower: expected rising times"):
+        character_of(with_times(0.0, 2.0, 1.0))
