@@ -27,10 +27,11 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
-from cagemap.files.usd.prims import local_to_world, transform_points
+from cagemap.files.usd.prims import transform_points
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import StageSpace, between_spaces, to_standard, unit_notes
+from cagemap.files.usd.transforms import local_to_world
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
 from usd_scenes import complaints, stage_at, usd_mesh

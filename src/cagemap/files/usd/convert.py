@@ -29,9 +29,6 @@ from cagemap.files.usd.prims import (
     JOINT_WEIGHTS,
     bind_transform,
     corner_rows,
-    is_mirrored,
-    is_similarity,
-    local_to_world,
     primvar_values,
     read_value,
 )
@@ -41,6 +38,7 @@ from cagemap.files.usd.shaders import with_materials
 from cagemap.files.usd.skeleton import joint_names, joint_parents, joints_of
 from cagemap.files.usd.space import stage_units, to_metres
 from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, usd_modules
+from cagemap.files.usd.transforms import is_mirrored, is_similarity, local_to_world
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.faces import reversed_corners
 from cagemap.mesh.mesh_report import first_few

@@ -22,18 +22,15 @@ from cagemap.files.usd.prims import (
     corner_primvars,
     corner_values,
     display_colors,
-    drop_flattened,
     face_sets,
     index_array,
-    is_mirrored,
-    is_similarity,
-    local_to_world,
     primvar_arrays,
     read_value,
     transform_points,
     uv_primvars,
 )
 from cagemap.files.usd.stages import damage_as_error, open_stage, usd_modules
+from cagemap.files.usd.transforms import drop_flattened, is_mirrored, is_similarity, local_to_world
 from cagemap.mesh import ControlMesh, Scheme
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import reversed_corners
