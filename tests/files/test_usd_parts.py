@@ -489,3 +489,15 @@ def test_a_face_in_several_groups_is_written_into_each_and_names_are_kept_as_dis
     read = read_usd(tmp_path / "box.usda")
     assert read.group_names == ("one", "two", "", "one two")
     assert read.material_names == material_names(usd_document(tmp_path / "box.usda")) == ("Skin.001", "eye")
+
+
+def test_subsets_of_faces_that_are_not_there_are_left_out_aloud(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with stage_at(tmp_path / "asset.usda") as stage:
+        mesh = usd_mesh(stage, "/A/m", cube())
+        UsdGeom.Subset.CreateGeomSubset(mesh, "one", "face", [0, 5], "picked")
+        UsdGeom.Subset.CreateGeomSubset(mesh, "far", "face", [1, 6], "picked")
+    assert read_usd(tmp_path / "asset.usda").group_names == ("one", "")
+    (said,) = caplog.messages
+    assert "/A/m: subset far is left out: expected faces from 0 to 5, got 1 to 6" in said

@@ -258,7 +258,7 @@ def _sparse_offsets(where: str, control: ControlMesh, stored: Any, points: Index
     return table
 
 
-def face_sets(prim: Any, n_faces: int, labels: Mapping[str, str]) -> dict[str, Any]:
+def face_sets(where: str, prim: Any, n_faces: int, labels: Mapping[str, str]) -> dict[str, Any]:
     """Materials of faces by bindings of the mesh and its subsets; other subsets become groups.
 
     A face in several groups gets one group with all their names, as in OBJ's ``g one two``.
@@ -284,7 +284,11 @@ def face_sets(prim: Any, n_faces: int, labels: Mapping[str, str]) -> dict[str, A
         materials[:] = number(bound)
     for subset in pxr.UsdGeom.Subset.GetAllGeomSubsets(pxr.UsdGeom.Imageable(prim)):
         faces = index_array(read_value(subset.GetIndicesAttr()))
-        if subset.GetElementTypeAttr().Get() != "face" or not len(faces) or faces.min() < 0 or faces.max() >= n_faces:
+        if subset.GetElementTypeAttr().Get() != "face" or not len(faces):
+            continue
+        if faces.min() < 0 or faces.max() >= n_faces:
+            text = "%s: subset %s is left out: expected faces from 0 to %d, got %d to %d; export the mesh again"
+            logger.warning(text, where, subset.GetPrim().GetName(), n_faces - 1, faces.min(), faces.max())
             continue
         material_of_subset = _bound_material(subset.GetPrim())
         if material_of_subset and (not bound or material_of_subset.GetPath() != bound.GetPath()):

@@ -249,7 +249,7 @@ def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
     if sets:
         first, *further = sets
         control = replace(control.with_uvs(first.uvs, first.uv_indices), uv_name=first.name, uv_sets=tuple(further))
-    control = replace(control, **face_sets(prim, control.n_faces, labels))
+    control = replace(control, **face_sets(where, prim, control.n_faces, labels))
     shapes, shape_normals = blend_shapes(where, control, prim)
     attributes = primvar_arrays(where, control, prim)
     attributes |= {f"{BLEND_SHAPE}{name}": offsets for name, offsets in shapes.items()}
