@@ -319,3 +319,12 @@ def test_an_obj_and_its_materials_are_written_together(tmp_path: Path, monkeypat
     with pytest.raises(FormatError, match="full"):
         write_mesh(tmp_path / "box.obj", replace(red, material_names=("blue",)))
     assert [path.read_bytes() for path in sorted(tmp_path.iterdir())] == before
+
+
+def test_a_permission_error_of_another_file_does_not_name_the_output(tmp_path: Path) -> None:
+    denied = PermissionError(errno.EACCES, "Permission denied", "input.png")
+    with pytest.raises(PermissionError), atomic_path(tmp_path / "a.txt"):
+        fail_after(0, denied)
+    with pytest.raises(PermissionError), atomic_folder(tmp_path / "r", NAMES):
+        fail_after(0, denied)
+    assert not list(tmp_path.iterdir())

@@ -13,7 +13,7 @@ import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
@@ -22,7 +22,7 @@ from pathlib import Path
 from cagemap.errors import FormatError
 from cagemap.files.ownership import is_own, seal
 
-# Errors of a full disk. Other errors may concern another file that the block handles.
+# Errors of a full disk: those of a block that are told of the output. Others may concern another file of the block.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _STORAGE = (*_FULL, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENAMETOOLONG)
 # Seconds after which a temporary file must be locked: it is locked just after it is created.
@@ -118,8 +118,9 @@ def atomic_path(
         temporary = _reserve(target)
         removed.callback(temporary.unlink, missing_ok=True)
         removed.enter_context(_hold_lock(temporary))
-        with _storage_told(target):
+        with _storage_told(target, _FULL):
             yield temporary
+        with _storage_told(target):
             removed.enter_context(_hold_lock(temporary))  # libraries may have put another file in its place
             if not verify(temporary):
                 raise FormatError(
@@ -165,12 +166,15 @@ def atomic_folder(
     require_own_folder(final, names, force=force, owned=owned)
     target = _resolve_links(final)
     _remove_abandoned(target)
-    with _storage_told(target), ExitStack() as released:
+    with _storage_told(target):
         temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
-        released.enter_context(_hold_lock(temporary))
-        try:
-            temporary.chmod(0o777 & ~_umask())
+    with ExitStack() as removed:
+        removed.callback(shutil.rmtree, temporary, ignore_errors=True)
+        removed.enter_context(_hold_lock(temporary))
+        temporary.chmod(0o777 & ~_umask())
+        with _storage_told(target, _FULL):
             yield temporary
+        with _storage_told(target):
             for name in names:
                 seal(temporary / name)
                 _flush(temporary / name)
@@ -186,9 +190,7 @@ def atomic_folder(
                 with one_at_a_time(target):
                     for name in names:
                         os.replace(temporary / name, _resolve_links(target / name))
-            _tell(*(Path(final) / name for name in names))
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
+        _tell(*(Path(final) / name for name in names))
 
 
 def require_replaceable(path: str | Path, *, force: bool = False, owned: Owned = is_own) -> None:
@@ -355,12 +357,12 @@ def _flush(path: Path) -> None:
 
 
 @contextmanager
-def _storage_told(target: Path) -> Iterator[None]:
-    """Turn an error of the disk into a FormatError that names the output."""
+def _storage_told(target: Path, kinds: Collection[int] = _STORAGE) -> Iterator[None]:
+    """Turn an error of the disk, of these kinds, into a FormatError that names the output."""
     try:
         yield
     except OSError as error:
-        if error.errno not in _STORAGE:
+        if error.errno not in kinds:
             raise
         reason = error.strerror or type(error).__name__
         raise FormatError(
