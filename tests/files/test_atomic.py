@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -328,3 +329,11 @@ def test_a_permission_error_of_another_file_does_not_name_the_output(tmp_path: P
     with pytest.raises(PermissionError), atomic_folder(tmp_path / "r", NAMES):
         fail_after(0, denied)
     assert not list(tmp_path.iterdir())
+
+
+def test_writing_does_not_change_the_umask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another thread's files would get the changed one."""
+    (tmp_path / "plain.txt").touch()
+    monkeypatch.setattr(os, "umask", partial(fail_after, error=AssertionError))
+    write_whole(tmp_path / "a.txt", "ours")
+    assert (tmp_path / "a.txt").stat().st_mode == (tmp_path / "plain.txt").stat().st_mode

@@ -27,6 +27,9 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _STORAGE = (*_FULL, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENAMETOOLONG)
 # Seconds after which a temporary file must be locked: it is locked just after it is created.
 _SETTLED = 10.0
+# The process's umask, read once: reading sets it for a moment, also for other threads.
+_UMASK = os.umask(0o077)
+os.umask(_UMASK)
 _Step = Callable[[], None]
 
 Owned = Callable[[Path], bool]
@@ -171,7 +174,7 @@ def atomic_folder(
     with ExitStack() as removed:
         removed.callback(shutil.rmtree, temporary, ignore_errors=True)
         removed.enter_context(_hold_lock(temporary))
-        temporary.chmod(0o777 & ~_umask())
+        temporary.chmod(0o777 & ~_UMASK)
         with _storage_told(target, _FULL):
             yield temporary
         with _storage_told(target):
@@ -297,7 +300,7 @@ def _reserve(target: Path) -> Path:
         handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=f".part{target.suffix}", dir=target.parent)
     os.close(handle)
     temporary = Path(name)
-    temporary.chmod(0o666 & ~_umask())
+    temporary.chmod(0o666 & ~_UMASK)
     return temporary
 
 
@@ -342,12 +345,6 @@ def leftovers(final: str | Path) -> list[Path]:
     ]
     siblings = target.parent.iterdir() if target.parent.is_dir() else ()
     return [path for path in siblings if any(re.fullmatch(name, path.name) for name in patterns)]
-
-
-def _umask() -> int:
-    mask = os.umask(0o077)
-    os.umask(mask)
-    return mask
 
 
 def _flush(path: Path) -> None:
