@@ -132,8 +132,6 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
     if any(np.any(np.array(one, dtype=np.float64) > 0.0) for one in creased if len(one)):
         note(f"{name}: creases are left out; OBJ and USD files keep them")
     shapes = _shapes(mesh, control, placed[:3, :3], note)
-    fbx_mesh = FbxMesh(control, shapes={word: offsets for word, (offsets, _) in shapes.items()})
-    channels = tuple(channel for _, channel in shapes.values())
     normals, colors = (_corner_values(get(mesh, what), corners) for what in ("vertex_normal", "vertex_color"))
     if normals is not None:
         bad = ~np.isfinite(normals.sum(axis=1))
@@ -143,7 +141,13 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
     if colors is not None:
         colors = finite_array(colors, f"mesh {name}: colors").clip(0.0, 1.0)
         colors[:, :3] = decode_srgb(colors[:, :3])
-    fbx_mesh = replace(fbx_mesh, channels=channels, normals=normals, colors=colors)
+    fbx_mesh = FbxMesh(
+        control,
+        shapes={word: offsets for word, (offsets, _) in shapes.items()},
+        channels=tuple(channel for _, channel in shapes.values()),
+        normals=normals,
+        colors=colors,
+    )
     return _with_skin(mesh, fbx_mesh, note)
 
 
