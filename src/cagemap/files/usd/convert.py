@@ -20,7 +20,6 @@ from cagemap.files.gltf.character import to_rig_space
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.nodes import is_invertible
 from cagemap.files.gltf.parts import transform_normals, transform_offsets
-from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.text import make_distinct
 from cagemap.files.usd.animations import remove_scale
@@ -75,12 +74,7 @@ def document_and_character(path: str | Path, meshes: Sequence[UsdMesh] | None = 
             for name in part.mesh.material_names
         }
         document = with_materials(_with_shape_weights(plain, character, weights), stage, users)
-    names = dict(zip(material_names(plain), material_names(document), strict=True))
-    parts = (
-        replace(part, mesh=replace(part.mesh, material_names=tuple(names.get(n, n) for n in part.mesh.material_names)))
-        for part in character.parts
-    )
-    return document, replace(character, parts=tuple(parts))
+    return document, character
 
 
 def read_usd_character(path: str | Path) -> Character:
