@@ -6,11 +6,14 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document, image_bytes, image_suffix, image_type
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.text import make_distinct
+from cagemap.numerics.arrays import FloatArray
 
 _COLOR = "baseColorTexture"
 WEBP = "EXT_texture_webp"
@@ -38,6 +41,16 @@ def image_number(document: Document, texture: dict[str, Any], where: str) -> Any
     """The number of a texture's image, of its WebP image if it has no other; None without one."""
     webp = document.table(document.table(texture, "extensions", where), WEBP, where)
     return texture.get("source", webp.get("source"))
+
+
+def scale_and_angle(transform: FloatArray) -> tuple[float, float, float]:
+    """Scales along u and v, and angle in radians, of a transform (3, 3) of texture coordinates as rows, v down.
+
+    It is that of KHR_texture_transform if the transform has no shear.
+    """
+    across = float(np.hypot(*transform[0, :2]))
+    angle = float(np.arctan2(-transform[0, 1], transform[0, 0]))
+    return across, float(np.linalg.det(transform[:2, :2])) / max(across, 1e-30), angle
 
 
 def with_images(document: Document, images: Mapping[tuple[str, str], bytes]) -> Document:
