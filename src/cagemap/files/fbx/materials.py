@@ -10,9 +10,8 @@ import numpy as np
 import ufbx
 
 from cagemap.files.fbx.meshes import finite_array, get, keep_alive, list_attribute
-from cagemap.files.gltf.added_textures import AddedTextures
 from cagemap.files.gltf.binary import Binary
-from cagemap.files.gltf.textures import CLAMP, REPEAT, scale_and_angle
+from cagemap.files.gltf.textures import CLAMP, REPEAT, AddedTextures, scale_and_angle
 from cagemap.files.text import find_image
 from cagemap.numerics.arrays import FloatArray
 

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
-from cagemap.files.gltf.added_textures import AddedTextures
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.textures import REPEAT
+from cagemap.files.gltf.textures import REPEAT, AddedTextures
 from cagemap.files.meshes.colors import to_unit_range
 from cagemap.files.meshes.obj import warn_of_bare_faces
 from cagemap.files.meshes.ply_records import END_LINE, Column, header_of, read_columns

@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
-from cagemap.files.gltf.added_textures import AddedTextures
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import png_bytes
 from cagemap.files.gltf.primitives import material_names
-from cagemap.files.gltf.textures import REPEAT, WITHOUT_IMAGE
+from cagemap.files.gltf.textures import REPEAT, WITHOUT_IMAGE, AddedTextures
 from cagemap.files.images.image import Image, Pixels, image_of_bytes
 from cagemap.files.usd.materials import STRENGTH, WRAP_WORDS
 from cagemap.files.usd.read import material_labels
