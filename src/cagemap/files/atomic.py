@@ -1,7 +1,7 @@
 """Atomic writing of files and folders: readers never see half a file, and foreign files are never replaced.
 
-Every file goes through `atomic_path`: written under a temporary name, flushed to disk, moved into place. It replaces
-only files that carry cagemap's mark (`cagemap.files.ownership`). Symbolic links are followed.
+Every file goes through `atomic_path` or `atomic_folder`, which replace only files that carry cagemap's mark
+(`cagemap.files.ownership`).
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def _has_content(path: Path) -> bool:
 def atomic_path(
     final: str | Path, *, force: bool = False, owned: Owned = is_own, verify: Callable[[Path], bool] = _has_content
 ) -> Iterator[Path]:
-    """Yield a temporary path in the folder of ``final``; move it there after a block without errors.
+    """Yield a temporary path in the folder of ``final``; flush and move it there after a block without errors.
 
     The suffix is kept, since image libraries choose their format by it. After an error, or an interrupt, the
     temporary file is removed and an older ``final`` is untouched. Where ``final`` is a symbolic link, the file that it
