@@ -192,6 +192,9 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "a size of the texture": lambda s: example_pair(3),
     "a set of UVs": lambda s: s.mesh.with_uv_set("x"),
     "a body of no parts": lambda s: find_body(()),
+    "operators below the level that is searched": lambda s: cagemap.prepare_pair(
+        cagemap.prepare_surface(s.mesh, 2, BasisConfig(count=5, vertices=10)), s.surface
+    ),
     # landmarks
     "landmarks of fractions": lambda s: marks([1.5, 2, 4]),
     "landmarks as text": lambda s: marks("abc"),

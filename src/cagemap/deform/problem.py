@@ -72,9 +72,14 @@ class PreparedPair:
         elastic: ElasticConfig = ElasticConfig(),
         masks: Masks = WHOLE,
     ) -> PreparedPair:
-        """Factor the target's elastic energy, and build the source's search trees."""
+        """Factor the target's elastic energy, and build the source's search trees.
+
+        ParameterError if a surface has no operators up to its searched level.
+        """
         wanted = start.search_vertices, start.source_search_vertices or start.search_vertices
         levels = target.hierarchy.coarsest_level(wanted[0]), source.hierarchy.coarsest_level(wanted[1])
+        for surface, level in zip((target, source), levels, strict=True):
+            surface.require_operators(level, "elastic")
         fitted = fitted_surface(source, elastic)
         with ThreadPool(1) as pool:
             trees = pool.submit(lambda: (fitted.tree, source.finest_triangles.tree))
