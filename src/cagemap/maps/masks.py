@@ -85,13 +85,12 @@ class Masks:
         return float(target.vertex_areas @ on_target), float(source.vertex_areas @ on_source)
 
     def within(self, shared: Masks | None) -> Masks:
-        """Masks of the unmasked area that has a counterpart; unchanged if ``shared`` is None, or no area has one."""
+        """Masks of the unmasked area that has a counterpart; unchanged if ``shared`` is None, or none of it has one."""
         if shared is None or shared.target is None or shared.source is None:
             return self
-        target, source = shared.target, shared.source
-        if not (target.any() and source.any()):
-            return self
-        return Masks(self.of_target(len(target)) * target, self.of_source(len(source)) * source)
+        target = self.of_target(len(shared.target)) * shared.target
+        source = self.of_source(len(shared.source)) * shared.source
+        return Masks(target, source) if target.any() and source.any() else self
 
     def require_fit(self, n_target: int, n_source: int) -> None:
         """ParameterError for masks of the wrong length, values outside [0, 1], and masks that leave nothing."""

@@ -24,6 +24,11 @@ from cagemap.numerics.threads import in_threads, kept, one_blas_thread
 from cagemap.spectral import Surface
 from cagemap.subdivision.refinement import truncate_refinement
 
+# Warning about masks that leave only area without a counterpart.
+NOTHING_SHARED = (
+    "none of the area that the masks leave has a counterpart on the other surface: look at the masks of both sides"
+)
+
 
 @dataclass(frozen=True, eq=False)
 class SpectralMap:
@@ -262,8 +267,11 @@ def result_of_fit(
     with one_blas_thread():
         jumps = jump_lengths(prepared, point_map, shared) if jumps is None else jumps
         jumping = jump_warnings(prepared, jumps)
-        quality = judge(target, point_map, points, masks.within(shared))
+        counted = masks.within(shared)
+        quality = judge(target, point_map, points, counted)
         unshared = () if shared is None else unshared_warnings(*shared.shares(point_map.target, point_map.source))
+        if shared is not None and masks.any and counted is masks:
+            unshared = (NOTHING_SHARED, *unshared)
         foreign = foreign_warnings(quality.flipped_area, len(landmarks), len(check.suspects))
         quality = replace(
             quality,
