@@ -14,7 +14,7 @@ from cagemap.spectral.zoomout import ZoomOutSchedule
 
 @dataclass(frozen=True)
 class Stage(Config):
-    """One run of `cagemap.deform.minimise.minimise`; lengths are of sqrt(area)."""
+    """One run of `cagemap.deform.energy.minimise`; lengths are of sqrt(area)."""
 
     iterations: int
     #: Weight alpha of the energy against the data, first and last; it falls geometrically over the first ``ramp`` of

@@ -18,9 +18,8 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from cagemap.deform.config import GraphConfig, Stage
-from cagemap.deform.energy import Admissible, ElasticEnergy, bounded_maps
+from cagemap.deform.energy import Admissible, Differentials, ElasticEnergy, bounded_maps, minimise
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.minimise import Differentials, minimise
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import (
     FloatArray,
@@ -92,7 +91,7 @@ def whole_pieces(graph: ElasticGraph, points: IndexArray) -> list[IndexArray]:
 
 
 def detached_pieces(graph: ElasticGraph, free: IndexArray, fault: str = NOTHING_FOLLOWS) -> list[IndexArray]:
-    """Connected pieces of free points (k,) only, such as eyes; ParameterError ``fault`` if there are no other points."""
+    """Connected pieces of free points (k,) only, such as eyes; ParameterError ``fault`` without other points."""
     pieces = whole_pieces(graph, free)
     if sum(map(len, pieces)) == graph.n:
         raise ParameterError(fault)
