@@ -10,8 +10,7 @@ from examples.shapes import creature
 from scipy import sparse
 
 from cagemap.deform.config import ElasticConfig, Stage
-from cagemap.deform.constraints import PlacementConstraints
-from cagemap.deform.data import SourceSamples, curved_points, round_trip_weights, source_to_target
+from cagemap.deform.data import PlacementConstraints, SourceSamples, curved_points, round_trip_weights, source_to_target
 from cagemap.deform.energy import LinearSystem
 from cagemap.deform.fit import coarse_fit, fine_fit
 from cagemap.deform.graph import ElasticGraph

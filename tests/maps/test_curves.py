@@ -10,7 +10,7 @@ import pytest
 from examples.shapes import cube, icosahedron
 
 from cagemap.deform.config import StartConfig
-from cagemap.deform.constraints import CurveConstraint
+from cagemap.deform.data import CurveConstraint
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.multi_start import curve_vertices
 from cagemap.deform.problem import Clusters, PreparedPair, Problem

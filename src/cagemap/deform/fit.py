@@ -13,8 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.deform.config import ElasticConfig
-from cagemap.deform.constraints import PlacementConstraints
-from cagemap.deform.data import SourceSamples, received_weights, source_to_clusters, source_to_target, target_to_source
+from cagemap.deform.data import (
+    PlacementConstraints,
+    SourceSamples,
+    received_weights,
+    source_to_clusters,
+    source_to_target,
+    target_to_source,
+)
 from cagemap.deform.energy import Differentials, Terms, VertexTerms, deformed_normals, minimise
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.placement import Placement

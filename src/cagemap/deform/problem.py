@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig, GraphConfig, Stage, StartConfig
-from cagemap.deform.constraints import CurveConstraint, PlacementConstraints, constrained_clusters
-from cagemap.deform.data import SourceSamples
+from cagemap.deform.data import CurveConstraint, PlacementConstraints, SourceSamples, constrained_clusters
 from cagemap.deform.energy import NO_VERTICES, ElasticEnergy, bounded_energy
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
 from cagemap.errors import ParameterError
