@@ -14,8 +14,7 @@ from cagemap.maps.functional_maps import functional_map_of
 from cagemap.maps.hypotheses.confidence import Confidence, jump_lengths, jump_warnings
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect, foreign_warnings
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.maps.pair import LevelPair, point_pairs
-from cagemap.maps.places import CurveMiss, curve_miss, curve_pairs
+from cagemap.maps.pair import CurveMiss, LevelPair, curve_miss, curve_pairs, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures, judge, measure_quality, unshared_warnings
 from cagemap.mesh.landmarks import Landmarks
