@@ -17,7 +17,7 @@ from cagemap.deform.fit import coarse_fit
 from cagemap.deform.placement import Placement, distinct_placements, sort_by_cost
 from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.deform.refit import clusters_in_pose
-from cagemap.maps.hypotheses.rigid_starts import rigid_starts
+from cagemap.maps.hypotheses.starts import rigid_starts
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import distortion, stretches, weighted_percentiles

@@ -23,10 +23,11 @@ from cagemap.deform.multi_start import (
 from cagemap.deform.placement import Placement, distinct_placements, mean_distance, rank_placements, sort_by_cost
 from cagemap.deform.problem import Clusters, PreparedPair, Problem, Tips, fitted_surface
 from cagemap.deform.refit import finish_placement, inverse_positions
-from cagemap.maps.hypotheses.limbs import assigned_limbs, refit_distinct_to_tips
-from cagemap.maps.hypotheses.rigid_starts import (
+from cagemap.maps.hypotheses.starts import (
     STARTS_PER_ROTATION,
+    assigned_limbs,
     axis_rotation,
+    refit_distinct_to_tips,
     rigid_starts,
     rotation_name,
     rotation_penalty,

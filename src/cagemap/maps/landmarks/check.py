@@ -19,8 +19,8 @@ from cagemap.deform.multi_start import FEWEST_LANDMARKS, zoomout_start
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, TWO, Confidence, cost_signs
-from cagemap.maps.hypotheses.limbs import mutually_nearest
 from cagemap.maps.hypotheses.search import search_placements
+from cagemap.maps.hypotheses.starts import mutually_nearest
 from cagemap.maps.landmarks.outliers import (
     Marks,
     exchanged_sides,
