@@ -24,7 +24,7 @@ from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import factor
 from cagemap.operators import build_operators
-from cagemap.spectral.landmark_coordinates import landmark_coordinates
+from cagemap.spectral.zoomout import landmark_coordinates
 from cagemap.subdivision import Refinement, refine
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.triangles import normalize_rows, triangle_normals, vertex_normals
