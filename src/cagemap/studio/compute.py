@@ -13,7 +13,6 @@ from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.problem import PreparedPair
 from cagemap.errors import ParameterError
 from cagemap.files.result.verdicts import rate_figures
-from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.point_map import PointMap
 from cagemap.pipeline import (
     MatchConfig,
@@ -36,6 +35,7 @@ from cagemap.studio.textures import textured
 from cagemap.studio.worker import logged_warnings, without_folders
 from cagemap.subdivision import refine
 from cagemap.tasks.match import ComputedMatch
+from cagemap.tasks.suggest import suggested_vertices
 
 Progress = Callable[[str], None]
 
