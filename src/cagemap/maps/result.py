@@ -18,7 +18,7 @@ from cagemap.maps.pair import CurveMiss, LevelPair, curve_miss, curve_pairs, poi
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures, judge, measure_quality, unshared_warnings
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, joined_runs
 from cagemap.numerics.threads import in_threads, kept, one_blas_thread
 from cagemap.spectral import Surface
 from cagemap.subdivision.refinement import truncate_refinement
@@ -218,12 +218,11 @@ class MatchResult:
         triangles_per_face = len(self.source_triangles) // len(self.source.faces)
         faces = self.source.refinement.finest.face_parents[self.triangle[:count] // triangles_per_face]
         sizes = control.face_sizes[faces]
-        first = np.cumsum(sizes) - sizes
-        owners = np.repeat(np.arange(count), sizes)
-        corners = control.face_indices[np.arange(sizes.sum()) + (control.face_offsets[faces] - first)[owners]]
+        offsets, face_corners = joined_runs(control.face_offsets[faces], sizes)
+        owners, corners = np.repeat(np.arange(count), sizes), control.face_indices[face_corners]
         source_positions, images = self.point_map.source.positions, self.point_map.images.positions
         away = np.linalg.norm(source_positions[corners] - images[owners], axis=1)
-        return np.asarray(corners[np.lexsort((away, owners))[first]])
+        return np.asarray(corners[np.lexsort((away, owners))[offsets[:-1]]])
 
     def image(self) -> FloatArray:
         """(n1, 3) image of every target vertex, in source file units."""
