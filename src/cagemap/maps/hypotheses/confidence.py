@@ -202,7 +202,7 @@ def cost_signs(answers: tuple[Placement, ...]) -> dict[str, float]:
     best, *different = answers
     cost = 1e4 * best.cost
     runner_up = max((best.cost / max(other.cost, 1e-12) for other in different), default=0.0)
-    return {"cost": cost, "turned": cost if best.has_penalty else 0.0, "runner_up": runner_up}
+    return {"cost": cost, "turned": cost if best.penalty > 1.0 else 0.0, "runner_up": runner_up}
 
 
 def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidence:

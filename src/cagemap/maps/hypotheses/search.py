@@ -98,7 +98,7 @@ def fit_small_graph(
         rotated = distinct_placements(starts, graph.areas, config.min_start_distance)[len(unrotated) :]
         rigid_fits = rank_placements([*rigid_fits, *fit_rigid_starts(rotated)])
     show(rank_placements([*(placed for _, placed in limb_fits), *rigid_fits])[0])
-    as_filed = [placed for placed in rigid_fits if not placed.has_penalty][:1]
+    as_filed = [placed for placed in rigid_fits if placed.penalty <= 1.0][:1]
     if not limb_fits:
         distinct = distinct_placements(rigid_fits, graph.areas, config.min_answer_distance)[: config.max_coarse]
         return [], distinct_placements([*distinct, *as_filed], graph.areas, config.min_answer_distance)
