@@ -48,8 +48,7 @@ class QualityFigures:
     #: share of the source's area that the image of the target covers. If a surface is open, only the area that has a
     #: counterpart on the other surface counts.
     coverage: float
-    #: Dirichlet energy of the map between unit-area surfaces: 1 for an isometry, and never below the covered area
-    dirichlet: float
+    dirichlet: float  #: Dirichlet energy between unit-area surfaces: 1 for an isometry, at least the covered area
     #: (5,) percentiles 1, 5, 50, 95, 99 (by target area) of the area stretch, 1 meaning area-preserving
     area_ratios: FloatArray = field(repr=False)
     #: (3,) percentiles 50, 95, 99 (by target area) of the ratio of singular values, 1 meaning conformal
