@@ -14,7 +14,8 @@ from cagemap.deform.placement import Placement
 from cagemap.errors import InvalidLandmarksError
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
-from cagemap.maps.hypotheses.rigid_starts import (
+from cagemap.maps.hypotheses.search import cost_floor
+from cagemap.maps.hypotheses.starts import (
     AS_FILED,
     BY_FILE_AXES,
     rigid_starts,
@@ -22,7 +23,6 @@ from cagemap.maps.hypotheses.rigid_starts import (
     rotation_penalty,
     usual_rotations,
 )
-from cagemap.maps.hypotheses.search import cost_floor
 from cagemap.maps.masks import Masks
 from cagemap.mesh import Bilinear
 from cagemap.mesh.landmarks import Landmarks
