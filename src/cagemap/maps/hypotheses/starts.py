@@ -124,25 +124,27 @@ def _fit_to_box(points: FloatArray, source_points: FloatArray, stretched: bool) 
     return np.asarray((points - (low + high) / 2) * scale + (source_low + source_high) / 2)
 
 
-def file_ratio(prepared: PreparedPair) -> float:
-    """Factor from the target's unit, sqrt(area), to the source's, in file lengths; 1 for closed surfaces."""
+def file_ratio(prepared: PreparedPair) -> float | None:
+    """Factor from the target's unit, sqrt(area), to the source's, in file lengths.
+
+    None for closed surfaces, whose units need no file, and for files whose units seem to be unrelated.
+    """
     target, source = prepared.target.finest_triangles, prepared.source.finest_triangles
-    if not (target.is_open or source.is_open):
-        return 1.0
     ratio, most = source.scale / target.scale, prepared.elastic.search.max_unit_ratio
-    return ratio if 1.0 / most <= ratio <= most else 1.0
+    is_related = (target.is_open or source.is_open) and 1.0 / most <= ratio <= most
+    return ratio if is_related else None
 
 
 def units_of_larger(prepared: PreparedPair) -> tuple[float, float]:
     """Units of target and source, as multiples of the larger surface's unit."""
-    ratio = file_ratio(prepared)
+    ratio = file_ratio(prepared) or 1.0
     return min(ratio, 1.0), min(1.0 / ratio, 1.0)
 
 
 def unmoved_start(prepared: PreparedPair, points: FloatArray) -> list[Placement]:
     """Start of points (k, 3) at their position in the files; none for closed surfaces or unrelated units."""
     ratio = file_ratio(prepared)
-    return [] if ratio == 1.0 else [Placement(np.asarray(ratio * points))]
+    return [] if ratio is None else [Placement(np.asarray(ratio * points))]
 
 
 def find_tips(problem: Problem, least: float | None = None, units: tuple[float, float] = (1.0, 1.0)) -> Tips:
