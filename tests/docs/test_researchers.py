@@ -14,8 +14,7 @@ from cagemap import research
 from cagemap.errors import ParameterError
 from cagemap.example import ExamplePair
 from cagemap.files.result.folder import read_result, write_result
-from cagemap.maps.pair import Pair, PointPairs
-from cagemap.maps.places import locate
+from cagemap.maps.pair import Pair, PointPairs, locate
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mirrors import mirror_symmetries

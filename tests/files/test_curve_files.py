@@ -68,6 +68,12 @@ def test_every_fault_of_curves_is_named() -> None:
     assert "closed on one only: a" in faults(around, source_closed=False)
     assert f"a ({around[0]})" in faults(np.array([around[0], around[1], around[0], around[3]]))
     assert "fewer: a" in faults(around[:2])
+    pinched = mesh.with_positions(mesh.positions.copy())
+    pinched.positions[around[:2]] = 1.0, 2.0, 3.0
+    point = CurvePair.of_vertices("a", around[:2], around[1:3], closed=False)
+    assert curve_faults((point,), mesh, mesh) == []
+    (flat,) = curve_faults((point,), pinched, mesh)
+    assert "curves of the target with a length, got all points at one place: a at (1, 2, 3)" in flat
     chain = around[[0, 2, 3]]
     broken = replace(Landmarks.none(), curves=(CurvePair.of_vertices("a", chain, chain, closed=True),))
     with pytest.raises(InvalidLandmarksError, match="joined by edges"):

@@ -19,11 +19,12 @@ from cagemap.maps.landmarks.check import DISTANCES, LandmarkCheck, LandmarkSuspe
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult, SpectralMap
+from cagemap.mesh import CatmullClark, Loop
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import FileVertex
 from cagemap.spectral import BasisConfig, Surface
-from cagemap.subdivision import CatmullClark, Loop, refine
+from cagemap.subdivision import refine
 
 
 @pytest.fixture(scope="module")

@@ -17,10 +17,10 @@ from examples import shapes
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.result.manifest import code_version
 from cagemap.files.result.surface_store import SUFFIX, load_or_prepare, load_surface, save_surface, surface_key
+from cagemap.mesh import CatmullClark
 from cagemap.pipeline import MatchConfig, match, prepare_surface
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.surface import Surface
-from cagemap.subdivision import CatmullClark
 
 CONFIG = BasisConfig(count=20)
 LEVEL = 2

@@ -10,14 +10,13 @@ import pytest
 from examples.shapes import cube, icosahedron
 
 from cagemap.deform.config import StartConfig
-from cagemap.deform.constraints import CurveConstraint
+from cagemap.deform.data import CurveConstraint
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.multi_start import curve_vertices
 from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.errors import FormatError
 from cagemap.files.result.folder import ARRAYS, read_result, write_result
-from cagemap.maps.pair import Pair, point_pairs
-from cagemap.maps.places import curve_pairs, refined_edges
+from cagemap.maps.pair import Pair, curve_pairs, point_pairs, refined_edges
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.curves import CurvePair

@@ -31,8 +31,8 @@ from cagemap import (
 from cagemap.deform.config import StartConfig
 from cagemap.errors import InvalidLandmarksError, InvalidMeshError, ParameterError
 from cagemap.maps.pair import Pair
+from cagemap.mesh import CatmullClark, Loop
 from cagemap.paper.method import finer_level_pairs, search_levels
-from cagemap.subdivision import CatmullClark, Loop
 from cagemap.surface.triangle_surface import TriangleSurface
 
 from example_once import example_pair

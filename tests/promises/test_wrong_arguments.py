@@ -192,6 +192,9 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "a size of the texture": lambda s: example_pair(3),
     "a set of UVs": lambda s: s.mesh.with_uv_set("x"),
     "a body of no parts": lambda s: find_body(()),
+    "operators below the level that is searched": lambda s: cagemap.prepare_pair(
+        cagemap.prepare_surface(s.mesh, 2, BasisConfig(count=5, vertices=10)), s.surface
+    ),
     # landmarks
     "landmarks of fractions": lambda s: marks([1.5, 2, 4]),
     "landmarks as text": lambda s: marks("abc"),
@@ -232,6 +235,10 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "a surface in the plane": lambda s: TriangleSurface(s.mesh.positions[:, :2], np.array([[0, 1, 2]])),
     "points in the plane": lambda s: SurfacePoints.nearest(s.triangles, np.zeros((3, 2))),
     "points that are nowhere": lambda s: SurfacePoints.nearest(s.triangles, np.full((3, 3), NAN)),
+    "one normal of many points": lambda s: SurfacePoints.nearest(s.triangles, np.zeros((99, 3)), np.ones((1, 3))),
+    "normals in the plane": lambda s: SurfacePoints.nearest(s.triangles, np.zeros((3, 3)), np.ones((3, 2))),
+    "one guess of many points": lambda s: SurfacePoints.nearest(s.triangles, np.zeros((99, 3)), guess=np.zeros(1, int)),
+    "a guess beyond": lambda s: SurfacePoints.nearest(s.triangles, np.zeros((3, 3)), guess=np.full(3, 10**6)),
     "places of three vertices": lambda s: cagemap.project(
         cagemap.prepare_pair(s.surface, s.surface), np.zeros((3, 3)), s.pairs
     ),

@@ -9,13 +9,13 @@ import pytest
 from examples.shapes import creature, cube, grid, icosahedron, poles, pyramid, tetrahedron
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
 from cagemap.mesh.checks import check_mesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.pipeline import match, prepare_surface
 from cagemap.spectral import BasisConfig
-from cagemap.subdivision import Bilinear, CatmullClark, Loop, limit_normals, limit_positions, refine
+from cagemap.subdivision import limit_normals, limit_positions, refine
 
 
 def _edges_of_face(mesh: ControlMesh, face: int) -> np.ndarray:

@@ -15,12 +15,8 @@ from examples.shapes import (
     torus,
 )
 
-from cagemap.mesh import ControlMesh
-from cagemap.subdivision import (
-    CatmullClark,
-    Refinement,
-    refine,
-)
+from cagemap.mesh import CatmullClark, ControlMesh
+from cagemap.subdivision import Refinement, refine
 from cagemap.subdivision.matrices import polygon_matrix, regular_matrix
 from cagemap.subdivision.refinement import state_of
 from cagemap.subdivision.topology import control_topology, fixed_boundary_vertices

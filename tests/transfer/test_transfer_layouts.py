@@ -9,6 +9,7 @@ import pytest
 from examples.shapes import torus
 
 from cagemap.errors import ParameterError
+from cagemap.mesh.control_mesh import MIN_UV_AREA, ControlMesh
 from cagemap.subdivision import Level, refine
 from cagemap.surface.triangles import triangle_areas, triangle_neighbors
 from cagemap.transfer import (
@@ -227,6 +228,16 @@ def test_a_layout_that_covers_nothing_is_refused(
     transfer = prepare_transfer(target, plain, identity_map(plain))
     with pytest.raises(ParameterError, match=found):
         bake_texture(transfer, noise(8, 8, 3, "uint8"), size=8, options=BakeOptions(tile=tile))
+
+
+@pytest.mark.parametrize(("share", "is_laid_out"), [(0.75, False), (1.5, True)])
+def test_the_least_area_of_a_layout_is_the_same_for_a_mesh_and_for_a_bake(share: float, is_laid_out: bool) -> None:
+    flat = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    uvs = np.sqrt(2.0 * share * MIN_UV_AREA) * flat[:, :2]
+    mesh = ControlMesh.from_faces(flat, [[0, 1, 2]]).with_uvs(uvs, np.arange(3))
+    level = Level(flat, np.array([[0, 1, 2]]), np.zeros(1, dtype=np.int64)).with_uvs(uvs, np.array([[0, 1, 2]]))
+    assert mesh.has_layout == is_laid_out
+    assert bake_module._is_laid_out(TexturedSurface.from_level(level)).any() == is_laid_out
 
 
 def test_tiles_that_only_points_lie_in_are_none() -> None:

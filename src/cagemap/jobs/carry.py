@@ -24,7 +24,7 @@ from cagemap.files.result.folder import read_result
 from cagemap.jobs.detours import MAP_NORMAL_WEIGHT
 from cagemap.jobs.job import Job
 from cagemap.jobs.plan import PairNames, Plan, Task, content_hash, task_key
-from cagemap.maps.places import cage_points_of, locate
+from cagemap.maps.pair import cage_points_of, locate
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage

@@ -13,7 +13,6 @@ from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.problem import PreparedPair
 from cagemap.errors import ParameterError
 from cagemap.files.result.verdicts import rate_figures
-from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.point_map import PointMap
 from cagemap.pipeline import (
     MatchConfig,
@@ -36,6 +35,7 @@ from cagemap.studio.textures import textured
 from cagemap.studio.worker import logged_warnings, without_folders
 from cagemap.subdivision import refine
 from cagemap.tasks.match import ComputedMatch
+from cagemap.tasks.suggest import suggested_vertices
 
 Progress = Callable[[str], None]
 
@@ -260,6 +260,7 @@ def find_map(
 
     landmarks = to_landmarks(task.landmarks, cache.target.control, cache.source.control)
     has_constraints = bool(len(landmarks) + len(landmarks.curves))
+    is_update = has_constraints
     if task.answer is not None or not has_constraints:
         first_preview = preview if cache.result is None else None
         free_match = cache.free_match or match_pair(prepared_pair, progress=progress, preview=first_preview)
@@ -267,12 +268,11 @@ def find_map(
         result = other_answer(free_match, answer, progress=progress) if answer else free_match
         config = MatchConfig(answer=answer)
         cache = replace(cache, free_match=free_match, chosen_answer=answer, result=result, config=config)
-        if has_constraints:
-            updated = update_match(result, landmarks, progress=progress, preview=preview)
-            cache = replace(cache, result=updated, config=None)
     elif cache.result is None or (task.fresh and len(landmarks) >= FEWEST_LANDMARKS):
         cache = replace(cache, result=match_pair(prepared_pair, landmarks, progress=progress), config=MatchConfig())
-    else:
+        is_update = False
+    if is_update:
+        assert cache.result is not None
         updated = update_match(cache.result, landmarks, progress=progress, preview=preview)
         cache = replace(cache, result=updated, config=None)
     return _map_update(cache)

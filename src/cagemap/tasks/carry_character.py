@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -75,6 +75,7 @@ def carry_character(
     stages = Stages() if stages is None else stages
     target_body, source_body = find_body(target.parts, bodies[0]), find_body(source.parts, bodies[1])
     chosen, notes = _select_passengers(source, source_body, target, target_body, passengers)
+    _require_passengers(kinds or (), [*(part.name for part in chosen), _name_of_pieces(source_body)])
     matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages)
     result = matched.result
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]
@@ -221,8 +222,13 @@ def _set_aside(body: Part, ready: RepairedMesh) -> Part | None:
     if kept.all():
         return None
     pieces = _part_of_faces(body, np.flatnonzero(~kept))
-    name = f"{body.name} pieces"
+    name = _name_of_pieces(body)
     return replace(pieces, name=name, mesh=replace(pieces.mesh, name=name))
+
+
+def _name_of_pieces(body: Part) -> str:
+    """Name of the passenger that the unmatched pieces of a body's mesh become."""
+    return f"{body.name} pieces"
 
 
 def _part_of_faces(body: Part, faces: IndexArray) -> Part:
@@ -280,3 +286,10 @@ def _select_passengers(
     declined = [part.name for part in candidates if passenger_word(part.name) in roles]
     notes = [f"{', '.join(declined)}: the body has its own and keeps them; name them as passengers to carry them"]
     return [part for part in candidates if part.name not in declined], notes if declined else []
+
+
+def _require_passengers(names: Iterable[str], known: Sequence[str]) -> None:
+    """Refuse a kind for a passenger that is not carried, before the match."""
+    for name in names:
+        if name not in known:
+            raise ParameterError(f"{name}: expected one of the passengers, {', '.join(known)} (rig: --rigid, --cloth)")

@@ -252,6 +252,15 @@ def test_a_loose_piece_keeps_what_its_vertices_and_corners_have(body: ControlMes
 
 
 @pytest.mark.slow
+def test_a_kind_of_an_unknown_passenger_is_refused_before_the_match(
+    files: Character, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cagemap.tasks.carry_character.match_bodies", lambda *_: pytest.fail("matched"))
+    request = RigRequest(Path("B.glb"), Path("C.glb"), Path("O.glb"), rigid="hta")
+    with pytest.raises(ParameterError, match=r"hta: expected one of the passengers, hat, eye, body pieces \(rig: --rig"):
+        tasks.run(request)
+
+
 @pytest.mark.parametrize("own_part", [False, True])
 def test_a_piece_that_the_body_has_itself_is_not_carried(body: ControlMesh, own_part: bool) -> None:
     """The source's button and ring, onto a body with a button, or beside a part that is a button."""

@@ -27,10 +27,10 @@ from cagemap.files.ownership import is_own
 from cagemap.files.result.manifest import code_version, mesh_hash, stored_basis
 from cagemap.files.schema import SurfaceRecord, parse_json, parse_record
 from cagemap.files.text import require_file
-from cagemap.mesh import ControlMesh, Plain
+from cagemap.mesh import ControlMesh, Plain, Scheme
 from cagemap.pipeline import MAP_BASIS, prepare_surface
 from cagemap.spectral import BasisConfig, HierarchicalBasis, Surface
-from cagemap.subdivision import Scheme, default_scheme, refine
+from cagemap.subdivision import default_scheme, refine
 from cagemap.subdivision.refinement import vertex_counts
 
 FORMAT = "cagemap-surface"
