@@ -189,7 +189,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> list[str]:
             folder = next(place for place in root.parents if place.name == "night")
             (folder / output).parent.mkdir(parents=True, exist_ok=True)
             write_whole(folder / output, "made")
-        return {}
+        return {"notes": [f"a note of {task.kind}"]}
 
     monkeypatch.setattr("cagemap.tasks.run_job.run_task", write)
     return ran
@@ -212,7 +212,8 @@ def test_each_task_by_its_number_is_done_once_and_has_an_exit_code(folder: Path,
     assert "is not done. Run its number first." in output
     assert numbered(folder, "1-3")[0] == 1
     assert len(quick) == 3
-    assert numbered(folder, good)[0] == 0
+    code, output = numbered(folder, good)
+    assert (code, "\n  a note of match" in output) == (0, True)
     assert numbered(folder, NUMBERED["transfer pony -> deer"])[0] == 0
     before = list(quick)
     assert before[3:] == ["match pony -> deer", "picture pony -> deer", "transfer pony -> deer: deer.png"]

@@ -19,7 +19,7 @@ from cagemap.jobs.consistency import Consistency, measure_consistency, read_cons
 from cagemap.jobs.detours import add_detours, compose_results, has_detours, keep_matches
 from cagemap.jobs.farm import PAGE_STEP, farm_steps, openjd_template, parse_task_range, slurm_script
 from cagemap.jobs.job import Job, read_job
-from cagemap.jobs.page import PairRow, pair_rows, write_library
+from cagemap.jobs.page import PairRow, pair_rows, remarks_of, write_library
 from cagemap.jobs.plan import STATE_FOLDER, Plan, Task, plan_job
 from cagemap.jobs.run import TaskOutcome, execute, kept_outcome, missing_tasks, open_client, run_plan
 from cagemap.jobs.tree import spanning_tree
@@ -101,7 +101,7 @@ def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stage
         for task in step.tasks[number - step.first]:
             stages(task.name)
             outcome = _run_alone(task.name, current)
-            lines.append(f"{number} {outcome}")
+            lines += [f"{number} {outcome}", *(f"  {text}" for text in remarks_of(outcome))]
             whole &= outcome.usable
     return use_option_names("\n".join(lines)), whole
 
@@ -239,6 +239,7 @@ def summary(plan: Plan, outcomes: dict[str, TaskOutcome], notes: list[str], page
         [
             f"{count_noun(len(plan.pairs), 'pair')}, tasks: {ended}, in {seconds:.1f} s",
             *failures,
+            *(f"  {text}" for name, outcome in outcomes.items() for text in remarks_of(outcome, name)),
             *(f"  {note}" for note in notes),
             *([] if page is None else [f"Open {page} in a browser."]),
         ]

@@ -257,7 +257,9 @@ def test_a_kind_of_an_unknown_passenger_is_refused_before_the_match(
 ) -> None:
     monkeypatch.setattr("cagemap.tasks.carry_character.match_bodies", lambda *_: pytest.fail("matched"))
     request = RigRequest(Path("B.glb"), Path("C.glb"), Path("O.glb"), rigid="hta")
-    with pytest.raises(ParameterError, match=r"hta: expected one of the passengers, hat, eye, body pieces \(rig: --rig"):
+    with pytest.raises(
+        ParameterError, match=r"hta: expected one of the passengers, hat, eye, body pieces \(rig: --rig"
+    ):
         tasks.run(request)
 
 
