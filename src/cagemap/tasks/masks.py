@@ -11,10 +11,13 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files import IMAGE_SUFFIXES, INVERT_PREFIX, MASK_SUFFIXES
+from cagemap.files.gltf.document import SCENE_SUFFIXES
+from cagemap.files.gltf.read import gltf_skeleton
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.result.manifest import input_file
 from cagemap.files.usd.prims import JOINT_WEIGHTS
 from cagemap.files.usd.read import read_usd_meshes
+from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.values.attributes import read_attributes
 from cagemap.maps.masks import Masks, face_mask, soft_edge, vertex_mask
@@ -245,20 +248,51 @@ def to_file_values(request: TransferRequest, carried: Attributes, rows: FileRows
 
 
 def own_values(base: Path, control: ControlMesh, rows: FileRows | None, names: Collection[str]) -> Attributes:
-    """The target's own values by the names of what is carried; a file's only table has the names' order."""
+    """The target's own values by the names of what is carried.
+
+    Weights of a scene have the names of its joints. The only table of another file has the order of ``names``.
+    """
     given = read_attributes(base, control, rows)
     if all(name in given for name in names):
         return given
+    joints = _joint_names(base, control if rows is None else rows.whole) if JOINT_WEIGHTS in given else ()
+    if joints:
+        weights = dict(zip(joints, given[JOINT_WEIGHTS].T, strict=True))
+        _require_names(base, "weights of the joints", [*weights], names)
+        others = [joint for joint, column in weights.items() if joint not in names and column.any()]
+        if others:
+            raise ParameterError(
+                f"--base {base}: expected weights of {', '.join(names)} alone, got some of {', '.join(others)}. Give "
+                "weights of the same joints."
+            )
+        return weights
     if len(given) == len(names) == 1:
         return dict(zip(names, given.values(), strict=True))
     table = given.get(JOINT_WEIGHTS) if len(given) > 1 else next(iter(given.values()), None)
     if table is not None and table.ndim == 2 and table.shape[1] == len(names):
         return dict(zip(names, table.T, strict=True))
+    _require_names(base, "values of", [*given], names)
+    return given
+
+
+def _joint_names(base: Path, control: ControlMesh) -> tuple[str, ...]:
+    """Names of the columns of a scene's joint weights; none for other files, or if joints have equal names."""
+    names: tuple[str, ...] = ()
+    if is_usd(base):
+        skeleton = read_usd_skeleton(base, control)
+        names = () if skeleton is None else skeleton.names
+    elif base.suffix.lower() in SCENE_SUFFIXES:
+        names = gltf_skeleton(base).names
+    return names if len(set(names)) == len(names) else ()
+
+
+def _require_names(base: Path, what: str, given: Collection[str], names: Collection[str]) -> None:
     missing = [name for name in names if name not in given]
-    raise ParameterError(
-        f"--base {base}: expected values of {', '.join(missing)}, as what is carried, got {', '.join(given)}. Give the "
-        "target's own values."
-    )
+    if missing:
+        raise ParameterError(
+            f"--base {base}: expected {what} {', '.join(missing)}, as what is carried, got {', '.join(given)}. Give "
+            "the target's own values."
+        )
 
 
 def _rows(result: MatchResult, weight: FloatArray, count: int) -> FloatArray:

@@ -72,18 +72,22 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     named = all(array.ndim == 1 for array in arrays.values())
     names = tuple(arrays) if named else () if skeleton is None else skeleton.names
     carried = with_choice(request, result.target.control, carried, names, target_rows)
-    columns, notes = keep_base(request, result, _columns(carried, arrays), target_rows)
-    columns = _limit_influences(request, result, columns)
-    if skeleton is not None and request.output.suffix.lower() != ".npy":
+    columns = _columns(carried, arrays)
+    if skeleton is not None:
         columns = _by_joint(columns, skeleton)
+    columns, notes = keep_base(request, result, columns, target_rows)
+    columns = _limit_influences(request, result, columns)
     vertices, joints = carried.shape
     most = int((weight_table(columns) > 0).sum(axis=1).max())
     filled = int(np.count_nonzero(~trusted_vertices(result)))
     figures = {"vertices": vertices, "joints": joints, "influences": most, "untrusted_vertices": filled}
     stages.record(figures)
     text = f"wrote {request.output}: {vertices} vertices, {joints} joints, at most {most} a vertex"
+    whole = to_file_values(request, columns, target_rows)
+    if not named and request.output.suffix.lower() == ".npy":  # it holds one array
+        whole = {JOINT_WEIGHTS: weight_table(whole)}
     with all_or_nothing():
-        write_attributes(request.output, to_file_values(request, columns, target_rows), force=request.force)
+        write_attributes(request.output, whole, force=request.force)
         if request.usd is not None:
             moved = _carry_in_column_order(skeleton, columns, result.point_map)
             skinning = UsdResults(attributes={JOINT_WEIGHTS: weight_table(columns)}, skeleton=moved)
