@@ -141,6 +141,16 @@ def test_vertex_groups_come_back_under_the_identity(run: Run, result_folder: Pat
         assert not (place / "never.json").exists()
 
 
+def test_rows_without_a_chosen_joint_keep_all_their_influences(run: Run, result_folder: Path) -> None:
+    place, names = result_folder.parent, ["a", "b", "c", "d"]
+    given, own = np.tile([0.0, 1.0, 0.0, 0.0], (8, 1)), np.tile([0.0, 0.2, 0.3, 0.5], (8, 1))
+    for name, table in (("w.csv", given), ("own.csv", own)):
+        np.savetxt(place / name, table, delimiter=",", header=",".join(names), comments="")
+    run.done("transfer R --weights w.csv --only a --base own.csv --influences 2 -o kept.npz")
+    with np.load(place / "kept.npz") as carried:
+        np.testing.assert_allclose(np.column_stack([carried[name] for name in names]), own, atol=1e-12)
+
+
 @pytest.mark.parametrize("weights", ["w.csv", "w.usda"])
 @pytest.mark.parametrize("words", ["--only a,b,c --target-mask half.npy", "--target-mask half.npy", "--only c"])
 def test_weights_of_a_base_are_paired_by_the_names_of_its_joints(

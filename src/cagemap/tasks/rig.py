@@ -106,6 +106,8 @@ def read_weights(path: Path, control: ControlMesh, rows: FileRows | None) -> Att
 
 def _limit_influences(request: TransferRequest, result: MatchResult, columns: Attributes) -> Attributes:
     """Weights with at most ``--influences`` joints at vertices where masks blended them with those of ``--base``."""
+    if not result.masks.any:
+        return columns
     blended = result.masks.joint(result.point_map)[: result.target.control.n_vertices, None] > 0.0
     table = weight_table(columns)
     return _columns(np.where(blended, _prune_influences(request, table), table), columns)
