@@ -14,7 +14,6 @@ from cagemap.errors import ParameterError, values_of
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.read import gltf_skeleton
-from cagemap.files.meshes.mhclo import bind_on, write_mhclo
 from cagemap.files.result.manifest import note_transfer, read_files
 from cagemap.files.result.maps import write_map
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
@@ -30,6 +29,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights, trusted_vertices
+from cagemap.tasks.follower import write_follower
 from cagemap.tasks.masks import keep_base, own_values, to_file_values
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import comma_words
@@ -223,9 +223,15 @@ def write_point_map(request: TransferRequest, result: MatchResult, stages: Stage
         write_map(request.output, point_map, force=request.force)
         return f"wrote {request.output}: the place of {len(result.triangle)} target vertices on the source", []
     control, source = result.target.control, result.source
-    fitting = bind_on(control.positions, source, result.triangle[: control.n_vertices])
-    write_mhclo(request.output, fitting, Path(control.name).with_suffix(".obj"), force=request.force)
-    apart = float(np.linalg.norm(fitting.offsets, axis=1).mean()) * point_map.source.scale
+    rows, triangles = file_rows(request.result, result, "target"), result.triangle[: control.n_vertices]
+    if rows is None and control.file_vertices is not None:
+        raise ParameterError(
+            f"{control.name}: expected the file that was matched, which has other numbers than the RESULT. Put it back "
+            "where the match read it."
+        )
+    obj = Path(control.name).with_suffix(".obj")
+    offsets = write_follower(request.output, control.positions, triangles, result, rows, obj, force=request.force)
+    apart = float(np.linalg.norm(offsets, axis=1).mean()) * point_map.source.scale
     warnings = []
     if apart > _APART:
         warnings.append(

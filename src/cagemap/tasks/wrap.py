@@ -15,7 +15,6 @@ from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.images.image import texture_files
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, write_mesh
-from cagemap.files.meshes.mhclo import bind_on, write_mhclo
 from cagemap.files.meshes.obj_write import write_obj_positions
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, input_file, mesh_hash, note_transfer, read_files
@@ -37,6 +36,7 @@ from cagemap.tasks.detail_bakes import (
     require_wrappable,
     wrap_bakes,
 )
+from cagemap.tasks.follower import require_whole, write_follower
 from cagemap.tasks.import_map import run_map
 from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import mask_inputs, with_masks
@@ -199,8 +199,10 @@ def _run(request: WrapRequest, stages: Stages) -> SummaryAndWarnings:
     if request.blend_shapes:
         return _write_shapes(request, results, config, stages)
     result, folder = results[0], request.results[0]
-    wrapped = _wrap(request, result, config, stages)
     original = input_file(folder, result.manifest, "target")
+    rows = None if request.mhclo is None or request.fit_level else rows_of(original, result.target.control)
+    require_whole(rows)
+    wrapped = _wrap(request, result, config, stages)
     stages("write")
     space = _source_to_target(folder, result)
     written, warnings = _write(request, _in_target_space(wrapped, space), result, original, request.output)
@@ -213,7 +215,7 @@ def _run(request: WrapRequest, stages: Stages) -> SummaryAndWarnings:
     lines = [f"wrote {request.output}: {written} vertices{among} (level {wrapped.level})", distances_text(figures)]
     if request.mhclo is not None:
         places, triangles = wrapped.mesh.positions, wrapped.closest.triangle[: wrapped.mesh.n_vertices]
-        write_mhclo(request.mhclo, bind_on(places, result.source, triangles), request.output, force=request.force)
+        write_follower(request.mhclo, places, triangles, result, rows, request.output, force=request.force)
         lines.append(f"wrote {request.mhclo}: the mesh follows {result.source.control.name}")
     more, outside = bake_wrapped(request, result, wrapped, details[0], stages)
     if more and not np.allclose(space, np.eye(4)):
