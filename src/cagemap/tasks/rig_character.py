@@ -64,7 +64,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     )
     bodies = (request.body, target, to), (request.like, source, of)
     split = [note for path, character, body in bodies for note in _split_body(path, character, body)]
-    landmarks = _landmarks(request, (to, of), (target, given_source))
+    landmarks, landmark_notes = _landmarks(request, (to, of), (target, given_source))
     keeps = request.keep_textures or of.mesh.face_materials is None
     laid_out = to.mesh if keeps or of.mesh.uvs is None else with_uvs_in_unit_square(to.mesh)
     target, to = _with_mesh(target, to, replace(laid_out, name=request.body.name))
@@ -103,7 +103,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     confidence = carried.result.confidence
     doubt = [] if confidence is None or confidence.verdict == SURE else [_DOUBT]
     stages.record(_figures(dressed) | {"trusted_area": carried.result.quality.trusted_area})
-    return _summary(request, dressed), [*split, *carried.notes, *notes, *doubt]
+    return _summary(request, dressed), [*split, *landmark_notes, *carried.notes, *notes, *doubt]
 
 
 def _require_paths(request: RigRequest) -> None:
@@ -184,15 +184,17 @@ def _with_mesh(character: Character, part: Part, mesh: ControlMesh) -> tuple[Cha
     return with_part(character, part, new_part), new_part
 
 
-def _landmarks(request: RigRequest, bodies: tuple[Part, Part], characters: tuple[Character, Character]) -> Landmarks:
-    """Landmarks and curves of the files' meshes as points of the two bodies.
+def _landmarks(
+    request: RigRequest, bodies: tuple[Part, Part], characters: tuple[Character, Character]
+) -> tuple[Landmarks, tuple[str, ...]]:
+    """Landmarks and curves of the files' meshes as points of the two bodies; and notes.
 
     ``characters``: as `read_body` reads them.
     """
     if request.landmarks is None:
-        return Landmarks.none()
+        return Landmarks.none(), ()
     meshes = read_whole(request.body), read_whole(request.like)
-    given, _ = read_landmarks(request.landmarks, request.body, request.like)
+    given, notes = read_landmarks(request.landmarks, request.body, request.like)
     check_landmarks(given, *meshes)
     files = request.body, request.like
     places = [character_positions(*side) for side in zip(files, meshes, characters, strict=True)]
@@ -206,7 +208,7 @@ def _landmarks(request: RigRequest, bodies: tuple[Part, Part], characters: tuple
         target, source = on_bodies(*pair.points)
         curves.append(CurvePair(pair.name, Curve(target, pair.target.closed), Curve(source, pair.source.closed)))
     names = given.target_name, given.source_name
-    return Landmarks.of_points(given.names, points[0], points[1], *names, tuple(curves))
+    return Landmarks.of_points(given.names, points[0], points[1], *names, tuple(curves)), notes
 
 
 def points_on_body(points: CagePoints, places: FloatArray, body: Part) -> CagePoints:
