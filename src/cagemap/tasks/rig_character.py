@@ -20,7 +20,10 @@ from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_docu
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import png_bytes
 from cagemap.files.gltf.parts import Scene, read_scene
+from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.textures import with_materials_of
 from cagemap.files.gltf.write import character_glb
+from cagemap.files.inner_texture import color_image, material_document
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh, read_whole, referred_files
 from cagemap.files.usd.character import write_usd_character
@@ -152,13 +155,27 @@ def write_character(
 
 
 def read_body(path: Path) -> tuple[Document | None, Character]:
-    """A glTF, FBX or USD file as document and character, in metres with Y up; another file's mesh as a character."""
+    """A glTF, FBX or USD file as document and character, in metres with Y up; another file as images and mesh."""
     if is_usd(path):
         return document_and_character(path)
     if path.suffix.lower() in SCENE_SUFFIXES:
         document = read_document(path)
         return document, character_of(document)
-    return None, Character((Part(path.stem, read_mesh(path)),))
+    part = Part(path.stem, read_mesh(path))
+    return _document_of_images(path, part), Character((part,))
+
+
+def _document_of_images(path: Path, part: Part) -> Document | None:
+    """A glTF document of an OBJ or PLY file: its mesh, and its materials with images; None without images."""
+    materials, mesh = material_document(path, part.mesh), part.mesh
+    if materials is None:
+        return None
+    known = material_names(materials)
+    names = [name for name in mesh.material_names if name in known and color_image(materials, name) is not None]
+    if not names:
+        return None
+    bare = replace(mesh, face_materials=None, material_names=(), material_colors=None)
+    return with_materials_of(character_glb(Character((replace(part, mesh=bare),))), materials, names)[0]
 
 
 def character_body(character: Character, name: str | None, path: Path) -> Part:
