@@ -134,7 +134,7 @@ def with_uvs_in_unit_square(mesh: ControlMesh) -> ControlMesh:
 
     The UVs in tiles are kept as a second set, before further sets.
     """
-    if mesh.uvs is None or mesh.uv_indices is None:
+    if mesh.uvs is None or mesh.uv_indices is None or not mesh.has_layout:
         return unwrap(mesh)
     corners, faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
     cells = np.zeros((mesh.n_faces, 2))

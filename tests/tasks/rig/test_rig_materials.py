@@ -144,3 +144,9 @@ def test_a_body_of_an_obj_file_keeps_the_image_of_its_material(tmp_path: Path) -
     write_document(tmp_path / "C.glb", character_glb(made, document))
     assert [image.slot for image in material_images(read_document(tmp_path / "C.glb"), "skin")] == ["baseColorTexture"]
     assert read_mesh(tmp_path / "C.glb").material_names == ("skin",)
+
+
+def test_a_body_whose_uvs_are_all_in_one_point_is_unwrapped() -> None:
+    mesh = textured_cube("B.obj").with_uvs(np.zeros((1, 2)), np.zeros(24, np.int64))
+    assert not mesh.has_layout
+    assert with_uvs_in_unit_square(mesh).has_layout
