@@ -108,12 +108,12 @@ def read_source_image(
     )
 
 
-def require_source_uvs(result: MatchResult) -> None:
+def require_source_uvs(source: ControlMesh) -> None:
     """Refuse to carry an image of a source without texture coordinates."""
-    if result.source.control.uvs is None:
+    if source.uvs is None:
         raise ParameterError(
-            f"{result.source.control.name}: expected texture coordinates of the source, over which its image lies, the "
-            f"mesh has none. {colors_remedy(result.source.control)}"
+            f"{source.name}: expected texture coordinates of the source, over which its image lies, the mesh has none. "
+            f"{colors_remedy(source)}"
         )
 
 
@@ -145,7 +145,7 @@ def prepare_bake(
         *request.maps,
     )
     if any(source_images):
-        require_source_uvs(result)
+        require_source_uvs(result.source.control)
     if request.unwrap:
         stages("unwrap")
         control = unwrap(result.target.control)

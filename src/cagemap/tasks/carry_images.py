@@ -121,7 +121,7 @@ def _image_file(
     """
     if path.suffix.lower() not in MESH_SUFFIXES:
         return path, None
-    require_source_uvs(result)
+    require_source_uvs(result.source.control)
     if (image_file := ply_image(path)) != path:
         return image_file, None
     document = document or material_document(path, result.source.control)

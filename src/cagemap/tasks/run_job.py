@@ -39,7 +39,7 @@ from cagemap.tasks.requests.options import validate_request
 from cagemap.tasks.requests.run import RunRequest
 from cagemap.tasks.subdivision import weld_side
 from cagemap.tasks.transfer import check_transfer
-from cagemap.tasks.wrap import check_wrap
+from cagemap.tasks.wrap_checks import check_wrap
 
 
 def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
