@@ -24,6 +24,7 @@ from cagemap.mesh.faces import face_centres
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import decode_srgb
 from cagemap.surface.triangles import fan_triangles
+from cagemap.tasks.bake_tiles import target_overlap_warnings
 from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.carry_character import CarriedCharacter, nearest_rows
 from cagemap.transfer import Transfer, bake_texture, prepare_transfer, pull_back_faces, tile_cells, unwrap
@@ -81,6 +82,7 @@ def with_baked_materials(
                 images[copy, found.slot] = _bake_image(found, document, result, size)
             else:
                 notes.append(f"{name}: its {found.slot} is left out: {of.name} has no UV set {found.uv_set}")
+    notes += target_overlap_warnings(result.target.control) if images else []
     dressed = replace(carried.character, parts=(replace(body, mesh=mesh), *others))
     return dressed, with_copied_materials(document, list(copies.items()), images), images, notes
 

@@ -140,9 +140,7 @@ def mirror_image(control: ControlMesh) -> IndexArray:
 
 
 def shape_files(request: WrapRequest, target: Path, sources: Sequence[Path]) -> list[Path]:
-    """The files of blend shapes, by the names of target and sources; refuses equal names, and a file as folder."""
-    if request.output.is_file():
-        raise ParameterError(f"{request.output}: expected a folder for --blend-shapes, got a file. Give another name.")
+    """The files of blend shapes, by the names of target and sources; refuses equal names."""
     names = [path.stem for path in (target, *sources)]
     if len(set(names)) < len(names):
         raise ParameterError(f"--blend-shapes: expected different names, got {', '.join(names)}. Rename the files.")

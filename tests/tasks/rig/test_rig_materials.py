@@ -150,3 +150,10 @@ def test_a_body_whose_uvs_are_all_in_one_point_is_unwrapped() -> None:
     mesh = textured_cube("B.obj").with_uvs(np.zeros((1, 2)), np.zeros(24, np.int64))
     assert not mesh.has_layout
     assert with_uvs_in_unit_square(mesh).has_layout
+
+
+def test_a_body_whose_layout_lies_over_itself_is_said(run: Run, files: Character, body: ControlMesh) -> None:
+    corners = np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9]])
+    write_mesh("B.glb", body.with_uvs(corners, np.arange(len(body.face_indices)) % 3), force=True)
+    said = run.done("rig B.glb --like C.glb -o OUT.glb --size 16").err
+    assert "% of the target's layout lies over other parts of it" in said
