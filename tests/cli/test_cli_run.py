@@ -116,6 +116,12 @@ def test_options_that_contradict_each_other_are_refused_before_any_task(folder: 
     assert not (folder / "night").exists()
 
 
+def test_workers_of_a_scheduler_are_its_own(folder: Path) -> None:
+    words = ["run", str(folder / "job.toml"), "--scheduler", "tcp://127.0.0.1:9", "--workers", "4"]
+    with pytest.raises(ParameterError, match="--scheduler: expected none of --workers beside it"):
+        CliRunner().invoke(app, words, catch_exceptions=False)
+
+
 def test_a_dry_run_counts_plain_meshes_without_subdivision(folder: Path) -> None:
     job = folder / "job.toml"
     job.write_text(JOB.replace("vertices = 500", 'scheme = "none"\nlevel = 3'))

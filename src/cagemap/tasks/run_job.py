@@ -117,7 +117,7 @@ def _require_one_way(request: RunRequest) -> None:
     used = [name for name, is_given in options.items() if is_given]
     if request.workers is not None and not request.dry_run:
         used.append("--workers")
-    if len(used) > 1 and used != ["--scheduler", "--workers"]:
+    if len(used) > 1:
         raise ParameterError(f"{used[0]}: expected none of {', '.join(used[1:])} beside it. Give one of them.")
 
 
