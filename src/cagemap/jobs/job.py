@@ -55,6 +55,7 @@ EXCLUDED_FIELDS = {
         "target",
         "source",
         "landmarks",
+        "map",
         "scheme",
         "target_scheme",
         "source_scheme",
