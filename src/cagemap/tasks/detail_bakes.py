@@ -41,6 +41,7 @@ from cagemap.tasks.bake_tiles import (
     target_overlap_warnings,
     write_tiles,
 )
+from cagemap.tasks.base_images import ImageSize
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import WRITTEN
 from cagemap.tasks.requests.transfer import BakeKind, TransferRequest
@@ -95,7 +96,7 @@ class DetailBakes:
     """Images to bake from a detailed mesh, with their files."""
 
     images: dict[BakeKind, Path]
-    size: int
+    size: ImageSize
     bits: int | None  # by default floats in EXR; elsewhere 16 for directions and offsets, 8 for colours and occlusion
     request: TransferRequest | WrapRequest  # gives space, green, rays and force
     texture: DetailTexture | None = None  # of the detailed mesh, for the kind "texture"
