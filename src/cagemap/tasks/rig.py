@@ -20,9 +20,16 @@ from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults
-from cagemap.files.values.attributes import Attributes, read_attributes, write_attributes
+from cagemap.files.values.attributes import Attributes, check_attribute_path, read_attributes, write_attributes
 from cagemap.files.values.part_numbering import FileRows, file_rows, other_rows, to_file
-from cagemap.files.values.rigs import read_shapes, read_skeleton, write_shapes, write_skeleton
+from cagemap.files.values.rigs import (
+    check_shapes,
+    check_skeleton_path,
+    read_shapes,
+    read_skeleton,
+    write_shapes,
+    write_skeleton,
+)
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
@@ -51,6 +58,7 @@ _APART = 0.05
 def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry skinning weights: a column or array for each joint, or one array of all joints."""
     assert request.weights is not None
+    check_attribute_path(request.output)
     check_outputs([request.output], [request.weights], force=request.force)
     rows = file_rows(request.result, result, "source")
     arrays = read_weights(request.weights, result.source.control, rows)
@@ -184,6 +192,7 @@ def _carry_skeleton(skeleton: Skeleton, point_map: PointMap) -> Skeleton:
 def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry heads and tails of joints."""
     assert request.joints is not None
+    check_skeleton_path(request.output)
     check_outputs([request.output], [request.joints], force=request.force)
     skeleton = read_skeleton(request.joints, result.source.control)
     stages("joints")
@@ -199,11 +208,12 @@ def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stage
         file_rows(request.result, result, name) for name, side in (("source", result.source), ("target", result.target))
     )
     shapes = read_shapes(request.blend_shapes, result.source.control, rows)
+    rest = result.target.control if target_rows is None else target_rows.whole
+    inputs = [*request.blend_shapes, *read_files(request.result, result.manifest)]
+    check_shapes(request.output, shapes, rest, inputs, force=request.force)
     stages("shapes")
     carried = carry_shapes(result, shapes)
     assert isinstance(carried, dict)
-    rest = result.target.control if target_rows is None else target_rows.whole
-    inputs = [*request.blend_shapes, *read_files(request.result, result.manifest)]
     with all_or_nothing():
         files = write_shapes(request.output, to_file(carried, target_rows), rest, inputs, force=request.force)
         text = f"wrote {len(carried)} shapes to {request.output} ({len(files)} files)"

@@ -194,16 +194,18 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
 def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Write the target's mesh with the source's texture coordinates, so that the source's images fit it."""
     sides = result.target.refinement, result.source.refinement
+    original, control = input_file(request.result, result.manifest, "target"), result.target.control
+    like = None if original is not None and original.suffix.lower() == ".obj" else original  # its images do not fit
+    check_mesh_path(request.output)
+    check_outputs(mesh_files(request.output, control, like), [], force=request.force)
     stages("prepare")
     transfer = transfer_of(result)
     stages("texture coordinates")
     carried = carry_uvs(transfer, *sides)
-    original, control = input_file(request.result, result.manifest, "target"), result.target.control
     rows = file_rows(request.result, result, "target")
     layout = carried.uvs, carried.uv_indices
     laid_out = control.with_uvs(*layout) if rows is None else rows.laid_out(*layout)
-    of_obj = original is not None and original.suffix.lower() == ".obj"  # its images do not fit the new layout
-    write_mesh(request.output, laid_out, like=None if of_obj else original, force=request.force)
+    write_mesh(request.output, laid_out, like=like, force=request.force)
     note_transfer(request.result, {"kind": "uvs", "output": request.output})
     crossed = carried.crossed if rows is None else rows.faces[carried.crossed]
     stages.record({"uvs": len(carried.uvs), "crossed_faces": crossed.tolist()})
