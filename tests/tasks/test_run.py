@@ -18,6 +18,7 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.manifest import read_manifest
 from cagemap.files.usd.space import StageSpace
 from cagemap.files.usd.write import write_usd
+from cagemap.transfer.texels import LARGEST_SIDE
 
 from plain_meshes import split_at_seams
 
@@ -158,3 +159,9 @@ def test_the_notes_of_a_map_are_kept_in_its_result(tmp_path: Path) -> None:
 
 def _below(kind: type) -> list[type]:
     return [found for below in kind.__subclasses__() for found in (below, *_below(below))]
+
+
+@pytest.mark.parametrize("name", ["TransferRequest", "WrapRequest", "RigRequest"])
+def test_an_image_has_no_more_texels_a_side_than_a_bake_takes(name: str) -> None:
+    size = TypeAdapter(getattr(tasks, name)).json_schema()["properties"]["size"]
+    assert next(kind["maximum"] for kind in size["anyOf"] if "maximum" in kind) == LARGEST_SIDE
