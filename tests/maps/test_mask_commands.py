@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import creature
+from examples.shapes import creature, torus
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import Image, read_image, write_image
@@ -23,6 +23,7 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import find_part
 from cagemap.report import draw_gallery
 from cagemap.tasks.import_map import run_map
+from cagemap.tasks.masks import read_mask
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.import_map import MapRequest
@@ -255,3 +256,13 @@ def test_a_base_that_does_not_fit_is_refused_before_the_bake(
     options |= {"texture": None} if "bake" in options else {}
     with pytest.raises(ParameterError, match=rf"--base .*got {size} x {size} of {channels}"):
         _run_transfer(scene, "never.png", **options)
+
+
+def test_a_mask_of_as_many_vertices_as_faces_is_said_to_be_at_vertices(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    ring = torus()
+    assert ring.n_vertices == ring.n_faces
+    np.save(tmp_path / "m.npy", np.linspace(0.0, 1.0, ring.n_faces))
+    assert read_mask(str(tmp_path / "m.npy"), None, ring, tmp_path / "ring.obj", "--target-mask").vertices is not None
+    assert "as many rows as control vertices and as control faces: assumed to be at vertices" in caplog.text

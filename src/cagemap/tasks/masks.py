@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -39,6 +40,7 @@ from cagemap.tasks.requests.options import refuse_unread
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.tasks.requests.wrap import WrapRequest
 
+_log = logging.getLogger(__name__)
 # Default width of the soft edge of a set of faces, in units of sqrt(area).
 DEFAULT_EDGE = 0.02
 
@@ -196,6 +198,7 @@ def _of_values(array: FloatArray, where: str, control: ControlMesh, inverted: bo
             f"one a control face, got shape {values.shape} from {values.min():g} to {values.max():g}"
         )
     if control.n_vertices == control.n_faces:
+        _log.warning("%s: as many rows as control vertices and as control faces: assumed to be at vertices", where)
         kind = "vertices"
     if kind == "vertices":
         return GivenMask(vertices=values, inverted=inverted, edge=edge or 0.0)
