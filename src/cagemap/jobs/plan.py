@@ -28,23 +28,10 @@ DETOUR_FOLDER = "RESULT-composed"
 PICTURE_FILE = "picture.jpg"
 # Options of a match that change a prepared surface, also with a side's name before them.
 SURFACE_OPTIONS = frozenset(
-    [
-        "level",
-        "vertices",
-        "k",
-        "schedule",
-        "laplacian",
-        "accuracy",
-        "literal",
-        "method",
-        "parameter",
-        "scheme",
-        "boundary",
-        "uv_interpolation",
-        "creasing",
-        "weld",
-        "uv_set",
-    ]
+    (
+        "level vertices k schedule laplacian accuracy literal method parameter scheme boundary uv_interpolation "
+        "creasing weld uv_set"
+    ).split()
 )
 DEFAULT_OUTPUTS = {"report": "report.html", "wrap": "{target}.obj"}
 PairNames = tuple[str, str]

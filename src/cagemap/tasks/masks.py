@@ -190,7 +190,7 @@ def read_mask(text: str, edge: float | None, control: ControlMesh, mesh_file: Pa
 
 def _of_values(array: FloatArray, where: str, control: ControlMesh, inverted: bool, edge: float | None) -> GivenMask:
     values = np.asarray(array, dtype=np.float64)
-    rows = {control.n_vertices: "vertices", control.n_faces: "faces"}
+    rows = {control.n_faces: "faces", control.n_vertices: "vertices"}
     kind = rows.get(len(values)) if values.ndim == 1 else None
     if kind is None or not np.all((values >= 0) & (values <= 1)):
         raise ParameterError(
@@ -199,7 +199,6 @@ def _of_values(array: FloatArray, where: str, control: ControlMesh, inverted: bo
         )
     if control.n_vertices == control.n_faces:
         _log.warning("%s: as many rows as control vertices and as control faces: assumed to be at vertices", where)
-        kind = "vertices"
     if kind == "vertices":
         return GivenMask(vertices=values, inverted=inverted, edge=edge or 0.0)
     return GivenMask(faces=values, inverted=inverted, edge=DEFAULT_EDGE if edge is None else edge)

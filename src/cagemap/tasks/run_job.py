@@ -67,7 +67,7 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
 
     stages("run tasks")
     with open_client(request.scheduler, request.workers, stages.note) as connect:
-        verdict, matched = Consistency({}, 0, (), {}), dict[str, TaskOutcome]()
+        verdict, matched = Consistency(), dict[str, TaskOutcome]()
         if has_detours(plan):
             matched = run_plan(keep_matches(plan), run_task, connect, show)
             stages("compare maps with each other")
@@ -90,7 +90,7 @@ def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stage
     numbers = parse_task_range(words, steps[-1].last)
     lines, whole = [], True
     for step, number in ((step, number) for step in steps for number in numbers if step.first <= number <= step.last):
-        verdict = Consistency({}, 0, (), {})
+        verdict = Consistency()
         current = plan
         if step.name not in ("prepare", "match"):
             verdict, current = _verdict_and_plan(plan, version)
@@ -171,7 +171,7 @@ def _kept_outcomes(plan: Plan) -> dict[str, TaskOutcome]:
 def _verdict_and_plan(plan: Plan, version: str) -> tuple[Consistency, Plan]:
     """Consistency of finished maps, and the plan with detours around doubtful ones; under a file lock."""
     if not has_detours(plan):
-        return Consistency({}, 0, (), {}), plan
+        return Consistency(), plan
     from filelock import FileLock
 
     (plan.root / STATE_FOLDER).mkdir(parents=True, exist_ok=True)
