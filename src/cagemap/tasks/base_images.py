@@ -14,7 +14,7 @@ from cagemap.files.images.image import Image, read_image, texture_files, udim_pa
 from cagemap.maps.result import MatchResult
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.transfer import BakeOptions, Transfer
-from cagemap.transfer.baking import to_dtype, unit
+from cagemap.transfer.baking import convert_dtype
 from cagemap.transfer.masks import bake_mask, blend, with_alpha
 
 _log = logging.getLogger(__name__)
@@ -45,9 +45,7 @@ def _apply_mask(image: Image, transfer: Transfer, base: Path | None, options: Ba
     if all(spaces) and spaces[0] != spaces[1]:
         text = "--base %s is %s, what is baked over it %s: their numbers are mixed as they are. Convert one of them."
         _log.warning(text, base, *spaces)
-    below, full_scale = under.pixels, unit(image.pixels.dtype)
-    if below.dtype != image.pixels.dtype:
-        below = to_dtype(below * (full_scale / unit(below.dtype)), image.pixels.dtype)
+    below = convert_dtype(under.pixels, image.pixels.dtype)
     if options.filter == "nearest":  # labels are not mixed
         weight = (weight >= 0.5).astype(weight.dtype)
     return replace(image, pixels=blend(image.pixels, below, weight))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from cagemap.character.passengers import carry_passenger
+from cagemap.character.passengers import carry_passenger, unit_factor
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import (
     all_or_nothing,
@@ -245,11 +245,12 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
         like = target
     write_mesh(request.output, mesh.with_positions(places), like=like, force=request.force)
     note_transfer(request.result, {"kind": "passenger", "file": request.passenger, "output": request.output})
-    figures = {"vertices": mesh.n_vertices, "distance": carried.distance, "unit_factor": carried.unit_factor}
+    factor = unit_factor(result.point_map.source, worn.positions)
+    figures = {"vertices": mesh.n_vertices, "distance": carried.distance, "unit_factor": factor}
     stages.record(figures)
     warnings = []
-    if carried.distance > _FAR_PASSENGER or carried.unit_factor != 1.0:
-        scaled = f" ({carried.unit_factor:g} times as large it would lie on it)" if carried.unit_factor != 1.0 else ""
+    if carried.distance > _FAR_PASSENGER or factor != 1.0:
+        scaled = f" ({factor:g} times as large it would lie on it)" if factor != 1.0 else ""
         warnings.append(
             f"{request.passenger} is {carried.distance:.1f} body sizes away from "
             f"{result.source.control.name} on average{scaled}: check that both have the same units and place"
