@@ -11,7 +11,7 @@ from examples.shapes import cube, icosahedron, torus
 from scipy.spatial.transform import Rotation
 
 from cagemap.character.body_frames import BodyFrames, FrameConfig
-from cagemap.character.passengers import carry_passenger, carry_passengers
+from cagemap.character.passengers import carry_passenger, carry_passengers, unit_factor
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
@@ -205,7 +205,7 @@ def test_clothes_in_another_unit_are_recognised(factor: float, expected: float, 
     """Clothes a hundred times too small lie near the origin, which is not far from the body."""
     cloth = dressed(body)
     worn = cloth.with_positions(factor * cloth.positions)
-    assert carry_passenger(swollen(body), worn).unit_factor == pytest.approx(expected)
+    assert unit_factor(swollen(body).source, worn.positions) == pytest.approx(expected)
 
 
 def test_what_is_no_passenger_is_refused_by_name(body: ControlMesh) -> None:

@@ -106,7 +106,8 @@ def test_functions_of_a_scan_are_in_its_own_order(tmp_path):
         ("f.npz", {"laplacian": "x"}, "--laplacian: expected mean"),
     ],
 )
-def test_wrong_requests_are_refused(mesh, tmp_path, output, options, said):
+def test_wrong_requests_are_refused_before_the_eigensolver(mesh, tmp_path, monkeypatch, output, options, said):
+    monkeypatch.setattr("cagemap.tasks.functions.prepare_surface", lambda *given, **more: pytest.fail("was solved"))
     with pytest.raises(ParameterError, match=said):
         run(mesh, tmp_path / output, level=1, **options)
 

@@ -179,6 +179,7 @@ def test_parameters_reach_the_method_they_belong_to():
     used = used_parameters(MatchConfig(method="hfm", hfm=hfm))
     assert (used["last"], used["wave"], used["factor"]) == (80, 4, hfm.zoomout.factor)
     assert with_parameters(MatchConfig(), ["first=12"]).start.zoomout.first == 12
+    assert with_parameters(MatchConfig(), ["trusted_functions=6,12,24"]).start.trusted_functions == (6, 12, 24)
     assert with_parameters(MatchConfig(), []) == MatchConfig()
 
 
@@ -193,6 +194,7 @@ def test_parameters_reach_the_method_they_belong_to():
         ("elastic", "laplacian=0.1", "expected NAME=VALUE with one of .*search_vertices.* for elastic"),
         ("elastic", "last=2", "no fewer at last"),
         ("elastic", "factor=x", "factor: expected a number, got 'x'"),
+        ("elastic", "trusted_functions=8,x", "expected a whole number, or several with commas between them, got '8,x'"),
         ("hfm", "factor=1", "a factor above 1"),
         ("hfm", "normal_weight=-1", "normal_weight: expected a number of at least 0"),
         ("hfm", "signature_weight=-1", "signature_weight: expected a number of at least 0"),

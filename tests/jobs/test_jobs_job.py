@@ -469,3 +469,18 @@ def test_shapes_of_a_folder_count_by_name_and_content(folder: Path) -> None:
         (folder / "shapes" / name).write_text(content)
         keys.append(next(task.key for task in real_plan(folder, text).tasks if task.kind == "transfer"))
     assert len(set(keys)) == 3
+
+
+def test_point_files_of_a_pair_take_precedence_over_landmarks_of_assets(folder: Path) -> None:
+    assets = ASSETS.replace('.obj"', '.obj"\nlandmarks = "asset.json"')
+    options = 'options = { target_points = "t.json", source_points = "s.json" }\n'
+    for name in ("asset", "t", "s"):
+        (folder / f"{name}.json").write_text("{}")
+    (task, *_) = [task for task in real_plan(folder, HEAD + assets + PAIRS + options).tasks if task.kind == "match"]
+    assert [Path(task.request[f"{side}_points"]).name for side in ("target", "source")] == ["t.json", "s.json"]
+
+
+def test_a_wrap_of_a_job_takes_no_map(folder: Path) -> None:
+    (folder / "m.npy").write_bytes(b"")
+    outputs = '[[outputs]]\ncommand = "wrap"\nmap = "m.npy"\n'
+    assert "outputs.0.map" in refusal(folder, HEAD + ASSETS + PAIRS + outputs)

@@ -27,7 +27,7 @@ from cagemap.maps.result import MatchResult
 from cagemap.mesh import Bilinear, Plain
 from cagemap.pipeline import MatchConfig, choose_level, pair_of, prepare_pair
 from cagemap.subdivision import finest_mesh
-from cagemap.transfer import combine, control_weights, prepare_transfer
+from cagemap.transfer import combine, control_weights
 
 from example_once import example_pair
 from plain_meshes import animal
@@ -117,7 +117,7 @@ def closest(target: Surface, source: Surface) -> sparse.csr_array:
     found = Coincidence.find(target, source)
     point_map = PointMap(target.triangles(target.finest_level), found.images(source.triangles(source.finest_level)))
     sides = target.refinement, source.refinement
-    return control_weights(prepare_transfer(sides[0].finest, sides[1].finest, point_map), *sides)
+    return control_weights(point_map, *sides)
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +136,7 @@ def test_values_between_cages_that_lie_on_each_other_are_those_of_the_same_place
         assert found.confidence.verdict == SURE
         assert "as it stands, 0.0" in found.confidence.message
         sides = target.refinement, source.refinement
-        weights = control_weights(prepare_transfer(sides[0].finest, sides[1].finest, found.point_map), *sides)
+        weights = control_weights(found.point_map, *sides)
         carried = combine(weights, source.control.positions)
         np.testing.assert_allclose(carried, target.control.positions, rtol=0, atol=1e-9)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import creature
+from examples.shapes import creature, torus
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import Image, read_image, write_image
@@ -23,6 +23,7 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import find_part
 from cagemap.report import draw_gallery
 from cagemap.tasks.import_map import run_map
+from cagemap.tasks.masks import read_mask
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.import_map import MapRequest
@@ -118,7 +119,7 @@ def test_outside_the_mask_the_texture_is_the_base(scene: Path) -> None:
     with pytest.raises(FormatError, match="JPEG holds no alpha"):
         _run_transfer(scene, "alpha.jpg", texture=scene / "texture.png")
     write_image(scene / "small.png", np.zeros((16, 16, 4), dtype=np.uint8))
-    with pytest.raises(ParameterError, match="base image: expected 16 x 16 texels of 3 channels"):
+    with pytest.raises(ParameterError, match="expected 16 x 16 texels of 3 channels"):
         _run_transfer(scene, "no.png", texture=scene / "texture.png", bases=(("", scene / "small.png"),))
 
 
@@ -232,3 +233,36 @@ def test_outside_the_mask_values_shapes_and_cages_stay(scene: Path) -> None:
     behind = weight == 0
     swollen, own_shape = result.source.control.positions[behind], control.positions[behind]
     assert np.abs(wrapped[behind] - own_shape).mean() < 0.8 * np.abs(wrapped[behind] - swollen).mean()
+
+
+def test_a_bake_has_the_size_of_its_base(scene: Path) -> None:
+    write_image(scene / "wide.png", np.full((16, 32, 3), 9, dtype=np.uint8))
+    summary, _ = _run_transfer(scene, "over_wide.png", texture=scene / "texture.png", bases=(("", scene / "wide.png"),))
+    assert "32 x 16 texels" in summary
+    pixels = read_image(scene / "over_wide.png").pixels
+    assert pixels.shape == (16, 32, 3)
+    assert (pixels == 9).all(axis=2).any()
+
+
+@pytest.mark.parametrize(
+    ("size", "channels", "options"), [(16, 4, {}), (8, 3, {"size": 16}), (8, 1, {"bake": ("colors",)})]
+)
+def test_a_base_that_does_not_fit_is_refused_before_the_bake(
+    scene: Path, monkeypatch: pytest.MonkeyPatch, size: int, channels: int, options: dict[str, object]
+) -> None:
+    monkeypatch.setattr("cagemap.tasks.carry_images.prepare_bake", lambda *given: pytest.fail("it was prepared"))
+    write_image(scene / f"base{channels}.png", np.zeros((size, size, channels), dtype=np.uint8))
+    options = {"bases": (("", scene / f"base{channels}.png"),), "texture": scene / "texture.png", **options}
+    options |= {"texture": None} if "bake" in options else {}
+    with pytest.raises(ParameterError, match=rf"--base .*got {size} x {size} of {channels}"):
+        _run_transfer(scene, "never.png", **options)
+
+
+def test_a_mask_of_as_many_vertices_as_faces_is_said_to_be_at_vertices(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    ring = torus()
+    assert ring.n_vertices == ring.n_faces
+    np.save(tmp_path / "m.npy", np.linspace(0.0, 1.0, ring.n_faces))
+    assert read_mask(str(tmp_path / "m.npy"), None, ring, tmp_path / "ring.obj", "--target-mask").vertices is not None
+    assert "as many rows as control vertices and as control faces: assumed to be at vertices" in caplog.text

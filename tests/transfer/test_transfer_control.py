@@ -61,7 +61,7 @@ def test_identity_gives_every_kind_of_value_back(shape, level: int) -> None:
     control = both[0].control
     transfer = prepare_transfer(both[0].finest, both[1].finest, identity_map(both[0].finest))
     rng = np.random.default_rng(7)
-    weights = control_weights(transfer, *both)
+    weights = control_weights(transfer.point_map, *both)
     values = rng.random((control.n_vertices, 3))
     np.testing.assert_array_equal(combine(weights, values), values)
     labels = rng.integers(-5, 5, control.n_vertices)
@@ -109,7 +109,7 @@ def test_any_map_gives_convex_weights_and_labels_that_exist(seed: int) -> None:
     surfaces = (TriangleSurface.from_faces(side.finest.positions, side.finest.faces) for side in both)
     point_map = PointMap.from_arrays(*surfaces, rng.integers(0, t, n), rng.dirichlet(np.ones(3), n))
     transfer = prepare_transfer(both[0].finest, both[1].finest, point_map)
-    weights = control_weights(transfer, *both)
+    weights = control_weights(transfer.point_map, *both)
     assert weights.shape == (9, 8)
     skin = rng.dirichlet(np.full(5, 0.4), 8)
     carried = combine(weights, skin)

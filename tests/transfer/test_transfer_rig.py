@@ -21,7 +21,7 @@ from cagemap.mesh.faces import cage_triangles
 from cagemap.subdivision import Refinement, refine
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.transfer import control_weights, prepare_transfer
+from cagemap.transfer import control_weights
 from cagemap.transfer.blend_shapes import carry_shape, contacts, prepare_shapes
 from cagemap.transfer.skin import (
     carry_joints,
@@ -53,8 +53,7 @@ def ring() -> Refinement:
 
 
 def test_skin_comes_back_exactly_and_pruned_rows_sum_to_one(ring: Refinement) -> None:
-    transfer = prepare_transfer(ring.finest, ring.finest, same_vertices(ring, ring))
-    weights = control_weights(transfer, ring, ring)
+    weights = control_weights(same_vertices(ring, ring), ring, ring)
     n = ring.control.n_vertices
     rng = np.random.default_rng(5)
     skin = rng.dirichlet(np.full(6, 0.3), n)

@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cagemap.character.joints import Skeleton
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
+from cagemap.files.usd.prims import JOINT_WEIGHTS
+from cagemap.files.usd.write import UsdResults, write_usd
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.transfer.skin import with_chosen_joints
 
@@ -136,3 +139,38 @@ def test_vertex_groups_come_back_under_the_identity(run: Run, result_folder: Pat
         (place / "bad.json").write_text(json.dumps(bad))
         run.refused("transfer R --attribute bad.json -o never.json", says=words)
         assert not (place / "never.json").exists()
+
+
+def test_rows_without_a_chosen_joint_keep_all_their_influences(run: Run, result_folder: Path) -> None:
+    place, names = result_folder.parent, ["a", "b", "c", "d"]
+    given, own = np.tile([0.0, 1.0, 0.0, 0.0], (8, 1)), np.tile([0.0, 0.2, 0.3, 0.5], (8, 1))
+    for name, table in (("w.csv", given), ("own.csv", own)):
+        np.savetxt(place / name, table, delimiter=",", header=",".join(names), comments="")
+    run.done("transfer R --weights w.csv --only a --base own.csv --influences 2 -o kept.npz")
+    with np.load(place / "kept.npz") as carried:
+        np.testing.assert_allclose(np.column_stack([carried[name] for name in names]), own, atol=1e-12)
+
+
+@pytest.mark.parametrize("weights", ["w.csv", "w.usda"])
+@pytest.mark.parametrize("words", ["--only a,b,c --target-mask half.npy", "--target-mask half.npy", "--only c"])
+def test_weights_of_a_base_are_paired_by_the_names_of_its_joints(
+    run: Run, result_folder: Path, weights: str, words: str
+) -> None:
+    place, names = result_folder.parent, ["a", "b", "c"]
+    own, given = np.tile([0.2, 0.3, 0.5], (8, 1)), np.tile([0.25, 0.25, 0.5], (8, 1))
+    np.savetxt(place / "w.csv", given, delimiter=",", header=",".join(names), comments="")
+    np.save(place / "half.npy", np.full(8, 0.5))
+    control = read_result(result_folder).target.control
+    for file, order, table in (("w.usda", [0, 1, 2], given), ("base.usda", [2, 0, 1], own), ("less.usda", [2, 0], own)):
+        joints, ends = tuple(names[joint] for joint in order), np.zeros((len(order), 3))
+        skin = UsdResults(
+            attributes={JOINT_WEIGHTS: table[:, order]}, skeleton=Skeleton(joints, ("",) * len(order), ends, ends + 0.1)
+        )
+        write_usd(place / file, control, skin)
+    run.done(f"transfer R --weights {weights} --base base.usda {words} -o named.npz")
+    with np.load(place / "named.npz") as carried:
+        expected = (own + given) / 2 if "mask" in words else own
+        np.testing.assert_allclose(np.column_stack([carried[name] for name in names]), expected, atol=1e-6)
+    run.refused(
+        f"transfer R --weights {weights} --base less.usda {words} -o never.npz", says="expected weights of the joints b"
+    )

@@ -18,6 +18,7 @@ from cagemap.character.roles import find_body
 from cagemap.character.skeleton import carry_rig
 from cagemap.character.values import Character, Part
 from cagemap.errors import ParameterError
+from cagemap.files.result.manifest import doubt_message, landmark_messages
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
@@ -27,7 +28,7 @@ from cagemap.mesh.topology import used_vertices
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
 from cagemap.pipeline import choose_level, match, prepare_surfaces
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights
-from cagemap.tasks.match_parts import ready_mesh
+from cagemap.tasks.match_parts import lost_landmark_notes, ready_mesh
 from cagemap.tasks.progress import Stages
 
 # Least number of finest vertices of a body that is subdivided; plain meshes are not.
@@ -78,6 +79,7 @@ def carry_character(
     _require_passengers(kinds or (), [*(part.name for part in chosen), _name_of_pieces(source_body)])
     matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages)
     result = matched.result
+    notes += matched.notes
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]
     others = [part for part in target.parts if part is not target_body]
     pieces, left_out = _pieces_to_carry(matched, others, named=set(kinds or ()))
@@ -120,6 +122,7 @@ class Bodies:
     given: tuple[Part, Part]
     ready: tuple[RepairedMesh, RepairedMesh]
     result: MatchResult
+    notes: tuple[str, ...] = ()  # on landmarks and the map
 
     def rows(self, side: int) -> IndexArray:
         """For every vertex of a matched mesh (0: target, 1: source), a vertex of the given mesh."""
@@ -148,11 +151,15 @@ def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stage
         If the piece of a part that is matched is only a fragment of it.
     """
     ready = _ready_body(target), _ready_body(source)
-    landmarks = landmarks.renumbered(*(mesh.vertex_of.__getitem__ for mesh in ready))
+    kept = landmarks.renumbered(*(mesh.vertex_of.__getitem__ for mesh in ready))
     stages("prepare")
     levels = choose_level(ready[0].mesh, BODY_VERTICES), choose_level(ready[1].mesh, BODY_VERTICES)
     surfaces = prepare_surfaces(ready[0].mesh, ready[1].mesh, levels)
-    return Bodies((target, source), ready, match(*surfaces, landmarks, progress=stages))
+    result = match(*surfaces, kept, progress=stages)
+    doubt = doubt_message(result.manifest)  # it names options of `cagemap match`
+    messages = [message for message in landmark_messages(result.manifest) if message != doubt]
+    notes = *lost_landmark_notes(landmarks, kept), *messages, *result.quality.warnings
+    return Bodies((target, source), ready, result, notes)
 
 
 def _ready_body(part: Part) -> RepairedMesh:

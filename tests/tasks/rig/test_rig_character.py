@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from cagemap.mesh.faces import face_areas, face_centres
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh
+from cagemap.mesh.schemes import Plain
 from cagemap.subdivision import with_options
 from cagemap.tasks.carry_character import _set_aside, carry_character, match_bodies
 from cagemap.tasks.progress import Stages
@@ -200,7 +202,7 @@ def test_landmarks_between_vertices_and_curves_are_used(files: Character) -> Non
     _, target = read_body(Path("B.glb"))
     _, source = read_body(Path("C.glb"))
     parts = character_body(target, None, Path("B.glb")), character_body(source, "body", Path("C.glb"))
-    landmarks = _landmarks(
+    landmarks, _ = _landmarks(
         RigRequest(Path("B.glb"), Path("C.glb"), Path("O.glb"), Path("L.json")), parts, (target, source)
     )
     (rim,) = landmarks.curves
@@ -353,3 +355,19 @@ def test_a_body_in_several_joined_parts_is_named() -> None:
     (said,) = _split_body(Path("man.fbx"), Character((*halves, shell)), legs)
     assert "man.fbx: legs alone is matched as the body, but top continues it" in said
     assert _split_body(Path("man.fbx"), Character((legs, shell)), legs) == []
+
+
+def test_landmarks_that_are_left_out_and_warnings_of_the_map_are_said(
+    body: ControlMesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pieces = body, ball("button", np.array([0.0, 0.0, 9.0]), 0.1)
+    whole = join_meshes([replace(one, face_objects=None, object_names=()) for one in pieces])
+    part = Part("body", replace(whole, name="body.obj", scheme=Plain()))
+    check = {"suspects": [{"message": "nose: left out"}], "notes": []}
+    result = SimpleNamespace(manifest={"landmark_check": check}, quality=SimpleNamespace(warnings=["5 % is folded"]))
+    monkeypatch.setattr("cagemap.tasks.carry_character.prepare_surfaces", lambda *given: (None, None))
+    monkeypatch.setattr("cagemap.tasks.carry_character.match", lambda *given, progress: result)
+    spots = np.array([3, whole.n_vertices - 1])
+    bodies = match_bodies(part, part, Landmarks(("nose", "button"), spots, spots, "a", "b"), Stages())
+    lost = "1 of 2 landmarks lie on pieces that are set aside and are left out"
+    assert bodies.notes == (lost, "nose: left out", "5 % is folded")
