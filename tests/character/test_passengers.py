@@ -164,10 +164,8 @@ def test_small_round_things_stay_round_and_cloth_does_not(body: ControlMesh, bal
 def test_rigid_keeps_the_size_of_the_whole_body(body: ControlMesh, ball: ControlMesh) -> None:
     point_map = swollen(body)
     places = carry_passenger(point_map, moved(ball, (2.2, 0.8, 0.0)), kind="rigid").positions
-    size = np.linalg.norm(np.ptp(places, axis=0)) / np.linalg.norm(np.ptp(ball.positions, axis=0))
     radii = [np.linalg.norm(at - at.mean(axis=0), axis=1) for at in (places, ball.positions)]
     np.testing.assert_allclose(radii[0], radii[1] * point_map.source.scale / point_map.target.scale, rtol=1e-9)
-    assert size > 0
 
 
 def test_pieces_of_one_mesh_move_on_their_own_and_concentric_ones_together(

@@ -295,7 +295,6 @@ def test_bodies_lie_on_their_own_other_meshes_and_not_on_other_bodies(shared_dat
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_a_moved_body_lies_on_its_own_other_mesh_and_not_on_another_body(shared_data: Path) -> None:
     folder = shared_data / "humans"
     for shape in ("male_young", "female_old_heavy"):
@@ -304,6 +303,7 @@ def test_a_moved_body_lies_on_its_own_other_mesh_and_not_on_another_body(shared_
         assert (found is not None) == (shape == "male_young")
 
 
+@pytest.mark.slow
 def test_clothes_lie_on_the_body_that_wears_them(shared_data: Path) -> None:
     folder = shared_data / "characters" / "passengers"
     shirt = unprepared(read_mesh(folder / "shirt_neutral.obj"))

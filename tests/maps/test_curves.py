@@ -243,6 +243,3 @@ def test_descriptors_of_a_curve_are_the_mean_of_its_points(surfaces: tuple) -> N
     vertices = curve.points.corners[np.arange(len(curve.points)), curve.points.barycentric.argmax(axis=1)]
     expected = curve.line.point_shares @ surface.basis.rows(surface.finest_level, vertices)
     np.testing.assert_allclose(curve_rows(surface, [curve])[0], expected, atol=1e-10)
-
-
-# ---- files and checks

@@ -18,7 +18,6 @@ from examples.shapes import (
 from cagemap.mesh import ControlMesh
 from cagemap.subdivision import (
     CatmullClark,
-    Refinement,
     refine,
 )
 from cagemap.subdivision.matrices import polygon_matrix, regular_matrix
@@ -97,8 +96,3 @@ def test_a_triangle_under_catmull_clark_has_no_special_weights() -> None:
     # Edge point (v + w + two face points)/4 with face points a third of each corner; vertex: 1/3 + 3 (1/9)(1/3).
     np.testing.assert_allclose(np.sort(weights[4]), [1 / 12, 1 / 12, 5 / 12, 5 / 12])
     np.testing.assert_allclose(np.sort(weights[0]), [5 / 27] * 3 + [4 / 9])
-
-
-@pytest.fixture(scope="module")
-def refinement() -> Refinement:
-    return refine(poles(5), 3)
