@@ -99,17 +99,6 @@ def test_polygons_below_a_mirrored_node_are_reversed_with_their_uvs(tmp_path: Pa
     np.testing.assert_array_equal(again.uvs[again.uv_indices] * [-1, 1], np.concatenate(expected)[:, :2])
 
 
-def test_a_mirrored_node_keeps_its_outside() -> None:
-    make = Maker()
-    box = cube()
-    indices = box.face_indices.reshape(6, 4)[:, [0, 1, 2, 0, 2, 3]].ravel()
-    mesh = {"attributes": {"POSITION": make.add(box.positions)}, "indices": make.add(indices, "<u2")}
-    document = make.document(nodes=[{"mesh": 0, "scale": [-1, 1, 1]}], meshes=[{"primitives": [mesh]}])
-    read = character_of(document).parts[0].mesh
-    a, b, c = (read.positions[read.face_indices[k::3]] for k in range(3))
-    assert np.einsum("ni,ni->", a, np.cross(b, c)) > 0
-
-
 def test_hard_edges_below_a_mirrored_node_stay_hard() -> None:
     """Flat normals of a cube's faces come back from a document whose node is mirrored and stretched."""
     box = cube()

@@ -300,33 +300,6 @@ def test_a_worker_that_nobody_starts_again_is_replaced(tmp_path: Path, monkeypat
     assert outcomes["one"].state == "done"
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("forked_workers")
-def test_a_scheduler_elsewhere_is_reached_by_its_address(tmp_path: Path) -> None:
-    from distributed import LocalCluster
-
-    tasks = (task(tmp_path, "one"), task(tmp_path, "two", ("one",)))
-    with (
-        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        open_client(cluster.scheduler_address) as connect,
-    ):
-        outcomes = run_plan(Plan(tmp_path, tasks, ()), write_name, connect)
-    assert [outcomes[name].state for name in ("one", "two")] == ["done", "done"]
-
-
-@pytest.mark.slow
-def test_an_address_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import distributed
-
-    client = distributed.Client
-    monkeypatch.setattr(distributed, "Client", lambda address, timeout: client(address, timeout="1s"))
-    with (
-        open_client("tcp://127.0.0.1:9") as connect,
-        pytest.raises(ParameterError, match=r"127\.0\.0\.1:9 does not answer"),
-    ):
-        run_plan(Plan(tmp_path, (task(tmp_path, "one"),), ()), write_name, connect)
-
-
 def test_the_dashboard_s_address_is_told_and_workers_share_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """With stand-ins for the cluster and for bokeh."""
     import distributed

@@ -65,13 +65,6 @@ def test_a_surface_on_itself_is_the_identity_with_and_without_landmarks(surface:
 
 
 @pytest.mark.slow
-def test_moved_in_its_file_and_rounded_it_is_the_same_surface(pony: ControlMesh, surface: Surface) -> None:
-    rounded = np.round(pony.positions, 6) + np.array([5.0, 0.0, -2.0])
-    found = match(prepare_surface(pony.with_positions(rounded), 1), surface)
-    assert is_identity(found)
-
-
-@pytest.mark.slow
 def test_a_plain_mesh_on_itself_is_the_identity(tmp_path: Path) -> None:
     """Its answer was given for all vertices, where those of the fitted level were expected: an error."""
     scan = prepare_surface(animal(3), 0)
@@ -92,7 +85,9 @@ def test_another_shape_other_faces_or_contrary_landmarks_are_matched(pony: Contr
     others = prepare_surface(ControlMesh.from_faces(pony.positions, [face.tolist() for face in faces]), 1)
     elsewhere = MARKS + np.array([1, 0, 0, 0, 0])
     same = marked(MARKS, MARKS)
+    rounded = prepare_surface(pony.with_positions(np.round(pony.positions, 6) + np.array([5.0, 0.0, -2.0])), 1)
     assert same_surface(pair_of(surface, surface, same).landmarks)
+    assert same_surface(pair_of(rounded, surface, same).landmarks)
     assert not same_surface(pair_of(thicker, surface, same).landmarks)
     assert not same_surface(pair_of(others, surface, same).landmarks)
     assert not same_surface(pair_of(surface, surface, marked(MARKS, elsewhere)).landmarks)
@@ -292,15 +287,6 @@ def test_bodies_lie_on_their_own_other_meshes_and_not_on_other_bodies(shared_dat
         lies(f"{mine}_{one}", f"{theirs}_{other}") for one, other in zip(bodies, np.roll(bodies, 1), strict=True)
     )
     assert not lies(f"{mine}_male_young", f"{theirs}_female_old_heavy")
-
-
-@pytest.mark.slow
-def test_a_moved_body_lies_on_its_own_other_mesh_and_not_on_another_body(shared_data: Path) -> None:
-    folder = shared_data / "humans"
-    for shape in ("male_young", "female_old_heavy"):
-        target = unprepared(moved(read_mesh(folder / f"female1605_{shape}.obj")))
-        found = Coincidence.find(target, body(folder / "male1591_male_young.obj"))
-        assert (found is not None) == (shape == "male_young")
 
 
 @pytest.mark.slow

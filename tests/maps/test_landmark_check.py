@@ -192,14 +192,6 @@ def test_where_parts_have_grown_together_no_landmark_is_left_out(pair, bridged):
 
 
 @pytest.mark.slow
-def test_an_update_leaves_none_out_where_parts_have_grown_together(pair, bridged):
-    right, exchanged = among_few(pair[2], "hoof_front_L", "hoof_front_R")
-    found = update_match(match(bridged, pair[1], right, QUICK), exchanged, QUICK)
-    assert found.suspects == ()
-    assert any("one surface has handles that the other lacks" in note for note in found.landmark_check.notes)
-
-
-@pytest.mark.slow
 def test_a_small_handle_is_none_that_parts_have_grown_together_by() -> None:
     """A scan has handles of noise: with them slips were followed that are left out without them."""
 

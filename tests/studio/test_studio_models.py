@@ -62,7 +62,6 @@ from cagemap.subdivision import refine
 from cagemap.tasks.requests.catalogue import all_options
 
 from example_once import example_pair
-from ply_text import write_text_ply
 from studio_boxes import landmarks, unwrapped_cube
 
 
@@ -382,18 +381,6 @@ def test_the_image_inside_a_glb_is_the_texture_where_none_is_named(tmp_path: Pat
     named = replace(opening, texture=tmp_path / "t.png")
     _, opened = run_task(None, OpenModels(named), lambda _: None)
     assert opened.source.texture == tmp_path / "t.png"
-
-
-def test_the_image_that_a_ply_file_names_is_the_texture(tmp_path: Path) -> None:
-    write_image(tmp_path / "t.png", np.full((8, 8, 3), [255, 0, 0], dtype=np.uint8))
-    for mesh, texture in ((unwrapped_cube(), tmp_path / "t.png"), (cube(), None)):  # without UVs it cannot be shown
-        write_text_ply(tmp_path / "scan.ply", mesh)
-        text = (tmp_path / "scan.ply").read_text()
-        (tmp_path / "scan.ply").write_text(text.replace("\nelement", "\ncomment TextureFile t.png\nelement", 1))
-        opening = PairFiles(tmp_path / "scan.ply", tmp_path / "scan.ply", None, 300, tmp_path)
-        _, opened = run_task(None, OpenModels(opening), lambda _: None)
-        assert opened.source.texture == texture
-        assert (opened.source.look.texture is None) == (texture is None)
 
 
 def test_each_material_of_a_glb_is_shown_with_its_own_image(tmp_path: Path) -> None:
