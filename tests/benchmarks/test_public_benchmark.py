@@ -25,6 +25,8 @@ from benchmarks.public import measure, partial, sets
 from benchmarks.public.__main__ import main
 from benchmarks.public.sets import SETS, more_landmarks
 
+from plain_meshes import renumbered
+
 IDS = (0, 11, 17, 40, 60, 77)
 
 
@@ -33,17 +35,12 @@ def bodies() -> dict[str, ControlMesh]:
     mesh = triangulated(creature())
     x, y, z = mesh.positions.T
     bent = replace(mesh, positions=np.column_stack([x + 0.05 * z**2, y, 1.2 * z]))
-    order = np.random.default_rng(5).permutation(mesh.n_vertices)  # new vertex i is old vertex order[i]
-    place = np.argsort(order)
-    shuffled = replace(bent, positions=bent.positions[order], face_indices=place[bent.face_indices])
-    return {"one": mesh, "two": shuffled}
+    return {"one": mesh, "two": renumbered(bent, 5)[0]}
 
 
 def numbers(name: str, mesh: ControlMesh) -> np.ndarray:
     """Vertex of every template point of a shape."""
-    if name == "one":
-        return np.arange(mesh.n_vertices)
-    return np.argsort(np.random.default_rng(5).permutation(mesh.n_vertices))
+    return np.arange(mesh.n_vertices) if name == "one" else renumbered(mesh, 5)[1]
 
 
 @pytest.fixture

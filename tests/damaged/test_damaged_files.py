@@ -58,7 +58,7 @@ from cagemap.tasks.transfer import run_transfer
 
 from damage import mutated_arrays, mutated_bytes, mutated_entries, outcome, refused_share
 from example_once import example_pair
-from example_result import identity_result, textured_cube
+from example_result import change_result, identity_result, textured_cube
 from ply_text import write_text_ply
 
 TASK = Task("match", "a", "k", (), {}, ())
@@ -362,12 +362,6 @@ def test_a_damaged_prepared_surface_is_made_again_with_a_word(tmp_path: Path, ca
     assert caplog.text == ""
 
 
-def change(folder: Path, **arrays: Any) -> None:
-    with np.load(folder / ARRAYS) as stored:
-        known = dict(stored)
-    np.savez(folder / ARRAYS, **{name: array for name, array in (known | arrays).items() if array is not None})
-
-
 def with_one(array: Any, value: float) -> Any:
     changed = np.array(array)
     changed.reshape(-1)[5] = value
@@ -396,6 +390,6 @@ def test_arrays_that_do_not_fit_are_refused_by_name_before_native_code_reads_the
     ]
     for arrays, words in cases:
         write_result(tmp_path / "R", result, force=True)
-        change(tmp_path / "R", **arrays)
+        change_result(tmp_path / "R", **arrays)
         with pytest.raises(CagemapError, match=words):
             read_result(tmp_path / "R")

@@ -15,7 +15,6 @@ from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.values.attributes import read_attributes
 from cagemap.mesh import CatmullClark, ControlMesh
-from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, find_part, join_meshes
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.tasks.match import MatchRequest, run_match
@@ -36,6 +35,7 @@ from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
+from plain_meshes import marks_at
 from usd_scenes import complaints, full_cube, stage_at, usd_mesh
 
 PLACE = np.array([[0, 2.0, 0, 0], [-2.0, 0, 0, 0], [0, 0, 2.0, 0], [5, 6, 7, 1]])
@@ -63,8 +63,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     _stage(hero, scene)
     first = scene.n_vertices - creature().n_vertices
     picked = first + np.linspace(0, creature().n_vertices - 1, 9).astype(int)
-    names = tuple(f"point {number}" for number in range(9))
-    write_landmarks(place / "landmarks.json", Landmarks(names, picked, picked, "hero", "hero"))
+    write_landmarks(place / "landmarks.json", marks_at(picked, "hero", "hero"))
     request = MatchRequest(hero, hero, place / "R", place / "landmarks.json", level=1, k=30, part="component:1")
     run_match(request, Stages())
     return place

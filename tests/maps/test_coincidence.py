@@ -30,7 +30,7 @@ from cagemap.subdivision import finest_mesh
 from cagemap.transfer import combine, control_weights, prepare_transfer
 
 from example_once import example_pair
-from plain_meshes import animal
+from plain_meshes import animal, renumbered
 
 MARKS = np.array([3, 50, 120, 200, 260])
 
@@ -160,11 +160,8 @@ def moved(mesh: ControlMesh) -> ControlMesh:
 @pytest.mark.slow
 def test_a_copy_that_was_turned_moved_and_scaled_is_the_identity(pony: ControlMesh, surface: Surface) -> None:
     """With other numbers, so that only closest points tell which vertex is which."""
-    number = np.random.default_rng(4).permutation(pony.n_vertices)
-    places = np.empty_like(pony.positions)
-    places[number] = pony.positions
-    copy = moved(replace(pony, positions=places, face_indices=number[pony.face_indices]))
-    found = match(prepare_surface(copy, 1), surface)
+    copy, number = renumbered(pony, 4)
+    found = match(prepare_surface(moved(copy), 1), surface)
     assert found.confidence.verdict == SURE
     assert f"turned by {np.degrees(MOVED.magnitude()):.0f} degrees and moved, at 0.4 times" in found.confidence.message
     nearest = found.point_map.nearest_vertices()[: pony.n_vertices]

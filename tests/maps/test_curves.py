@@ -15,7 +15,7 @@ from cagemap.deform.fit import coarse_fit
 from cagemap.deform.multi_start import curve_vertices
 from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.errors import FormatError
-from cagemap.files.result.folder import ARRAYS, read_result, write_result
+from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps.pair import Pair, point_pairs
 from cagemap.maps.places import curve_pairs, refined_edges
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
@@ -30,6 +30,7 @@ from cagemap.subdivision import refine
 from cagemap.surface.polylines import Polyline
 
 from curved_bar import RINGS, bar, ends_of, ring, rings_of, slid
+from example_result import change_result
 
 
 @pytest.fixture(scope="module")
@@ -114,8 +115,7 @@ def test_a_result_keeps_its_curves(with_curves: MatchResult, tmp_path: Path) -> 
 
 def test_a_damaged_curve_in_a_result_is_refused(with_curves: MatchResult, tmp_path: Path) -> None:
     write_result(tmp_path / "RESULT", with_curves)
-    arrays = dict(np.load(tmp_path / "RESULT" / ARRAYS))
-    np.savez(tmp_path / "RESULT" / ARRAYS, **arrays | {"target_curve_corners": arrays["target_curve_corners"] + 1000})
+    change_result(tmp_path / "RESULT", target_curve_corners=lambda array: array + 1000)
     with pytest.raises(FormatError, match="target_curve_corners"):
         read_result(tmp_path / "RESULT")
 

@@ -19,7 +19,6 @@ from cagemap.files.result.maps import write_map
 from cagemap.files.values.attributes import read_attributes, write_attributes
 from cagemap.maps.masks import face_mask
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import find_part
 from cagemap.report import draw_gallery
 from cagemap.tasks.import_map import run_map
@@ -31,6 +30,7 @@ from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import WrapRequest, run_wrap
 
 from example_result import identity_result
+from plain_meshes import marks_at
 from quick_match import from_one_start
 
 
@@ -52,8 +52,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     swollen = mesh.positions * np.where(behind[:, None], [1.0, 1.6, 1.6], 1.0)
     write_obj(folder / "source.obj", mesh.with_positions(swollen))
     front = np.flatnonzero(~behind)[:: max(1, int((~behind).sum()) // 16)]
-    names = tuple(f"p{k}" for k in range(len(front)))
-    write_landmarks(folder / "landmarks.json", Landmarks(names, front, front, "target.obj", "source.obj"))
+    write_landmarks(folder / "landmarks.json", marks_at(front, "target.obj", "source.obj"))
     write_image(folder / "texture.png", np.random.default_rng(1).integers(0, 256, (64, 64, 3), dtype=np.uint8))
     write_image(folder / "base.png", np.full((64, 64, 3), 9, dtype=np.uint8))
     _run_match(folder, "RESULT", target_mask="front", source_mask="not:hind")

@@ -36,6 +36,7 @@ from cagemap.subdivision import CatmullClark, Loop
 from cagemap.surface.triangle_surface import TriangleSurface
 
 from example_once import example_pair
+from plain_meshes import marks_at, renumbered
 from quick_match import QUICK
 
 BASIS = BasisConfig(count=60)
@@ -83,11 +84,7 @@ def test_a_relabelled_copy_is_found_again(pony, method):
     The spectral embedding of the two bases agrees up to rounding, so that every vertex maps to its own place; the
     elastic fit may slide by a fraction of the sampling distance where the surface is flat.
     """
-    rng = np.random.default_rng(61)
-    new_number = rng.permutation(pony.n_vertices)
-    positions = np.empty_like(pony.positions)
-    positions[new_number] = pony.positions
-    copy = ControlMesh(positions, pony.face_offsets, new_number[pony.face_indices], name="target.obj")
+    copy, new_number = renumbered(pony, 61)
     source = prepare_surface(pony, 2, BASIS)
     target = prepare_surface(copy, 2, BASIS)
     found = match(target, source, landmarks_of(pony, new_number), MatchConfig(method=method))
@@ -115,22 +112,19 @@ def test_added_landmarks_move_the_map_to_them_at_once():
         image = result.point_map.pull_back(truth)
         return np.linalg.norm(image - truth, axis=1) * source.operators.scale
 
-    def landmarks(vertices):
-        return Landmarks(tuple(f"point {v}" for v in vertices), vertices, vertices, "target.obj", "source.obj")
-
     few = np.linspace(0, cage.n_vertices - 1, 6).astype(np.int64)
     config = MatchConfig()
-    before = match(target, source, landmarks(few), config)
+    before = match(target, source, marks_at(few), config)
     worst = np.argsort(-errors(before)[: cage.n_vertices])[:3]
     more = np.append(few, np.setdiff1d(worst, few))
-    updated = update_match(before, landmarks(more), config)
-    again = match(target, source, landmarks(more), config)
+    updated = update_match(before, marks_at(more), config)
+    again = match(target, source, marks_at(more), config)
     assert updated.quality.landmark_errors.max() < 1e-12
     assert errors(updated)[more].max() < 1e-12
     assert errors(updated).mean() < 0.9 * errors(before).mean()
     assert errors(updated).mean() < 1.3 * errors(again).mean()  # it bends the map that is there: 1.15 measured
     assert updated.quality.flipped_area < before.quality.flipped_area + 2e-3
-    same = update_match(before, landmarks(few), config)
+    same = update_match(before, marks_at(few), config)
     assert abs(errors(same) - errors(before)).mean() < 0.05 * errors(before).mean()  # projected once more, no more
 
 

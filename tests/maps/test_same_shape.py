@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from cagemap import BasisConfig, ControlMesh, Landmarks, Surface, match, prepare_surface, refine
+from cagemap import BasisConfig, ControlMesh, Surface, match, prepare_surface, refine
 from cagemap.maps.projection.project import control_points
 from cagemap.subdivision import level_triangles
 from cagemap.surface.closest_points import build_tree, closest_points
 
 from example_once import example_pair
+from plain_meshes import marks_at
 
 SEED = 17
 FITTED_LEVELS = 2
@@ -42,8 +43,7 @@ def requadded(mesh: ControlMesh, share: float) -> ControlMesh:
 
 def gap_and_error(target: Surface, source: Surface, vertices: np.ndarray) -> tuple[float, float]:
     """Mean distance between the surfaces, and of the map from the identity; vertices have the same numbers in both."""
-    landmarks = Landmarks(tuple(f"point {i}" for i in range(len(vertices))), vertices, vertices)
-    found = match(target, source, landmarks)
+    found = match(target, source, marks_at(vertices))
     assert found.suspects == ()
     assert found.quality.flipped_area < 0.002
     own = target.operators.scale * target.refinement.finest.positions

@@ -39,6 +39,8 @@ from cagemap.tasks.requests.mesh_commands import CheckRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
+from plain_meshes import marks_at
+
 
 def _named(mesh: ControlMesh, name: str, shift: float = 0.0) -> ControlMesh:
     objects = np.zeros(mesh.n_faces, dtype=np.int64)
@@ -319,8 +321,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_obj(folder / "target.obj", scene.with_positions(scene.positions * [1, 1.05, 1]))
     count = creature().n_vertices
     picked = np.concatenate([np.linspace(0, count - 1, 8).astype(int), count + np.arange(0, poles(6).n_vertices, 3)])
-    names = tuple(f"point {number}" for number in range(len(picked)))
-    write_landmarks(folder / "landmarks.json", Landmarks(names, picked, picked, "target.obj", "source.obj"))
+    write_landmarks(folder / "landmarks.json", marks_at(picked, "target.obj", "source.obj"))
     image = np.zeros((64, 128, 3), dtype=np.uint8)
     image[:, :64], image[:, 64:] = (200, 30, 30), (30, 30, 200)
     write_image(folder / "texture.png", image)

@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.errors import ParameterError
 from cagemap.maps.pair import Pair, PointPairs, near_vertices
-from cagemap.mesh.landmarks import Landmarks
 from cagemap.paper import hfm, method
 from cagemap.paper.functional_constraints import MapWeights
 from cagemap.paper.hfm import HfmConfig, both_directions, fit_displacement, hfm_map
@@ -25,6 +24,7 @@ from cagemap.spectral.zoomout import ZoomOutSchedule
 from cagemap.surface.surface_points import SurfacePoints
 
 from judged_pairs import Judged
+from plain_meshes import marks_at
 
 
 @pytest.mark.slow
@@ -129,7 +129,7 @@ def test_finer_levels_start_from_the_same_map():
     for levels in ((1, 1), (2, 1), (3, 2)):
         one, two = (prepare_surface(shapes.creature(), level, BasisConfig(count=30, vertices=300)) for level in levels)
         chosen = np.arange(0, one.control.n_vertices, 7)
-        landmarks = Landmarks(tuple(map(str, chosen)), chosen, chosen, one.control.name, two.control.name)
+        landmarks = marks_at(chosen, one.control.name, two.control.name)
         found.append(match(one, two, landmarks, MatchConfig(method="hfm", hfm=config)))
         assert found[-1].level_maps[-1].levels == levels
         away = found[-1].point_map.images.positions - one.triangles(one.finest_level).positions
@@ -177,7 +177,7 @@ def test_orthonormal_is_the_nearest_isometry():
 def test_match_keeps_the_maps_of_all_levels():
     surface = creature_pair().target
     chosen = np.arange(0, surface.control.n_vertices, 7)
-    landmarks = Landmarks(tuple(map(str, chosen)), chosen, chosen, surface.control.name, surface.control.name)
+    landmarks = marks_at(chosen, surface.control.name, surface.control.name)
     found = match(surface, surface, landmarks, MatchConfig(method="paper"))
     assert [one.levels for one in found.level_maps] == [(0, 0), (1, 1)]
     np.testing.assert_array_equal(found.functional_map, found.level_maps[-1].functional_map)

@@ -32,14 +32,7 @@ from cagemap.transfer.skin import (
     with_chosen_joints,
 )
 
-
-def surface_of(refinement: Refinement) -> TriangleSurface:
-    assert refinement.finest.faces is not None
-    return TriangleSurface.from_faces(refinement.finest.positions, refinement.finest.faces)
-
-
-def same_vertices(target: Refinement, source: Refinement) -> PointMap:
-    return PointMap.from_vertices(surface_of(target), surface_of(source), np.arange(target.finest.n_vertices))
+from transfer_scenes import same_vertices, surface_of
 
 
 def net_of(control: ControlMesh):

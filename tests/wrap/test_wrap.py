@@ -28,12 +28,7 @@ from cagemap.wrap.net import counterpart_mask
 
 from command_line import Run
 from example_result import identity_result
-from transfer_scenes import crossed_cube
-
-
-def surface_of(refinement: Refinement) -> TriangleSurface:
-    assert refinement.finest.faces is not None
-    return TriangleSurface.from_faces(refinement.finest.positions, refinement.finest.faces)
+from transfer_scenes import crossed_cube, same_vertices, surface_of
 
 
 def nearest_map(target: Refinement, source: Refinement, places: np.ndarray | None = None) -> PointMap:
@@ -59,10 +54,6 @@ def ring() -> tuple[Refinement, Refinement]:
     """A torus, and a dented one of the same connectivity: the true wrapped cage is the source's own."""
     target = torus(12, 8)
     return refine(target, 3), refine(dented(target, 0.25), 3)
-
-
-def same_vertices(target: Refinement, source: Refinement) -> PointMap:
-    return PointMap.from_vertices(surface_of(target), surface_of(source), np.arange(target.finest.n_vertices))
 
 
 def test_under_the_true_map_the_source_s_own_cage_comes_back(ring: tuple[Refinement, Refinement]) -> None:

@@ -34,7 +34,7 @@ from cagemap.tasks.rig_character import _kinds, _landmarks, _split_body, charact
 
 from command_line import Run
 from example_character import ball, bare_body, write_character
-from plain_meshes import far_apart
+from plain_meshes import far_apart, marks_at
 from rigged import image_error, part_named, rig_done, same_order
 
 
@@ -318,8 +318,7 @@ def test_a_real_character_on_another_body(
     if body_file == "target_B_body.glb":  # the other one shows what the usual fit does, without landmarks
         request.getfixturevalue("quick_fit")
         same = far_apart(read_mesh(rigs / body_file).positions, 30)  # both bodies have the same vertices
-        names = tuple(map(str, same))
-        write_landmarks("l.json", Landmarks(names, same, same, body_file, "character_A.glb"))
+        write_landmarks("l.json", marks_at(same, body_file, "character_A.glb"))
         marks = ["--landmarks", "l.json"]
     run.done("rig", rigs / body_file, "--like", rigs / "character_A.glb", "-o", "OUT.glb", "--size", 256, *marks)
     made, truth = read_character("OUT.glb"), read_character(rigs / "truth" / "character_B.glb")
