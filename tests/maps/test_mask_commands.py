@@ -148,12 +148,6 @@ def test_masks_of_a_transfer_are_beside_those_of_the_match(scene: Path, whole: P
     _run_transfer(scene, "further.png", texture=scene / "texture.png", target_mask=str(scene / "painted.png"))
     half = read_image(scene / "further.png").pixels[..., 3]
     assert np.abs(half - at_match * (128 / 255)).max() <= 1
-    with pytest.raises(ParameterError, match="--mask-edge: expected with --target-mask"):
-        _run_transfer(scene, "no.png", texture=scene / "texture.png", mask_edge=0.1)
-    with pytest.raises(
-        ParameterError, match=r"--target-mask: expected with --texture or .* --blend-shapes only, got --write-map"
-    ):
-        _run_transfer(scene, "no.npz", write_map=True, target_mask="front")
     with pytest.raises(ParameterError, match="target mask: expected some of the surface to count"):
         _run_transfer(scene, "no.png", texture=scene / "texture.png", target_mask="hind")
     with pytest.raises(FormatError, match="is an input too"):
