@@ -43,7 +43,6 @@ def files_of(folder):
 
 
 def test_other_search_levels_and_exact_bases_get_the_operators_of_the_finest_level(tmp_path):
-    """Those of hfm end where no finer level would change the map, unless other levels are asked for."""
     words = {"target": tmp_path, "source": tmp_path, "landmarks": tmp_path, "output": tmp_path, "method": "hfm"}
     assert side_bases(MatchRequest(**words)) == (default_basis("hfm"), default_basis("hfm"))
     assert default_basis("hfm").vertices == MAP_BASIS.vertices

@@ -47,7 +47,6 @@ def test_every_block_of_the_page_runs(tmp_path, monkeypatch, quick_fit):
 
 @pytest.mark.slow
 def test_the_commands_of_table_1_run(shared_data, tmp_path, run):
-    """As the page has them, with fewer levels: one had its landmarks the wrong way round."""
     block = re.search(r"```text\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL).group(1)
     commands = re.findall(r"^cagemap (.*)$", block.replace("\\\n", ""), re.MULTILINE)
     places = {path.name: str(path) for path in [*shared_data.rglob("*.obj"), *shared_data.rglob("*.json")]}

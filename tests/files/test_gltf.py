@@ -121,7 +121,6 @@ def test_hard_edges_below_a_mirrored_node_stay_hard() -> None:
 
 
 def test_new_uvs_are_written_into_a_document(tmp_path: Path) -> None:
-    """Those of the set in use; a mesh without UVs stays without, other sets and hard edges stay."""
     box, ball = unwrap(cube()), icosahedron()
     sets = (UvSet("TEXCOORD_1", box.uvs / 4, box.uv_indices),)
     parts = (Part("box", replace(box, uv_name="TEXCOORD_0", uv_sets=sets)), Part("ball", ball))

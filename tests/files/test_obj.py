@@ -350,7 +350,6 @@ def test_a_layout_over_a_file_of_others_writes_nothing(tmp_path: Path) -> None:
 
 
 def test_objects_of_one_name_without_common_vertices_are_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Not those whose name is only repeated, as before another material."""
     quads = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nv 2 1 0\nv 5 0 0\nv 6 0 0\nv 6 1 0\nv 5 1 0\n"
     (tmp_path / "one.obj").write_text(quads + "o body\nf 1 2 3 4\no hat\nf 7 8 9 10\no body\nf 2 5 6 3\n")
     assert read_obj(tmp_path / "one.obj").object_names == ("body", "hat")

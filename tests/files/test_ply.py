@@ -161,7 +161,6 @@ def test_faces_of_several_colours_have_a_material_for_each(tmp_path: Path, caplo
 
 
 def test_faces_without_a_colour_are_written_grey(tmp_path: Path) -> None:
-    """Of a material without one, or without a material (-1)."""
     mesh = replace(
         cube(),
         face_materials=np.array([0, 1, -1, 0, 0, 0]),

@@ -103,7 +103,6 @@ def test_a_skeleton_comes_back_from_usd_and_skins_to_rest(tmp_path: Path) -> Non
 
 
 def test_vertices_without_weights_stay_and_all_joints_are_kept(tmp_path: Path) -> None:
-    """Such as those outside a matched part: USD would move them to the skeleton's origin."""
     names = tuple(f"joint{number}" for number in range(9))
     heads = np.arange(27.0).reshape(9, 3)
     skeleton = Skeleton(names, ("", *names[:-1]), heads, heads + 1.0)

@@ -222,7 +222,6 @@ def test_a_point_of_the_surface_has_a_point_of_the_cage_that_lies_there() -> Non
 @pytest.mark.slow
 @pytest.mark.usefixtures("jobs_in_threads", "small_pages")
 def test_a_job_carries_landmarks_and_takes_the_corrected_ones(tmp_path: Path) -> None:
-    """Between two meshes of one surface, whose maps are found at once."""
     pair = example_pair(16)
     other, number = renumbered(pair.source, 2)
     write_mesh(tmp_path / "a.obj", pair.source)

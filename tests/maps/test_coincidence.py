@@ -66,7 +66,6 @@ def test_a_surface_on_itself_is_the_identity_with_and_without_landmarks(surface:
 
 @pytest.mark.slow
 def test_a_plain_mesh_on_itself_is_the_identity(tmp_path: Path) -> None:
-    """Its answer was given for all vertices, where those of the fitted level were expected: an error."""
     scan = prepare_surface(animal(3), 0)
     found = match(scan, scan)
     assert found.prepared.mesh.n < len(found.point_map.triangle)
@@ -94,7 +93,6 @@ def test_another_shape_other_faces_or_contrary_landmarks_are_matched(pony: Contr
 
 
 def test_masks_that_keep_different_parts_are_no_identity(surface: Surface) -> None:
-    """One side of one animal on the other side of another of the same cage: nothing of either would be matched."""
     pair = pair_of(surface, surface, marked(MARKS[:0], MARKS[:0]))
     left = (surface.refinement.finest.positions[:, 0] > 0).astype(float)
     assert same_surface(pair.landmarks, Masks(left, left))

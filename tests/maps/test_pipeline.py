@@ -101,7 +101,6 @@ def test_a_relabelled_copy_is_found_again(pony, method):
 
 @pytest.mark.slow
 def test_added_landmarks_move_the_map_to_them_at_once():
-    """A shape against a bent one: the true map is known, and landmarks where it was missed bring the map there."""
     cage = shapes.creature()
     x, y, z = (cage.positions / np.ptp(cage.positions)).T
     bent = cage.with_positions(np.column_stack([x * (1 + 0.4 * z), y + 0.3 * z**2, z * (1 + 0.4 * x)]))
@@ -130,7 +129,6 @@ def test_added_landmarks_move_the_map_to_them_at_once():
 
 @pytest.mark.slow
 def test_a_prepared_pair_is_matched_as_it_was_prepared_or_not_at_all():
-    """Another method, start, elastic fit or masks was not followed, without a word."""
     surface = prepare_surface(shapes.creature(), 1, BASIS)
     marks = landmarks_of(surface.control, np.arange(surface.control.n_vertices))
     own = MatchConfig(

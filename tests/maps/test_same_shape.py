@@ -57,7 +57,6 @@ def gap_and_error(target: Surface, source: Surface, vertices: np.ndarray) -> tup
 
 @pytest.mark.slow
 def test_a_pony_under_a_cage_of_triangles_is_the_same_pony():
-    """Under Loop's scheme, both ways."""
     pair, basis = example_pair(texture_size=64), BasisConfig(count=100)
     other = prepare_surface(requadded(pair.source, 1.0), 1, basis)
     own = prepare_surface(pair.source, 2, basis)

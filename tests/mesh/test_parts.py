@@ -369,7 +369,6 @@ def test_each_part_is_matched_and_one_texture_baked(folder: Path) -> None:
 
 
 def test_the_level_of_one_part_is_that_of_its_own_size(folder: Path) -> None:
-    """At the level of the whole file an eye had too few vertices for its basis."""
     files = [folder / name for name in ("target.obj", "source.obj", "R", "landmarks.json")]
     wanted = 400
     inputs = read_inputs(MatchRequest(*files, target_part="body", source_part="ball", vertices=wanted))

@@ -49,7 +49,6 @@ def test_the_equations_of_the_blocks_carry_the_paper_method(shared_data):
 
 @pytest.mark.slow
 def test_every_improvement_of_hfm_helps(shared_data, monkeypatch):
-    """Each left out costs something on a pair that nothing was chosen on; docs/paper/index.md has all 28 runs."""
     judged = Judged(HUMANS["base__male1591"], default_basis("hfm"), 14, method="hfm")
 
     def error(**changes):
@@ -69,7 +68,6 @@ def one_direction(areas, matches):
 
 
 def test_matches_of_both_directions_count_both_surfaces_alike():
-    """Whatever the numbers of samples: each side's areas have the same sum."""
     matches = np.array([2, 0, 1]), np.array([0, 0, 1, 2, 2, 1])
     of_target, of_source, areas = both_directions((np.full(3, 1 / 3), np.full(6, 1 / 6)), matches)
     np.testing.assert_array_equal(of_target, [0, 1, 2, 0, 0, 1, 2, 2, 1])
@@ -78,7 +76,6 @@ def test_matches_of_both_directions_count_both_surfaces_alike():
 
 
 def test_a_displacement_is_a_rotation_and_smooth_functions():
-    """What was rotated and displaced by some functions is found again, from weighted samples."""
     rng = np.random.default_rng(7)
     rows = np.hstack([np.ones((300, 1)), rng.standard_normal((300, 4))])
     positions, turn = rng.standard_normal((300, 3)), Rotation.from_rotvec([0.4, -1.1, 2.0]).as_matrix()
@@ -109,7 +106,6 @@ def creature_pair(level=1, schedule=(20, 10)):
 
 @pytest.mark.slow
 def test_landmarks_between_vertices_have_vertices_of_the_searched_level():
-    """Those of the level where functions end are more than the searched level has: an internal error."""
     surface = creature_pair(2, (40, 15, 5)).target
     mesh = surface.triangles(2)
     rng = np.random.default_rng(0)

@@ -89,7 +89,6 @@ def test_the_studio_maps_plain_files_and_goes_on_from_another_answer(
 
 @pytest.mark.slow
 def test_files_to_result_and_back(tmp_path: Path) -> None:
-    """A scan with a stray piece and a cage: one plain side, one refined; the result goes on after it was read."""
     scan = join_meshes([animal(2), replace(ball(0), positions=ball(0).positions * 1e-3 + 5.0)])
     write_mesh(tmp_path / "scan.ply", soup(scan))
     write_mesh(tmp_path / "cage.obj", creature())

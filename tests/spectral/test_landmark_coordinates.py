@@ -57,7 +57,6 @@ def test_interpolants_have_unit_values_and_are_harmonic(creature_at_3: tuple[Ref
 
 
 def test_a_curve_has_one_coordinate_that_is_1_along_it(creature_at_3: tuple[Refinement, float]) -> None:
-    """And 0 at landmarks and other curves; those are 0 along it. With its vertices in another order it is the same."""
     operators = build_operators(creature_at_3[0])
     stiffness, mass = operators.stiffness[2], operators.mass[2]
     landmarks, curves = np.array([0, 9]), [np.array([30, 17, 100, 45]), np.array([60, 61, 70])]

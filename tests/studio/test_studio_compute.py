@@ -145,7 +145,6 @@ def test_a_bake_writes_the_map_of_the_page_if_a_match_would_find_the_same(
 
 @pytest.mark.slow
 def test_fbx_models_are_converted_once_to_files_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also two of one name, beside another file that has it."""
     mesh, converted = unwrapped_cube(), list[Path]()
 
     def convert(path: Path) -> bytes:

@@ -259,7 +259,6 @@ def test_until_a_first_map_is_compiled_titles_say_so(monkeypatch: pytest.MonkeyP
 
 
 def test_a_map_of_models_that_are_open_no_more_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both parts of a pair are chosen one after the other; opening itself goes on, its surfaces are wanted again."""
     preview, begun, dropped, goes_on = slow_preview(monkeypatch)
     files = Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT"))
     preview.open(replace(files, parts=("one", None)))

@@ -87,7 +87,6 @@ def test_points_interpolate_linear_functions_exactly(surface: TriangleSurface) -
 
 @pytest.mark.parametrize("make", [SurfacePoints.from_vertices, None])
 def test_vertices_are_points(surface: TriangleSurface, make: object) -> None:
-    """As vertices, and as rows of the identity: both give every vertex back to the last bit."""
     if make is None:
         from scipy import sparse
 

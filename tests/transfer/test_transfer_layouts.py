@@ -222,7 +222,6 @@ def test_missing_tiles_and_islands_outside_the_grid_are_refused() -> None:
 def test_a_layout_that_covers_nothing_is_refused(
     layout: Callable[[np.ndarray], np.ndarray], tile: int, found: str
 ) -> None:
-    """Its image came out black."""
     plain, target = plane(4, 4), plane(4, 4, layout)
     transfer = prepare_transfer(target, plain, identity_map(plain))
     with pytest.raises(ParameterError, match=found):
@@ -230,7 +229,6 @@ def test_a_layout_that_covers_nothing_is_refused(
 
 
 def test_tiles_that_only_points_lie_in_are_none() -> None:
-    """Stray texture coordinates of faces without a texture got a black image."""
     level = plane(4, 4)
     assert level.layout is not None
     uvs, corners = level.layout

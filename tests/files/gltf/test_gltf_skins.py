@@ -167,7 +167,6 @@ def _two_skins() -> tuple[Document, np.ndarray, np.ndarray, np.ndarray]:
 
 
 def test_joints_that_two_skins_bind_in_other_poses_move_both_as_the_file_says() -> None:
-    """Read, and written and read again."""
     document, points, weights, binds = _two_skins()
     character = character_of(document)
     pose = np.array([moved(0, 0, 0), moved(1, 0, 0)])

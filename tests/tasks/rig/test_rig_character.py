@@ -101,7 +101,6 @@ def test_animated_shapes_need_no_skeleton(run: Run, files: Character) -> None:
 
 @pytest.mark.slow
 def test_what_the_body_has_of_its_own_stays_and_follows(run: Run, files: Character, body: ControlMesh) -> None:
-    """Also beside a passenger of the same name."""
     top = body.positions[np.argmax(body.positions[:, 1])]
     own, hat = ball("my_eye", top - [0, 0.3, 0], 0.1), ball("hat", top, 0.1)
     parts = Part("skin", body), Part("my_eye", own), Part("hat", hat)
@@ -227,7 +226,6 @@ def test_a_loose_piece_of_the_body_is_said_to_be_carried_along(run: Run, files: 
 
 @pytest.mark.slow
 def test_a_character_whose_body_has_no_weights_is_named(run: Run, files: Character) -> None:
-    """Of an FBX file the clothes may be skinned and the body not."""
     bare, *others = files.parts
     write_character(Path("C.glb"), replace(files, parts=(replace(bare, weights=None), *others)))
     outcome = run("rig", "B.glb", "--like", "C.glb", "-o", "OUT.glb")
@@ -292,7 +290,6 @@ def test_feet_that_are_pieces_are_not_carried_to_a_body_with_feet() -> None:
 
 
 def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
-    """Of many characters only head and hands are there: the rest was deleted under the clothes."""
     balls = [ball("piece", np.array([x, 0.0, 0.0]), size) for x, size in ((0.0, 0.15), (-0.9, 0.1), (0.9, 0.1))]
     mesh = join_meshes([replace(one, face_objects=None, object_names=()) for one in balls])
     body = Part("skin", with_options(replace(mesh, name="C.glb"), "none"))

@@ -50,7 +50,6 @@ def test_a_usd_character_gives_the_same_as_its_glb(run: Run, files: Character) -
 
 @pytest.mark.slow
 def test_images_of_the_character_are_not_replaced(run: Run, files: Character) -> None:
-    """They are cagemap's own, named like those of the output."""
     pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
     document = read_document("C.glb")
     write_usd_character("C.usda", character_of(document), read_scene(document))
