@@ -82,16 +82,6 @@ def all_of(body: ControlMesh, ball: ControlMesh) -> list[ControlMesh]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_identity_changes_nothing(body: ControlMesh, ball: ControlMesh, kind: str | None) -> None:
-    same = surface(body.positions, cage_triangles(body)[0])
-    point_map = PointMap.from_vertices(same, same, np.arange(same.n))
-    for mesh in all_of(body, ball):
-        carried = carry_passenger(point_map, mesh, kind=kind)
-        np.testing.assert_allclose(carried.positions, mesh.positions, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(carried.matrices, np.tile(np.eye(3), (mesh.n_vertices, 1, 1)), rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("kind", KINDS)
 def test_a_moved_and_scaled_body_moves_its_passengers_along(
     body: ControlMesh, ball: ControlMesh, kind: str | None
 ) -> None:

@@ -59,7 +59,7 @@ def _scene() -> ControlMesh:
     return join_meshes([body, eye, other])
 
 
-def test_parts_are_listed_with_their_sizes(tmp_path: Path) -> None:
+def test_parts_are_listed_once_with_their_sizes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     parts = {part.title: len(part.faces) for part in list_parts(_scene())}
     assert parts == {
         "object:body": 6,
@@ -72,18 +72,13 @@ def test_parts_are_listed_with_their_sizes(tmp_path: Path) -> None:
         "component:eye_right": 20,
     }
     write_obj(tmp_path / "scene.obj", _scene())
-    text, sound = run_check(CheckRequest((tmp_path / "scene.obj",)), Stages())
-    assert not sound
-    assert "`find_part`" in text
-    assert "object:eye_right     20 faces" in text
-
-
-def test_check_lists_the_parts_of_a_mesh_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_obj(tmp_path / "scene.obj", _scene())
     listed = list[str]()
     monkeypatch.setattr(mesh_commands, "list_parts", lambda mesh: (listed.append(mesh.name), list_parts(mesh))[1])
-    run_check(CheckRequest((tmp_path / "scene.obj",)), Stages())
+    text, sound = run_check(CheckRequest((tmp_path / "scene.obj",)), Stages())
+    assert not sound
     assert listed == ["scene.obj"]
+    assert "`find_part`" in text
+    assert "object:eye_right     20 faces" in text
 
 
 def test_parts_are_found_by_name() -> None:

@@ -163,24 +163,6 @@ def test_lengths_of_shapes_do_not_depend_on_parts_that_only_the_source_has(close
     np.testing.assert_allclose(carry_shape(carrier, given), given[: control.n_vertices], rtol=0, atol=1e-9)
 
 
-def test_what_touches_in_a_shape_touches_in_the_target_s() -> None:
-    # A slit: two faces of a bent bar come to lie on each other; the target is the same bar, squeezed across.
-    bar = read_bar()
-    target = refine(bar.with_positions(bar.positions * (1, 1.25, 1)), 3)
-    source = refine(bar, 3)
-    x = bar.positions
-    shape = np.zeros_like(x)
-    shape[:, 1] = np.where((x[:, 0] > 1.5) & (x[:, 1] > 0), -(x[:, 1] - 1.0), 0) * (x[:, 1] < 2.5)
-    shape[:, 1] += np.where((x[:, 0] > 1.5) & (x[:, 1] >= 2.5), -1.9, 0)
-    carrier = prepare_shapes(target, source, same_vertices(target, source))
-    moved = carrier.point_map.source.scale * source.prolong(shape, 0, 3)
-    first, second, closing = contacts(carrier, moved)
-    assert len(first)
-    carried = target.prolong(carry_shape(carrier, shape), 0, 3) * carrier.point_map.target.scale
-    between = np.linalg.norm(carried[first] - carried[second] - closing, axis=1)
-    assert between.mean() < 0.2 * np.sqrt(2 * carrier.masses).mean()
-
-
 def test_an_upper_lid_that_closes_meets_the_lower_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """A slot in a plate, taller in the target: the upper rim comes down, corners stay; without contacts it gapes."""
     plate, shape = lid()
@@ -199,10 +181,6 @@ def test_an_upper_lid_that_closes_meets_the_lower_one(monkeypatch: pytest.Monkey
     assert missed() < 0.2 * edge
     monkeypatch.setattr("cagemap.transfer.blend_shapes._CONTACT", 0.0)
     assert missed() > edge
-
-
-def read_bar() -> ControlMesh:
-    return voxels([(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 0), (0, 2, 0), (1, 2, 0), (2, 2, 0)])
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".npz", ".mtx", ".vts"])
