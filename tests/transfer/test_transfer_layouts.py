@@ -21,6 +21,7 @@ from cagemap.transfer import (
 )
 from cagemap.transfer import baking as bake_module
 from cagemap.transfer.locate import TexelSamples
+from cagemap.transfer.texture import lay_texture
 from cagemap.transfer.textured_surface import TexturedSurface
 
 from bake_images import BARE, noise, ramps
@@ -258,6 +259,8 @@ def test_wrong_input_is_refused_with_its_remedy() -> None:
         bake_texture(transfer, texture.astype(np.int32), size=8)
     with pytest.raises(ParameterError, match="wrap"):
         bake_texture(transfer, texture, size=8, options=BakeOptions(wrap="mirror"))  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match="wrap: expected 'repeat' or 'clamp', got 'mirror'"):
+        lay_texture(texture, np.eye(3)[:, :2], np.arange(3)[None], wrap="mirror")  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match="supersample"):
         bake_texture(transfer, texture, size=8, options=BakeOptions(supersample=99))
     with pytest.raises(ParameterError, match="refine it once"):

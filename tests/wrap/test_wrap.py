@@ -23,8 +23,8 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.rays import intersect_normals
 from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap, wrapped_transfer
-from cagemap.wrap.fit import fit_net
-from cagemap.wrap.net import counterpart_mask
+from cagemap.wrap.fit import detached_pieces, fit_net
+from cagemap.wrap.net import control_net, counterpart_mask
 
 from command_line import Run
 from example_result import identity_result
@@ -261,6 +261,9 @@ def test_what_does_not_fit_is_refused(ring: tuple[Refinement, Refinement]) -> No
         wrap(target, point_map, follow=np.full(target.control.n_vertices, 2.0))
     with pytest.raises(ParameterError, match="fairness"):
         WrapConfig(fairness=0)
+    graph = control_net(target, 0, 1.0).graph
+    with pytest.raises(ParameterError, match=r"weights: .*a part of the target that follows the source.* above 0"):
+        detached_pieces(graph, np.arange(graph.n))
 
 
 def test_an_obj_keeps_all_but_positions(tmp_path: Path) -> None:
