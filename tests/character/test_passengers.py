@@ -82,16 +82,6 @@ def all_of(body: ControlMesh, ball: ControlMesh) -> list[ControlMesh]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_identity_changes_nothing(body: ControlMesh, ball: ControlMesh, kind: str | None) -> None:
-    same = surface(body.positions, cage_triangles(body)[0])
-    point_map = PointMap.from_vertices(same, same, np.arange(same.n))
-    for mesh in all_of(body, ball):
-        carried = carry_passenger(point_map, mesh, kind=kind)
-        np.testing.assert_allclose(carried.positions, mesh.positions, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(carried.matrices, np.tile(np.eye(3), (mesh.n_vertices, 1, 1)), rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("kind", KINDS)
 def test_a_moved_and_scaled_body_moves_its_passengers_along(
     body: ControlMesh, ball: ControlMesh, kind: str | None
 ) -> None:
@@ -164,10 +154,8 @@ def test_small_round_things_stay_round_and_cloth_does_not(body: ControlMesh, bal
 def test_rigid_keeps_the_size_of_the_whole_body(body: ControlMesh, ball: ControlMesh) -> None:
     point_map = swollen(body)
     places = carry_passenger(point_map, moved(ball, (2.2, 0.8, 0.0)), kind="rigid").positions
-    size = np.linalg.norm(np.ptp(places, axis=0)) / np.linalg.norm(np.ptp(ball.positions, axis=0))
     radii = [np.linalg.norm(at - at.mean(axis=0), axis=1) for at in (places, ball.positions)]
     np.testing.assert_allclose(radii[0], radii[1] * point_map.source.scale / point_map.target.scale, rtol=1e-9)
-    assert size > 0
 
 
 def test_pieces_of_one_mesh_move_on_their_own_and_concentric_ones_together(

@@ -180,7 +180,6 @@ def test_the_command_takes_curves_and_says_how_they_are_met(run: Run, tmp_path: 
 
 
 def test_curves_on_pieces_that_are_set_aside_are_told() -> None:
-    """As landmarks are: who drew a curve there wants to know that it says nothing."""
     away = cube().with_positions(0.1 * cube().positions + 20.0)
     scan = replace(join_meshes([creature(), away]), scheme=Plain())
     n = creature().n_vertices

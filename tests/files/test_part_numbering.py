@@ -19,7 +19,6 @@ from cagemap.files.result.manifest import stated_inputs
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import FileRows
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, find_part, join_meshes
 from cagemap.mesh.weld import weld_mesh
 from cagemap.tasks.match import MatchRequest, run_match
@@ -32,7 +31,7 @@ from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import run_wrap
 
 from example_result import identity_result, textured_cube
-from plain_meshes import split_at_seams
+from plain_meshes import marks_at, split_at_seams
 
 
 def _scene() -> ControlMesh:
@@ -50,8 +49,7 @@ def _scene() -> ControlMesh:
 def _own_landmarks(path: Path, scene: ControlMesh, count: int = 9) -> None:
     first = scene.n_vertices - creature().n_vertices
     picked = first + np.linspace(0, creature().n_vertices - 1, count).astype(int)
-    names = tuple(f"point {number}" for number in range(count))
-    write_landmarks(path, Landmarks(names, picked, picked, "hero", "hero"), force=True)
+    write_landmarks(path, marks_at(picked, "hero", "hero"), force=True)
 
 
 @pytest.fixture(scope="module")
@@ -213,8 +211,7 @@ def test_parts_matched_one_by_one_keep_the_order_of_the_file(folder: Path) -> No
     scene = _scene()
     first = scene.n_vertices - creature().n_vertices
     picked = np.concatenate([np.arange(5), first + np.linspace(0, creature().n_vertices - 1, 9).astype(int)])
-    names = tuple(f"point {number}" for number in range(len(picked)))
-    write_landmarks(folder / "both.json", Landmarks(names, picked, picked, "hero", "hero"))
+    write_landmarks(folder / "both.json", marks_at(picked, "hero", "hero"))
     hero = folder / "hero.obj"
     run_match(MatchRequest(hero, hero, folder / "E", folder / "both.json", level=1, k=6, part="each"), Stages())
     np.savez(folder / "numbers.npz", a=scene.positions)

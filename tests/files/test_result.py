@@ -26,6 +26,8 @@ from cagemap.mesh.mesh_report import FileVertex
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.subdivision import refine
 
+from example_result import edit_manifest
+
 
 @pytest.fixture(scope="module")
 def result() -> MatchResult:
@@ -177,11 +179,6 @@ def test_nothing_is_left_behind_when_writing_fails(result: MatchResult, tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
-def edit(folder: Path, **changes: object) -> None:
-    manifest = json.loads((folder / MANIFEST).read_text())
-    (folder / MANIFEST).write_text(json.dumps(manifest | changes))
-
-
 def test_missing_folder_manifest_or_arrays_are_named(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"nowhere.*nothing of that name"):
         read_result(tmp_path / "nowhere")
@@ -194,10 +191,10 @@ def test_missing_folder_manifest_or_arrays_are_named(folder: Path, tmp_path: Pat
 
 
 def test_newer_and_foreign_manifests_are_refused(folder: Path) -> None:
-    edit(folder, format_version=99, versions={"cagemap": "9.1"})
+    edit_manifest(folder, format_version=99, versions={"cagemap": "9.1"})
     with pytest.raises(FormatError, match=r"version 99.*cagemap 9\.1"):
         read_result(folder)
-    edit(folder, format="holiday")
+    edit_manifest(folder, format="holiday")
     with pytest.raises(FormatError, match="cagemap-result"):
         read_result(folder)
     (folder / MANIFEST).write_text('{"format": "cagemap-res')

@@ -306,7 +306,6 @@ def test_check_reads_a_character_in_usd_once(tmp_path: Path, caplog: pytest.LogC
 
 
 def test_colours_and_opacity_of_corners_are_written(tmp_path: Path) -> None:
-    """In place of one colour for each vertex."""
     mesh = replace(icosahedron(), name="ball", vertex_colors=np.full((12, 3), 0.5))
     colors = np.random.default_rng(3).uniform(size=(len(mesh.face_indices), 4))
     _written(tmp_path / "OUT.usda", Character((Part("ball", mesh, colors=colors),)))

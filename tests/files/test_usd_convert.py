@@ -261,7 +261,6 @@ def test_an_uneven_scale_of_a_skeleton_is_said(tmp_path: Path, caplog: pytest.Lo
 def test_images_that_gltf_reads_otherwise_are_named(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, shader: str, setting: str, value: object
 ) -> None:
-    """Such as a normal map whose green axis is turned round."""
     made, document = painted()
     write_usd_character(tmp_path / "C.usda", made, read_scene(document))
     usd_document(tmp_path / "C.usda")
@@ -362,7 +361,6 @@ def test_a_character_of_another_program(shared_data: Path) -> None:
 def test_display_colors_and_opacity_of_every_interpolation_are_read(
     tmp_path: Path, kind: str, left_handed: bool
 ) -> None:
-    """Of every corner, also in the glTF document; vertices have the mean of their corners."""
     mesh = cube()
     rows = {"uniform": mesh.corner_faces, "vertex": mesh.face_indices}.get(kind, np.arange(len(mesh.face_indices)))
     values = np.random.default_rng(3).uniform(size=(rows.max() + 1, 4)).astype(np.float32)
@@ -392,7 +390,6 @@ def test_display_colors_and_opacity_of_every_interpolation_are_read(
 
 
 def test_normals_of_blend_shapes_are_read(tmp_path: Path) -> None:
-    """Of listed points; turned as the mesh is, by the inverse transposed transform."""
     mesh = cube()
     offsets, turned = np.random.default_rng(4).normal(size=(2, 3, 3))
     normals = mesh.positions / np.linalg.norm(mesh.positions, axis=1, keepdims=True)
@@ -417,7 +414,6 @@ def test_normals_of_blend_shapes_are_read(tmp_path: Path) -> None:
 
 
 def test_faces_of_two_corners_are_refused_by_name(tmp_path: Path) -> None:
-    """And `check` lists them instead of ending in an internal error."""
     with stage_at(tmp_path / "cube.usda") as stage:
         prim = usd_mesh(stage, "/cube", cube())
         prim.GetFaceVertexCountsAttr().Set([*cube().face_sizes.tolist(), 2])

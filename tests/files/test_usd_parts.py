@@ -16,7 +16,6 @@ from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.values.attributes import read_attributes
 from cagemap.mesh import CatmullClark, ControlMesh
-from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, find_part, join_meshes
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.tasks.match import MatchRequest, run_match
@@ -37,6 +36,7 @@ from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
+from plain_meshes import marks_at
 from usd_scenes import complaints, full_cube, stage_at, usd_mesh
 
 PLACE = np.array([[0, 2.0, 0, 0], [-2.0, 0, 0, 0], [0, 0, 2.0, 0], [5, 6, 7, 1]])
@@ -64,8 +64,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     _stage(hero, scene)
     first = scene.n_vertices - creature().n_vertices
     picked = first + np.linspace(0, creature().n_vertices - 1, 9).astype(int)
-    names = tuple(f"point {number}" for number in range(9))
-    write_landmarks(place / "landmarks.json", Landmarks(names, picked, picked, "hero", "hero"))
+    write_landmarks(place / "landmarks.json", marks_at(picked, "hero", "hero"))
     request = MatchRequest(hero, hero, place / "R", place / "landmarks.json", level=1, k=30, part="component:1")
     run_match(request, Stages())
     return place
@@ -154,7 +153,6 @@ def test_what_only_moves_is_read_at_its_first_time(tmp_path: Path) -> None:
 
 
 def test_mirrored_and_left_handed_prims_face_outwards_and_layers_fit_them(tmp_path: Path) -> None:
-    """Face corners come in the prim's own order in a layer, whichever way they were run through."""
     with stage_at(tmp_path / "mirrored.usda", ("Y", 1)) as stage:
         stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Root").GetPrim())
         other = cube().face_indices.reshape(-1, 4)[:, ::-1].ravel()
@@ -335,7 +333,6 @@ def _bound(stage: Any, to: Any, material: str, **options: Any) -> None:
 
 
 def test_materials_are_those_that_usd_resolves(tmp_path: Path) -> None:
-    """Of previews or final renderings alone, of a collection, or of a prim above that overrides those below it."""
     with stage_at(tmp_path / "looks.usda") as stage:
         strong = UsdShade.Tokens.strongerThanDescendants
         _bound(stage, UsdGeom.Xform.Define(stage, "/over"), "above", bindingStrength=strong)
@@ -366,7 +363,6 @@ def test_materials_are_those_that_usd_resolves(tmp_path: Path) -> None:
 def test_curves_copies_and_values_of_as_many_faces_as_vertices_are_left_out_aloud(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """By their number of rows, values of a torus' faces would be values of its vertices."""
     ring = torus()
     assert ring.n_faces == ring.n_vertices
     with stage_at(tmp_path / "ring.usda") as stage:
@@ -425,7 +421,6 @@ def test_creasing_that_usd_has_no_word_for_is_left_out_aloud(tmp_path: Path, cap
 def test_a_transform_that_changes_the_shape_of_an_only_mesh_is_said(
     scale: tuple[float, float, float], said: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Left and right of the mesh were exchanged without a word."""
     with stage_at(tmp_path / "scaled.usda") as stage:
         UsdGeom.Xform.Define(stage, "/x").AddScaleOp().Set(scale)
         usd_mesh(stage, "/x/box", cube())
@@ -462,7 +457,6 @@ def test_several_meshes_are_upright_as_their_world(tmp_path: Path) -> None:
 def test_a_binding_without_its_schema_is_read_without_a_word_of_usd(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Of exporters that do not apply MaterialBindingAPI: it would name a source file of USD on the console."""
     with stage_at(tmp_path / "cube.usda") as stage:
         prim = usd_mesh(stage, "/cube", cube()).GetPrim()
         UsdShade.Material.Define(stage, "/red")

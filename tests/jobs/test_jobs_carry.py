@@ -32,6 +32,7 @@ from cagemap.tasks.requests.catalogue import COMMANDS
 
 from example_once import example_pair
 from example_result import identity_result, textured_cube
+from plain_meshes import renumbered
 
 JOB = """output = "night"
 [options]
@@ -221,11 +222,8 @@ def test_a_point_of_the_surface_has_a_point_of_the_cage_that_lies_there() -> Non
 @pytest.mark.slow
 @pytest.mark.usefixtures("jobs_in_threads", "small_pages")
 def test_a_job_carries_landmarks_and_takes_the_corrected_ones(tmp_path: Path) -> None:
-    """Between two meshes of one surface, whose maps are found at once."""
     pair = example_pair(16)
-    order = np.random.default_rng(2).permutation(pair.source.n_vertices)  # vertex i of b is vertex order[i] of a
-    number = np.argsort(order)
-    other = replace(pair.source, positions=pair.source.positions[order], face_indices=number[pair.source.face_indices])
+    other, number = renumbered(pair.source, 2)
     write_mesh(tmp_path / "a.obj", pair.source)
     write_mesh(tmp_path / "b.obj", other)
     corrected = number[pair.landmarks.source]

@@ -92,7 +92,6 @@ def test_writing_the_same_again_writes_nothing(tmp_path: Path) -> None:
 
 
 def test_the_same_parquet_is_not_written_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a stand-in for pyarrow, which not everybody has."""
     arrow, parquet = ModuleType("pyarrow"), ModuleType("pyarrow.parquet")
     arrow.__spec__ = ModuleSpec("pyarrow", None)
     vars(arrow).update(parquet=parquet, table=lambda arrays, metadata: repr((arrays, metadata)).encode())

@@ -62,7 +62,6 @@ ABOUT_X, ABOUT_Y, ABOUT_Z = (Rotation.from_rotvec(np.pi * axis).as_matrix().roun
 def test_rotations_between_the_axes_that_the_files_state_have_no_penalty(
     up_axes: tuple[FloatArray | None, FloatArray | None], penalties: list[float]
 ) -> None:
-    """Half turns about the vertical have a small one."""
     prepared = prepare_pair(*(prepare_surface(replace(creature(), upright=upright), 1) for upright in up_axes))
     rotations = (np.eye(3), Z_UP.T, Z_UP, ABOUT_Y, ABOUT_Z, ABOUT_X, ABOUT_Y @ Z_UP.T)
     assert [rotation_penalty(matrix, prepared) for matrix in rotations] == penalties
@@ -72,7 +71,6 @@ def test_rotations_between_the_axes_that_the_files_state_have_no_penalty(
 
 @pytest.mark.slow
 def test_a_model_with_another_axis_up_is_aligned_by_its_file() -> None:
-    """The shapes differ; an alignment that turns the files' axes was doubted."""
     tilted = replace(creature().with_positions(creature().positions * (1.3, 1.0, 0.8) @ Z_UP.T), upright=Z_UP)
     confidence = match(prepare_surface(tilted, 1), prepare_surface(creature(), 1), None, SEARCHED).confidence
     assert confidence.signs["turned"] == 0.0

@@ -118,7 +118,6 @@ def test_a_correspondence_counts_as_the_product_of_its_ends() -> None:
 
 
 def test_figures_are_those_of_what_counts() -> None:
-    """Half of a sheet is folded over; masked, the other half is without fault."""
     level = plane(16, 16)
     here = identity_map(level)
     half = level.positions[:, 0] > 0.5

@@ -185,7 +185,6 @@ def baked_squares(folder: Path, control: ControlMesh, texture: Path, size: int =
 def test_a_texture_transform_and_mirrored_repetition_of_a_gltf_file_are_baked(
     tmp_path: Path, changed: dict[str, Any], mirrored: bool, uvs: Callable[..., tuple[NDArray[Any], NDArray[Any]]]
 ) -> None:
-    """As the image itself, with the texture coordinates that the transform gives."""
     scene = write_textured_scene(tmp_path)
     y, x = np.mgrid[:64, :64]
     pixels = np.stack([4 * x, 4 * y, 2 * (x + y)], axis=2).astype(np.uint8)

@@ -22,6 +22,7 @@ from cagemap.transfer import (
 )
 from cagemap.transfer import baking as bake_module
 from cagemap.transfer.locate import TexelSamples
+from cagemap.transfer.texture import lay_texture
 from cagemap.transfer.textured_surface import TexturedSurface
 
 from bake_images import BARE, noise, ramps
@@ -223,7 +224,6 @@ def test_missing_tiles_and_islands_outside_the_grid_are_refused() -> None:
 def test_a_layout_that_covers_nothing_is_refused(
     layout: Callable[[np.ndarray], np.ndarray], tile: int, found: str
 ) -> None:
-    """Its image came out black."""
     plain, target = plane(4, 4), plane(4, 4, layout)
     transfer = prepare_transfer(target, plain, identity_map(plain))
     with pytest.raises(ParameterError, match=found):
@@ -241,7 +241,6 @@ def test_the_least_area_of_a_layout_is_the_same_for_a_mesh_and_for_a_bake(share:
 
 
 def test_tiles_that_only_points_lie_in_are_none() -> None:
-    """Stray texture coordinates of faces without a texture got a black image."""
     level = plane(4, 4)
     assert level.layout is not None
     uvs, corners = level.layout
@@ -271,6 +270,8 @@ def test_wrong_input_is_refused_with_its_remedy() -> None:
         bake_texture(transfer, texture.astype(np.int32), size=8)
     with pytest.raises(ParameterError, match="wrap"):
         bake_texture(transfer, texture, size=8, options=BakeOptions(wrap="mirror"))  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match="wrap: expected 'repeat' or 'clamp', got 'mirror'"):
+        lay_texture(texture, np.eye(3)[:, :2], np.arange(3)[None], wrap="mirror")  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match="supersample"):
         bake_texture(transfer, texture, size=8, options=BakeOptions(supersample=99))
     with pytest.raises(ParameterError, match="refine it once"):

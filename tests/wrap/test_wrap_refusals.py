@@ -20,7 +20,7 @@ from cagemap.tasks.match import MatchRequest
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.wrap.config import MendConfig, WrapConfig
-from cagemap.wrap.fit import detached_pieces, fit_net, mend
+from cagemap.wrap.fit import fit_net, mend
 from cagemap.wrap.net import ControlNet, Samples, control_net
 
 from command_line import Run

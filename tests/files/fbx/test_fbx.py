@@ -160,7 +160,6 @@ def test_instances_with_other_geometric_transforms_keep_their_names(tmp_path: Pa
 
 
 def test_weights_shapes_and_joints_as_values(tmp_path: Path) -> None:
-    """For `transfer --weights`, `--blend-shapes` and `--joints`."""
     path = fbx_file(tmp_path, fbx_arm())
     mesh = read_mesh(path)
     assert read_attributes(path, mesh)[JOINT_WEIGHTS].shape == (6, 2)

@@ -27,7 +27,6 @@ def _faces(mesh: ControlMesh) -> list[tuple[int, ...]]:
 
 
 def test_polygons_come_back_as_polygons(tmp_path: Path) -> None:
-    """Also faces round one vertex that all begin with it, which together look like one fan; of two materials."""
     angles = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     rim = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(12)])
     faces = [(0, 1, 2, 3), (0, 3, 4), (0, 4, 5, 6), (0, 6, 7, 8, 9, 10), (0, 10, 11), (0, 11, 12, 1)]
@@ -117,7 +116,6 @@ def test_a_mesh_that_no_node_uses_may_be_damaged() -> None:
 
 
 def test_normals_of_blend_shapes_come_back_and_turn_with_moved_faces() -> None:
-    """As stated where the mesh is unchanged, else as the shape turns the faces."""
     raised = np.zeros((6, 3))
     raised[:, 2] = [0.0, 0.5, 0.5, 0.0, 0.5, 0.0]  # x + 2 z = 0: the plane tilts about y
     stated = np.tile([-0.3, 0.1, -0.2], (6, 1))

@@ -118,32 +118,6 @@ def test_an_animated_armature_is_a_joint() -> None:
     np.testing.assert_array_equal(rig.parents, [-1, 0, 1])
 
 
-def test_skins_bound_in_other_poses_are_brought_together() -> None:
-    document = arm()
-    other = arm(bind=moved(0, 4, 0))
-    size = len(document.buffers[0])
-    count, views = len(document.json["accessors"]), len(document.json["bufferViews"])
-    joined = json.loads(json.dumps(document.json))
-    joined["bufferViews"] += [view | {"byteOffset": view["byteOffset"] + size} for view in other.json["bufferViews"]]
-    joined["accessors"] += [entry | {"bufferView": entry["bufferView"] + views} for entry in other.json["accessors"]]
-    second = json.loads(json.dumps(other.json["meshes"][0]))
-    primitive = second["primitives"][0]
-    primitive["attributes"] = {name: number + count for name, number in primitive["attributes"].items()}
-    primitive["indices"] += count
-    primitive["targets"] = [{"POSITION": primitive["targets"][0]["POSITION"] + count}]
-    joined["meshes"].append(second)
-    joined["nodes"].append({"name": "second", "mesh": 2, "skin": 1})
-    joined["scenes"][0]["nodes"].append(5)
-    joined["skins"].append(
-        {"joints": [1, 2], "inverseBindMatrices": other.json["skins"][0]["inverseBindMatrices"] + count}
-    )
-    joined["buffers"] = [{"byteLength": size + len(other.buffers[0])}]
-    character = character_of(replace(document, json=joined, buffers=(document.buffers[0] + other.buffers[0],)))
-    _, strip, again = character.parts
-    np.testing.assert_allclose(again.mesh.positions, strip.mesh.positions, atol=1e-6)
-    assert len(character.rig.names) == 2  # type: ignore[union-attr]
-
-
 def _two_skins() -> tuple[Document, np.ndarray, np.ndarray, np.ndarray]:
     """Two strips on the same joints, the second bound with its second joint bent; their points, weights and binds."""
     make, bent = Maker(), moved(1, 0, 0)
@@ -168,7 +142,6 @@ def _two_skins() -> tuple[Document, np.ndarray, np.ndarray, np.ndarray]:
 
 
 def test_joints_that_two_skins_bind_in_other_poses_move_both_as_the_file_says() -> None:
-    """Read, and written and read again."""
     document, points, weights, binds = _two_skins()
     character = character_of(document)
     pose = np.array([moved(0, 0, 0), moved(1, 0, 0)])

@@ -246,7 +246,6 @@ def test_a_mesh_with_other_faces_is_written_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize("interpolation", ["LINEAR", "CUBICSPLINE"])
 @pytest.mark.parametrize("of_node", [False, True])
 def test_weights_of_shapes_follow_their_names(interpolation: str, of_node: bool) -> None:
-    """As where `face` adds shapes to a head that has animated ones, or another order is written."""
     made = lively()
     rows = 3 if interpolation == "LINEAR" else 9
     document = with_shape_weights(character_glb(made), "walk | fast", np.arange(2.0 * rows).reshape(rows, 2))

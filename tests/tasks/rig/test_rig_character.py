@@ -36,7 +36,7 @@ from cagemap.tasks.rig_character import _kinds, _landmarks, _split_body, charact
 
 from command_line import Run
 from example_character import ball, bare_body, write_character
-from plain_meshes import far_apart
+from plain_meshes import far_apart, marks_at
 from rigged import image_error, part_named, rig_done, same_order
 
 
@@ -103,7 +103,6 @@ def test_animated_shapes_need_no_skeleton(run: Run, files: Character) -> None:
 
 @pytest.mark.slow
 def test_what_the_body_has_of_its_own_stays_and_follows(run: Run, files: Character, body: ControlMesh) -> None:
-    """Also beside a passenger of the same name."""
     top = body.positions[np.argmax(body.positions[:, 1])]
     own, hat = ball("my_eye", top - [0, 0.3, 0], 0.1), ball("hat", top, 0.1)
     parts = Part("skin", body), Part("my_eye", own), Part("hat", hat)
@@ -229,7 +228,6 @@ def test_a_loose_piece_of_the_body_is_said_to_be_carried_along(run: Run, files: 
 
 @pytest.mark.slow
 def test_a_character_whose_body_has_no_weights_is_named(run: Run, files: Character) -> None:
-    """Of an FBX file the clothes may be skinned and the body not."""
     bare, *others = files.parts
     write_character(Path("C.glb"), replace(files, parts=(replace(bare, weights=None), *others)))
     outcome = run("rig", "B.glb", "--like", "C.glb", "-o", "OUT.glb")
@@ -305,7 +303,6 @@ def test_feet_that_are_pieces_are_not_carried_to_a_body_with_feet() -> None:
 
 
 def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
-    """Of many characters only head and hands are there: the rest was deleted under the clothes."""
     balls = [ball("piece", np.array([x, 0.0, 0.0]), size) for x, size in ((0.0, 0.15), (-0.9, 0.1), (0.9, 0.1))]
     mesh = join_meshes([replace(one, face_objects=None, object_names=()) for one in balls])
     body = Part("skin", with_options(replace(mesh, name="C.glb"), "none"))
@@ -331,8 +328,7 @@ def test_a_real_character_on_another_body(
     if body_file == "target_B_body.glb":  # the other one shows what the usual fit does, without landmarks
         request.getfixturevalue("quick_fit")
         same = far_apart(read_mesh(rigs / body_file).positions, 30)  # both bodies have the same vertices
-        names = tuple(map(str, same))
-        write_landmarks("l.json", Landmarks(names, same, same, body_file, "character_A.glb"))
+        write_landmarks("l.json", marks_at(same, body_file, "character_A.glb"))
         marks = ["--landmarks", "l.json"]
     run.done("rig", rigs / body_file, "--like", rigs / "character_A.glb", "-o", "OUT.glb", "--size", 256, *marks)
     made, truth = read_character("OUT.glb"), read_character(rigs / "truth" / "character_B.glb")

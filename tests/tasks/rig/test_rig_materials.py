@@ -27,7 +27,6 @@ from rigged import part_named, rig_done, same_order
 
 
 def test_images_that_lie_on_no_uvs_are_left_out_aloud(run: Run, files: Character) -> None:
-    """A rig was refused after its match where the mesh had no texture coordinates for an image."""
     document = read_document("C.glb")
     material = document.json["materials"][0]
     color = material["pbrMetallicRoughness"]["baseColorTexture"]
@@ -66,7 +65,6 @@ def test_a_texture_continues_outside_the_unit_square_by_its_sampler(
 
 @pytest.mark.slow
 def test_textures_of_the_body_and_of_its_own_parts_stay(run: Run, files: Character, body: ControlMesh) -> None:
-    """Those of its own eye always, those of the body if asked for; names that both files have are told apart."""
     own = ball("my_eye", body.positions[np.argmax(body.positions[:, 1])] - [0, 0.3, 0], 0.1)
     own = replace(own.with_uvs(own.positions[:, :2] % 1.0, own.face_indices), material_names=("eye",))
     images = {
