@@ -30,19 +30,30 @@ _CAGE_MODIFIERS = ("SUBSURF", "MULTIRES")
 MAP_COLORS = "cagemap"
 
 
-def sides(context):
-    """Target and source, as they stand."""
+def chosen(context):
+    """Target and source that are chosen in the panel."""
     settings = context.scene.cagemap
     for role in ("source", "target"):
-        thing = getattr(settings, role)
-        if thing is None or thing.name not in context.scene.objects:
+        object_ = getattr(settings, role)
+        if object_ is None or object_.name not in context.scene.objects:
             raise RefusedError(f"Choose a mesh as {role}.")
-        if thing.mode == "EDIT":  # what modifiers make of it is not known there, and groups cannot be written
-            raise RefusedError(f"{thing.name} is in Edit Mode. Leave it (Tab), and press the button again.")
     if settings.target.data == settings.source.data:
         raise RefusedError("Target and source are the same mesh. Choose two.")
-    context.view_layer.update()
     return settings.target, settings.source
+
+
+def edited(context):
+    """The first of target and source that is in Edit Mode, or None."""
+    return next((object_ for object_ in chosen(context) if object_.mode == "EDIT"), None)
+
+
+def sides(context):
+    """Target and source, outside Edit Mode: there modifiers are not evaluated and groups cannot be written."""
+    object_ = edited(context)
+    if object_ is not None:
+        raise RefusedError(f"{object_.name} is in Edit Mode. Leave it (Tab), and press the button again.")
+    context.view_layer.update()
+    return chosen(context)
 
 
 def world(thing):

@@ -8,7 +8,7 @@ from typing import Any
 import bpy
 
 from .client import Message, RefusedError, Worker
-from .reading import digest, match_arguments, sides
+from .reading import chosen, digest, edited, match_arguments, sides
 from .writing import show_map
 
 WORKER = Worker()
@@ -107,6 +107,8 @@ class Work:
             answer = self._guarded(context, self._next)
         finally:  # also after a fault of ours: without it the buttons would stay grey
             if answer != {"PASS_THROUGH"}:
+                if WORKER.busy and self._requests is not None:  # nobody would take the reply
+                    WORKER.stop()
                 self._end(context)
         return answer
 
@@ -128,7 +130,7 @@ class Work:
         return self._finish(context, answer)
 
     def _begin(self, context):
-        self._names = [thing.name for thing in sides(context)]
+        self._names = [object_.name for object_ in sides(context)]
         self._requests = None
         answer = WORKER.busy or self._start(context)
         if answer is not True:
@@ -136,7 +138,8 @@ class Work:
         Work.running = True
         self._timer = context.window_manager.event_timer_add(0.05, window=context.window)
         context.window_manager.modal_handler_add(self)
-        context.workspace.status_text_set(f"cagemap, {self.bl_label}: starting. Esc stops it.")
+        self._stage, self._shown = "starting", ""
+        self._show(context, self._stage)
         return {"RUNNING_MODAL"}
 
     def _start(self, context):
@@ -149,8 +152,13 @@ class Work:
         return True
 
     def _next(self, context):
-        if [thing.name for thing in sides(context)] != self._names:
+        if [object_.name for object_ in chosen(context)] != self._names:
             raise RefusedError(f"Other objects were chosen than {' and '.join(self._names)}. Choose them again.")
+        object_ = edited(context)
+        if object_ is not None:  # nothing can be written there: the reply waits
+            self._show(context, f"waiting until {object_.name} leaves Edit Mode (Tab)")
+            return {"PASS_THROUGH"}
+        self._show(context, self._stage)
         if self._requests is None:  # a landmark was dragged just now, `live` takes the reply
             answer = WORKER.busy or self._start(context)
         else:
@@ -158,9 +166,15 @@ class Work:
             if message is None:
                 return {"PASS_THROUGH"}
             if message[0] == "stage":
-                context.workspace.status_text_set(f"cagemap, {self.bl_label}: {message[1]}. Esc stops it.")
+                self._stage = message[1]
             answer = proceed(self._requests, message)
         return {"PASS_THROUGH"} if answer is True else self._finish(context, answer)
+
+    def _show(self, context, state):
+        """Write a state into the status bar, if another one is there."""
+        if state != self._shown:
+            self._shown = state
+            context.workspace.status_text_set(f"cagemap, {self.bl_label}: {state}. Esc stops it.")
 
     def _finish(self, context, said):
         if said is not None:
