@@ -8,6 +8,7 @@ from mathutils import Vector
 
 from . import reading, writing
 from .client import RefusedError
+from .materials import image_uses, set_materials
 from .reading import sides
 from .work import WORKER, Work, matching, pair_digest, show_answer
 
@@ -81,18 +82,21 @@ def _textures(context):
     target, source = sides(context)
     if not any(slot.material for slot in source.material_slots):
         raise RefusedError(f"{source.name} has no materials.")
-    size, images = context.scene.cagemap.size, {}
-    for slot in source.material_slots:
-        for node in reading.image_nodes(slot.material):
-            pixels = reading.pixels_of(node.image)
-            first = next(iter(pixels.values())) if isinstance(pixels, dict) else pixels
-            images[node.image.name] = {
-                "name": node.image.name,
-                "pixels": pixels,
-                "size": (size, size) if size else first.shape[:2],
-                "uvs": reading.uv_layers(source)[reading.node_uvs(source, node)],
-                "normals": reading.is_normal_map(node),
-            }
+    size, images, names = context.scene.cagemap.size, {}, {}
+    uvs = reading.uv_layers(source)
+    for use in (use for slot in source.material_slots for use in image_uses(source, slot.material)):
+        if use.key in names:
+            continue
+        pixels, number = reading.pixels_of(use.image), sum(key[0] == use.image.name for key in names) + 1
+        first = next(iter(pixels.values())) if isinstance(pixels, dict) else pixels
+        names[use.key] = f"{use.image.name} {number}" if number > 1 else use.image.name
+        images[names[use.key]] = {
+            "name": names[use.key],
+            "pixels": pixels,
+            "size": (size, size) if size else first.shape[:2],
+            "uvs": use.mapped(uvs[use.layer]),
+            "normals": use.normals,
+        }
     baked = {}
     if images:
         layer = next((layer for layer in target.data.uv_layers if layer.active_render), None)
@@ -100,6 +104,7 @@ def _textures(context):
             raise RefusedError(f"{target.name} has no UV map to bake into. Unwrap it, or transfer UV Maps instead.")
         uvs = reading.uv_layers(target)[layer.name]
         baked = (yield "bake", {"images": list(images.values()), "target_uvs": uvs})["images"]
+        target, source = sides(context)
     last = max(len(source.material_slots) - 1, 0)  # which Blender shows where a face says a slot that is gone
     numbers = np.minimum(reading.numbers(source.data.polygons, "material_index", kind=np.int32), last)
     found = yield "materials", {"materials": numbers.astype(np.int64)}
@@ -107,10 +112,10 @@ def _textures(context):
     def write(context):
         target, source = sides(context)
         made = {
-            name: writing.new_image(f"{name} on {target.name}", tiles, bpy.data.images[name])
-            for name, tiles in baked.items()
+            key: writing.new_image(f"{name} on {target.name}", baked[name], bpy.data.images[key[0]])
+            for key, name in names.items()
         }
-        writing.set_materials(target, source, found["materials"], made)
+        set_materials(target, source, found["materials"], made)
         return counted(made, "image")
 
     return write

@@ -262,30 +262,6 @@ def color_attributes(thing):
     }
 
 
-def image_nodes(material):
-    """Nodes of a material that show an image."""
-    nodes = material.node_tree.nodes if material and material.node_tree else ()
-    return [node for node in nodes if node.type == "TEX_IMAGE" and node.image]
-
-
-def is_normal_map(node):
-    """Whether an image is read as a normal map in tangent space."""
-    ends = [link.to_node for output in node.outputs for link in output.links]
-    return any(end.type == "NORMAL_MAP" and end.space == "TANGENT" for end in ends)
-
-
-def node_uvs(thing, node):
-    """Name of the UV layer that an image is laid over."""
-    links = node.inputs["Vector"].links
-    asked = links[0].from_node.uv_map if links and links[0].from_node.type == "UVMAP" else ""
-    if asked in thing.data.uv_layers:
-        return asked
-    layer = next((layer for layer in thing.data.uv_layers if layer.active_render), None)
-    if layer is None:
-        raise RefusedError(f"{thing.name} has no UV map, over which its images lie. Unwrap it first.")
-    return layer.name
-
-
 def pixels_of(image):
     """Pixels (h, w, 4) of an image, row 0 at the top: of 8 bits where it has no more; of tiles by UDIM number."""
     if image.source == "TILED" and len(image.tiles) > 1:

@@ -1,4 +1,4 @@
-"""What the scene gets: colours, groups, shape keys, UVs, materials; what the user made is never replaced."""
+"""What the scene gets: colours, groups, shape keys, UVs, images; what the user made is never replaced."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 
 from .client import RefusedError
-from .reading import MAP_COLORS, from_frame, image_nodes, numbers, rest_positions, world
+from .reading import MAP_COLORS, from_frame, rest_positions, world
 
 # Weights below this are rounding and are not written.
 _LEAST_WEIGHT = 1e-6
@@ -165,46 +165,6 @@ def _plain_image(name, pixels, like):
     image.pixels.foreach_set(values.ravel())
     image.update()
     return image
-
-
-def set_materials(target, source, faces, images):
-    """Give the target's faces (m,) copies of the source's materials with baked images, by name of the source's."""
-    slots = {}
-    for number, slot in enumerate(source.material_slots):
-        if slot.material is None or number not in faces:
-            continue
-        name = short_name(f"{slot.material.name} on {target.name}")
-        material = slot.material.copy()
-        for node in image_nodes(material):
-            if node.image.name in images:
-                node.image = images[node.image.name]
-                for link in node.inputs["Vector"].links:  # the layout is now the target's own
-                    material.node_tree.links.remove(link)
-        slots[number] = _slot_of(target, name, material)
-    kept = numbers(target.data.polygons, "material_index", kind=np.int32)
-    chosen = [slots.get(number, int(before)) for number, before in zip(faces.tolist(), kept, strict=True)]
-    target.data.polygons.foreach_set("material_index", np.array(chosen, dtype=np.int32))
-    for image in [image for image in bpy.data.images if image.get("cagemap_made") and not image.users]:
-        bpy.data.images.remove(image)  # of the materials that were replaced
-    for image in images.values():
-        image.name = image["cagemap_made"]
-    target.data.update()
-
-
-def _slot_of(target, name, material):
-    """Number of a slot with the material: that of an earlier run, or a new one."""
-    material["cagemap_made"] = name
-    own = [slot.material.get("cagemap_made") if slot.material else None for slot in target.material_slots]
-    if name in own:
-        before = target.material_slots[own.index(name)].material
-        target.material_slots[own.index(name)].material = material
-        if not before.users:
-            bpy.data.materials.remove(before)
-    else:
-        target.data.materials.append(material)
-        own.append(name)
-    material.name = name
-    return own.index(name)
 
 
 def dressed(context, thing, target, source, positions, offsets):

@@ -11,6 +11,7 @@ import traceback
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 ZIP, FOLDER, NAMES = sys.argv[1], Path(sys.argv[2]), sys.argv[3:]
 
@@ -162,6 +163,154 @@ def edit_mode_meanwhile_delays_the_result():
     assert window.finish(button) == "FINISHED", window.reports
     assert "cagemap" in target.data.color_attributes
     assert work.WORKER.has_match
+
+
+def shader_nodes(object_, name="coat"):
+    """Node tree of a new material of an object."""
+    material = bpy.data.materials.new(name)
+    if material.node_tree is None:
+        material.use_nodes = True
+    object_.data.materials.append(material)
+    return material.node_tree
+
+
+def principled(tree):
+    return next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
+
+
+def image_node(tree, image):
+    node = tree.nodes.new("ShaderNodeTexImage")
+    node.image = image
+    return node
+
+
+def gradient(name="gradient", size=512):
+    """An image in which every texel has a colour of its own."""
+    image = bpy.data.images.new(name, size, size)
+    x, y = np.meshgrid(np.linspace(0, 1, size), np.linspace(0, 1, size))
+    image.pixels.foreach_set(np.stack([x, y, (x + y) / 2, np.ones_like(x)], axis=2).astype(np.float32).ravel())
+    return image
+
+
+def pixels(image):
+    return np.array(image.pixels[:]).reshape(image.size[1], image.size[0], 4)
+
+
+def texels(image, uvs):
+    """Pixels at UVs (n, 2), repeated outside of the image."""
+    width, height = image.size
+    column, row = (np.mod(uvs, 1.0) * (width, height)).astype(int).T
+    return pixels(image)[np.minimum(row, height - 1), np.minimum(column, width - 1)]
+
+
+def face_middles(object_):
+    """UVs (m, 2) inside the faces."""
+    uvs = np.array([loop.vector[:] for loop in object_.data.uv_layers.active.uv])
+    return np.array([uvs[list(polygon.loop_indices)].mean(0) for polygon in object_.data.polygons])
+
+
+def baked_images(tree):
+    """Images of a node tree and of its groups."""
+    found = [node.image for node in tree.nodes if node.type == "TEX_IMAGE"]
+    for node in tree.nodes:
+        if node.type == "GROUP":
+            found += baked_images(node.node_tree)
+    return found
+
+
+@check
+def a_constant_mapping_is_baked():
+    source, target = pair()
+    tree = shader_nodes(source)
+    texture, mapping, coordinates = (
+        image_node(tree, gradient()),
+        tree.nodes.new("ShaderNodeMapping"),
+        tree.nodes.new("ShaderNodeTexCoord"),
+    )
+    mapping.inputs["Scale"].default_value = (4.0, 2.0, 1.0)
+    mapping.inputs["Rotation"].default_value = (0.0, 0.0, 0.3)
+    mapping.inputs["Location"].default_value = (0.3, 0.1, 0.0)
+    tree.links.new(coordinates.outputs["UV"], mapping.inputs["Vector"])
+    tree.links.new(mapping.outputs["Vector"], texture.inputs["Vector"])
+    tree.links.new(texture.outputs["Color"], principled(tree).inputs["Base Color"])
+    plain = image_node(tree, texture.image)  # the same image without the mapping
+    tree.links.new(plain.outputs["Color"], principled(tree).inputs["Roughness"])
+    bpy.ops.cagemap.transfer(what={"TEXTURES"})
+    made = target.material_slots[0].material.node_tree
+    baked, unmapped = (principled(made).inputs[name].links[0].from_node.image for name in ("Base Color", "Roughness"))
+    uvs = face_middles(target)
+    for image, at in (
+        (unmapped, uvs),
+        (baked, uvs * (4.0, 2.0) @ np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]]) + (0.3, 0.1)),
+    ):
+        apart = np.abs(texels(image, uvs) - texels(texture.image, at)).max(axis=1)
+        assert np.median(apart) < 0.02, np.quantile(apart, [0.1, 0.5, 0.9])
+
+
+@check
+def layouts_that_cannot_be_baked_are_refused_by_name():
+    source, _ = pair()
+    tree = shader_nodes(source)
+    texture = image_node(tree, gradient())
+    tree.links.new(texture.outputs["Color"], principled(tree).inputs["Base Color"])
+    coordinates, mapping = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeMapping")
+    tree.links.new(coordinates.outputs["Generated"], texture.inputs["Vector"])
+    assert "coat, node Texture Coordinate" in refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
+    tree.links.new(mapping.outputs["Vector"], texture.inputs["Vector"])
+    tree.links.new(coordinates.outputs["UV"], mapping.inputs["Vector"])
+    value = tree.nodes.new("ShaderNodeCombineXYZ")
+    tree.links.new(value.outputs["Vector"], mapping.inputs["Scale"])
+    assert "coat, node Mapping" in refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
+    tree.links.new(coordinates.outputs["UV"], texture.inputs["Vector"])
+    texture.projection = "BOX"
+    assert "coat, node Image Texture" in refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
+
+
+@check
+def images_in_node_groups_are_baked_into_copies_of_the_groups():
+    source, target = pair()
+    tree = shader_nodes(source)
+    group = bpy.data.node_groups.new("fur", "ShaderNodeTree")
+    group.interface.new_socket("Vector", in_out="INPUT", socket_type="NodeSocketVector")
+    group.interface.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor")
+    begin, end = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+    texture = image_node(group, gradient())
+    group.links.new(begin.outputs[0], texture.inputs["Vector"])
+    group.links.new(texture.outputs["Color"], end.inputs[0])
+    node, coordinates = tree.nodes.new("ShaderNodeGroup"), tree.nodes.new("ShaderNodeTexCoord")
+    node.node_tree = group
+    tree.links.new(coordinates.outputs["UV"], node.inputs[0])
+    tree.links.new(node.outputs[0], principled(tree).inputs["Base Color"])
+    for _ in range(2):
+        bpy.ops.cagemap.transfer(what={"TEXTURES"})
+        (image,) = baked_images(target.material_slots[0].material.node_tree)
+        assert image.name == "gradient on target"
+        assert texture.image.name == "gradient"
+        assert len(bpy.data.node_groups) == 2, list(bpy.data.node_groups)
+    uvs = face_middles(target)
+    assert np.median(np.abs(texels(image, uvs) - texels(texture.image, uvs)).max(axis=1)) < 0.02
+
+
+@check
+def only_plain_normal_maps_are_baked():
+    source, _ = pair()
+    tree = shader_nodes(source)
+    texture, bend, normals = (
+        image_node(tree, gradient()),
+        tree.nodes.new("ShaderNodeRGBCurve"),
+        tree.nodes.new("ShaderNodeNormalMap"),
+    )
+    tree.links.new(normals.outputs["Normal"], principled(tree).inputs["Normal"])
+    tree.links.new(texture.outputs["Color"], bend.inputs["Color"])
+    tree.links.new(bend.outputs["Color"], normals.inputs["Color"])
+    assert "coat, node RGB Curves" in refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
+    tree.links.new(texture.outputs["Color"], normals.inputs["Color"])
+    normals.space = "OBJECT"
+    assert "coat, node Normal Map" in refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
+    normals.space, normals.uv_map = "TANGENT", "UVMap"
+    assert not refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
+    made = SETTINGS.target.material_slots[0].material.node_tree.nodes["Normal Map"]
+    assert made.uv_map == ""  # the target's own layout
 
 
 results = {}
