@@ -300,7 +300,7 @@ class CAGEMAP_OT_landmark(Work, bpy.types.Operator):
         target, _ = sides(context)
         found = yield "image", {"place": list(context.scene.cursor.location - target.matrix_world.translation)}
         target, source = sides(context)
-        known = {**reading.landmark_points(target), **reading.landmark_points(source)}
+        known = reading.landmarks(target) | reading.landmarks(source)
         name = next(f"landmark {n}" for n in range(1, len(known) + 2) if f"landmark {n}" not in known)
         size = 0.02 * max(target.dimensions)
         for thing, where in ((target, found["target"]), (source, found["source"])):

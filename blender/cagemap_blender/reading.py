@@ -173,28 +173,46 @@ def plain_name(name):
     return re.sub(r"\.\d{3,}$", "", name)
 
 
-def landmark_points(thing):
-    """Places of an object's landmarks in its frame by name: empties that are its children."""
-    turn, points = world(thing)[:3, :3], {}
-    step = 1e-5 * np.ptp(rest_positions(thing) @ turn.T, axis=0).max()  # moved with its object, it rounds otherwise
-    for child in thing.children:
+def landmarks(object_):
+    """Empties that are children of an object: lists by name."""
+    found = {}
+    for child in object_.children:
         if child.type == "EMPTY":
-            name = plain_name(child.name)
-            if name in points:
-                raise RefusedError(f"{thing.name}: more than one landmark is called {name}. Rename or delete one.")
-            place = np.array(child.matrix_world.translation - thing.matrix_world.translation)
-            points[name] = (step * np.rint(place / step)).tolist()
+            found.setdefault(plain_name(child.name), []).append(child)
+    return found
+
+
+def landmark_points(target, source):
+    """Places of the landmarks of target and of source in their frames, by name.
+
+    Raises
+    ------
+    RefusedError
+        Several landmarks of an object have a name that the other one has too.
+    """
+    empties, points = {object_: landmarks(object_) for object_ in (target, source)}, []
+    for object_, other in ((target, source), (source, target)):
+        # Rounded, so that places stay exactly the same where object and landmarks are moved together.
+        step, single = 1e-5 * np.ptp(rest_positions(object_) @ world(object_)[:3, :3].T, axis=0).max(), {}
+        for name, children in empties[object_].items():
+            if len(children) == 1:
+                place = np.array(children[0].matrix_world.translation - object_.matrix_world.translation)
+                single[name] = (step * np.rint(place / step)).tolist()
+            elif name in empties[other]:
+                raise RefusedError(f"{object_.name}: more than one landmark is called {name}. Rename or delete one.")
+        points.append(single)
     return points
 
 
 def match_arguments(context):
     """Arguments of `worker.Session.match`."""
     target, source = sides(context)
+    target_points, source_points = landmark_points(target, source)
     return {
         "target": mesh_arrays(context, target),
         "source": mesh_arrays(context, source),
-        "target_points": landmark_points(target),
-        "source_points": landmark_points(source),
+        "target_points": target_points,
+        "source_points": source_points,
         "vertices": context.scene.cagemap.vertices,
     }
 

@@ -313,6 +313,26 @@ def only_plain_normal_maps_are_baked():
     assert made.uv_map == ""  # the target's own layout
 
 
+def landmark(object_, name, place=(0.0, 0.0, 0.0)):
+    """A landmark, with a number behind its name if that is taken."""
+    empty = bpy.data.objects.new(name, None)
+    bpy.context.collection.objects.link(empty)
+    empty.parent, empty.location = object_, place
+    bpy.context.view_layer.update()
+    return empty
+
+
+@check
+def equal_names_of_empties_matter_on_both_objects_alone():
+    source, target = pair()
+    landmark(target, "Empty"), landmark(target, "Empty")
+    for object_ in (target, source):
+        landmark(object_, "nose", object_.data.vertices[5].co)
+    assert not refusal(bpy.ops.cagemap.match)
+    landmark(source, "Empty")
+    assert "target: more than one landmark is called Empty" in refusal(bpy.ops.cagemap.match)
+
+
 results = {}
 for name in NAMES or CHECKS:
     clear()
