@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from . import reading, writing
+from . import copies, reading, writing
 from .client import RefusedError
 from .materials import image_uses, set_materials
 from .reading import sides
@@ -207,9 +207,9 @@ def _clothes(context, armature_of=reading.armature_of):
         target, source = sides(context)
         armature = armature_of(target)
         for name, positions, offsets in zip(names, found["positions"], found["shapes"], strict=True):
-            made = writing.dressed(context, bpy.data.objects[name], target, source, positions, offsets)
+            made = copies.copy_garment(context, bpy.data.objects[name], target, source, positions, offsets)
             if armature is not None:
-                writing.bind(made, armature)
+                copies.bind(made, armature)
             else:
                 for modifier in [m for m in made.modifiers if m.type == "ARMATURE"]:
                     made.modifiers.remove(modifier)
@@ -278,10 +278,9 @@ class CAGEMAP_OT_rig(Work, bpy.types.Operator):
             writers.append((yield from _clothes(context)))
         target, source = sides(context)
         armature = reading.armature_of(source)
-        said = [writers[0](context)]
-        made = writing.rigged(context, armature, target, source, found["matrices"], found["tails"])
-        writing.bind(target, made)
-        said += [write(context) for write in writers[1:]]
+        made = copies.copy_armature(context, armature, target, source, found["matrices"], found["tails"])
+        copies.bind(target, made)
+        said = [write(context) for write in writers]
         return f"{target.name} is rigged by {made.name}: {', '.join(said)}"
 
 

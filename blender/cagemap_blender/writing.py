@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 
 from .client import RefusedError
-from .reading import MAP_COLORS, from_frame, rest_positions, world
+from .reading import MAP_COLORS, rest_positions, world
 
 # Weights below this are rounding and are not written.
 _LEAST_WEIGHT = 1e-6
@@ -165,78 +165,3 @@ def _plain_image(name, pixels, like):
     image.pixels.foreach_set(values.ravel())
     image.update()
     return image
-
-
-def dressed(context, thing, target, source, positions, offsets):
-    """A copy of a mesh that sits on the source, with positions (n, 3) in the target's frame, beside the target."""
-    made = thing.copy()
-    made.data = thing.data.copy()
-    made.name = short_name(f"{thing.name} on {target.name}")
-    for collection in target.users_collection:
-        collection.objects.link(made)
-    made.parent = None
-    made.matrix_world = moved(thing, target, source)
-    context.view_layer.update()
-    places, turn = from_frame(made, positions, target), np.linalg.inv(world(made)[:3, :3])
-    made.data.vertices.foreach_set("co", places.astype(np.float32).ravel())
-    keys = made.data.shape_keys
-    for key in keys.key_blocks if keys else ():
-        shape = places + offsets[key.name] @ turn.T if key.name in offsets else places
-        key.data.foreach_set("co", shape.astype(np.float32).ravel())
-    made.data.update()
-    return made
-
-
-def moved(thing, target, source):
-    """The object's matrix, moved as the target stands from the source."""
-    matrix = thing.matrix_world.copy()
-    matrix.translation += target.matrix_world.translation - source.matrix_world.translation
-    return matrix
-
-
-def rigged(context, armature, target, source, matrices, tails):
-    """A copy of an armature with bones at matrices (j, 4, 4) and tails (j, 3) in the target's frame."""
-    made = armature.copy()
-    made.data = armature.data.copy()
-    made.name = short_name(f"{armature.name} on {target.name}")
-    for collection in target.users_collection:
-        collection.objects.link(made)
-    made.matrix_world = moved(armature, target, source)
-    for bone in made.pose.bones:
-        for constraint in bone.constraints:
-            if getattr(constraint, "target", None) == armature:
-                constraint.target = made
-    context.view_layer.update()
-    heads = from_frame(made, matrices[:, :3, 3], target)
-    ends = from_frame(made, tails, target)
-    turn = np.linalg.inv(world(made)[:3, :3])
-    with context.temp_override(active_object=made, object=made, selected_objects=[made]):
-        context.view_layer.objects.active = made
-        bpy.ops.object.mode_set(mode="EDIT")
-        bones = made.data.edit_bones
-        names = [bone.name for bone in armature.data.bones]
-        connected = [bones[name].use_connect for name in names]
-        for name in names:
-            bones[name].use_connect = False
-        for row, name in enumerate(names):
-            bone = bones[name]
-            along, up = turn @ matrices[row, :3, 1], turn @ matrices[row, :3, 2]
-            length = max(float(np.linalg.norm(ends[row] - heads[row])), 1e-6)
-            bone.head = heads[row]
-            bone.tail = heads[row] + length / np.linalg.norm(along) * along
-            bone.align_roll(up)
-        for name, on in zip(names, connected, strict=True):
-            if on:
-                bones[name].parent.tail = bones[name].head
-                bones[name].use_connect = True
-        bpy.ops.object.mode_set(mode="OBJECT")
-    return made
-
-
-def bind(thing, armature):
-    """Let an armature deform an object, before all that subdivides it."""
-    modifier = next((m for m in thing.modifiers if m.type == "ARMATURE"), None)
-    if modifier is None:
-        modifier = thing.modifiers.new("Armature", "ARMATURE")
-        thing.modifiers.move(len(thing.modifiers) - 1, 0)
-    modifier.object = armature

@@ -333,6 +333,78 @@ def equal_names_of_empties_matter_on_both_objects_alone():
     assert "target: more than one landmark is called Empty" in refusal(bpy.ops.cagemap.match)
 
 
+def rig(object_):
+    """A skeleton of two bones for an object, with weights and inverse kinematics."""
+    bones = bpy.data.armatures.new("bones")
+    armature = bpy.data.objects.new("skeleton", bones)
+    bpy.context.collection.objects.link(armature)
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="EDIT")
+    for name, low, high in (("root", -0.8, 0.0), ("tip", 0.0, 0.8)):
+        bone = bones.edit_bones.new(name)
+        bone.head, bone.tail = (0.0, 0.0, low), (0.0, 0.0, high)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    object_.modifiers.new("Armature", "ARMATURE").object = armature
+    numbers = range(len(object_.data.vertices))
+    for name in ("root", "tip"):
+        object_.vertex_groups.new(name=name).add(list(numbers), 0.5, "REPLACE")
+    return armature
+
+
+@check
+def an_armature_that_is_disabled_or_hidden_is_copied():
+    source, target = pair()
+    armature = rig(source)
+    armature.hide_viewport = True
+    hidden = bpy.data.collections.new("hidden")
+    bpy.context.scene.collection.children.link(hidden)
+    hidden.objects.link(target)
+    bpy.context.scene.collection.objects.unlink(target)
+    hidden.hide_viewport = True
+    bpy.context.view_layer.objects.active = source
+    bpy.ops.object.mode_set(mode="WEIGHT_PAINT")
+    bpy.ops.cagemap.rig()
+    assert source.mode == "WEIGHT_PAINT"
+    bpy.ops.object.mode_set(mode="OBJECT")
+    made = target.modifiers["Armature"].object
+    assert made.name == "skeleton on target"
+    assert made.hide_viewport
+    assert [collection.name for collection in made.users_collection] == ["hidden"]
+    assert sorted(group.name for group in target.vertex_groups) == ["root", "tip"]
+    assert made.data.bones["tip"].length > 0.1
+
+
+@check
+def what_a_rig_refers_to_is_redirected_to_its_copy():
+    source, target = pair()
+    armature = rig(source)
+    bone = armature.pose.bones["tip"]
+    chain, blend = (bone.constraints.new(kind) for kind in ("IK", "ARMATURE"))
+    chain.target = chain.pole_target = armature
+    chain.subtarget = chain.pole_subtarget = "root"
+    one = blend.targets.new()
+    one.target, one.subtarget = armature, "root"
+    armature.constraints.new("COPY_SCALE").target = source
+    for owner, path in ((bone, "location"), (armature.data, "show_names")):
+        driver = owner.driver_add(path)
+        for curve in driver if isinstance(driver, list) else [driver]:
+            for id_type, id_ in (("OBJECT", armature), ("ARMATURE", armature.data)):
+                variable = curve.driver.variables.new()
+                variable.targets[0].id_type = id_type
+                variable.targets[0].id = id_
+    bpy.ops.cagemap.rig()
+    made = target.modifiers["Armature"].object
+    chain, blend = made.pose.bones["tip"].constraints
+    assert [chain.target, chain.pole_target, blend.targets[0].target] == 3 * [made]
+    assert made.constraints[0].target == target
+    curves = [*made.animation_data.drivers, *made.data.animation_data.drivers]
+    assert len(curves) == 4
+    for curve in curves:
+        assert [variable.targets[0].id for variable in curve.driver.variables] == [made, made.data]
+    chain, blend = bone.constraints
+    assert [chain.target, chain.pole_target, blend.targets[0].target] == 3 * [armature]
+
+
 results = {}
 for name in NAMES or CHECKS:
     clear()
