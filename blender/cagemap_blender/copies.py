@@ -7,15 +7,25 @@ from contextlib import contextmanager
 import bpy
 import numpy as np
 
-from .reading import from_frame, world
+from .reading import armature_of, from_frame, world
 from .writing import short_name
+
+# Modifiers that keep the place of every vertex from when they were bound, and how to tell that they are.
+_BOUND = {
+    "SURFACE_DEFORM": "is_bound",
+    "MESH_DEFORM": "is_bound",
+    "LAPLACIANDEFORM": "is_bind",
+    "CORRECTIVE_SMOOTH": "is_bind",
+}
 
 
 def copy_garment(context, garment, target, source, positions, offsets):
     """A copy of a mesh that sits on the source, with positions (n, 3) in the target's frame, beside the target."""
+    name = short_name(f"{garment.name} on {target.name}")
+    _remove_copy(name)
     made = garment.copy()
     made.data = garment.data.copy()
-    made.name = short_name(f"{garment.name} on {target.name}")
+    made.name = made["cagemap_made"] = name
     for collection in target.users_collection:
         collection.objects.link(made)
     made.parent = None
@@ -29,6 +39,33 @@ def copy_garment(context, garment, target, source, positions, offsets):
         key.data.foreach_set("co", shape.astype(np.float32).ravel())
     made.data.update()
     return made
+
+
+def _remove_copy(name):
+    """Remove the copy that an earlier run made, if it still has its name."""
+    object_ = bpy.data.objects.get(name)
+    if object_ is not None and object_.get("cagemap_made") == name:
+        mesh = object_.data
+        bpy.data.objects.remove(object_)
+        if not mesh.users:
+            bpy.data.meshes.remove(mesh)
+
+
+def fit_modifiers(copies, target, source):
+    """Let copies of garments, by garment, refer to the target and its armature; names of modifiers to bind again."""
+    removed, armatures = [], (armature_of(source), armature_of(target))
+    replacements = {source: target, **copies} | ({armatures[0]: armatures[1]} if all(armatures) else {})
+    for made in copies.values():
+        for modifier in list(made.modifiers):
+            bound = modifier.type in _BOUND and getattr(modifier, _BOUND[modifier.type])
+            if bound:
+                removed.append(f"{modifier.name} of {made.name}")
+            if bound or (modifier.type == "ARMATURE" and armatures[1] is None):
+                made.modifiers.remove(modifier)
+        redirect(made, replacements)
+        if armatures[1] is not None:
+            bind(made, armatures[1])
+    return removed
 
 
 def moved(object_, target, source):

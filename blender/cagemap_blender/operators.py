@@ -192,37 +192,40 @@ _uvs = _named(
 _colors = _named("colour attribute", reading.color_attributes, _color_request, _set_colors)
 
 
-def _clothes(context, armature_of=reading.armature_of):
+def _clothes(context):
     """Selected meshes that sit on the source; what writes copies of them."""
     _, source = sides(context)
-    names = [thing.name for thing in _worn(context)]
-    if not names:
+    garments = _garments(context)
+    if not garments:
         raise RefusedError("Select the clothes as well: meshes other than source and target.")
-    things = [bpy.data.objects[name] for name in names]
-    meshes = [reading.mesh_arrays(context, thing, of=source) for thing in things]
-    shapes = [reading.shape_offsets(thing) for thing in things]
-    found = yield "clothes", {"meshes": meshes, "shapes": shapes}
+    names = [garment.name for garment in garments]
+    meshes = [reading.mesh_arrays(context, garment, of=source) for garment in garments]
+    shapes = [reading.shape_offsets(garment) for garment in garments]
+    reply = yield "clothes", {"meshes": meshes, "shapes": shapes}
 
     def write(context):
         target, source = sides(context)
-        armature = armature_of(target)
-        for name, positions, offsets in zip(names, found["positions"], found["shapes"], strict=True):
-            made = copies.copy_garment(context, bpy.data.objects[name], target, source, positions, offsets)
-            if armature is not None:
-                copies.bind(made, armature)
-            else:
-                for modifier in [m for m in made.modifiers if m.type == "ARMATURE"]:
-                    made.modifiers.remove(modifier)
-        return counted(names, "garment")
+        made = {
+            bpy.data.objects[name]: copies.copy_garment(context, bpy.data.objects[name], target, source, *arrays)
+            for name, *arrays in zip(names, reply["positions"], reply["shapes"], strict=True)
+        }
+        notes = copies.fit_modifiers(made, target, source)
+        return counted(names, "garment") + (f" (removed, to be bound again: {', '.join(notes)})" if notes else "")
 
     return write
 
 
-def _worn(context):
-    """Selected meshes other than the pair."""
+def _garments(context):
+    """Selected meshes other than the pair and than copies that an earlier run made for the target."""
     pair = sides(context)
-    selected = [thing for thing in context.scene.objects if thing.select_get() and thing.type == "MESH"]
-    return [thing for thing in selected if thing not in pair]
+    return [
+        object_
+        for object_ in context.scene.objects
+        if object_.select_get()
+        and object_.type == "MESH"
+        and object_ not in pair
+        and not object_.get("cagemap_made", "").endswith(f" on {pair[0].name}")
+    ]
 
 
 class CAGEMAP_OT_wrap(Work, bpy.types.Operator):
@@ -274,7 +277,7 @@ class CAGEMAP_OT_rig(Work, bpy.types.Operator):
             },
         )
         writers = [(yield from _weights(context))]
-        if _worn(context):
+        if _garments(context):
             writers.append((yield from _clothes(context)))
         target, source = sides(context)
         armature = reading.armature_of(source)

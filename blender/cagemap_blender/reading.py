@@ -26,6 +26,8 @@ _UV_SMOOTH = {
 }
 _BOUNDARY = {"PRESERVE_CORNERS": "edge_and_corner", "ALL": "edge_only"}
 _CAGE_MODIFIERS = ("SUBSURF", "MULTIRES")
+# Modifiers that make other vertices, but near those of the control mesh: they also suit a garment that is moved.
+_LOCAL_MODIFIERS = ("SOLIDIFY", "BEVEL", "TRIANGULATE", "EDGE_SPLIT", "DECIMATE", "WELD", "WIREFRAME", "MASK", "REMESH")
 # Attributes that are no painted colours: the map itself.
 MAP_COLORS = "cagemap"
 
@@ -92,8 +94,8 @@ def rest_positions(thing):
 
 
 def mesh_arrays(context, thing, of=None):
-    """The control mesh as `worker.control_mesh` takes it, subdivided as its modifier says."""
-    require_control_mesh(context, thing)
+    """The control mesh as `worker.control_mesh` takes it; ``of`` is the object of the pair that a garment sits on."""
+    require_control_mesh(context, thing, allowed=_LOCAL_MODIFIERS if of else ())
     mesh = thing.data
     sizes, vertices = (
         numbers(mesh.polygons, "loop_total", kind=np.int32),
@@ -149,23 +151,24 @@ def cage_modifier(thing):
     return next((m for m in thing.modifiers if m.type in _CAGE_MODIFIERS and m.show_viewport), None)
 
 
-def require_control_mesh(context, thing):
-    """Refuse an object whose modifiers make another mesh before it is subdivided: numbers would not fit."""
-    stack = list(thing.modifiers)
-    subdivides = cage_modifier(thing)
-    first = len(stack) if subdivides is None else stack.index(subdivides)
+def require_control_mesh(context, object_, allowed=()):
+    """Refuse an object whose modifiers, but for those of allowed types, make other vertices before the subdivision."""
+    stack = list(object_.modifiers)
+    subdivides = cage_modifier(object_)
+    before = stack if subdivides is None else stack[: stack.index(subdivides)]
+    before = [m for m in before if m.show_viewport and m.type not in allowed]
     shown = [m.show_viewport for m in stack]
     try:
-        for modifier in stack[first:]:
-            modifier.show_viewport = False
-        mesh = thing.evaluated_get(context.evaluated_depsgraph_get()).data
-        same = (len(mesh.vertices), len(mesh.polygons)) == (len(thing.data.vertices), len(thing.data.polygons))
+        for modifier in stack:
+            modifier.show_viewport = modifier in before
+        mesh, own = object_.evaluated_get(context.evaluated_depsgraph_get()).data, object_.data
+        same = (len(mesh.vertices), len(mesh.polygons)) == (len(own.vertices), len(own.polygons))
     finally:
-        for modifier, before in zip(stack, shown, strict=True):
-            modifier.show_viewport = before
+        for modifier, on in zip(stack, shown, strict=True):
+            modifier.show_viewport = on
     if not same:
-        names = ", ".join(m.name for m, on in zip(stack, shown, strict=True) if on and m in stack[:first])
-        raise RefusedError(f"{thing.name}: its modifiers ({names}) add or remove vertices. Apply or hide them first.")
+        names = ", ".join(modifier.name for modifier in before)
+        raise RefusedError(f"{object_.name}: its modifiers ({names}) add or remove vertices. Apply or hide them first.")
 
 
 def plain_name(name):

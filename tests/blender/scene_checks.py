@@ -405,6 +405,66 @@ def what_a_rig_refers_to_is_redirected_to_its_copy():
     assert [chain.target, chain.pole_target, blend.targets[0].target] == 3 * [armature]
 
 
+def garment(source):
+    """A selected shell around the source."""
+    shirt = source.copy()
+    shirt.data, shirt.name = source.data.copy(), "shirt"
+    bpy.context.collection.objects.link(shirt)
+    for vertex in shirt.data.vertices:
+        vertex.co += 0.05 * vertex.normal
+    bpy.context.view_layer.update()
+    shirt.select_set(True)
+    return shirt
+
+
+@check
+def modifiers_of_clothes_refer_to_the_target():
+    source, target = pair()
+    shirt = garment(source)
+    shrink, bound, free = (
+        shirt.modifiers.new(name, kind)
+        for name, kind in (("Fit", "SHRINKWRAP"), ("Bound", "SURFACE_DEFORM"), ("Free", "SURFACE_DEFORM"))
+    )
+    shrink.target = bound.target = free.target = source
+    plain = bpy.data.objects.new("cube", bpy.data.meshes.new("cube"))
+    plain.data.from_pydata([(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)], [], [(0, 1, 2, 3)])
+    bpy.context.collection.objects.link(plain)
+    bound.target = plain
+    bpy.context.view_layer.objects.active = shirt
+    bpy.context.view_layer.update()
+    bpy.ops.object.surfacedeform_bind(modifier="Bound")
+    assert bound.is_bound
+    bpy.ops.cagemap.transfer(what={"CLOTHES"})
+    made = bpy.data.objects["shirt on target"]
+    assert [modifier.name for modifier in made.modifiers] == ["Fit", "Free"]
+    assert [modifier.target for modifier in made.modifiers] == [target, target]
+    assert "bound again: Bound of shirt on target" in SETTINGS.said
+    assert [modifier.target for modifier in shirt.modifiers] == [source, plain, source]
+
+
+@check
+def a_second_run_replaces_clothes():
+    source, _ = pair()
+    garment(source)
+    for _ in range(2):
+        bpy.ops.cagemap.transfer(what={"CLOTHES"})
+        assert sorted(object_.name for object_ in bpy.data.objects) == ["shirt", "shirt on target", "source", "target"]
+        bpy.ops.object.select_all(action="SELECT")  # results are no clothes of the source
+
+
+@check
+def clothes_may_be_thickened_but_not_mirrored():
+    source, _ = pair()
+    shirt = garment(source)
+    shirt.modifiers.new("Solidify", "SOLIDIFY")
+    assert not refusal(bpy.ops.cagemap.transfer, what={"CLOTHES"})
+    made = bpy.data.objects["shirt on target"]
+    assert len(made.data.vertices) == len(shirt.data.vertices)
+    assert made.modifiers[0].type == "SOLIDIFY"
+    shirt.modifiers.new("Mirror", "MIRROR")
+    assert "shirt: its modifiers (Mirror)" in refusal(bpy.ops.cagemap.transfer, what={"CLOTHES"})
+
+
 results = {}
 for name in NAMES or CHECKS:
     clear()
