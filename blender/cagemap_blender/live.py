@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import traceback
+
 import bpy
 
 from .client import RefusedError
@@ -38,9 +40,13 @@ def follow():
             _moved = False
             _requests = following(bpy.context)
             begin(_requests)
-    except (RefusedError, ReferenceError) as error:
+    except RefusedError as error:
         _requests = None
         bpy.context.scene.cagemap.said = str(error)
+    except Exception as error:  # Blender would end the timer
+        _requests = None
+        traceback.print_exc()
+        bpy.context.scene.cagemap.said = f"The map does not follow: {type(error).__name__}: {error}. Press Match."
     return _SECONDS
 
 

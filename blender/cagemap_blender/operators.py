@@ -264,6 +264,10 @@ class CAGEMAP_OT_rig(Work, bpy.types.Operator):
         if own is not None:
             raise RefusedError(f"{target.name} is rigged already, by {own.name}. Remove its Armature modifier first.")
         yield from matching(context)
+        _, source = sides(context)  # others after Undo
+        armature = reading.armature_of(source)
+        if armature is None:
+            raise RefusedError(f"{source.name} lost its armature meanwhile. Press the button again.")
         bones, matrix = armature.data.bones, reading.world(armature)
         matrix[:3, 3] -= reading.world(source)[:3, 3]
         number = {bone.name: row for row, bone in enumerate(bones)}

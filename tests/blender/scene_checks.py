@@ -20,7 +20,7 @@ if ZIP == "-":
     bpy.ops.preferences.addon_enable(module="bl_ext.user_default.cagemap")
 else:
     bpy.ops.extensions.package_install_files(filepath=ZIP, repo="user_default", enable_on_install=True)
-from bl_ext.user_default.cagemap import operators, work  # noqa: E402
+from bl_ext.user_default.cagemap import live, operators, work  # noqa: E402
 
 SETTINGS = bpy.context.scene.cagemap
 CHECKS = {}
@@ -32,6 +32,8 @@ def check(function):
 
 
 def clear():
+    global SETTINGS
+    SETTINGS = bpy.context.scene.cagemap  # another one after Undo
     work.stop()
     for object_ in list(bpy.data.objects):
         bpy.data.objects.remove(object_)
@@ -67,8 +69,9 @@ class Window:
         self.status, self.timers, self.reports = [], 0, []
         self.window_manager = self.workspace = self
         self.screen = self.window = None
-        self.scene, self.view_layer = bpy.context.scene, bpy.context.view_layer
-        self.evaluated_depsgraph_get = bpy.context.evaluated_depsgraph_get
+
+    def __getattr__(self, name):
+        return getattr(bpy.context, name)
 
     def event_timer_add(self, seconds, window):
         self.timers += 1
@@ -83,7 +86,7 @@ class Window:
     def status_text_set(self, text):
         self.status.append(text)
 
-    def press(self, kind=operators.CAGEMAP_OT_match):
+    def press(self, kind=operators.CAGEMAP_OT_match, **options):
         """A button that was pressed, and what Blender is answered."""
         window = self
 
@@ -94,6 +97,7 @@ class Window:
                 window.reports.append([*kinds, text])
 
         button = Button()
+        vars(button).update(options)
         return button, button.invoke(self, event("LEFTMOUSE")).pop()
 
     def step(self, button, kind="TIMER"):
@@ -463,6 +467,57 @@ def clothes_may_be_thickened_but_not_mirrored():
     assert made.modifiers[0].type == "SOLIDIFY"
     shirt.modifiers.new("Mirror", "MIRROR")
     assert "shirt: its modifiers (Mirror)" in refusal(bpy.ops.cagemap.transfer, what={"CLOTHES"})
+
+
+@check
+def undo_during_a_bake_leaves_no_removed_objects():
+    source, _ = pair()
+    tree = shader_nodes(source)
+    tree.links.new(image_node(tree, gradient()).outputs["Color"], principled(tree).inputs["Base Color"])
+    bpy.ops.cagemap.match()
+    bpy.ops.ed.undo_push(message="before")
+    for name in ("source", "target"):
+        bpy.data.objects[name].pass_index = 1
+    bpy.ops.ed.undo_push(message="after")
+    window = Window()
+    button, _ = window.press(operators.CAGEMAP_OT_transfer, what={"TEXTURES"})
+    while not button._stage.startswith("bake"):
+        time.sleep(0.02)
+        assert window.step(button) == "PASS_THROUGH"
+    bpy.ops.ed.undo()
+    assert window.finish(button) == "FINISHED"
+    assert len(bpy.data.objects["target"].material_slots) == 1
+
+
+@check
+def undo_while_rig_like_matches_leaves_no_removed_objects():
+    source, _ = pair()
+    rig(source)
+    bpy.ops.ed.undo_push(message="before")
+    for object_ in bpy.data.objects:
+        object_.pass_index = 1
+    bpy.ops.ed.undo_push(message="after")
+    window = Window()
+    button, _ = window.press(operators.CAGEMAP_OT_rig)
+    bpy.ops.ed.undo()
+    assert window.finish(button) == "FINISHED"
+    assert bpy.data.objects["target"].modifiers["Armature"].object == bpy.data.objects["skeleton on target"]
+
+
+@check
+def a_fault_does_not_end_the_live_map():
+    pair()
+    bpy.ops.cagemap.match()
+
+    def fault(context):
+        raise ValueError("broken")
+
+    whole, live.following, live._moved = live.following, fault, True
+    try:
+        assert live.follow() > 0
+    finally:
+        live.following = whole
+    assert "broken" in SETTINGS.said
 
 
 results = {}
