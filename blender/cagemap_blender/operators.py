@@ -325,8 +325,13 @@ def following(context):
     asked = pair_digest(arguments)
     if not WORKER.has_match or WORKER.matched[0] != asked[0]:
         raise RefusedError("The two objects are not matched as they are now. Press Match.")
+    if WORKER.matched == asked:
+        return context.scene.cagemap.said
+    names = [object_.name for object_ in sides(context)]
     found = yield "update", {name: arguments[name] for name in ("target_points", "source_points")}
     WORKER.matched = asked
+    if [object_.name for object_ in sides(context)] != names:
+        raise RefusedError("Other objects were chosen. Press Match.")
     return show_answer(context, found)
 
 

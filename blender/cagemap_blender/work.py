@@ -27,10 +27,15 @@ def matching(context):
 
 
 def pair_digest(arguments):
-    """What tells whether a pair has been matched as it is: of all but the landmarks, and of the landmarks."""
-    marks = ("target_points", "source_points")
-    rest = {name: value for name, value in arguments.items() if name not in marks}
-    return digest(rest), digest({name: arguments[name] for name in marks})
+    """Digests of what is matched: of all but the landmarks, and of the landmarks."""
+    points = {name: arguments[name] for name in ("target_points", "source_points")}
+    rest = {name: value for name, value in arguments.items() if name not in points}
+    return digest(rest), landmark_digest(**points)
+
+
+def landmark_digest(target_points, source_points):
+    """Digest of the landmarks of target and source."""
+    return digest({"target": target_points, "source": source_points})
 
 
 def show_answer(context, found):

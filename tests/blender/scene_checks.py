@@ -506,8 +506,9 @@ def undo_while_rig_like_matches_leaves_no_removed_objects():
 
 @check
 def a_fault_does_not_end_the_live_map():
-    pair()
+    source, _ = pair()
     bpy.ops.cagemap.match()
+    landmark(source, "nose")
 
     def fault(context):
         raise ValueError("broken")
@@ -518,6 +519,67 @@ def a_fault_does_not_end_the_live_map():
     finally:
         live.following = whole
     assert "broken" in SETTINGS.said
+
+
+def followed(seconds=60.0):
+    """Whether the live map asked the computing process after a landmark moved; waits until it is done."""
+    asked, end = live._requests is not None or work.WORKER.busy, time.monotonic() + seconds
+    while time.monotonic() < end:
+        live.follow()
+        asked = asked or work.WORKER.busy
+        if not live._moved and live._requests is None:
+            break
+        time.sleep(0.01)
+    return asked
+
+
+@check
+def the_live_map_asks_only_where_landmarks_moved_on_their_objects():
+    source, target = pair()
+    empties = [landmark(object_, "nose", object_.data.vertices[5].co) for object_ in (target, source)]
+    live._moved = False
+    empties[0].location.z += 0.1
+    bpy.context.view_layer.update()
+    assert not live._moved  # there is no map yet
+    bpy.ops.cagemap.match()
+    target.location.x += 1.0  # takes its landmark along
+    bpy.context.view_layer.update()
+    assert live._moved
+    assert not followed()
+    empties[0].location.z += 0.1
+    bpy.context.view_layer.update()
+    assert followed()
+    sent = SETTINGS.said
+    bpy.ops.cagemap.follow()
+    assert SETTINGS.said == sent
+
+
+@check
+def edit_mode_and_other_objects_do_not_disturb_the_live_map():
+    source, target = pair()
+    empties = [landmark(object_, "nose", object_.data.vertices[5].co) for object_ in (target, source)]
+    bpy.ops.cagemap.match()
+    SETTINGS.said = ""
+    bpy.context.view_layer.objects.active = target
+    empties[0].location.z += 0.1
+    bpy.context.view_layer.update()
+    live.follow()
+    assert work.WORKER.busy
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert followed(seconds=3.0)
+    assert not SETTINGS.said
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert followed()
+    assert not SETTINGS.said
+    empties[0].location.z += 0.1
+    bpy.context.view_layer.update()
+    live.follow()
+    SETTINGS.source = None
+    followed()
+    assert not work.WORKER.busy
+    assert not live._moved
+    SETTINGS.source = source
+    assert not refusal(bpy.ops.cagemap.match)
 
 
 results = {}
