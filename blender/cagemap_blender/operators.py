@@ -37,9 +37,7 @@ class CAGEMAP_OT_match(Work, bpy.types.Operator):
         """Match again, also what is matched already."""
         WORKER.matched = ("", "")
         said = yield from matching(context)
-        for area in context.screen.areas if context.screen else ():
-            if area.type == "VIEW_3D" and area.spaces.active.shading.type == "SOLID":
-                area.spaces.active.shading.color_type = "VERTEX"
+        writing.show_in_views(context, "VERTEX")
         return said
 
 
@@ -116,6 +114,9 @@ def _textures(context):
             for key, name in names.items()
         }
         set_materials(target, source, found["materials"], made)
+        for object_ in (target, source):
+            writing.hide_map(object_)
+        writing.show_in_views(context, "TEXTURE")
         return counted(made, "image")
 
     return write

@@ -60,12 +60,30 @@ def show_map(thing, colors):
     """Write the map's colours (n, 3) of an object, and show them."""
     require_rows(thing, len(colors))
     attributes = thing.data.color_attributes
+    active = attributes.active_color
+    if active is not None and active.name != MAP_COLORS:
+        thing["cagemap_active_color"] = active.name
     layer = attributes.get(MAP_COLORS) or attributes.new(MAP_COLORS, "FLOAT_COLOR", "POINT")
     values = np.ones((len(colors), 4), dtype=np.float32)
     values[:, :3] = np.clip(colors, 0.0, 1.0)
     layer.data.foreach_set("color", values.ravel())
     attributes.active_color = layer
     thing.data.update()
+
+
+def hide_map(object_):
+    """Make the colours active that were so before those of the map."""
+    attributes = object_.data.color_attributes
+    layer = attributes.get(object_.get("cagemap_active_color", ""))
+    if layer is not None:
+        attributes.active_color = layer
+
+
+def show_in_views(context, color_type):
+    """Let Solid views show vertex colours ("VERTEX") or images ("TEXTURE")."""
+    for area in context.screen.areas if context.screen else ():
+        if area.type == "VIEW_3D" and area.spaces.active.shading.type == "SOLID":
+            area.spaces.active.shading.color_type = color_type
 
 
 def set_groups(thing, groups):

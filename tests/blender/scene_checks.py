@@ -9,6 +9,7 @@ import sys
 import time
 import traceback
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -580,6 +581,28 @@ def edit_mode_and_other_objects_do_not_disturb_the_live_map():
     assert not live._moved
     SETTINGS.source = source
     assert not refusal(bpy.ops.cagemap.match)
+
+
+@check
+def after_textures_were_transferred_views_show_them():
+    source, target = pair()
+    tree = shader_nodes(source)
+    tree.links.new(image_node(tree, gradient()).outputs["Color"], principled(tree).inputs["Base Color"])
+    own = target.data.color_attributes.new("own", "FLOAT_COLOR", "POINT")
+    target.data.color_attributes.active_color = own
+    window = Window()
+    shading = SimpleNamespace(type="SOLID", color_type="MATERIAL")
+    area = SimpleNamespace(type="VIEW_3D", spaces=SimpleNamespace(active=SimpleNamespace(shading=shading)))
+    window.screen = SimpleNamespace(areas=[area])
+    for _ in range(2):
+        button, _ = window.press()
+        assert window.finish(button) == "FINISHED"
+        assert shading.color_type == "VERTEX"
+        assert target.data.color_attributes.active_color.name == "cagemap"
+        button, _ = window.press(operators.CAGEMAP_OT_transfer, what={"TEXTURES"})
+        assert window.finish(button) == "FINISHED"
+        assert shading.color_type == "TEXTURE"
+        assert target.data.color_attributes.active_color.name == "own"
 
 
 results = {}
