@@ -7,7 +7,7 @@ See docs/blender.md. The buttons are in the sidebar of the 3D view, tab *cagemap
 
 import bpy
 
-from . import live, operators, panel, work
+from . import live, operators, panel, work, writing
 
 _CLASSES = (panel.CagemapSettings, *operators.CLASSES, panel.CAGEMAP_PT_panel)
 
@@ -18,12 +18,14 @@ def register():
         bpy.utils.register_class(kind)
     bpy.types.Scene.cagemap = bpy.props.PointerProperty(type=panel.CagemapSettings)
     bpy.app.handlers.load_pre.append(work.stop)
+    bpy.app.handlers.depsgraph_update_post.append(writing.forget_deleted)
     live.register()
 
 
 def unregister():
     """Take them away again."""
     live.unregister()
+    bpy.app.handlers.depsgraph_update_post.remove(writing.forget_deleted)
     bpy.app.handlers.load_pre.remove(work.stop)
     work.stop()
     del bpy.types.Scene.cagemap

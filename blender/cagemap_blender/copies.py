@@ -25,7 +25,7 @@ def copy_garment(context, garment, target, source, positions, offsets):
     _remove_copy(name)
     made = garment.copy()
     made.data = garment.data.copy()
-    made.name = made["cagemap_made"] = name
+    made.name = made["cagemap_copy"] = name
     for collection in target.users_collection:
         collection.objects.link(made)
     made.parent = None
@@ -44,7 +44,7 @@ def copy_garment(context, garment, target, source, positions, offsets):
 def _remove_copy(name):
     """Remove the copy that an earlier run made, if it still has its name."""
     object_ = bpy.data.objects.get(name)
-    if object_ is not None and object_.get("cagemap_made") == name:
+    if object_ is not None and object_.get("cagemap_copy") == name:
         mesh = object_.data
         bpy.data.objects.remove(object_)
         if not mesh.users:

@@ -225,7 +225,7 @@ def _garments(context):
         if object_.select_get()
         and object_.type == "MESH"
         and object_ not in pair
-        and not object_.get("cagemap_made", "").endswith(f" on {pair[0].name}")
+        and not object_.get("cagemap_copy", "").endswith(f" on {pair[0].name}")
     ]
 
 

@@ -244,7 +244,8 @@ def vertex_groups(thing):
     table = np.zeros((len(thing.vertex_groups), len(thing.data.vertices)))
     for vertex in thing.data.vertices:
         for element in vertex.groups:
-            table[element.group, vertex.index] = element.weight
+            if element.group < len(table):  # else its group was removed
+                table[element.group, vertex.index] = element.weight
     return {group.name: table[group.index] for group in thing.vertex_groups}
 
 

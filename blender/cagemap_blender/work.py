@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
+from contextlib import suppress
 from typing import Any
 
 import bpy
@@ -112,10 +113,12 @@ class Work:
             answer = self._guarded(context, self._next)
         finally:  # also after a fault of ours: without it the buttons would stay grey
             if answer != {"PASS_THROUGH"}:
-                if WORKER.busy and self._requests is not None:  # nobody would take the reply
-                    WORKER.stop()
                 self._end(context)
         return answer
+
+    def cancel(self, context):
+        """The window is closed, or another file is opened."""
+        self._end(context)
 
     def _guarded(self, context, step):
         try:
@@ -143,8 +146,8 @@ class Work:
         Work.running = True
         self._timer = context.window_manager.event_timer_add(0.05, window=context.window)
         context.window_manager.modal_handler_add(self)
-        self._stage, self._shown = "starting", ""
-        self._show(context, self._stage)
+        self._workspace, self._stage, self._shown = context.workspace, "starting", ""
+        self._show(self._stage)
         return {"RUNNING_MODAL"}
 
     def _start(self, context):
@@ -161,9 +164,9 @@ class Work:
             raise RefusedError(f"Other objects were chosen than {' and '.join(self._names)}. Choose them again.")
         object_ = edited(context)
         if object_ is not None:  # nothing can be written there: the reply waits
-            self._show(context, f"waiting until {object_.name} leaves Edit Mode (Tab)")
+            self._show(f"waiting until {object_.name} leaves Edit Mode (Tab)")
             return {"PASS_THROUGH"}
-        self._show(context, self._stage)
+        self._show(self._stage)
         if self._requests is None:  # a landmark was dragged just now, `live` takes the reply
             answer = WORKER.busy or self._start(context)
         else:
@@ -175,11 +178,11 @@ class Work:
             answer = proceed(self._requests, message)
         return {"PASS_THROUGH"} if answer is True else self._finish(context, answer)
 
-    def _show(self, context, state):
+    def _show(self, state):
         """Write a state into the status bar, if another one is there."""
         if state != self._shown:
             self._shown = state
-            context.workspace.status_text_set(f"cagemap, {self.bl_label}: {state}. Esc stops it.")
+            self._workspace.status_text_set(f"cagemap, {self.bl_label}: {state}. Esc stops it.")
 
     def _finish(self, context, said):
         if said is not None:
@@ -188,6 +191,9 @@ class Work:
         return {"FINISHED"}
 
     def _end(self, context):
+        if WORKER.busy and self._requests is not None:  # nobody would take the reply
+            WORKER.stop()
         Work.running = False
-        context.workspace.status_text_set(None)
         context.window_manager.event_timer_remove(self._timer)
+        with suppress(ReferenceError):  # the workspace was deleted
+            self._workspace.status_text_set(None)

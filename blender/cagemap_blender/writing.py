@@ -12,6 +12,8 @@ import numpy as np
 from .client import RefusedError
 from .reading import MAP_COLORS, rest_positions, world
 
+# UV maps that Blender takes.
+_MOST_UV_MAPS = 8
 # Weights below this are rounding and are not written.
 _LEAST_WEIGHT = 1e-6
 
@@ -27,33 +29,59 @@ def require_rows(thing, rows):
         raise RefusedError(f"{thing.name} was changed while cagemap computed. Press the button again.")
 
 
-def require_free(thing, kind, names):
+def require_free(object_, kind, names):
     """Refuse names that the user has given, but for those that an earlier run of ours made."""
-    own, taken = json.loads(thing.get("cagemap_made", "[]")), taken_names(thing, kind)
+    own, taken = set(_claims(object_)), taken_names(object_, kind)
     foreign = sorted(name for name in names if name in taken and f"{kind} {name}" not in own)
     if foreign:
         raise RefusedError(
-            f"{thing.name} has {kind}s of its own called {', '.join(foreign[:8])}. Rename or delete them."
+            f"{object_.name} has {kind}s of its own called {', '.join(foreign[:8])}. Rename or delete them."
         )
+    count = len(taken | set(names))
+    if kind == "UV map" and count > _MOST_UV_MAPS:
+        raise RefusedError(f"{object_.name} would have {count} UV maps, Blender takes {_MOST_UV_MAPS}. Delete some.")
 
 
-def claim(thing, kind, names):
+def _claims(object_):
+    """What earlier runs made, each as kind and name."""
+    return json.loads(object_.get("cagemap_made", "[]"))
+
+
+def claim(object_, kind, names):
     """Note names that are written now, so that a later run may replace them."""
-    require_free(thing, kind, names)
-    own = set(json.loads(thing.get("cagemap_made", "[]")))
-    thing["cagemap_made"] = json.dumps(sorted(own | {f"{kind} {name}" for name in names}))
+    require_free(object_, kind, names)
+    made = {*_claims(object_), *(f"{kind} {name}" for name in names)}
+    object_["cagemap_made"] = json.dumps(sorted(made))
 
 
-def taken_names(thing, kind):
+@bpy.app.handlers.persistent
+def forget_deleted(scene, depsgraph):
+    """Forget names whose owner was deleted or renamed: what has them later is the user's."""
+    for update in depsgraph.updates:
+        object_ = update.id.original
+        if not isinstance(object_, bpy.types.Object) or "cagemap_made" not in object_ or object_.mode == "EDIT":
+            continue
+        there = {f"{kind} {one.name}" for kind, values in _named_values(object_).items() for one in values}
+        claims = _claims(object_)
+        kept = [one for one in claims if one in there]
+        if kept != claims:
+            object_["cagemap_made"] = json.dumps(kept)
+
+
+def taken_names(object_, kind):
     """Names of the groups, shape keys, UV maps or colour attributes of an object."""
-    keys = thing.data.shape_keys
-    collections = {
-        "vertex group": thing.vertex_groups,
+    return {one.name for one in _named_values(object_)[kind]}
+
+
+def _named_values(object_):
+    """What has names that may be taken, by kind."""
+    keys = object_.data.shape_keys
+    return {
+        "vertex group": object_.vertex_groups,
         "shape key": keys.key_blocks if keys else (),
-        "UV map": thing.data.uv_layers,
-        "colour attribute": thing.data.color_attributes,
+        "UV map": object_.data.uv_layers,
+        "colour attribute": object_.data.color_attributes,
     }
-    return {one.name for one in collections[kind]}
 
 
 def show_map(thing, colors):

@@ -21,7 +21,8 @@ if ZIP == "-":
     bpy.ops.preferences.addon_enable(module="bl_ext.user_default.cagemap")
 else:
     bpy.ops.extensions.package_install_files(filepath=ZIP, repo="user_default", enable_on_install=True)
-from bl_ext.user_default.cagemap import live, operators, work  # noqa: E402
+import bmesh  # noqa: E402
+from bl_ext.user_default.cagemap import live, operators, reading, work  # noqa: E402
 
 SETTINGS = bpy.context.scene.cagemap
 CHECKS = {}
@@ -603,6 +604,77 @@ def after_textures_were_transferred_views_show_them():
         assert window.finish(button) == "FINISHED"
         assert shading.color_type == "TEXTURE"
         assert target.data.color_attributes.active_color.name == "own"
+
+
+@check
+def a_window_that_is_closed_ends_its_button():
+    pair()
+    window, first = Window(), Window()
+    window.workspace = first
+    button, _ = window.press()
+    window.workspace = Window()  # of another tab
+    button.cancel(window)
+    assert (window.timers, work.Work.running, work.WORKER.busy) == (0, False, False)
+    assert first.status[-1] is None
+    assert not window.workspace.status
+    button, _ = window.press()
+    assert window.finish(button) == "FINISHED"
+
+
+@check
+def weights_of_removed_groups_are_not_read():
+    source, _ = pair()
+    source.vertex_groups.new(name="own").add([0, 1], 0.5, "REPLACE")
+    mesh = bmesh.new()
+    mesh.from_mesh(source.data)
+    mesh.verts.ensure_lookup_table()
+    mesh.verts[3][mesh.verts.layers.deform.verify()][5] = 1.0
+    mesh.to_mesh(source.data)
+    mesh.free()
+    weights = reading.vertex_groups(source)
+    assert list(weights) == ["own"]
+    assert weights["own"].sum() == 1.0
+
+
+@check
+def a_ninth_uv_map_is_refused():
+    source, target = pair()
+    source.data.uv_layers[0].name = "other"
+    while len(target.data.uv_layers) < 8:
+        target.data.uv_layers.new()
+    assert "target would have 9 UV maps" in refusal(bpy.ops.cagemap.transfer, what={"UVS"})
+
+
+@check
+def what_the_user_made_after_deleting_ours_is_kept():
+    source, target = pair()
+    source.shape_key_add(name="Basis")
+    source.shape_key_add(name="wide").data[0].co.x += 0.1
+    source.vertex_groups.new(name="own").add([0], 1.0, "REPLACE")
+    source.data.uv_layers.new(name="second")
+    kinds = {"SHAPES", "WEIGHTS", "UVS"}
+    target.data.uv_layers[0].name = "first"
+    for _ in range(2):
+        bpy.ops.cagemap.transfer(what=kinds)
+        bpy.context.view_layer.update()
+    for kind, delete, make in (
+        ("shape key", lambda: target.shape_key_remove(target.data.shape_keys.key_blocks["wide"]), target.shape_key_add),
+        ("vertex group", lambda: target.vertex_groups.remove(target.vertex_groups["own"]), target.vertex_groups.new),
+        (
+            "UV map",
+            lambda: target.data.uv_layers.remove(target.data.uv_layers["second"]),
+            target.data.uv_layers.new,
+        ),
+    ):
+        delete()
+        target.data.update()
+        bpy.context.view_layer.update()
+        make(name={"shape key": "wide", "vertex group": "own", "UV map": "second"}[kind])
+        bpy.context.view_layer.update()
+        assert f"{kind}s of its own called" in refusal(bpy.ops.cagemap.transfer, what=kinds), kind
+        delete()
+        bpy.context.view_layer.update()
+        assert not refusal(bpy.ops.cagemap.transfer, what=kinds)
 
 
 results = {}
