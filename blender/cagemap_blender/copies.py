@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from .reading import armature_of, from_frame, world
-from .writing import short_name
+from .writing import require_rows, short_name
 
 # Modifiers that keep the place of every vertex from when they were bound, and how to tell that they are.
 _BOUND = {
@@ -20,25 +20,26 @@ _BOUND = {
 
 
 def copy_garment(context, garment, target, source, positions, offsets):
-    """A copy of a mesh that sits on the source, with positions (n, 3) in the target's frame, beside the target."""
+    """A copy of a garment in the target's collections, with positions (n, 3) in the target's frame."""
+    require_rows(garment, len(positions))
     name = short_name(f"{garment.name} on {target.name}")
     _remove_copy(name)
-    made = garment.copy()
-    made.data = garment.data.copy()
-    made.name = made["cagemap_copy"] = name
+    copy = garment.copy()
+    copy.data = garment.data.copy()
+    copy.name = copy["cagemap_copy"] = name
     for collection in target.users_collection:
-        collection.objects.link(made)
-    made.parent = None
-    made.matrix_world = moved(garment, target, source)
+        collection.objects.link(copy)
+    copy.parent = None
+    copy.matrix_world = moved(garment, target, source)
     context.view_layer.update()
-    places, turn = from_frame(made, positions, target), np.linalg.inv(world(made)[:3, :3])
-    made.data.vertices.foreach_set("co", places.astype(np.float32).ravel())
-    keys = made.data.shape_keys
+    places, turn = from_frame(copy, positions, target), np.linalg.inv(world(copy)[:3, :3])
+    copy.data.vertices.foreach_set("co", places.astype(np.float32).ravel())
+    keys = copy.data.shape_keys
     for key in keys.key_blocks if keys else ():
         shape = places + offsets[key.name] @ turn.T if key.name in offsets else places
         key.data.foreach_set("co", shape.astype(np.float32).ravel())
-    made.data.update()
-    return made
+    copy.data.update()
+    return copy
 
 
 def _remove_copy(name):
@@ -55,16 +56,16 @@ def fit_modifiers(copies, target, source):
     """Let copies of garments, by garment, refer to the target and its armature; names of modifiers to bind again."""
     removed, armatures = [], (armature_of(source), armature_of(target))
     replacements = {source: target, **copies} | ({armatures[0]: armatures[1]} if all(armatures) else {})
-    for made in copies.values():
-        for modifier in list(made.modifiers):
+    for copy in copies.values():
+        for modifier in list(copy.modifiers):
             bound = modifier.type in _BOUND and getattr(modifier, _BOUND[modifier.type])
             if bound:
-                removed.append(f"{modifier.name} of {made.name}")
+                removed.append(f"{modifier.name} of {copy.name}")
             if bound or (modifier.type == "ARMATURE" and armatures[1] is None):
-                made.modifiers.remove(modifier)
-        redirect(made, replacements)
+                copy.modifiers.remove(modifier)
+        redirect(copy, replacements)
         if armatures[1] is not None:
-            bind(made, armatures[1])
+            bind(copy, armatures[1])
     return removed
 
 
@@ -93,18 +94,18 @@ def redirect(object_, replacements):
 
 def copy_armature(context, armature, target, source, matrices, tails):
     """A copy of an armature with bones at matrices (j, 4, 4) and tails (j, 3) in the target's frame."""
-    made = armature.copy()
-    made.data = armature.data.copy()
-    made.name = short_name(f"{armature.name} on {target.name}")
+    copy = armature.copy()
+    copy.data = armature.data.copy()
+    copy.name = short_name(f"{armature.name} on {target.name}")
     for collection in target.users_collection:
-        collection.objects.link(made)
-    made.matrix_world = moved(armature, target, source)
-    redirect(made, {armature: made, armature.data: made.data, source: target})
-    with _shown(context, made):
+        collection.objects.link(copy)
+    copy.matrix_world = moved(armature, target, source)
+    redirect(copy, {armature: copy, armature.data: copy.data, source: target})
+    with _shown(context, copy):
         _place_bones(
-            made, matrices[:, :3], from_frame(made, matrices[:, :3, 3], target), from_frame(made, tails, target)
+            copy, matrices[:, :3], from_frame(copy, matrices[:, :3, 3], target), from_frame(copy, tails, target)
         )
-    return made
+    return copy
 
 
 @contextmanager

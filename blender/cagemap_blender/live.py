@@ -65,7 +65,7 @@ def _end(message):
     if _requests is not None and WORKER.busy:  # nobody would take the reply
         WORKER.stop()
     _moved, _requests = False, None
-    bpy.context.scene.cagemap.said = message
+    bpy.context.scene.cagemap.message = message
 
 
 def register():

@@ -44,7 +44,7 @@ def image_uses(object_, material):
     RefusedError
         The layout or the way to a Normal Map node cannot be baked.
     """
-    found = []
+    uses = []
     for node, groups in _image_nodes(material.node_tree if material else None):
         normals = _is_normal_map(material, node, groups)
         layer, matrix = _layout(object_, material, node, groups)
@@ -53,8 +53,8 @@ def image_uses(object_, material):
         if normals and (b or c or a <= 0 or d <= 0):
             raise _refusal(material, node, "a normal map cannot be rotated or mirrored by a Mapping node. Apply it.")
         path = tuple(one.name for one in (*groups, node))
-        found.append(ImageUse(path, node.image, layer, plane, normals))
-    return found
+        uses.append(ImageUse(path, node.image, layer, plane, normals))
+    return uses
 
 
 def _image_nodes(tree, groups=()):
@@ -131,7 +131,7 @@ def _layer(object_, name):
 
 def _is_normal_map(material, image, groups):
     """Whether an image goes straight into a Normal Map node; refused if other nodes lie between."""
-    found, seen, todo = False, set(), [(image.outputs["Color"], groups, None)]
+    is_normals, seen, todo = False, set(), [(image.outputs["Color"], groups, None)]
     while todo:
         output, around, between = todo.pop()
         if (output, around, between is None) in seen:
@@ -150,7 +150,7 @@ def _is_normal_map(material, image, groups):
                     )
                 if node.space != "TANGENT":
                     raise _refusal(material, node, "only normal maps in tangent space can be baked.")
-                found = True
+                is_normals = True
             elif node.type == "REROUTE":
                 todo.append((node.outputs[0], around, between))
             elif node.type == "GROUP_OUTPUT":
@@ -162,7 +162,7 @@ def _is_normal_map(material, image, groups):
             else:
                 outputs = [one for one in node.outputs if one.type != "SHADER"]
                 todo += [(one, around, node if between is None else between) for one in outputs]
-    return found
+    return is_normals
 
 
 def set_materials(target, source, faces, images):

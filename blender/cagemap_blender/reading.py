@@ -58,20 +58,20 @@ def sides(context):
     return chosen(context)
 
 
-def world(thing):
+def world(object_):
     """(4, 4) from the object's space to the world."""
-    return np.array(thing.matrix_world, dtype=np.float64)
+    return np.array(object_.matrix_world, dtype=np.float64)
 
 
-def in_frame(thing, places, of):
+def in_frame(object_, places, of):
     """Places (n, 3) of an object's space in the frame of an object of the pair."""
-    matrix = world(thing)
+    matrix = world(object_)
     return places @ matrix[:3, :3].T + (matrix[:3, 3] - world(of)[:3, 3])
 
 
-def from_frame(thing, places, of):
+def from_frame(object_, places, of):
     """Places (n, 3) in the frame of an object of the pair in the space of an object."""
-    matrix = world(thing)
+    matrix = world(object_)
     return (places - (matrix[:3, 3] - world(of)[:3, 3])) @ np.linalg.inv(matrix[:3, :3]).T
 
 
@@ -87,42 +87,42 @@ def coordinates(points):
     return numbers(points, "co", 3).astype(np.float64)
 
 
-def rest_positions(thing):
+def rest_positions(object_):
     """(n, 3) control vertices in the object's space, without shape keys and pose."""
-    keys = thing.data.shape_keys
-    return coordinates(keys.reference_key.data if keys else thing.data.vertices)
+    keys = object_.data.shape_keys
+    return coordinates(keys.reference_key.data if keys else object_.data.vertices)
 
 
-def mesh_arrays(context, thing, of=None):
+def mesh_arrays(context, object_, of=None):
     """The control mesh as `worker.control_mesh` takes it; ``of`` is the object of the pair that a garment sits on."""
-    require_control_mesh(context, thing, allowed=_LOCAL_MODIFIERS if of else ())
-    mesh = thing.data
+    require_control_mesh(context, object_, allowed=_LOCAL_MODIFIERS if of else ())
+    mesh = object_.data
     sizes, vertices = (
         numbers(mesh.polygons, "loop_total", kind=np.int32),
         numbers(mesh.loops, "vertex_index", kind=np.int32),
     )
     loops = np.arange(len(vertices))
-    if np.linalg.det(world(thing)) < 0:  # a mirrored object shows its faces from the other side
+    if np.linalg.det(world(object_)) < 0:  # a mirrored object shows its faces from the other side
         starts = np.repeat(np.cumsum(sizes) - sizes, sizes)
         loops = 2 * starts + np.repeat(sizes, sizes) - 1 - loops
     return {
-        "name": thing.name,
-        "positions": in_frame(thing, rest_positions(thing), of or thing),
+        "name": object_.name,
+        "positions": in_frame(object_, rest_positions(object_), of or object_),
         "sizes": sizes.astype(np.int64),
         "corners": vertices[loops].astype(np.int64),
         "loops": loops.astype(np.int64),
-        **_subdivision(thing),
+        **_subdivision(object_),
     }
 
 
-def _subdivision(thing):
+def _subdivision(object_):
     """Scheme, options and creases as the modifier has them; a mesh without one is its own surface."""
-    modifier = cage_modifier(thing)
+    modifier = cage_modifier(object_)
     none = np.zeros((0, 2), dtype=np.int64), np.zeros(0)
     if modifier is None:
         return {"scheme": "none", "options": {}, "creases": none, "sharp_corners": none}
     simple = getattr(modifier, "subdivision_type", "CATMULL_CLARK") == "SIMPLE"
-    found = {
+    subdivision = {
         "scheme": "bilinear" if simple else "catmull-clark",
         "options": {
             "boundary": _BOUNDARY[modifier.boundary_smooth],
@@ -132,12 +132,12 @@ def _subdivision(thing):
         "sharp_corners": none,
     }
     if modifier.use_creases:
-        mesh = thing.data
+        mesh = object_.data
         edges = numbers(mesh.edges, "vertices", 2, np.int32).astype(np.int64)
         creased, sharp = _sharpness(mesh, "crease_edge"), _sharpness(mesh, "crease_vert")
-        found["creases"] = edges[np.flatnonzero(creased)], creased[creased > 0]
-        found["sharp_corners"] = np.flatnonzero(sharp), sharp[sharp > 0]
-    return found
+        subdivision["creases"] = edges[np.flatnonzero(creased)], creased[creased > 0]
+        subdivision["sharp_corners"] = np.flatnonzero(sharp), sharp[sharp > 0]
+    return subdivision
 
 
 def _sharpness(mesh, name):
@@ -146,9 +146,9 @@ def _sharpness(mesh, name):
     return np.zeros(0) if attribute is None else 10.0 * numbers(attribute.data, "value").astype(np.float64) ** 2
 
 
-def cage_modifier(thing):
+def cage_modifier(object_):
     """The modifier that subdivides an object, None where none that is shown does."""
-    return next((m for m in thing.modifiers if m.type in _CAGE_MODIFIERS and m.show_viewport), None)
+    return next((m for m in object_.modifiers if m.type in _CAGE_MODIFIERS and m.show_viewport), None)
 
 
 def require_control_mesh(context, object_, allowed=()):
@@ -178,11 +178,11 @@ def plain_name(name):
 
 def landmarks(object_):
     """Empties that are children of an object: lists by name."""
-    found = {}
+    empties = {}
     for child in object_.children:
         if child.type == "EMPTY":
-            found.setdefault(plain_name(child.name), []).append(child)
-    return found
+            empties.setdefault(plain_name(child.name), []).append(child)
+    return empties
 
 
 def landmark_points(target, source):
@@ -222,47 +222,47 @@ def match_arguments(context):
 
 def digest(value):
     """A text that differs where arguments do."""
-    found = hashlib.sha256()
+    hasher = hashlib.sha256()
 
     def add(one: Any) -> None:
         if isinstance(one, dict):
             for name in sorted(one):
-                found.update(name.encode())
+                hasher.update(name.encode())
                 add(one[name])
         elif isinstance(one, tuple):
             for part in one:
                 add(part)
         else:
-            found.update(one.tobytes() if isinstance(one, np.ndarray) else repr(one).encode())
+            hasher.update(one.tobytes() if isinstance(one, np.ndarray) else repr(one).encode())
 
     add(value)
-    return found.hexdigest()
+    return hasher.hexdigest()
 
 
-def vertex_groups(thing):
+def vertex_groups(object_):
     """Weights (n,) of every vertex group, by name."""
-    table = np.zeros((len(thing.vertex_groups), len(thing.data.vertices)))
-    for vertex in thing.data.vertices:
+    table = np.zeros((len(object_.vertex_groups), len(object_.data.vertices)))
+    for vertex in object_.data.vertices:
         for element in vertex.groups:
             if element.group < len(table):  # else its group was removed
                 table[element.group, vertex.index] = element.weight
-    return {group.name: table[group.index] for group in thing.vertex_groups}
+    return {group.name: table[group.index] for group in object_.vertex_groups}
 
 
-def armature_of(thing):
+def armature_of(object_):
     """The first armature that deforms an object, or None."""
-    return next((m.object for m in thing.modifiers if m.type == "ARMATURE" and m.object), None)
+    return next((m.object for m in object_.modifiers if m.type == "ARMATURE" and m.object), None)
 
 
-def bone_names(thing):
+def bone_names(object_):
     """Names of the bones that deform an object: their groups are skin weights, all others are plain values."""
-    armatures = [m.object for m in thing.modifiers if m.type == "ARMATURE" and m.object]
+    armatures = [m.object for m in object_.modifiers if m.type == "ARMATURE" and m.object]
     return {bone.name for armature in armatures for bone in armature.data.bones if bone.use_deform}
 
 
-def shape_offsets(thing):
+def shape_offsets(object_):
     """Offsets (n, 3) of shape keys in the world's axes, by name."""
-    keys, turn = thing.data.shape_keys, world(thing)[:3, :3]
+    keys, turn = object_.data.shape_keys, world(object_)[:3, :3]
     return {
         key.name: (coordinates(key.data) - coordinates(key.relative_key.data)) @ turn.T
         for key in (keys.key_blocks if keys else ())
@@ -270,16 +270,16 @@ def shape_offsets(thing):
     }
 
 
-def uv_layers(thing):
+def uv_layers(object_):
     """UVs (c, 2) of every layer by name."""
-    return {layer.name: numbers(layer.uv, "vector", 2).astype(np.float64) for layer in thing.data.uv_layers}
+    return {layer.name: numbers(layer.uv, "vector", 2).astype(np.float64) for layer in object_.data.uv_layers}
 
 
-def color_attributes(thing):
+def color_attributes(object_):
     """Colours (n, 4) of vertices or (c, 4) of face corners by name, with their domain and type."""
     return {
         one.name: (numbers(one.data, "color", 4).astype(np.float64), one.domain, one.data_type)
-        for one in thing.data.color_attributes
+        for one in object_.data.color_attributes
         if one.name != MAP_COLORS
     }
 

@@ -1,4 +1,4 @@
-"""How a button runs: requests to the computing process one after another, in the background, then one undo step."""
+"""How a button runs: requests to the computing process, in the background, then one undo step."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import bpy
 
 from .client import Message, RefusedError, Worker
 from .reading import chosen, digest, edited, match_arguments, sides
-from .writing import show_map
+from .writing import forget_deleted, show_map
 
 WORKER = Worker()
 Requests = Generator[Message, dict[str, Any], str | None]
 
 
 def matching(context):
-    """Requests that give the computing process the map of the pair as it stands; the sentences about it."""
+    """Match the pair if it is not matched as it is now; the message about it."""
     arguments = match_arguments(context)
-    asked = pair_digest(arguments)
-    if WORKER.has_match and WORKER.matched == asked:
-        return context.scene.cagemap.said
-    found = yield "match", arguments
-    WORKER.matched = asked
-    return show_answer(context, found)
+    matched = pair_digest(arguments)
+    if WORKER.has_match and WORKER.matched == matched:
+        return context.scene.cagemap.message
+    reply = yield "match", arguments
+    WORKER.matched = matched
+    return show_answer(context, reply)
 
 
 def pair_digest(arguments):
@@ -39,12 +39,12 @@ def landmark_digest(target_points, source_points):
     return digest({"target": target_points, "source": source_points})
 
 
-def show_answer(context, found):
-    """Show the colours of a map on both objects; the sentences about it."""
+def show_answer(context, reply):
+    """Show a map as colours on both objects; the message about it."""
     target, source = sides(context)
-    show_map(target, found["target_colors"])
-    show_map(source, found["source_colors"])
-    return "\n".join(found["said"])
+    show_map(target, reply["target_colors"])
+    show_map(source, reply["source_colors"])
+    return "\n".join(reply["sentences"])
 
 
 def begin(requests):
@@ -53,7 +53,7 @@ def begin(requests):
 
 
 def proceed(requests, message):
-    """Give a reply to a button; True while it asks for more, else its sentence or None.
+    """Give a reply to a button; True while it asks for more, else its message or None.
 
     Raises
     ------
@@ -73,9 +73,18 @@ def proceed(requests, message):
 
 @bpy.app.handlers.persistent
 def stop(*_):
-    """End what runs: another file that is opened would leave it to nobody."""
+    """Stop the computing process before another file is opened."""
     WORKER.stop()
     Work.running = False
+
+
+@bpy.app.handlers.persistent
+def objects_changed(scene, depsgraph):
+    """Forget results that the user deleted."""
+    for update in depsgraph.updates:
+        object_ = update.id.original
+        if isinstance(object_, bpy.types.Object) and "cagemap_made" in object_ and object_.mode != "EDIT":
+            forget_deleted(object_)
 
 
 class Work:
@@ -85,7 +94,7 @@ class Work:
     running = False
 
     def requests(self, context) -> Requests:
-        """Requests to the computing process, each of which gives its values; a sentence for the panel, or None."""
+        """Requests to the computing process, each of which gives its reply; a message for the panel, or None."""
         raise NotImplementedError
 
     def execute(self, context):
@@ -100,7 +109,7 @@ class Work:
         return self._guarded(context, self._begin)
 
     def modal(self, context, event):
-        """Look now and then for replies."""
+        """Take a reply at each tick of the timer."""
         if event.type == "ESC":
             WORKER.stop()
             self._end(context)
@@ -151,7 +160,7 @@ class Work:
         return {"RUNNING_MODAL"}
 
     def _start(self, context):
-        """Send the first request; True, or what is said where there is nothing to compute."""
+        """Send the first request; True, or the message if nothing needs to be computed."""
         self._requests = self.requests(context)
         try:
             begin(self._requests)
@@ -184,10 +193,10 @@ class Work:
             self._shown = state
             self._workspace.status_text_set(f"cagemap, {self.bl_label}: {state}. Esc stops it.")
 
-    def _finish(self, context, said):
-        if said is not None:
-            context.scene.cagemap.said = said
-            self.report({"INFO"}, said)
+    def _finish(self, context, message):
+        if message is not None:
+            context.scene.cagemap.message = message
+            self.report({"INFO"}, message)
         return {"FINISHED"}
 
     def _end(self, context):

@@ -19,18 +19,25 @@ _LEAST_WEIGHT = 1e-6
 
 
 def short_name(name):
-    """A name as long as Blender takes it."""
+    """A name, cut to the 63 bytes that Blender takes."""
     return name.encode()[:63].decode(errors="ignore")
 
 
-def require_rows(thing, rows):
-    """Refuse what was computed for another state of the mesh."""
-    if rows != len(thing.data.vertices):
-        raise RefusedError(f"{thing.name} was changed while cagemap computed. Press the button again.")
+def existing(collection, name):
+    """A block of data by name; refused if it was removed or renamed while cagemap computed."""
+    if name not in collection:
+        raise RefusedError(f"{name} was removed while cagemap computed. Press the button again.")
+    return collection[name]
+
+
+def require_rows(object_, rows):
+    """Refuse rows that were computed for another state of the mesh."""
+    if rows != len(object_.data.vertices):
+        raise RefusedError(f"{object_.name} was changed while cagemap computed. Press the button again.")
 
 
 def require_free(object_, kind, names):
-    """Refuse names that the user has given, but for those that an earlier run of ours made."""
+    """Refuse names that are taken, except by what an earlier run made."""
     own, taken = set(_claims(object_)), taken_names(object_, kind)
     foreign = sorted(name for name in names if name in taken and f"{kind} {name}" not in own)
     if foreign:
@@ -54,18 +61,13 @@ def claim(object_, kind, names):
     object_["cagemap_made"] = json.dumps(sorted(made))
 
 
-@bpy.app.handlers.persistent
-def forget_deleted(scene, depsgraph):
+def forget_deleted(object_):
     """Forget names whose owner was deleted or renamed: what has them later is the user's."""
-    for update in depsgraph.updates:
-        object_ = update.id.original
-        if not isinstance(object_, bpy.types.Object) or "cagemap_made" not in object_ or object_.mode == "EDIT":
-            continue
-        there = {f"{kind} {one.name}" for kind, values in _named_values(object_).items() for one in values}
-        claims = _claims(object_)
-        kept = [one for one in claims if one in there]
-        if kept != claims:
-            object_["cagemap_made"] = json.dumps(kept)
+    there = {f"{kind} {one.name}" for kind, values in _named_values(object_).items() for one in values}
+    claims = _claims(object_)
+    kept = [one for one in claims if one in there]
+    if kept != claims:
+        object_["cagemap_made"] = json.dumps(kept)
 
 
 def taken_names(object_, kind):
@@ -84,19 +86,19 @@ def _named_values(object_):
     }
 
 
-def show_map(thing, colors):
+def show_map(object_, colors):
     """Write the map's colours (n, 3) of an object, and show them."""
-    require_rows(thing, len(colors))
-    attributes = thing.data.color_attributes
+    require_rows(object_, len(colors))
+    attributes = object_.data.color_attributes
     active = attributes.active_color
     if active is not None and active.name != MAP_COLORS:
-        thing["cagemap_active_color"] = active.name
+        object_["cagemap_active_color"] = active.name
     layer = attributes.get(MAP_COLORS) or attributes.new(MAP_COLORS, "FLOAT_COLOR", "POINT")
     values = np.ones((len(colors), 4), dtype=np.float32)
     values[:, :3] = np.clip(colors, 0.0, 1.0)
     layer.data.foreach_set("color", values.ravel())
     attributes.active_color = layer
-    thing.data.update()
+    object_.data.update()
 
 
 def hide_map(object_):
@@ -114,54 +116,54 @@ def show_in_views(context, color_type):
             area.spaces.active.shading.color_type = color_type
 
 
-def set_groups(thing, groups):
+def set_groups(object_, groups):
     """Write vertex groups, weights (n,) by name."""
-    claim(thing, "vertex group", groups)
+    claim(object_, "vertex group", groups)
     for name, weights in groups.items():
-        require_rows(thing, len(weights))
-        known = thing.vertex_groups.get(name)
+        require_rows(object_, len(weights))
+        known = object_.vertex_groups.get(name)
         if known is not None:
-            thing.vertex_groups.remove(known)
-        made = thing.vertex_groups.new(name=name)
+            object_.vertex_groups.remove(known)
+        made = object_.vertex_groups.new(name=name)
         for vertex in np.flatnonzero(weights > _LEAST_WEIGHT).tolist():
             made.add([vertex], float(weights[vertex]), "REPLACE")
 
 
-def set_shapes(thing, offsets):
+def set_shapes(object_, offsets):
     """Write shape keys, offsets (n, 3) in the world's axes by name."""
-    turn = np.linalg.inv(world(thing)[:3, :3])
-    set_positions(thing, {name: rest_positions(thing) + rows @ turn.T for name, rows in offsets.items()})
+    turn = np.linalg.inv(world(object_)[:3, :3])
+    set_positions(object_, {name: rest_positions(object_) + rows @ turn.T for name, rows in offsets.items()})
 
 
-def set_positions(thing, shapes):
+def set_positions(object_, shapes):
     """Write shape keys, positions (n, 3) in the object's space by name."""
     for positions in shapes.values():
-        require_rows(thing, len(positions))
-    keys = thing.data.shape_keys
-    claim(thing, "shape key", shapes)
+        require_rows(object_, len(positions))
+    keys = object_.data.shape_keys
+    claim(object_, "shape key", shapes)
     if keys is None:
-        thing.shape_key_add(name="Basis", from_mix=False)
+        object_.shape_key_add(name="Basis", from_mix=False)
     for name, positions in shapes.items():
-        key = thing.data.shape_keys.key_blocks.get(name) or thing.shape_key_add(name=name, from_mix=False)
+        key = object_.data.shape_keys.key_blocks.get(name) or object_.shape_key_add(name=name, from_mix=False)
         key.data.foreach_set("co", positions.astype(np.float32).ravel())
         key.value = 0.0  # Blender 5 shows new ones at once
-    thing.data.update()
+    object_.data.update()
 
 
-def set_uvs(thing, layers):
+def set_uvs(object_, layers):
     """Write UV layers (c, 2) by name; corners without values keep what they have, in new layers 0."""
-    claim(thing, "UV map", layers)
+    claim(object_, "UV map", layers)
     for name, uvs in layers.items():
-        layer = thing.data.uv_layers.get(name) or thing.data.uv_layers.new(name=name, do_init=False)
+        layer = object_.data.uv_layers.get(name) or object_.data.uv_layers.new(name=name, do_init=False)
         kept = np.zeros(uvs.shape, dtype=np.float32)
         layer.uv.foreach_get("vector", kept.ravel())
         layer.uv.foreach_set("vector", np.where(np.isnan(uvs), kept, uvs).astype(np.float32).ravel())
 
 
-def set_colors(thing, colors):
+def set_colors(object_, colors):
     """Write colour attributes: values, domain and type by name."""
-    attributes = thing.data.color_attributes
-    claim(thing, "colour attribute", colors)
+    attributes = object_.data.color_attributes
+    claim(object_, "colour attribute", colors)
     for name, (values, domain, kind) in colors.items():
         known = attributes.get(name)
         if known is not None:

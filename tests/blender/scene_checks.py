@@ -444,7 +444,7 @@ def modifiers_of_clothes_refer_to_the_target():
     made = bpy.data.objects["shirt on target"]
     assert [modifier.name for modifier in made.modifiers] == ["Fit", "Free"]
     assert [modifier.target for modifier in made.modifiers] == [target, target]
-    assert "bound again: Bound of shirt on target" in SETTINGS.said
+    assert "bound again: Bound of shirt on target" in SETTINGS.message
     assert [modifier.target for modifier in shirt.modifiers] == [source, plain, source]
 
 
@@ -520,7 +520,7 @@ def a_fault_does_not_end_the_live_map():
         assert live.follow() > 0
     finally:
         live.following = whole
-    assert "broken" in SETTINGS.said
+    assert "broken" in SETTINGS.message
 
 
 def followed(seconds=60.0):
@@ -551,9 +551,9 @@ def the_live_map_asks_only_where_landmarks_moved_on_their_objects():
     empties[0].location.z += 0.1
     bpy.context.view_layer.update()
     assert followed()
-    sent = SETTINGS.said
+    sent = SETTINGS.message
     bpy.ops.cagemap.follow()
-    assert SETTINGS.said == sent
+    assert SETTINGS.message == sent
 
 
 @check
@@ -561,7 +561,7 @@ def edit_mode_and_other_objects_do_not_disturb_the_live_map():
     source, target = pair()
     empties = [landmark(object_, "nose", object_.data.vertices[5].co) for object_ in (target, source)]
     bpy.ops.cagemap.match()
-    SETTINGS.said = ""
+    SETTINGS.message = ""
     bpy.context.view_layer.objects.active = target
     empties[0].location.z += 0.1
     bpy.context.view_layer.update()
@@ -569,10 +569,10 @@ def edit_mode_and_other_objects_do_not_disturb_the_live_map():
     assert work.WORKER.busy
     bpy.ops.object.mode_set(mode="EDIT")
     assert followed(seconds=3.0)
-    assert not SETTINGS.said
+    assert not SETTINGS.message
     bpy.ops.object.mode_set(mode="OBJECT")
     assert followed()
-    assert not SETTINGS.said
+    assert not SETTINGS.message
     empties[0].location.z += 0.1
     bpy.context.view_layer.update()
     live.follow()
