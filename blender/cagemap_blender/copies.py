@@ -55,7 +55,8 @@ def _remove_copy(name):
 def fit_modifiers(copies, target, source):
     """Let copies of garments, by garment, refer to the target and its armature; names of modifiers to bind again."""
     removed, armatures = [], (armature_of(source), armature_of(target))
-    replacements = {source: target, **copies} | ({armatures[0]: armatures[1]} if all(armatures) else {})
+    pairs = ((source, target), armatures, (source.data.shape_keys, target.data.shape_keys))
+    replacements = {old: new for old, new in pairs if old and new} | copies
     for copy in copies.values():
         for modifier in list(copy.modifiers):
             bound = modifier.type in _BOUND and getattr(modifier, _BOUND[modifier.type])
@@ -85,8 +86,8 @@ def redirect(object_, replacements):
             for one in part.bl_rna.properties:
                 if one.type == "POINTER" and not one.is_readonly and getattr(part, one.identifier) in replacements:
                     setattr(part, one.identifier, replacements[getattr(part, one.identifier)])
-    for owner in (object_, object_.data):
-        for curve in owner.animation_data.drivers if owner.animation_data else ():
+    for owner in (object_, object_.data, getattr(object_.data, "shape_keys", None)):
+        for curve in owner.animation_data.drivers if owner and owner.animation_data else ():
             for target in (target for variable in curve.driver.variables for target in variable.targets):
                 if target.id in replacements:
                     target.id = replacements[target.id]

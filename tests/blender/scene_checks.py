@@ -439,11 +439,20 @@ def modifiers_of_clothes_refer_to_the_target():
     bpy.context.view_layer.objects.active = shirt
     bpy.context.view_layer.update()
     bpy.ops.object.surfacedeform_bind(modifier="Bound")
+    source.shape_key_add(name="Basis")
+    target.shape_key_add(name="Basis")
+    shirt.shape_key_add(name="Basis")
+    for id_type, id_ in (("OBJECT", source), ("KEY", source.data.shape_keys)):
+        driven = shirt.shape_key_add(name=id_type)
+        aim = driven.driver_add("value").driver.variables.new().targets[0]
+        aim.id_type, aim.id = id_type, id_
     assert bound.is_bound
     bpy.ops.cagemap.transfer(what={"CLOTHES"})
     made = bpy.data.objects["shirt on target"]
     assert [modifier.name for modifier in made.modifiers] == ["Fit", "Free"]
     assert [modifier.target for modifier in made.modifiers] == [target, target]
+    drivers = made.data.shape_keys.animation_data.drivers
+    assert [one.driver.variables[0].targets[0].id for one in drivers] == [target, target.data.shape_keys]
     assert "bound again: Bound of shirt on target" in SETTINGS.message
     assert [modifier.target for modifier in shirt.modifiers] == [source, plain, source]
 
