@@ -30,7 +30,7 @@ def copy_garment(context, garment, target, source, positions, offsets):
     for collection in target.users_collection:
         collection.objects.link(copy)
     copy.parent = None
-    copy.matrix_world = moved(garment, target, source)
+    copy.matrix_world = moved_matrix(garment, target, source)
     context.view_layer.update()
     places, turn = from_frame(copy, positions, target), np.linalg.inv(world(copy)[:3, :3])
     copy.data.vertices.foreach_set("co", places.astype(np.float32).ravel())
@@ -70,7 +70,7 @@ def fit_modifiers(copies, target, source):
     return removed
 
 
-def moved(object_, target, source):
+def moved_matrix(object_, target, source):
     """The object's matrix, moved as the target stands from the source."""
     matrix = object_.matrix_world.copy()
     matrix.translation += target.matrix_world.translation - source.matrix_world.translation
@@ -100,9 +100,9 @@ def copy_armature(context, armature, target, source, matrices, tails):
     copy.name = short_name(f"{armature.name} on {target.name}")
     for collection in target.users_collection:
         collection.objects.link(copy)
-    copy.matrix_world = moved(armature, target, source)
+    copy.matrix_world = moved_matrix(armature, target, source)
     redirect(copy, {armature: copy, armature.data: copy.data, source: target})
-    with _shown(context, copy):
+    with _editable(context, copy):
         _place_bones(
             copy, matrices[:, :3], from_frame(copy, matrices[:, :3, 3], target), from_frame(copy, tails, target)
         )
@@ -110,8 +110,8 @@ def copy_armature(context, armature, target, source, matrices, tails):
 
 
 @contextmanager
-def _shown(context, object_):
-    """Make an object visible and active: only such objects have an Edit Mode."""
+def _editable(context, object_):
+    """Show an object and make it active: only such objects have an Edit Mode."""
     everywhere, active, hidden = context.scene.collection, context.view_layer.objects.active, object_.hide_viewport
     linked = object_.name in everywhere.objects
     object_.hide_viewport = False

@@ -8,7 +8,7 @@ import bpy
 
 from .client import RefusedError
 from .operators import following
-from .reading import chosen, edited, landmark_points
+from .reading import chosen_pair, landmark_points, object_in_edit_mode
 from .work import WORKER, Work, begin, landmark_digest, proceed
 
 _SECONDS = 0.05
@@ -47,14 +47,14 @@ def _step(context):
     if _requests is not None:
         if not WORKER.busy:  # it was stopped
             _requests = None
-        elif edited(context) is None:  # else the reply waits: nothing can be written in Edit Mode
+        elif object_in_edit_mode(context) is None:  # else the reply waits: nothing can be written in Edit Mode
             message = WORKER.receive()
             if message is not None and proceed(_requests, message) is not True:
                 _requests = None
-    elif _moved and not Work.running and not WORKER.busy and WORKER.has_match and edited(context) is None:
+    elif _moved and not Work.running and not WORKER.busy and WORKER.has_match and object_in_edit_mode(context) is None:
         _moved = False
         context.view_layer.update()
-        if landmark_digest(*landmark_points(*chosen(context))) != WORKER.matched[1]:
+        if landmark_digest(*landmark_points(*chosen_pair(context))) != WORKER.matched[1]:
             _requests = following(context)
             begin(_requests)
 

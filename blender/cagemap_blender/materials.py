@@ -130,38 +130,38 @@ def _layer(object_, name):
 
 
 def _is_normal_map(material, image, groups):
-    """Whether an image goes straight into a Normal Map node; refused if other nodes lie between."""
+    """Whether an image goes straight into a Normal Map node; refused if another node changes it first."""
     is_normals, seen, todo = False, set(), [(image.outputs["Color"], groups, None)]
     while todo:
-        output, around, between = todo.pop()
-        if (output, around, between is None) in seen:
+        output, outer_groups, changer = todo.pop()
+        if (output, outer_groups, changer is None) in seen:
             continue
-        seen.add((output, around, between is None))
+        seen.add((output, outer_groups, changer is None))
         for link in _links(output):
             node = link.to_node
             if node.type == "NORMAL_MAP":
                 if link.to_socket.name != "Color":
                     continue
-                if between is not None:
+                if changer is not None:
                     raise _refusal(
                         material,
-                        between,
+                        changer,
                         "an image that it changes before a Normal Map node cannot be baked. Remove it.",
                     )
                 if node.space != "TANGENT":
                     raise _refusal(material, node, "only normal maps in tangent space can be baked.")
                 is_normals = True
             elif node.type == "REROUTE":
-                todo.append((node.outputs[0], around, between))
+                todo.append((node.outputs[0], outer_groups, changer))
             elif node.type == "GROUP_OUTPUT":
-                if around:
-                    todo.append((_same_socket(around[-1].outputs, link.to_socket), around[:-1], between))
+                if outer_groups:
+                    todo.append((_same_socket(outer_groups[-1].outputs, link.to_socket), outer_groups[:-1], changer))
             elif node.type == "GROUP":
                 inner = [one for one in node.node_tree.nodes if one.type == "GROUP_INPUT"] if node.node_tree else []
-                todo += [(_same_socket(one.outputs, link.to_socket), (*around, node), between) for one in inner]
+                todo += [(_same_socket(one.outputs, link.to_socket), (*outer_groups, node), changer) for one in inner]
             else:
                 outputs = [one for one in node.outputs if one.type != "SHADER"]
-                todo += [(one, around, node if between is None else between) for one in outputs]
+                todo += [(one, outer_groups, node if changer is None else changer) for one in outputs]
     return is_normals
 
 

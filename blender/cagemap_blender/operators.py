@@ -82,7 +82,7 @@ class CAGEMAP_OT_rig(Work, bpy.types.Operator):
         name = armature.name
         yield from matching(context)
         _, source = sides(context)  # other objects after Undo
-        armature = writing.existing(bpy.data.objects, name)
+        armature = writing.require_existing(bpy.data.objects, name)
         bones, matrix = armature.data.bones, reading.world(armature)
         matrix[:3, 3] -= reading.world(source)[:3, 3]
         number = {bone.name: row for row, bone in enumerate(bones)}
@@ -99,7 +99,7 @@ class CAGEMAP_OT_rig(Work, bpy.types.Operator):
         if transfers.selected_garments(context):
             writers.append((yield from transfers.transfer_clothes(context)))
         target, source = sides(context)
-        armature = writing.existing(bpy.data.objects, name)
+        armature = writing.require_existing(bpy.data.objects, name)
         rig = copies.copy_armature(context, armature, target, source, reply["matrices"], reply["tails"])
         copies.bind(target, rig)
         messages = [write(context) for write in writers]

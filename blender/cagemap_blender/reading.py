@@ -32,7 +32,7 @@ _LOCAL_MODIFIERS = ("SOLIDIFY", "BEVEL", "TRIANGULATE", "EDGE_SPLIT", "DECIMATE"
 MAP_COLORS = "cagemap"
 
 
-def chosen(context):
+def chosen_pair(context):
     """Target and source that are chosen in the panel."""
     settings = context.scene.cagemap
     for role in ("source", "target"):
@@ -44,18 +44,18 @@ def chosen(context):
     return settings.target, settings.source
 
 
-def edited(context):
+def object_in_edit_mode(context):
     """The first of target and source that is in Edit Mode, or None."""
-    return next((object_ for object_ in chosen(context) if object_.mode == "EDIT"), None)
+    return next((object_ for object_ in chosen_pair(context) if object_.mode == "EDIT"), None)
 
 
 def sides(context):
     """Target and source, outside Edit Mode: there modifiers are not evaluated and groups cannot be written."""
-    object_ = edited(context)
+    object_ = object_in_edit_mode(context)
     if object_ is not None:
         raise RefusedError(f"{object_.name} is in Edit Mode. Leave it (Tab), and press the button again.")
     context.view_layer.update()
-    return chosen(context)
+    return chosen_pair(context)
 
 
 def world(object_):

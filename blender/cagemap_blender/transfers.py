@@ -14,7 +14,7 @@ from .materials import image_uses, set_materials
 from .reading import sides
 
 
-def counted(values, noun):
+def count_phrase(values, noun):
     """A count and its noun."""
     return f"{len(values)} {noun}{'s' * (len(values) != 1)}"
 
@@ -54,14 +54,16 @@ def transfer_textures(context):
     def write(context):
         target, source = sides(context)
         bakes = {
-            key: writing.new_image(f"{name} on {target.name}", baked[name], writing.existing(bpy.data.images, key[0]))
+            key: writing.new_image(
+                f"{name} on {target.name}", baked[name], writing.require_existing(bpy.data.images, key[0])
+            )
             for key, name in names.items()
         }
         set_materials(target, source, reply["materials"], bakes)
         for object_ in (target, source):
             writing.hide_map(object_)
         writing.show_in_views(context, "TEXTURE")
-        return counted(bakes, "image")
+        return count_phrase(bakes, "image")
 
     return write
 
@@ -83,7 +85,7 @@ def transfer_weights(context):
 
     def write(context):
         writing.set_groups(sides(context)[0], carried)
-        return counted(carried, "vertex group")
+        return count_phrase(carried, "vertex group")
 
     return write
 
@@ -101,7 +103,7 @@ def _named(kind, read, request, write_reply):
 
         def write(context):
             write_reply(sides(context)[0], reply, given)
-            return counted(given, kind)
+            return count_phrase(given, kind)
 
         return write
 
@@ -151,13 +153,13 @@ def transfer_clothes(context):
 
     def write(context):
         target, source = sides(context)
-        garments = [writing.existing(bpy.data.objects, name) for name in names]
+        garments = [writing.require_existing(bpy.data.objects, name) for name in names]
         copy_of = {
             garment: copies.copy_garment(context, garment, target, source, *arrays)
             for garment, *arrays in zip(garments, reply["positions"], reply["shapes"], strict=True)
         }
         notes = copies.fit_modifiers(copy_of, target, source)
-        return counted(names, "garment") + (f" (removed, to be bound again: {', '.join(notes)})" if notes else "")
+        return count_phrase(names, "garment") + (f" (removed, to be bound again: {', '.join(notes)})" if notes else "")
 
     return write
 

@@ -9,7 +9,7 @@ from typing import Any
 import bpy
 
 from .client import Message, RefusedError, Worker
-from .reading import chosen, digest, edited, match_arguments, sides
+from .reading import chosen_pair, digest, match_arguments, object_in_edit_mode, sides
 from .writing import forget_deleted, show_map
 
 WORKER = Worker()
@@ -169,9 +169,9 @@ class Work:
         return True
 
     def _next(self, context):
-        if [object_.name for object_ in chosen(context)] != self._names:
+        if [object_.name for object_ in chosen_pair(context)] != self._names:
             raise RefusedError(f"Other objects were chosen than {' and '.join(self._names)}. Choose them again.")
-        object_ = edited(context)
+        object_ = object_in_edit_mode(context)
         if object_ is not None:  # nothing can be written there: the reply waits
             self._show(f"waiting until {object_.name} leaves Edit Mode (Tab)")
             return {"PASS_THROUGH"}

@@ -23,7 +23,7 @@ def short_name(name):
     return name.encode()[:63].decode(errors="ignore")
 
 
-def existing(collection, name):
+def require_existing(collection, name):
     """A block of data by name; refused if it was removed or renamed while cagemap computed."""
     if name not in collection:
         raise RefusedError(f"{name} was removed while cagemap computed. Press the button again.")
@@ -63,9 +63,9 @@ def claim(object_, kind, names):
 
 def forget_deleted(object_):
     """Forget names whose owner was deleted or renamed: what has them later is the user's."""
-    there = {f"{kind} {one.name}" for kind, values in _named_values(object_).items() for one in values}
+    names_in_use = {f"{kind} {one.name}" for kind, values in _named_values(object_).items() for one in values}
     claims = _claims(object_)
-    kept = [one for one in claims if one in there]
+    kept = [one for one in claims if one in names_in_use]
     if kept != claims:
         object_["cagemap_made"] = json.dumps(kept)
 
@@ -190,8 +190,8 @@ def new_image(name, tiles, like):
         image = bpy.data.images.load(f"{folder}/{stem}.{min(tiles)}.{suffix}")
         image.source, image.name = "TILED", name
         image.filepath = f"{folder}/{stem}.<UDIM>.{suffix}"
-        there = {tile.number for tile in image.tiles}
-        for number in sorted(set(tiles) - there):
+        numbers = {tile.number for tile in image.tiles}
+        for number in sorted(set(tiles) - numbers):
             image.tiles.new(tile_number=number)
         for tile in [tile for tile in image.tiles if tile.number not in tiles]:
             image.tiles.remove(tile)
