@@ -2,7 +2,8 @@
 
 See docs/blender.md. The buttons are in the sidebar of the 3D view, tab *cagemap*; scripts call
 ``bpy.ops.cagemap.match()`` and so on. `worker` computes, in a process of its own; `client` talks to it; `reading` and
-`writing` are all that touches the scene; `work` runs a button.
+`writing` are all that touches the scene, with `materials` and `copies`; `transfers` lists what can be transferred;
+`work` runs a button.
 """
 
 import bpy
@@ -18,12 +19,14 @@ def register():
         bpy.utils.register_class(kind)
     bpy.types.Scene.cagemap = bpy.props.PointerProperty(type=panel.CagemapSettings)
     bpy.app.handlers.load_pre.append(work.stop)
+    bpy.app.handlers.depsgraph_update_post.append(work.objects_changed)
     live.register()
 
 
 def unregister():
     """Take them away again."""
     live.unregister()
+    bpy.app.handlers.depsgraph_update_post.remove(work.objects_changed)
     bpy.app.handlers.load_pre.remove(work.stop)
     work.stop()
     del bpy.types.Scene.cagemap

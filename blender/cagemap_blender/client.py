@@ -1,4 +1,4 @@
-"""The computing process as Blender sees it: requests in, replies out, from a thread; nothing here waits but `wait`."""
+"""The computing process as Blender sees it: requests in, replies out, through a thread."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ HERE = Path(__file__).parent
 
 
 class RefusedError(Exception):
-    """What cannot be done, and what to do about it; shown to the user as it is."""
+    """What cannot be done, and what to do about it, as a message to the user."""
 
 
 def site_packages() -> str:
     """The folder that holds cagemap: where Blender unpacked the extension's wheels."""
-    found = importlib.util.find_spec("cagemap")
-    if found is None or found.origin is None:
+    spec = importlib.util.find_spec("cagemap")
+    if spec is None or spec.origin is None:
         raise RefusedError("The extension's packages are missing. Remove the extension and install its zip file again.")
-    return str(Path(found.origin).parents[1])
+    return str(Path(spec.origin).parents[1])
 
 
 class Worker:
-    """The computing process; it is started by the first request, and again after it was stopped or has crashed."""
+    """The computing process; a request starts it if it does not run."""
 
     def __init__(self) -> None:
         self.busy = False

@@ -6,226 +6,51 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from . import reading, writing
+from . import copies, reading, transfers, writing
 from .client import RefusedError
 from .reading import sides
 from .work import WORKER, Work, matching, pair_digest, show_answer
 
-TRANSFERS = (
-    (
-        "TEXTURES",
-        "Materials and Textures",
-        "Copies of the source's materials, their images baked into the target's UVs",
-    ),
-    ("WEIGHTS", "Vertex Groups", "Groups of bones as skin weights, others as plain values"),
-    ("SHAPES", "Shape Keys", "All shape keys of the source"),
-    ("UVS", "UV Maps", "The source's UV maps, so that its images fit the target as they are"),
-    ("COLORS", "Colour Attributes", "Painted vertex colours"),
-    ("CLOTHES", "Clothes", "Copies of the other selected meshes, which sit on the source, on the target"),
-)
-
 
 class CAGEMAP_OT_match(Work, bpy.types.Operator):
-    """Find the map between source and target, with the landmarks that both have, and show it as colours."""
+    """Find the map between source and target, with the landmarks that both have; shown as colours."""
 
     bl_idname = "cagemap.match"
     bl_label = "Match"
-    bl_description = "Find the map between source and target, with the landmarks that both have; shown as colours"
 
     def requests(self, context):
         """Match again, also what is matched already."""
         WORKER.matched = ("", "")
-        said = yield from matching(context)
-        for area in context.screen.areas if context.screen else ():
-            if area.type == "VIEW_3D" and area.spaces.active.shading.type == "SOLID":
-                area.spaces.active.shading.color_type = "VERTEX"
-        return said
+        message = yield from matching(context)
+        writing.show_in_views(context, "VERTEX")
+        return message
 
 
 class CAGEMAP_OT_transfer(Work, bpy.types.Operator):
-    """Give the target what the source has, along the map."""
+    """Give the target what is chosen above; matches first if needed."""
 
     bl_idname = "cagemap.transfer"
     bl_label = "Transfer"
-    bl_description = "Give the target what is chosen above; matches first where that is not done yet"
 
-    what: bpy.props.EnumProperty(items=TRANSFERS, options={"ENUM_FLAG"}, default={"TEXTURES"}, name="Transfer")
+    what: bpy.props.EnumProperty(items=transfers.ITEMS, options={"ENUM_FLAG"}, default={"TEXTURES"}, name="Transfer")
 
     def requests(self, context):
-        """One transfer after another; nothing is written before all are computed."""
-        carriers = {
-            "TEXTURES": _textures,
-            "WEIGHTS": _weights,
-            "SHAPES": _shapes,
-            "UVS": _uvs,
-            "COLORS": _colors,
-            "CLOTHES": _clothes,
-        }
+        """One transfer after another; all are computed before the first is written."""
         if not self.what:
             raise RefusedError("Choose what to transfer.")
         yield from matching(context)
-        written = []
-        for name, carry in carriers.items():
-            if name in self.what:
-                written.append((yield from carry(context)))
-        return ", ".join([write(context) for write in written]) + " transferred"
-
-
-def counted(things, what):
-    """How many there are, in words."""
-    return f"{len(things)} {what}{'s' * (len(things) != 1)}"
-
-
-def _textures(context):
-    """Materials and images; what writes them."""
-    target, source = sides(context)
-    if not any(slot.material for slot in source.material_slots):
-        raise RefusedError(f"{source.name} has no materials.")
-    size, images = context.scene.cagemap.size, {}
-    for slot in source.material_slots:
-        for node in reading.image_nodes(slot.material):
-            pixels = reading.pixels_of(node.image)
-            first = next(iter(pixels.values())) if isinstance(pixels, dict) else pixels
-            images[node.image.name] = {
-                "name": node.image.name,
-                "pixels": pixels,
-                "size": (size, size) if size else first.shape[:2],
-                "uvs": reading.uv_layers(source)[reading.node_uvs(source, node)],
-                "normals": reading.is_normal_map(node),
-            }
-    baked = {}
-    if images:
-        layer = next((layer for layer in target.data.uv_layers if layer.active_render), None)
-        if layer is None:
-            raise RefusedError(f"{target.name} has no UV map to bake into. Unwrap it, or transfer UV Maps instead.")
-        uvs = reading.uv_layers(target)[layer.name]
-        baked = (yield "bake", {"images": list(images.values()), "target_uvs": uvs})["images"]
-    last = max(len(source.material_slots) - 1, 0)  # which Blender shows where a face says a slot that is gone
-    numbers = np.minimum(reading.numbers(source.data.polygons, "material_index", kind=np.int32), last)
-    found = yield "materials", {"materials": numbers.astype(np.int64)}
-
-    def write(context):
-        target, source = sides(context)
-        made = {
-            name: writing.new_image(f"{name} on {target.name}", tiles, bpy.data.images[name])
-            for name, tiles in baked.items()
-        }
-        writing.set_materials(target, source, found["materials"], made)
-        return counted(made, "image")
-
-    return write
-
-
-def _weights(context):
-    """Vertex groups; what writes them."""
-    target, source = sides(context)
-    groups, bones = reading.vertex_groups(source), reading.bone_names(source)
-    if not groups:
-        raise RefusedError(f"{source.name} has no vertex groups.")
-    writing.require_free(target, "vertex group", groups)
-    skin = [name for name in groups if name in bones]
-    found = {}
-    if skin:
-        table = (yield "weights", {"weights": np.column_stack([groups[name] for name in skin])})["weights"]
-        found = dict(zip(skin, table.T, strict=True))
-    others = {name: groups[name] for name in groups if name not in found}
-    found |= (yield "values", {"vertices": others, "corners": {}})["vertices"]
-
-    def write(context):
-        writing.set_groups(sides(context)[0], found)
-        return counted(found, "vertex group")
-
-    return write
-
-
-def _named(kind, read, request, write_reply):
-    """Transfer of values that have names: ``request`` asks the worker for them, ``write_reply`` writes them."""
-
-    def carry(context):
-        target, source = sides(context)
-        given = read(source)
-        if not given:
-            raise RefusedError(f"{source.name} has no {kind}s.")
-        writing.require_free(target, kind, given)
-        reply = yield request(given)
-
-        def write(context):
-            write_reply(sides(context)[0], reply, given)
-            return counted(given, kind)
-
-        return write
-
-    return carry
-
-
-def _color_request(colors):
-    """Colours by their domain."""
-    vertices, corners = (
-        {name: values for name, (values, own, _) in colors.items() if own == domain} for domain in ("POINT", "CORNER")
-    )
-    return "values", {"vertices": vertices, "corners": corners}
-
-
-def _set_colors(target, reply, colors):
-    """Colour attributes with the domains and types of the source's."""
-    values = reply["vertices"] | reply["corners"]
-    writing.set_colors(target, {name: (values[name], *colors[name][1:]) for name in values})
-
-
-_shapes = _named(
-    "shape key",
-    reading.shape_offsets,
-    lambda offsets: ("shapes", {"shapes": offsets}),
-    lambda target, reply, _: writing.set_shapes(target, reply["shapes"]),
-)
-_uvs = _named(
-    "UV map",
-    reading.uv_layers,
-    lambda layers: ("values", {"vertices": {}, "corners": layers}),
-    lambda target, reply, _: writing.set_uvs(target, reply["corners"]),
-)
-_colors = _named("colour attribute", reading.color_attributes, _color_request, _set_colors)
-
-
-def _clothes(context, armature_of=reading.armature_of):
-    """Selected meshes that sit on the source; what writes copies of them."""
-    _, source = sides(context)
-    names = [thing.name for thing in _worn(context)]
-    if not names:
-        raise RefusedError("Select the clothes as well: meshes other than source and target.")
-    things = [bpy.data.objects[name] for name in names]
-    meshes = [reading.mesh_arrays(context, thing, of=source) for thing in things]
-    shapes = [reading.shape_offsets(thing) for thing in things]
-    found = yield "clothes", {"meshes": meshes, "shapes": shapes}
-
-    def write(context):
-        target, source = sides(context)
-        armature = armature_of(target)
-        for name, positions, offsets in zip(names, found["positions"], found["shapes"], strict=True):
-            made = writing.dressed(context, bpy.data.objects[name], target, source, positions, offsets)
-            if armature is not None:
-                writing.bind(made, armature)
-            else:
-                for modifier in [m for m in made.modifiers if m.type == "ARMATURE"]:
-                    made.modifiers.remove(modifier)
-        return counted(names, "garment")
-
-    return write
-
-
-def _worn(context):
-    """Selected meshes other than the pair."""
-    pair = sides(context)
-    selected = [thing for thing in context.scene.objects if thing.select_get() and thing.type == "MESH"]
-    return [thing for thing in selected if thing not in pair]
+        writers = []
+        for kind in transfers.KINDS:
+            if kind.identifier in self.what:
+                writers.append((yield from kind.requests(context)))
+        return ", ".join([write(context) for write in writers]) + " transferred"
 
 
 class CAGEMAP_OT_wrap(Work, bpy.types.Operator):
-    """Give the target the shape of the source, as a shape key."""
+    """Give the target the shape and place of the source, as a shape key."""
 
     bl_idname = "cagemap.wrap"
     bl_label = "Wrap"
-    bl_description = "Give the target the shape and place of the source, as a shape key"
 
     def requests(self, context):
         """The wrapped cage."""
@@ -240,11 +65,10 @@ class CAGEMAP_OT_wrap(Work, bpy.types.Operator):
 
 
 class CAGEMAP_OT_rig(Work, bpy.types.Operator):
-    """Rig the target like the source: skeleton, skin weights, and the selected clothes."""
+    """Rig the target like the source: a copy of its armature that fits, skin weights, selected clothes."""
 
     bl_idname = "cagemap.rig"
     bl_label = "Rig Like"
-    bl_description = "Rig the target like the source: a copy of its armature that fits, skin weights, selected clothes"
 
     def requests(self, context):
         """Bones, weights, clothes."""
@@ -255,11 +79,14 @@ class CAGEMAP_OT_rig(Work, bpy.types.Operator):
         own = reading.armature_of(target)
         if own is not None:
             raise RefusedError(f"{target.name} is rigged already, by {own.name}. Remove its Armature modifier first.")
+        name = armature.name
         yield from matching(context)
+        _, source = sides(context)  # other objects after Undo
+        armature = writing.require_existing(bpy.data.objects, name)
         bones, matrix = armature.data.bones, reading.world(armature)
         matrix[:3, 3] -= reading.world(source)[:3, 3]
         number = {bone.name: row for row, bone in enumerate(bones)}
-        found = yield (
+        reply = yield (
             "rig",
             {
                 "names": list(number),
@@ -268,63 +95,63 @@ class CAGEMAP_OT_rig(Work, bpy.types.Operator):
                 "tails": reading.in_frame(armature, np.array([bone.tail_local for bone in bones]), source),
             },
         )
-        writers = [(yield from _weights(context))]
-        if _worn(context):
-            writers.append((yield from _clothes(context)))
+        writers = [(yield from transfers.transfer_weights(context))]
+        if transfers.selected_garments(context):
+            writers.append((yield from transfers.transfer_clothes(context)))
         target, source = sides(context)
-        armature = reading.armature_of(source)
-        said = [writers[0](context)]
-        made = writing.rigged(context, armature, target, source, found["matrices"], found["tails"])
-        writing.bind(target, made)
-        said += [write(context) for write in writers[1:]]
-        return f"{target.name} is rigged by {made.name}: {', '.join(said)}"
+        armature = writing.require_existing(bpy.data.objects, name)
+        rig = copies.copy_armature(context, armature, target, source, reply["matrices"], reply["tails"])
+        copies.bind(target, rig)
+        messages = [write(context) for write in writers]
+        return f"{target.name} is rigged by {rig.name}: {', '.join(messages)}"
 
 
 class CAGEMAP_OT_landmark(Work, bpy.types.Operator):
-    """Add a landmark: an empty on the target at the 3D cursor, and one where the map leads it; drag them."""
+    """Put an empty on the target, at the 3D cursor, and one on the source where the map leads; drag them."""
 
     bl_idname = "cagemap.landmark"
     bl_label = "Add Landmark"
-    bl_description = (
-        "Put an empty on the target, at the 3D cursor, and one on the source where the map leads; drag them"
-    )
 
     def requests(self, context):
         """The place on the source."""
         yield from matching(context)
         target, _ = sides(context)
-        found = yield "image", {"place": list(context.scene.cursor.location - target.matrix_world.translation)}
+        reply = yield "image", {"place": list(context.scene.cursor.location - target.matrix_world.translation)}
         target, source = sides(context)
-        known = {**reading.landmark_points(target), **reading.landmark_points(source)}
+        known = reading.landmarks(target) | reading.landmarks(source)
         name = next(f"landmark {n}" for n in range(1, len(known) + 2) if f"landmark {n}" not in known)
         size = 0.02 * max(target.dimensions)
-        for thing, where in ((target, found["target"]), (source, found["source"])):
+        for object_, place in ((target, reply["target"]), (source, reply["source"])):
             empty = bpy.data.objects.new(name, None)
             context.collection.objects.link(empty)
             empty.empty_display_type, empty.empty_display_size, empty.show_in_front = "SPHERE", size, True
-            empty.parent, empty.matrix_parent_inverse = thing, thing.matrix_world.inverted()
-            empty.location = thing.matrix_world.translation + Vector(where)
+            empty.parent, empty.matrix_parent_inverse = object_, object_.matrix_world.inverted()
+            empty.location = object_.matrix_world.translation + Vector(place)
         yield from following(context)
         return f"{name}: drag one of its two empties, and the map follows"
 
 
 def following(context):
-    """Requests that let a finished map follow the landmarks as they are now; the sentences about it."""
+    """Update the map for the landmarks as they are now; the message about it."""
     arguments = reading.match_arguments(context)
-    asked = pair_digest(arguments)
-    if not WORKER.has_match or WORKER.matched[0] != asked[0]:
+    matched = pair_digest(arguments)
+    if not WORKER.has_match or WORKER.matched[0] != matched[0]:
         raise RefusedError("The two objects are not matched as they are now. Press Match.")
-    found = yield "update", {name: arguments[name] for name in ("target_points", "source_points")}
-    WORKER.matched = asked
-    return show_answer(context, found)
+    if WORKER.matched == matched:
+        return context.scene.cagemap.message
+    names = [object_.name for object_ in sides(context)]
+    reply = yield "update", {name: arguments[name] for name in ("target_points", "source_points")}
+    WORKER.matched = matched
+    if [object_.name for object_ in sides(context)] != names:
+        raise RefusedError("Other objects were chosen. Press Match.")
+    return show_answer(context, reply)
 
 
 class CAGEMAP_OT_follow(Work, bpy.types.Operator):
-    """Let the map follow the landmarks as they are now."""
+    """Let the map follow the landmarks as they are now; much faster than matching again."""
 
     bl_idname = "cagemap.follow"
     bl_label = "Follow Landmarks"
-    bl_description = "Let the map follow the landmarks as they are now; much faster than matching again"
 
     def requests(self, context):
         """The moved map."""

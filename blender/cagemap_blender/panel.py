@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import bpy
 
-from .operators import TRANSFERS
+from .transfers import ITEMS
 from .work import Work
 
 
-def _is_mesh(settings, thing):
-    return thing.type == "MESH"
+def _is_mesh(settings, object_):
+    return object_.type == "MESH"
 
 
 class CagemapSettings(bpy.types.PropertyGroup):
@@ -29,11 +29,11 @@ class CagemapSettings(bpy.types.PropertyGroup):
         description="About how many vertices subdivided meshes are matched with; more are finer and slower",
     )
     live: bpy.props.BoolProperty(name="Live", default=True, description="The map follows while a landmark is dragged")
-    what: bpy.props.EnumProperty(items=TRANSFERS, options={"ENUM_FLAG"}, default={"TEXTURES"}, name="Transfer")
+    what: bpy.props.EnumProperty(items=ITEMS, options={"ENUM_FLAG"}, default={"TEXTURES"}, name="Transfer")
     size: bpy.props.IntProperty(
         name="Texels", default=0, min=0, max=16384, description="Texels a side of baked images; 0: as the source's"
     )
-    said: bpy.props.StringProperty()
+    message: bpy.props.StringProperty()
 
 
 class CAGEMAP_PT_panel(bpy.types.Panel):
@@ -67,7 +67,7 @@ class CAGEMAP_PT_panel(bpy.types.Panel):
         row.operator("cagemap.rig", icon="ARMATURE_DATA")
         width = max(20, int(context.region.width / (7 * context.preferences.system.ui_scale)))
         lines = layout.column(align=True)
-        for sentence in settings.said.splitlines():
+        for sentence in settings.message.splitlines():
             for line in _wrapped(sentence, width):
                 lines.label(text=line)
 

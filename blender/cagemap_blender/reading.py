@@ -26,39 +26,52 @@ _UV_SMOOTH = {
 }
 _BOUNDARY = {"PRESERVE_CORNERS": "edge_and_corner", "ALL": "edge_only"}
 _CAGE_MODIFIERS = ("SUBSURF", "MULTIRES")
+# Modifiers that make other vertices, but near those of the control mesh: they also suit a garment that is moved.
+_LOCAL_MODIFIERS = ("SOLIDIFY", "BEVEL", "TRIANGULATE", "EDGE_SPLIT", "DECIMATE", "WELD", "WIREFRAME", "MASK", "REMESH")
 # Attributes that are no painted colours: the map itself.
 MAP_COLORS = "cagemap"
 
 
-def sides(context):
-    """Target and source, as they stand."""
+def chosen_pair(context):
+    """Target and source that are chosen in the panel."""
     settings = context.scene.cagemap
     for role in ("source", "target"):
-        thing = getattr(settings, role)
-        if thing is None or thing.name not in context.scene.objects:
+        object_ = getattr(settings, role)
+        if object_ is None or object_.name not in context.scene.objects:
             raise RefusedError(f"Choose a mesh as {role}.")
-        if thing.mode == "EDIT":  # what modifiers make of it is not known there, and groups cannot be written
-            raise RefusedError(f"{thing.name} is in Edit Mode. Leave it (Tab), and press the button again.")
     if settings.target.data == settings.source.data:
         raise RefusedError("Target and source are the same mesh. Choose two.")
-    context.view_layer.update()
     return settings.target, settings.source
 
 
-def world(thing):
+def object_in_edit_mode(context):
+    """The first of target and source that is in Edit Mode, or None."""
+    return next((object_ for object_ in chosen_pair(context) if object_.mode == "EDIT"), None)
+
+
+def sides(context):
+    """Target and source, outside Edit Mode: there modifiers are not evaluated and groups cannot be written."""
+    object_ = object_in_edit_mode(context)
+    if object_ is not None:
+        raise RefusedError(f"{object_.name} is in Edit Mode. Leave it (Tab), and press the button again.")
+    context.view_layer.update()
+    return chosen_pair(context)
+
+
+def world(object_):
     """(4, 4) from the object's space to the world."""
-    return np.array(thing.matrix_world, dtype=np.float64)
+    return np.array(object_.matrix_world, dtype=np.float64)
 
 
-def in_frame(thing, places, of):
+def in_frame(object_, places, of):
     """Places (n, 3) of an object's space in the frame of an object of the pair."""
-    matrix = world(thing)
+    matrix = world(object_)
     return places @ matrix[:3, :3].T + (matrix[:3, 3] - world(of)[:3, 3])
 
 
-def from_frame(thing, places, of):
+def from_frame(object_, places, of):
     """Places (n, 3) in the frame of an object of the pair in the space of an object."""
-    matrix = world(thing)
+    matrix = world(object_)
     return (places - (matrix[:3, 3] - world(of)[:3, 3])) @ np.linalg.inv(matrix[:3, :3]).T
 
 
@@ -74,42 +87,42 @@ def coordinates(points):
     return numbers(points, "co", 3).astype(np.float64)
 
 
-def rest_positions(thing):
+def rest_positions(object_):
     """(n, 3) control vertices in the object's space, without shape keys and pose."""
-    keys = thing.data.shape_keys
-    return coordinates(keys.reference_key.data if keys else thing.data.vertices)
+    keys = object_.data.shape_keys
+    return coordinates(keys.reference_key.data if keys else object_.data.vertices)
 
 
-def mesh_arrays(context, thing, of=None):
-    """The control mesh as `worker.control_mesh` takes it, subdivided as its modifier says."""
-    require_control_mesh(context, thing)
-    mesh = thing.data
+def mesh_arrays(context, object_, of=None):
+    """The control mesh as `worker.control_mesh` takes it; ``of`` is the object of the pair that a garment sits on."""
+    require_control_mesh(context, object_, allowed=_LOCAL_MODIFIERS if of else ())
+    mesh = object_.data
     sizes, vertices = (
         numbers(mesh.polygons, "loop_total", kind=np.int32),
         numbers(mesh.loops, "vertex_index", kind=np.int32),
     )
     loops = np.arange(len(vertices))
-    if np.linalg.det(world(thing)) < 0:  # a mirrored object shows its faces from the other side
+    if np.linalg.det(world(object_)) < 0:  # a mirrored object shows its faces from the other side
         starts = np.repeat(np.cumsum(sizes) - sizes, sizes)
         loops = 2 * starts + np.repeat(sizes, sizes) - 1 - loops
     return {
-        "name": thing.name,
-        "positions": in_frame(thing, rest_positions(thing), of or thing),
+        "name": object_.name,
+        "positions": in_frame(object_, rest_positions(object_), of or object_),
         "sizes": sizes.astype(np.int64),
         "corners": vertices[loops].astype(np.int64),
         "loops": loops.astype(np.int64),
-        **_subdivision(thing),
+        **_subdivision(object_),
     }
 
 
-def _subdivision(thing):
+def _subdivision(object_):
     """Scheme, options and creases as the modifier has them; a mesh without one is its own surface."""
-    modifier = cage_modifier(thing)
+    modifier = cage_modifier(object_)
     none = np.zeros((0, 2), dtype=np.int64), np.zeros(0)
     if modifier is None:
         return {"scheme": "none", "options": {}, "creases": none, "sharp_corners": none}
     simple = getattr(modifier, "subdivision_type", "CATMULL_CLARK") == "SIMPLE"
-    found = {
+    subdivision = {
         "scheme": "bilinear" if simple else "catmull-clark",
         "options": {
             "boundary": _BOUNDARY[modifier.boundary_smooth],
@@ -119,12 +132,12 @@ def _subdivision(thing):
         "sharp_corners": none,
     }
     if modifier.use_creases:
-        mesh = thing.data
+        mesh = object_.data
         edges = numbers(mesh.edges, "vertices", 2, np.int32).astype(np.int64)
         creased, sharp = _sharpness(mesh, "crease_edge"), _sharpness(mesh, "crease_vert")
-        found["creases"] = edges[np.flatnonzero(creased)], creased[creased > 0]
-        found["sharp_corners"] = np.flatnonzero(sharp), sharp[sharp > 0]
-    return found
+        subdivision["creases"] = edges[np.flatnonzero(creased)], creased[creased > 0]
+        subdivision["sharp_corners"] = np.flatnonzero(sharp), sharp[sharp > 0]
+    return subdivision
 
 
 def _sharpness(mesh, name):
@@ -133,28 +146,29 @@ def _sharpness(mesh, name):
     return np.zeros(0) if attribute is None else 10.0 * numbers(attribute.data, "value").astype(np.float64) ** 2
 
 
-def cage_modifier(thing):
+def cage_modifier(object_):
     """The modifier that subdivides an object, None where none that is shown does."""
-    return next((m for m in thing.modifiers if m.type in _CAGE_MODIFIERS and m.show_viewport), None)
+    return next((m for m in object_.modifiers if m.type in _CAGE_MODIFIERS and m.show_viewport), None)
 
 
-def require_control_mesh(context, thing):
-    """Refuse an object whose modifiers make another mesh before it is subdivided: numbers would not fit."""
-    stack = list(thing.modifiers)
-    subdivides = cage_modifier(thing)
-    first = len(stack) if subdivides is None else stack.index(subdivides)
+def require_control_mesh(context, object_, allowed=()):
+    """Refuse an object whose modifiers, but for those of allowed types, make other vertices before the subdivision."""
+    stack = list(object_.modifiers)
+    subdivides = cage_modifier(object_)
+    before = stack if subdivides is None else stack[: stack.index(subdivides)]
+    before = [m for m in before if m.show_viewport and m.type not in allowed]
     shown = [m.show_viewport for m in stack]
     try:
-        for modifier in stack[first:]:
-            modifier.show_viewport = False
-        mesh = thing.evaluated_get(context.evaluated_depsgraph_get()).data
-        same = (len(mesh.vertices), len(mesh.polygons)) == (len(thing.data.vertices), len(thing.data.polygons))
+        for modifier in stack:
+            modifier.show_viewport = modifier in before
+        mesh, own = object_.evaluated_get(context.evaluated_depsgraph_get()).data, object_.data
+        same = (len(mesh.vertices), len(mesh.polygons)) == (len(own.vertices), len(own.polygons))
     finally:
-        for modifier, before in zip(stack, shown, strict=True):
-            modifier.show_viewport = before
+        for modifier, on in zip(stack, shown, strict=True):
+            modifier.show_viewport = on
     if not same:
-        names = ", ".join(m.name for m, on in zip(stack, shown, strict=True) if on and m in stack[:first])
-        raise RefusedError(f"{thing.name}: its modifiers ({names}) add or remove vertices. Apply or hide them first.")
+        names = ", ".join(modifier.name for modifier in before)
+        raise RefusedError(f"{object_.name}: its modifiers ({names}) add or remove vertices. Apply or hide them first.")
 
 
 def plain_name(name):
@@ -162,74 +176,93 @@ def plain_name(name):
     return re.sub(r"\.\d{3,}$", "", name)
 
 
-def landmark_points(thing):
-    """Places of an object's landmarks in its frame by name: empties that are its children."""
-    turn, points = world(thing)[:3, :3], {}
-    step = 1e-5 * np.ptp(rest_positions(thing) @ turn.T, axis=0).max()  # moved with its object, it rounds otherwise
-    for child in thing.children:
+def landmarks(object_):
+    """Empties that are children of an object: lists by name."""
+    empties = {}
+    for child in object_.children:
         if child.type == "EMPTY":
-            name = plain_name(child.name)
-            if name in points:
-                raise RefusedError(f"{thing.name}: more than one landmark is called {name}. Rename or delete one.")
-            place = np.array(child.matrix_world.translation - thing.matrix_world.translation)
-            points[name] = (step * np.rint(place / step)).tolist()
+            empties.setdefault(plain_name(child.name), []).append(child)
+    return empties
+
+
+def landmark_points(target, source):
+    """Places of the landmarks of target and of source in their frames, by name.
+
+    Raises
+    ------
+    RefusedError
+        Several landmarks of an object have a name that the other one has too.
+    """
+    empties, points = {object_: landmarks(object_) for object_ in (target, source)}, []
+    for object_, other in ((target, source), (source, target)):
+        # Rounded, so that places stay exactly the same where object and landmarks are moved together.
+        step, single = 1e-5 * np.ptp(rest_positions(object_) @ world(object_)[:3, :3].T, axis=0).max(), {}
+        for name, children in empties[object_].items():
+            if len(children) == 1:
+                place = np.array(children[0].matrix_world.translation - object_.matrix_world.translation)
+                single[name] = (step * np.rint(place / step)).tolist()
+            elif name in empties[other]:
+                raise RefusedError(f"{object_.name}: more than one landmark is called {name}. Rename or delete one.")
+        points.append(single)
     return points
 
 
 def match_arguments(context):
     """Arguments of `worker.Session.match`."""
     target, source = sides(context)
+    target_points, source_points = landmark_points(target, source)
     return {
         "target": mesh_arrays(context, target),
         "source": mesh_arrays(context, source),
-        "target_points": landmark_points(target),
-        "source_points": landmark_points(source),
+        "target_points": target_points,
+        "source_points": source_points,
         "vertices": context.scene.cagemap.vertices,
     }
 
 
 def digest(value):
     """A text that differs where arguments do."""
-    found = hashlib.sha256()
+    hasher = hashlib.sha256()
 
     def add(one: Any) -> None:
         if isinstance(one, dict):
             for name in sorted(one):
-                found.update(name.encode())
+                hasher.update(name.encode())
                 add(one[name])
         elif isinstance(one, tuple):
             for part in one:
                 add(part)
         else:
-            found.update(one.tobytes() if isinstance(one, np.ndarray) else repr(one).encode())
+            hasher.update(one.tobytes() if isinstance(one, np.ndarray) else repr(one).encode())
 
     add(value)
-    return found.hexdigest()
+    return hasher.hexdigest()
 
 
-def vertex_groups(thing):
+def vertex_groups(object_):
     """Weights (n,) of every vertex group, by name."""
-    table = np.zeros((len(thing.vertex_groups), len(thing.data.vertices)))
-    for vertex in thing.data.vertices:
+    table = np.zeros((len(object_.vertex_groups), len(object_.data.vertices)))
+    for vertex in object_.data.vertices:
         for element in vertex.groups:
-            table[element.group, vertex.index] = element.weight
-    return {group.name: table[group.index] for group in thing.vertex_groups}
+            if element.group < len(table):  # else its group was removed
+                table[element.group, vertex.index] = element.weight
+    return {group.name: table[group.index] for group in object_.vertex_groups}
 
 
-def armature_of(thing):
+def armature_of(object_):
     """The first armature that deforms an object, or None."""
-    return next((m.object for m in thing.modifiers if m.type == "ARMATURE" and m.object), None)
+    return next((m.object for m in object_.modifiers if m.type == "ARMATURE" and m.object), None)
 
 
-def bone_names(thing):
+def bone_names(object_):
     """Names of the bones that deform an object: their groups are skin weights, all others are plain values."""
-    armatures = [m.object for m in thing.modifiers if m.type == "ARMATURE" and m.object]
+    armatures = [m.object for m in object_.modifiers if m.type == "ARMATURE" and m.object]
     return {bone.name for armature in armatures for bone in armature.data.bones if bone.use_deform}
 
 
-def shape_offsets(thing):
+def shape_offsets(object_):
     """Offsets (n, 3) of shape keys in the world's axes, by name."""
-    keys, turn = thing.data.shape_keys, world(thing)[:3, :3]
+    keys, turn = object_.data.shape_keys, world(object_)[:3, :3]
     return {
         key.name: (coordinates(key.data) - coordinates(key.relative_key.data)) @ turn.T
         for key in (keys.key_blocks if keys else ())
@@ -237,42 +270,18 @@ def shape_offsets(thing):
     }
 
 
-def uv_layers(thing):
+def uv_layers(object_):
     """UVs (c, 2) of every layer by name."""
-    return {layer.name: numbers(layer.uv, "vector", 2).astype(np.float64) for layer in thing.data.uv_layers}
+    return {layer.name: numbers(layer.uv, "vector", 2).astype(np.float64) for layer in object_.data.uv_layers}
 
 
-def color_attributes(thing):
+def color_attributes(object_):
     """Colours (n, 4) of vertices or (c, 4) of face corners by name, with their domain and type."""
     return {
         one.name: (numbers(one.data, "color", 4).astype(np.float64), one.domain, one.data_type)
-        for one in thing.data.color_attributes
+        for one in object_.data.color_attributes
         if one.name != MAP_COLORS
     }
-
-
-def image_nodes(material):
-    """Nodes of a material that show an image."""
-    nodes = material.node_tree.nodes if material and material.node_tree else ()
-    return [node for node in nodes if node.type == "TEX_IMAGE" and node.image]
-
-
-def is_normal_map(node):
-    """Whether an image is read as a normal map in tangent space."""
-    ends = [link.to_node for output in node.outputs for link in output.links]
-    return any(end.type == "NORMAL_MAP" and end.space == "TANGENT" for end in ends)
-
-
-def node_uvs(thing, node):
-    """Name of the UV layer that an image is laid over."""
-    links = node.inputs["Vector"].links
-    asked = links[0].from_node.uv_map if links and links[0].from_node.type == "UVMAP" else ""
-    if asked in thing.data.uv_layers:
-        return asked
-    layer = next((layer for layer in thing.data.uv_layers if layer.active_render), None)
-    if layer is None:
-        raise RefusedError(f"{thing.name} has no UV map, over which its images lie. Unwrap it first.")
-    return layer.name
 
 
 def pixels_of(image):

@@ -1,44 +1,50 @@
-"""How a button runs: requests to the computing process one after another, in the background, then one undo step."""
+"""How a button runs: requests to the computing process, in the background, then one undo step."""
 
 from __future__ import annotations
 
 from collections.abc import Generator
+from contextlib import suppress
 from typing import Any
 
 import bpy
 
 from .client import Message, RefusedError, Worker
-from .reading import digest, match_arguments, sides
-from .writing import show_map
+from .reading import chosen_pair, digest, match_arguments, object_in_edit_mode, sides
+from .writing import forget_deleted, show_map
 
 WORKER = Worker()
 Requests = Generator[Message, dict[str, Any], str | None]
 
 
 def matching(context):
-    """Requests that give the computing process the map of the pair as it stands; the sentences about it."""
+    """Match the pair if it is not matched as it is now; the message about it."""
     arguments = match_arguments(context)
-    asked = pair_digest(arguments)
-    if WORKER.has_match and WORKER.matched == asked:
-        return context.scene.cagemap.said
-    found = yield "match", arguments
-    WORKER.matched = asked
-    return show_answer(context, found)
+    matched = pair_digest(arguments)
+    if WORKER.has_match and WORKER.matched == matched:
+        return context.scene.cagemap.message
+    reply = yield "match", arguments
+    WORKER.matched = matched
+    return show_answer(context, reply)
 
 
 def pair_digest(arguments):
-    """What tells whether a pair has been matched as it is: of all but the landmarks, and of the landmarks."""
-    marks = ("target_points", "source_points")
-    rest = {name: value for name, value in arguments.items() if name not in marks}
-    return digest(rest), digest({name: arguments[name] for name in marks})
+    """Digests of what is matched: of all but the landmarks, and of the landmarks."""
+    points = {name: arguments[name] for name in ("target_points", "source_points")}
+    rest = {name: value for name, value in arguments.items() if name not in points}
+    return digest(rest), landmark_digest(**points)
 
 
-def show_answer(context, found):
-    """Show the colours of a map on both objects; the sentences about it."""
+def landmark_digest(target_points, source_points):
+    """Digest of the landmarks of target and source."""
+    return digest({"target": target_points, "source": source_points})
+
+
+def show_answer(context, reply):
+    """Show a map as colours on both objects; the message about it."""
     target, source = sides(context)
-    show_map(target, found["target_colors"])
-    show_map(source, found["source_colors"])
-    return "\n".join(found["said"])
+    show_map(target, reply["target_colors"])
+    show_map(source, reply["source_colors"])
+    return "\n".join(reply["sentences"])
 
 
 def begin(requests):
@@ -47,7 +53,7 @@ def begin(requests):
 
 
 def proceed(requests, message):
-    """Give a reply to a button; True while it asks for more, else its sentence or None.
+    """Give a reply to a button; True while it asks for more, else its message or None.
 
     Raises
     ------
@@ -67,9 +73,18 @@ def proceed(requests, message):
 
 @bpy.app.handlers.persistent
 def stop(*_):
-    """End what runs: another file that is opened would leave it to nobody."""
+    """Stop the computing process before another file is opened."""
     WORKER.stop()
     Work.running = False
+
+
+@bpy.app.handlers.persistent
+def objects_changed(scene, depsgraph):
+    """Forget results that the user deleted."""
+    for update in depsgraph.updates:
+        object_ = update.id.original
+        if isinstance(object_, bpy.types.Object) and "cagemap_made" in object_ and object_.mode != "EDIT":
+            forget_deleted(object_)
 
 
 class Work:
@@ -79,7 +94,7 @@ class Work:
     running = False
 
     def requests(self, context) -> Requests:
-        """Requests to the computing process, each of which gives its values; a sentence for the panel, or None."""
+        """Requests to the computing process, each of which gives its reply; a message for the panel, or None."""
         raise NotImplementedError
 
     def execute(self, context):
@@ -94,7 +109,7 @@ class Work:
         return self._guarded(context, self._begin)
 
     def modal(self, context, event):
-        """Look now and then for replies."""
+        """Take a reply at each tick of the timer."""
         if event.type == "ESC":
             WORKER.stop()
             self._end(context)
@@ -109,6 +124,10 @@ class Work:
             if answer != {"PASS_THROUGH"}:
                 self._end(context)
         return answer
+
+    def cancel(self, context):
+        """The window is closed, or another file is opened."""
+        self._end(context)
 
     def _guarded(self, context, step):
         try:
@@ -128,7 +147,7 @@ class Work:
         return self._finish(context, answer)
 
     def _begin(self, context):
-        self._names = [thing.name for thing in sides(context)]
+        self._names = [object_.name for object_ in sides(context)]
         self._requests = None
         answer = WORKER.busy or self._start(context)
         if answer is not True:
@@ -136,11 +155,12 @@ class Work:
         Work.running = True
         self._timer = context.window_manager.event_timer_add(0.05, window=context.window)
         context.window_manager.modal_handler_add(self)
-        context.workspace.status_text_set(f"cagemap, {self.bl_label}: starting. Esc stops it.")
+        self._workspace, self._stage, self._shown = context.workspace, "starting", ""
+        self._show(self._stage)
         return {"RUNNING_MODAL"}
 
     def _start(self, context):
-        """Send the first request; True, or what is said where there is nothing to compute."""
+        """Send the first request; True, or the message if nothing needs to be computed."""
         self._requests = self.requests(context)
         try:
             begin(self._requests)
@@ -149,8 +169,13 @@ class Work:
         return True
 
     def _next(self, context):
-        if [thing.name for thing in sides(context)] != self._names:
+        if [object_.name for object_ in chosen_pair(context)] != self._names:
             raise RefusedError(f"Other objects were chosen than {' and '.join(self._names)}. Choose them again.")
+        object_ = object_in_edit_mode(context)
+        if object_ is not None:  # nothing can be written there: the reply waits
+            self._show(f"waiting until {object_.name} leaves Edit Mode (Tab)")
+            return {"PASS_THROUGH"}
+        self._show(self._stage)
         if self._requests is None:  # a landmark was dragged just now, `live` takes the reply
             answer = WORKER.busy or self._start(context)
         else:
@@ -158,17 +183,26 @@ class Work:
             if message is None:
                 return {"PASS_THROUGH"}
             if message[0] == "stage":
-                context.workspace.status_text_set(f"cagemap, {self.bl_label}: {message[1]}. Esc stops it.")
+                self._stage = message[1]
             answer = proceed(self._requests, message)
         return {"PASS_THROUGH"} if answer is True else self._finish(context, answer)
 
-    def _finish(self, context, said):
-        if said is not None:
-            context.scene.cagemap.said = said
-            self.report({"INFO"}, said)
+    def _show(self, state):
+        """Write a state into the status bar, if another one is there."""
+        if state != self._shown:
+            self._shown = state
+            self._workspace.status_text_set(f"cagemap, {self.bl_label}: {state}. Esc stops it.")
+
+    def _finish(self, context, message):
+        if message is not None:
+            context.scene.cagemap.message = message
+            self.report({"INFO"}, message)
         return {"FINISHED"}
 
     def _end(self, context):
+        if WORKER.busy and self._requests is not None:  # nobody would take the reply
+            WORKER.stop()
         Work.running = False
-        context.workspace.status_text_set(None)
         context.window_manager.event_timer_remove(self._timer)
+        with suppress(ReferenceError):  # the workspace was deleted
+            self._workspace.status_text_set(None)

@@ -60,7 +60,7 @@ def control_mesh(mesh: Mapping[str, Any]) -> ControlMesh:
     a pair of (k, 2) or (k,) vertices and (k,) sharpness.
     """
     loops = mesh["loops"]
-    made = ControlMesh(
+    control = ControlMesh(
         mesh["positions"],
         np.concatenate([[0], np.cumsum(mesh["sizes"])]),
         mesh["corners"],
@@ -70,8 +70,8 @@ def control_mesh(mesh: Mapping[str, Any]) -> ControlMesh:
         name=mesh["name"],
     )
     if len(mesh["creases"][0]):
-        made = made.with_creases(*mesh["creases"])
-    return made.with_corners(*mesh["sharp_corners"]) if len(mesh["sharp_corners"][0]) else made
+        control = control.with_creases(*mesh["creases"])
+    return control.with_corners(*mesh["sharp_corners"]) if len(mesh["sharp_corners"][0]) else control
 
 
 def largest_piece(mesh: ControlMesh) -> RepairedMesh:
@@ -102,8 +102,8 @@ class Session:
         landmarks, notes = _landmarks(parts, ready, target_points, source_points)
         levels = choose_level(ready[0].mesh, vertices), choose_level(ready[1].mesh, vertices)
         surfaces = prepare_surfaces(ready[0].mesh, ready[1].mesh, levels, progress=self._stages)
-        found = match(*surfaces, landmarks, progress=self._stages)
-        self._keep(Bodies((parts[0], parts[1]), (ready[0], ready[1]), found))
+        result = match(*surfaces, landmarks, progress=self._stages)
+        self._keep(Bodies((parts[0], parts[1]), (ready[0], ready[1]), result))
         repairs = [f"{one.mesh.name}: {text}" for one in ready for text in _repairs(one)]
         return self._answer([*notes, *repairs])
 
@@ -116,11 +116,11 @@ class Session:
 
     def image(self, place: list[float]) -> Values:
         """The place on the target that is nearest to one in space, and where the map leads it."""
-        found = self._matched().result.point_map
-        target, source = found.target, found.source
+        point_map = self._matched().result.point_map
+        target, source = point_map.target, point_map.source
         triangle, weights, _ = closest_points(target.tree, target.scale * np.array([place]))
         corners = target.triangles[triangle[0]]
-        image = weights[0] @ found.images.positions[corners]
+        image = weights[0] @ point_map.images.positions[corners]
         triangle, on_source, _ = closest_points(source.tree, image[None])
         return {
             "target": (weights[0] @ target.positions[corners] / target.scale).tolist(),
@@ -156,12 +156,12 @@ class Session:
         bodies, aside = self._matched(), self._aside
         carried = carry_shapes(bodies.result, {name: offsets[bodies.rows(1)] for name, offsets in shapes.items()})
         assert isinstance(carried, dict)
-        found = {}
+        offsets_by_name = {}
         for name, offsets in carried.items():
-            found[name] = bodies.on_target(offsets)
+            offsets_by_name[name] = bodies.on_target(offsets)
             others = shapes[name][aside.source_vertices]
-            found[name][aside.vertices] = np.einsum("nd,nde->ne", others, aside.turns)
-        return {"shapes": found}
+            offsets_by_name[name][aside.vertices] = np.einsum("nd,nde->ne", others, aside.turns)
+        return {"shapes": offsets_by_name}
 
     def materials(self, materials: Array) -> Values:
         """Numbers (m,) of the source's faces at the target's faces; -1 where there are none."""
@@ -256,29 +256,29 @@ class Session:
         return {
             "target_colors": self._on_vertices(carried, colors),
             "source_colors": colors,
-            "said": sentences or ["The map looks sound."],
+            "sentences": sentences or ["The map looks sound."],
         }
 
     def _on_vertices(self, carried: Array, given: Array) -> Array:
         """Values of the matched target at all its vertices; those set aside take the given ones of the source."""
-        found = self._matched().on_target(carried)
-        found[self._aside.vertices] = given[self._aside.source_vertices]
-        return found
+        values = self._matched().on_target(carried)
+        values[self._aside.vertices] = given[self._aside.source_vertices]
+        return values
 
     def _on_loops(self, carried: Array, given: Array) -> Array:
         """Values of the matched target's corners at Blender's face corners; NaN where there are none."""
         (target, source), aside = self._matched().given, self._aside
-        found = np.full((len(target.mesh.face_indices), *carried.shape[1:]), np.nan)
-        found[_loops(self._matched().ready[0].mesh)] = carried
-        found[_loops(target.mesh)[aside.corners]] = given[_loops(source.mesh)[aside.source_corners]]
-        return found
+        values = np.full((len(target.mesh.face_indices), *carried.shape[1:]), np.nan)
+        values[_loops(self._matched().ready[0].mesh)] = carried
+        values[_loops(target.mesh)[aside.corners]] = given[_loops(source.mesh)[aside.source_corners]]
+        return values
 
 
 def _baked(transfers: list[Transfer], image: Mapping[str, Any]) -> dict[int, Array]:
     """An image by tile in the layout of the matched target, over it that of the pieces set aside."""
     carry, size = bake_normal_map if image["normals"] else bake_texture, image["size"]
     drawn: dict[int, Array] = {}
-    found: dict[int, Array] = {}
+    tiles: dict[int, Array] = {}
     tiled = any(target_tiles(transfer.target) != [0] for transfer in transfers)
     for transfer in transfers:
         for number in target_tiles(transfer.target):
@@ -286,12 +286,12 @@ def _baked(transfers: list[Transfer], image: Mapping[str, Any]) -> dict[int, Arr
             options = BakeOptions(tile=tile)
             pixels = carry(transfer, image["pixels"], size=size, options=options)
             own = _covered(transfer, size, replace(options, dilation=0))
-            if tile in found:
+            if tile in tiles:
                 around = _covered(transfer, size, replace(options, dilation=_BORDER)) & ~drawn[tile]
-                found[tile][own | around] = pixels[own | around]
+                tiles[tile][own | around] = pixels[own | around]
             else:
-                found[tile], drawn[tile] = pixels, own
-    return found
+                tiles[tile], drawn[tile] = pixels, own
+    return tiles
 
 
 def _covered(transfer: Transfer, size: tuple[int, int], options: BakeOptions) -> Array:
@@ -340,8 +340,8 @@ def _face_of_loop(mesh: ControlMesh) -> Array:
     return faces
 
 
-class _Told(Stages):
-    """Stages that Blender is told of."""
+class _StageSender(Stages):
+    """Sends stages to Blender."""
 
     def __init__(self, replies: IO[bytes]) -> None:
         super().__init__()
@@ -363,7 +363,7 @@ def main() -> None:
     set_up_process()
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints does not come between the replies
-    session = Session(_Told(replies))
+    session = Session(_StageSender(replies))
     while True:
         try:
             name, arguments = pickle.load(requests)

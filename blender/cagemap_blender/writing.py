@@ -1,4 +1,4 @@
-"""What the scene gets: colours, groups, shape keys, UVs, materials; what the user made is never replaced."""
+"""What the scene gets: colours, groups, shape keys, UVs, images; what the user made is never replaced."""
 
 from __future__ import annotations
 
@@ -10,112 +10,160 @@ import bpy
 import numpy as np
 
 from .client import RefusedError
-from .reading import MAP_COLORS, from_frame, image_nodes, numbers, rest_positions, world
+from .reading import MAP_COLORS, rest_positions, world
 
+# UV maps that Blender takes.
+_MOST_UV_MAPS = 8
 # Weights below this are rounding and are not written.
 _LEAST_WEIGHT = 1e-6
 
 
 def short_name(name):
-    """A name as long as Blender takes it."""
+    """A name, cut to the 63 bytes that Blender takes."""
     return name.encode()[:63].decode(errors="ignore")
 
 
-def require_rows(thing, rows):
-    """Refuse what was computed for another state of the mesh."""
-    if rows != len(thing.data.vertices):
-        raise RefusedError(f"{thing.name} was changed while cagemap computed. Press the button again.")
+def require_existing(collection, name):
+    """A block of data by name; refused if it was removed or renamed while cagemap computed."""
+    if name not in collection:
+        raise RefusedError(f"{name} was removed while cagemap computed. Press the button again.")
+    return collection[name]
 
 
-def require_free(thing, kind, names):
-    """Refuse names that the user has given, but for those that an earlier run of ours made."""
-    own, taken = json.loads(thing.get("cagemap_made", "[]")), taken_names(thing, kind)
+def require_rows(object_, rows):
+    """Refuse rows that were computed for another state of the mesh."""
+    if rows != len(object_.data.vertices):
+        raise RefusedError(f"{object_.name} was changed while cagemap computed. Press the button again.")
+
+
+def require_free(object_, kind, names):
+    """Refuse names that are taken, except by what an earlier run made."""
+    own, taken = set(_claims(object_)), taken_names(object_, kind)
     foreign = sorted(name for name in names if name in taken and f"{kind} {name}" not in own)
     if foreign:
         raise RefusedError(
-            f"{thing.name} has {kind}s of its own called {', '.join(foreign[:8])}. Rename or delete them."
+            f"{object_.name} has {kind}s of its own called {', '.join(foreign[:8])}. Rename or delete them."
         )
+    count = len(taken | set(names))
+    if kind == "UV map" and count > _MOST_UV_MAPS:
+        raise RefusedError(f"{object_.name} would have {count} UV maps, Blender takes {_MOST_UV_MAPS}. Delete some.")
 
 
-def claim(thing, kind, names):
+def _claims(object_):
+    """What earlier runs made, each as kind and name."""
+    return json.loads(object_.get("cagemap_made", "[]"))
+
+
+def claim(object_, kind, names):
     """Note names that are written now, so that a later run may replace them."""
-    require_free(thing, kind, names)
-    own = set(json.loads(thing.get("cagemap_made", "[]")))
-    thing["cagemap_made"] = json.dumps(sorted(own | {f"{kind} {name}" for name in names}))
+    require_free(object_, kind, names)
+    made = {*_claims(object_), *(f"{kind} {name}" for name in names)}
+    object_["cagemap_made"] = json.dumps(sorted(made))
 
 
-def taken_names(thing, kind):
+def forget_deleted(object_):
+    """Forget names whose owner was deleted or renamed: what has them later is the user's."""
+    names_in_use = {f"{kind} {one.name}" for kind, values in _named_values(object_).items() for one in values}
+    claims = _claims(object_)
+    kept = [one for one in claims if one in names_in_use]
+    if kept != claims:
+        object_["cagemap_made"] = json.dumps(kept)
+
+
+def taken_names(object_, kind):
     """Names of the groups, shape keys, UV maps or colour attributes of an object."""
-    keys = thing.data.shape_keys
-    collections = {
-        "vertex group": thing.vertex_groups,
+    return {one.name for one in _named_values(object_)[kind]}
+
+
+def _named_values(object_):
+    """What has names that may be taken, by kind."""
+    keys = object_.data.shape_keys
+    return {
+        "vertex group": object_.vertex_groups,
         "shape key": keys.key_blocks if keys else (),
-        "UV map": thing.data.uv_layers,
-        "colour attribute": thing.data.color_attributes,
+        "UV map": object_.data.uv_layers,
+        "colour attribute": object_.data.color_attributes,
     }
-    return {one.name for one in collections[kind]}
 
 
-def show_map(thing, colors):
+def show_map(object_, colors):
     """Write the map's colours (n, 3) of an object, and show them."""
-    require_rows(thing, len(colors))
-    attributes = thing.data.color_attributes
+    require_rows(object_, len(colors))
+    attributes = object_.data.color_attributes
+    active = attributes.active_color
+    if active is not None and active.name != MAP_COLORS:
+        object_["cagemap_active_color"] = active.name
     layer = attributes.get(MAP_COLORS) or attributes.new(MAP_COLORS, "FLOAT_COLOR", "POINT")
     values = np.ones((len(colors), 4), dtype=np.float32)
     values[:, :3] = np.clip(colors, 0.0, 1.0)
     layer.data.foreach_set("color", values.ravel())
     attributes.active_color = layer
-    thing.data.update()
+    object_.data.update()
 
 
-def set_groups(thing, groups):
+def hide_map(object_):
+    """Make the colours active that were so before those of the map."""
+    attributes = object_.data.color_attributes
+    layer = attributes.get(object_.get("cagemap_active_color", ""))
+    if layer is not None:
+        attributes.active_color = layer
+
+
+def show_in_views(context, color_type):
+    """Let Solid views show vertex colours ("VERTEX") or images ("TEXTURE")."""
+    for area in context.screen.areas if context.screen else ():
+        if area.type == "VIEW_3D" and area.spaces.active.shading.type == "SOLID":
+            area.spaces.active.shading.color_type = color_type
+
+
+def set_groups(object_, groups):
     """Write vertex groups, weights (n,) by name."""
-    claim(thing, "vertex group", groups)
+    claim(object_, "vertex group", groups)
     for name, weights in groups.items():
-        require_rows(thing, len(weights))
-        known = thing.vertex_groups.get(name)
+        require_rows(object_, len(weights))
+        known = object_.vertex_groups.get(name)
         if known is not None:
-            thing.vertex_groups.remove(known)
-        made = thing.vertex_groups.new(name=name)
+            object_.vertex_groups.remove(known)
+        made = object_.vertex_groups.new(name=name)
         for vertex in np.flatnonzero(weights > _LEAST_WEIGHT).tolist():
             made.add([vertex], float(weights[vertex]), "REPLACE")
 
 
-def set_shapes(thing, offsets):
+def set_shapes(object_, offsets):
     """Write shape keys, offsets (n, 3) in the world's axes by name."""
-    turn = np.linalg.inv(world(thing)[:3, :3])
-    set_positions(thing, {name: rest_positions(thing) + rows @ turn.T for name, rows in offsets.items()})
+    turn = np.linalg.inv(world(object_)[:3, :3])
+    set_positions(object_, {name: rest_positions(object_) + rows @ turn.T for name, rows in offsets.items()})
 
 
-def set_positions(thing, shapes):
+def set_positions(object_, shapes):
     """Write shape keys, positions (n, 3) in the object's space by name."""
     for positions in shapes.values():
-        require_rows(thing, len(positions))
-    keys = thing.data.shape_keys
-    claim(thing, "shape key", shapes)
+        require_rows(object_, len(positions))
+    keys = object_.data.shape_keys
+    claim(object_, "shape key", shapes)
     if keys is None:
-        thing.shape_key_add(name="Basis", from_mix=False)
+        object_.shape_key_add(name="Basis", from_mix=False)
     for name, positions in shapes.items():
-        key = thing.data.shape_keys.key_blocks.get(name) or thing.shape_key_add(name=name, from_mix=False)
+        key = object_.data.shape_keys.key_blocks.get(name) or object_.shape_key_add(name=name, from_mix=False)
         key.data.foreach_set("co", positions.astype(np.float32).ravel())
         key.value = 0.0  # Blender 5 shows new ones at once
-    thing.data.update()
+    object_.data.update()
 
 
-def set_uvs(thing, layers):
+def set_uvs(object_, layers):
     """Write UV layers (c, 2) by name; corners without values keep what they have, in new layers 0."""
-    claim(thing, "UV map", layers)
+    claim(object_, "UV map", layers)
     for name, uvs in layers.items():
-        layer = thing.data.uv_layers.get(name) or thing.data.uv_layers.new(name=name, do_init=False)
+        layer = object_.data.uv_layers.get(name) or object_.data.uv_layers.new(name=name, do_init=False)
         kept = np.zeros(uvs.shape, dtype=np.float32)
         layer.uv.foreach_get("vector", kept.ravel())
         layer.uv.foreach_set("vector", np.where(np.isnan(uvs), kept, uvs).astype(np.float32).ravel())
 
 
-def set_colors(thing, colors):
+def set_colors(object_, colors):
     """Write colour attributes: values, domain and type by name."""
-    attributes = thing.data.color_attributes
-    claim(thing, "colour attribute", colors)
+    attributes = object_.data.color_attributes
+    claim(object_, "colour attribute", colors)
     for name, (values, domain, kind) in colors.items():
         known = attributes.get(name)
         if known is not None:
@@ -142,8 +190,8 @@ def new_image(name, tiles, like):
         image = bpy.data.images.load(f"{folder}/{stem}.{min(tiles)}.{suffix}")
         image.source, image.name = "TILED", name
         image.filepath = f"{folder}/{stem}.<UDIM>.{suffix}"
-        there = {tile.number for tile in image.tiles}
-        for number in sorted(set(tiles) - there):
+        numbers = {tile.number for tile in image.tiles}
+        for number in sorted(set(tiles) - numbers):
             image.tiles.new(tile_number=number)
         for tile in [tile for tile in image.tiles if tile.number not in tiles]:
             image.tiles.remove(tile)
@@ -165,118 +213,3 @@ def _plain_image(name, pixels, like):
     image.pixels.foreach_set(values.ravel())
     image.update()
     return image
-
-
-def set_materials(target, source, faces, images):
-    """Give the target's faces (m,) copies of the source's materials with baked images, by name of the source's."""
-    slots = {}
-    for number, slot in enumerate(source.material_slots):
-        if slot.material is None or number not in faces:
-            continue
-        name = short_name(f"{slot.material.name} on {target.name}")
-        material = slot.material.copy()
-        for node in image_nodes(material):
-            if node.image.name in images:
-                node.image = images[node.image.name]
-                for link in node.inputs["Vector"].links:  # the layout is now the target's own
-                    material.node_tree.links.remove(link)
-        slots[number] = _slot_of(target, name, material)
-    kept = numbers(target.data.polygons, "material_index", kind=np.int32)
-    chosen = [slots.get(number, int(before)) for number, before in zip(faces.tolist(), kept, strict=True)]
-    target.data.polygons.foreach_set("material_index", np.array(chosen, dtype=np.int32))
-    for image in [image for image in bpy.data.images if image.get("cagemap_made") and not image.users]:
-        bpy.data.images.remove(image)  # of the materials that were replaced
-    for image in images.values():
-        image.name = image["cagemap_made"]
-    target.data.update()
-
-
-def _slot_of(target, name, material):
-    """Number of a slot with the material: that of an earlier run, or a new one."""
-    material["cagemap_made"] = name
-    own = [slot.material.get("cagemap_made") if slot.material else None for slot in target.material_slots]
-    if name in own:
-        before = target.material_slots[own.index(name)].material
-        target.material_slots[own.index(name)].material = material
-        if not before.users:
-            bpy.data.materials.remove(before)
-    else:
-        target.data.materials.append(material)
-        own.append(name)
-    material.name = name
-    return own.index(name)
-
-
-def dressed(context, thing, target, source, positions, offsets):
-    """A copy of a mesh that sits on the source, with positions (n, 3) in the target's frame, beside the target."""
-    made = thing.copy()
-    made.data = thing.data.copy()
-    made.name = short_name(f"{thing.name} on {target.name}")
-    for collection in target.users_collection:
-        collection.objects.link(made)
-    made.parent = None
-    made.matrix_world = moved(thing, target, source)
-    context.view_layer.update()
-    places, turn = from_frame(made, positions, target), np.linalg.inv(world(made)[:3, :3])
-    made.data.vertices.foreach_set("co", places.astype(np.float32).ravel())
-    keys = made.data.shape_keys
-    for key in keys.key_blocks if keys else ():
-        shape = places + offsets[key.name] @ turn.T if key.name in offsets else places
-        key.data.foreach_set("co", shape.astype(np.float32).ravel())
-    made.data.update()
-    return made
-
-
-def moved(thing, target, source):
-    """The object's matrix, moved as the target stands from the source."""
-    matrix = thing.matrix_world.copy()
-    matrix.translation += target.matrix_world.translation - source.matrix_world.translation
-    return matrix
-
-
-def rigged(context, armature, target, source, matrices, tails):
-    """A copy of an armature with bones at matrices (j, 4, 4) and tails (j, 3) in the target's frame."""
-    made = armature.copy()
-    made.data = armature.data.copy()
-    made.name = short_name(f"{armature.name} on {target.name}")
-    for collection in target.users_collection:
-        collection.objects.link(made)
-    made.matrix_world = moved(armature, target, source)
-    for bone in made.pose.bones:
-        for constraint in bone.constraints:
-            if getattr(constraint, "target", None) == armature:
-                constraint.target = made
-    context.view_layer.update()
-    heads = from_frame(made, matrices[:, :3, 3], target)
-    ends = from_frame(made, tails, target)
-    turn = np.linalg.inv(world(made)[:3, :3])
-    with context.temp_override(active_object=made, object=made, selected_objects=[made]):
-        context.view_layer.objects.active = made
-        bpy.ops.object.mode_set(mode="EDIT")
-        bones = made.data.edit_bones
-        names = [bone.name for bone in armature.data.bones]
-        connected = [bones[name].use_connect for name in names]
-        for name in names:
-            bones[name].use_connect = False
-        for row, name in enumerate(names):
-            bone = bones[name]
-            along, up = turn @ matrices[row, :3, 1], turn @ matrices[row, :3, 2]
-            length = max(float(np.linalg.norm(ends[row] - heads[row])), 1e-6)
-            bone.head = heads[row]
-            bone.tail = heads[row] + length / np.linalg.norm(along) * along
-            bone.align_roll(up)
-        for name, on in zip(names, connected, strict=True):
-            if on:
-                bones[name].parent.tail = bones[name].head
-                bones[name].use_connect = True
-        bpy.ops.object.mode_set(mode="OBJECT")
-    return made
-
-
-def bind(thing, armature):
-    """Let an armature deform an object, before all that subdivides it."""
-    modifier = next((m for m in thing.modifiers if m.type == "ARMATURE"), None)
-    if modifier is None:
-        modifier = thing.modifiers.new("Armature", "ARMATURE")
-        thing.modifiers.move(len(thing.modifiers) - 1, 0)
-    modifier.object = armature

@@ -1,0 +1,163 @@
+"""Copies of objects for the target: garments and armatures."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+
+import bpy
+import numpy as np
+
+from .reading import armature_of, from_frame, world
+from .writing import require_rows, short_name
+
+# Modifiers that keep the place of every vertex from when they were bound, and how to tell that they are.
+_BOUND = {
+    "SURFACE_DEFORM": "is_bound",
+    "MESH_DEFORM": "is_bound",
+    "LAPLACIANDEFORM": "is_bind",
+    "CORRECTIVE_SMOOTH": "is_bind",
+}
+
+
+def copy_garment(context, garment, target, source, positions, offsets):
+    """A copy of a garment in the target's collections, with positions (n, 3) in the target's frame."""
+    require_rows(garment, len(positions))
+    name = short_name(f"{garment.name} on {target.name}")
+    _remove_copy(name)
+    copy = garment.copy()
+    copy.data = garment.data.copy()
+    copy.name = copy["cagemap_copy"] = name
+    for collection in target.users_collection:
+        collection.objects.link(copy)
+    copy.parent = None
+    copy.matrix_world = moved_matrix(garment, target, source)
+    context.view_layer.update()
+    places, turn = from_frame(copy, positions, target), np.linalg.inv(world(copy)[:3, :3])
+    copy.data.vertices.foreach_set("co", places.astype(np.float32).ravel())
+    keys = copy.data.shape_keys
+    for key in keys.key_blocks if keys else ():
+        shape = places + offsets[key.name] @ turn.T if key.name in offsets else places
+        key.data.foreach_set("co", shape.astype(np.float32).ravel())
+    copy.data.update()
+    return copy
+
+
+def _remove_copy(name):
+    """Remove the copy that an earlier run made, if it still has its name."""
+    object_ = bpy.data.objects.get(name)
+    if object_ is not None and object_.get("cagemap_copy") == name:
+        mesh = object_.data
+        bpy.data.objects.remove(object_)
+        if not mesh.users:
+            bpy.data.meshes.remove(mesh)
+
+
+def fit_modifiers(copies, target, source):
+    """Let copies of garments, by garment, refer to the target and its armature; names of modifiers to bind again."""
+    removed, armatures = [], (armature_of(source), armature_of(target))
+    pairs = ((source, target), armatures, (source.data.shape_keys, target.data.shape_keys))
+    replacements = {old: new for old, new in pairs if old and new} | copies
+    for copy in copies.values():
+        for modifier in list(copy.modifiers):
+            bound = modifier.type in _BOUND and getattr(modifier, _BOUND[modifier.type])
+            if bound:
+                removed.append(f"{modifier.name} of {copy.name}")
+            if bound or (modifier.type == "ARMATURE" and armatures[1] is None):
+                copy.modifiers.remove(modifier)
+        redirect(copy, replacements)
+        if armatures[1] is not None:
+            bind(copy, armatures[1])
+    return removed
+
+
+def moved_matrix(object_, target, source):
+    """The object's matrix, moved as the target stands from the source."""
+    matrix = object_.matrix_world.copy()
+    matrix.translation += target.matrix_world.translation - source.matrix_world.translation
+    return matrix
+
+
+def redirect(object_, replacements):
+    """Replace the objects that modifiers, constraints and drivers of a copied object refer to."""
+    bones = object_.pose.bones if object_.pose else ()
+    constraints = [*object_.constraints, *(constraint for bone in bones for constraint in bone.constraints)]
+    for owner in (*object_.modifiers, *constraints):
+        for part in (owner, *getattr(owner, "targets", ())):
+            for one in part.bl_rna.properties:
+                if one.type == "POINTER" and not one.is_readonly and getattr(part, one.identifier) in replacements:
+                    setattr(part, one.identifier, replacements[getattr(part, one.identifier)])
+    for owner in (object_, object_.data, getattr(object_.data, "shape_keys", None)):
+        for curve in owner.animation_data.drivers if owner and owner.animation_data else ():
+            for target in (target for variable in curve.driver.variables for target in variable.targets):
+                if target.id in replacements:
+                    target.id = replacements[target.id]
+
+
+def copy_armature(context, armature, target, source, matrices, tails):
+    """A copy of an armature with bones at matrices (j, 4, 4) and tails (j, 3) in the target's frame."""
+    copy = armature.copy()
+    copy.data = armature.data.copy()
+    copy.name = short_name(f"{armature.name} on {target.name}")
+    for collection in target.users_collection:
+        collection.objects.link(copy)
+    copy.matrix_world = moved_matrix(armature, target, source)
+    redirect(copy, {armature: copy, armature.data: copy.data, source: target})
+    with _editable(context, copy):
+        _place_bones(
+            copy, matrices[:, :3], from_frame(copy, matrices[:, :3, 3], target), from_frame(copy, tails, target)
+        )
+    return copy
+
+
+@contextmanager
+def _editable(context, object_):
+    """Show an object and make it active: only such objects have an Edit Mode."""
+    everywhere, active, hidden = context.scene.collection, context.view_layer.objects.active, object_.hide_viewport
+    linked = object_.name in everywhere.objects
+    object_.hide_viewport = False
+    if not linked:  # the other collections may be hidden
+        everywhere.objects.link(object_)
+    context.view_layer.update()
+    concealed = object_.hide_get()
+    object_.hide_set(False)
+    context.view_layer.objects.active = object_
+    try:
+        with context.temp_override(active_object=object_, object=object_, selected_objects=[object_]):
+            yield
+    finally:
+        context.view_layer.objects.active = active
+        object_.hide_set(concealed)
+        object_.hide_viewport = hidden
+        if not linked:
+            everywhere.objects.unlink(object_)
+
+
+def _place_bones(armature, matrices, heads, ends):
+    """Move the bones of a shown armature: axes of matrices (j, 3, 4) in the world, ends (j, 3) in its own space."""
+    turn, names = np.linalg.inv(world(armature)[:3, :3]), [bone.name for bone in armature.data.bones]
+    bpy.ops.object.mode_set(mode="EDIT")
+    bones = armature.data.edit_bones
+    connected = [bones[name].use_connect for name in names]
+    for name in names:
+        bones[name].use_connect = False
+    for row, name in enumerate(names):
+        bone = bones[name]
+        along, up = turn @ matrices[row, :, 1], turn @ matrices[row, :, 2]
+        length = max(float(np.linalg.norm(ends[row] - heads[row])), 1e-6)
+        bone.head = heads[row]
+        bone.tail = heads[row] + length / np.linalg.norm(along) * along
+        bone.align_roll(up)
+    for name, on in zip(names, connected, strict=True):
+        if on:
+            bones[name].parent.tail = bones[name].head
+            bones[name].use_connect = True
+    bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def bind(object_, armature):
+    """Let an armature deform an object, before all that subdivides it."""
+    modifier = next((m for m in object_.modifiers if m.type == "ARMATURE"), None)
+    if modifier is None:
+        modifier = object_.modifiers.new("Armature", "ARMATURE")
+        object_.modifiers.move(len(object_.modifiers) - 1, 0)
+    modifier.object = armature
