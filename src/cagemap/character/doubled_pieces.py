@@ -22,13 +22,15 @@ _MIN_CLOSE_SHARE = 0.75
 _MAX_PIECE_DISTANCE = 0.25
 # Least ratio of the two diagonals; ears of two elephants have 0.51. A ball inside a much larger ball is close to it.
 _MIN_SIZE_RATIO = 0.4
-# A triangle of the target is collapsed if the area of its image, divided by its own area, is less than this.
-_MAX_AREA_RATIO = 0.1
-# The target's surface has a piece itself if at least this share of the piece's area is close to collapsed triangles.
-# Feet have a share of 0.9, clothes of 0 (docs/lab/characters.md).
-_MIN_COLLAPSED_SHARE = 0.5
 # Largest distance that is close to the surface, divided by the diagonal of the piece's bounding box.
 _MAX_SURFACE_DISTANCE = 0.4
+# The image of a close point is away from the piece if it is farther from it than the point is, by this share of the
+# diagonal.
+_MIN_EXTRA_DISTANCE = 0.1
+# The target's surface has a piece itself if at least this share of the piece's area has such images. Feet, legs, hands
+# and heads have 0.71 or more, trousers over deleted legs 0.59, shoes over deleted feet 0.54, other clothes 0
+# (docs/lab/characters.md).
+_MIN_AWAY_SHARE = 0.65
 
 
 def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[IndexArray]:
@@ -49,29 +51,26 @@ def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[IndexArray]:
     ]
 
 
-def pieces_in_surface(carried: ControlMesh, point_map: PointMap) -> list[IndexArray]:
-    """Faces of every connected piece of ``carried`` that the target's matched surface has itself.
+def pieces_in_surface(pieces: ControlMesh, carried: ControlMesh, point_map: PointMap) -> list[IndexArray]:
+    """Faces of every connected piece, carried from the source, that the target's matched surface has itself.
 
-    The matched source lacks such a part (ears, feet), so the map takes the target's part to almost no area. Pieces
-    named as passengers are not among them: shoes, whose feet are deleted.
+    The matched source lacks such a part (ears, feet), so the map takes the target's part to where it is cut off, away
+    from the piece. ``carried`` has the faces of ``pieces``. Pieces named as passengers are not among them: shoes,
+    whose feet are deleted.
     """
-    target, images = point_map.target, TriangleSurface(point_map.images.positions, point_map.target.triangles)
-    is_collapsed = images.areas < _MAX_AREA_RATIO * target.areas
-    if not is_collapsed.any():
-        return []
+    target, source = point_map.target, point_map.source
     labels, places = face_components(carried), target.scale * carried.positions
     triangles, faces = cage_triangles(carried)
     piece, areas = labels[faces], triangle_areas(places, triangles)
-    boxes = target.scale * _boxes(carried, labels)
-    reach = _MAX_SURFACE_DISTANCE * np.linalg.norm(boxes[:, 3:] - boxes[:, :3], axis=1)
-    nearest, _, distances = closest_points(target.tree, triangle_centres(places, triangles))
-    is_inside = is_collapsed[nearest] & (distances <= reach[piece])
-    inside, whole = (np.bincount(piece, area, len(boxes)) for area in (areas * is_inside, areas))
-    is_found = (
-        (inside > 0)
-        & (inside >= _MIN_COLLAPSED_SHARE * whole)
-        & ~passenger_pieces(carried, labels, face_areas(carried))
-    )
+    boxes, own_boxes = target.scale * _boxes(carried, labels), source.scale * _boxes(pieces, labels)
+    diagonals, own_diagonals = (np.linalg.norm(box[:, 3:] - box[:, :3], axis=1)[piece] for box in (boxes, own_boxes))
+    nearest, barycentric, distances = closest_points(target.tree, triangle_centres(places, triangles))
+    images = np.einsum("mk,mkd->md", barycentric, point_map.images.positions[target.triangles[nearest]])
+    to_images = np.linalg.norm(images - triangle_centres(source.scale * pieces.positions, triangles), axis=1)
+    close = distances / diagonals
+    is_away = (close <= _MAX_SURFACE_DISTANCE) & (to_images / own_diagonals - close >= _MIN_EXTRA_DISTANCE)
+    away, whole = (np.bincount(piece, area, len(boxes)) for area in (areas * is_away, areas))
+    is_found = (away > 0) & (away >= _MIN_AWAY_SHARE * whole) & ~passenger_pieces(carried, labels, face_areas(carried))
     return [faces for number, faces in enumerate(members_of(labels)) if is_found[number]]
 
 

@@ -207,7 +207,7 @@ def _pieces_to_carry(bodies: Bodies, others: Sequence[Part], named: Collection[s
         return pieces, []
     mesh = pieces.mesh
     placed = mesh.with_positions(carry_passengers(bodies.result, [mesh])[0].positions)
-    found = pieces_in_surface(placed, bodies.result.point_map)
+    found = pieces_in_surface(mesh, placed, bodies.result.point_map)
     found += doubled_pieces(placed, join_meshes(own)) if own else []
     if not found:
         return pieces, []
