@@ -313,7 +313,7 @@ def test_values_of_the_form_are_those_of_the_command_line(tmp_path: Path) -> Non
         "transfer.size": "512",
         "transfer.normal_map": "n.png",
         "transfer.bake": ["normal"],
-        "match.k": "60",
+        "match.level": "3",
         "match.trust_landmarks": True,
     }
     asked = read_form(options, sent_values, resolve)
@@ -322,8 +322,8 @@ def test_values_of_the_form_are_those_of_the_command_line(tmp_path: Path) -> Non
     assert asked.option_values[("match", "vertices")] == 3000
     assert asked.option_values[("transfer", "bake")] == ("normal",)
     assert asked.option_values[("match", "trust_landmarks")] is True
-    with pytest.raises(Exception, match="Functions: expected a whole number or nothing, got 'many'"):
-        read_form(options, {"match.k": "many"}, resolve)
+    with pytest.raises(Exception, match="Level: expected a whole number or nothing, got 'many'"):
+        read_form(options, {"match.level": "many"}, resolve)
 
 
 @pytest.mark.slow
