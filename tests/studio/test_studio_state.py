@@ -193,7 +193,7 @@ def test_files_are_named_as_a_pair_or_not_at_all(tmp_path: Path) -> None:
 
 def test_messages_do_not_pile_up() -> None:
     messages = add_message((), "note", "again")
-    for number in range(20):
+    for number in range(200):
         messages = add_message(add_message(messages, "note", f"{number}"), "note", "again")
-    assert len(messages) == 5
+    assert len(messages) == 100  # what a bake of many outputs says of each stays
     assert sum(message.text == "again" for message in messages) == 1

@@ -21,7 +21,7 @@ _TILE_NUMBER = re.compile(r"\.1\d{3}$")
 # Ends the name of a copy of the target with a new UV layout.
 _UNWRAPPED_ENDING = "_unwrapped.obj"
 # Older messages disappear from the page.
-MAX_MESSAGES = 5
+MAX_MESSAGES = 100
 
 
 @dataclass(frozen=True)
