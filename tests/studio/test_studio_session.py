@@ -491,3 +491,10 @@ def test_a_probe_points_at_both_models(opened: Session) -> None:
     assert probe.source[0] > 2  # on the other box
     opened.probe("target", np.array([9.0, 9.0, 9.0]), np.array([1.0, 0.0, 0.0]))
     assert opened.state.probe is None
+
+
+def test_cancelling_the_first_map_does_not_say_that_a_map_stays(opened: Session) -> None:
+    opened._change(map=MapState())
+    opened._cancelled = True
+    opened._receive(FindMap(opened._preview.pair_files, LandmarkList()), Failure(STOPPED_KIND, "killed"))
+    assert opened.state.messages[-1].text == "cancelled"

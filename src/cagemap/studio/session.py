@@ -23,7 +23,7 @@ from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, load_landmar
 from cagemap.studio.landmarks import History, LandmarkList, Side, SideNames
 from cagemap.studio.models import NO_SCHEME
 from cagemap.studio.opening import result_folder, with_parts
-from cagemap.studio.preview import Preview
+from cagemap.studio.preview import OPENING_TITLE, Preview
 from cagemap.studio.runner import Runner
 from cagemap.studio.scene import probe_map, propose_place
 from cagemap.studio.shape import pick
@@ -33,6 +33,7 @@ from cagemap.studio.state import (
     Files,
     Message,
     Output,
+    RunningJob,
     View,
     baked_view,
     layout_mesh,
@@ -261,7 +262,8 @@ class Session(LandmarkEdits):
         """Open models; if that fails, `_apply_result` tries again with the requested parts."""
         with self._lock:
             self._scene, self._computed, self._requested_parts = None, None, requested_parts
-            self._change(files=files, view=map_view(self._state.view), **INITIAL_FIELDS)
+            job = RunningJob(OPENING_TITLE)
+            self._change(files=files, view=map_view(self._state.view), preview_job=job, **INITIAL_FIELDS)
             self._preview.open(files)
 
     def _save(self, path: Path | None = None) -> None:
@@ -328,7 +330,8 @@ class Session(LandmarkEdits):
             case Failure() if result.kind == CANCELLED_KIND:  # the same models were opened again
                 pass
             case Failure() if cancelled and result.kind == STOPPED_KIND:
-                self._say("note", "cancelled" + ("" if self._state.map.unchecked else "; the map stays as it was"))
+                has_checked_map = self._state.map.revision and not self._state.map.unchecked
+                self._say("note", "cancelled" + ("; the map stays as it was" if has_checked_map else ""))
             case Failure():
                 self._say_all(result.notes)
                 is_ours = result.kind.isidentifier()  # the text of an internal error names its class
