@@ -285,3 +285,33 @@ def test_a_vertex_cannot_be_named_twice(opened: tuple[PreviewCache, OpenModels])
 def test_answers_of_one_name_are_numbered() -> None:
     numbered = ("as filed", "turned", "as filed (2)", "as filed (3)")
     assert number_duplicates(["as filed", "turned", "as filed", "as filed"]) == numbered
+
+
+@pytest.mark.slow
+def test_a_process_that_lost_its_map_starts_from_the_chosen_answer(
+    opened: tuple[PreviewCache, OpenModels], quick_fit: None
+) -> None:
+    cache, task = opened
+    _, chosen = run_task(cache, FindMap(task.pair_files, LandmarkList(), answer=1), lambda _: None)
+    again = FindMap(task.pair_files, LandmarkList(), chosen_answer=1)
+    cache, restarted = run_task(None, again, lambda _: None)
+    assert restarted.map_state.chosen_answer == 1
+    np.testing.assert_array_equal(restarted.preview_map.triangle, chosen.preview_map.triangle)
+    _, updated = run_task(None, replace(again, landmarks=landmarks(cache, 0)), lambda _: None)
+    assert updated.map_state.chosen_answer == 1
+
+
+@pytest.mark.slow
+def test_a_match_from_the_start_uses_one_landmark_too_and_three_in_place_of_a_chosen_answer(
+    opened: tuple[PreviewCache, OpenModels], quick_fit: None
+) -> None:
+    cache, task = opened
+    again = FindMap(task.pair_files, landmarks(cache, 0), fresh=True)
+    free, _ = run_task(cache, FindMap(task.pair_files, LandmarkList()), lambda _: None)
+    assert run_task(free, again, lambda _: None)[1].map_state.from_start
+    chosen, _ = run_task(free, FindMap(task.pair_files, LandmarkList(), answer=1), lambda _: None)
+    kept = run_task(chosen, again, lambda _: None)[1].map_state
+    assert (kept.chosen_answer, kept.from_start) == (1, False)
+    three = replace(again, landmarks=landmarks(cache, 0, 3, 5))
+    found = run_task(chosen, three, lambda _: None)[1].map_state
+    assert (found.chosen_answer, found.from_start) == (0, True)

@@ -113,7 +113,7 @@ def test_a_map_that_is_computed_during_a_turn_is_computed_again(monkeypatch: pyt
             goes_on.set()
 
     monkeypatch.setattr("cagemap.studio.preview.Worker", Slow)
-    preview = Preview(100, Path(), lambda: (LandmarkList(), None), lambda _: None, lambda *_: None)
+    preview = Preview(100, Path(), lambda: (LandmarkList(), None, 0), lambda _: None, lambda *_: None)
     preview.open(Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT")))
     assert isinstance(begun.get(timeout=10), OpenModels)
     goes_on.set()
@@ -239,7 +239,7 @@ def test_until_a_first_map_is_compiled_titles_say_so(monkeypatch: pytest.MonkeyP
         if job is not None:
             titles.append(job.title)
 
-    preview = Preview(100, Path(), lambda: (LandmarkList(), None), on_job, lambda *_: None)
+    preview = Preview(100, Path(), lambda: (LandmarkList(), None, 0), on_job, lambda *_: None)
     preview.open(Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT")))
     end = time.monotonic() + 10
     while len(titles) < 2 and time.monotonic() < end:
@@ -266,7 +266,7 @@ def test_a_map_of_models_that_are_open_no_more_is_dropped(monkeypatch: pytest.Mo
             goes_on.set()
 
     monkeypatch.setattr("cagemap.studio.preview.Worker", Slow)
-    preview = Preview(100, Path(), lambda: (LandmarkList(), None), lambda _: None, lambda *_: None)
+    preview = Preview(100, Path(), lambda: (LandmarkList(), None, 0), lambda _: None, lambda *_: None)
     files = Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT"))
     preview.open(replace(files, parts=("one", None)))
     assert isinstance(begun.get(timeout=10), OpenModels)
@@ -494,7 +494,19 @@ def test_a_probe_points_at_both_models(opened: Session) -> None:
 
 
 def test_cancelling_the_first_map_does_not_say_that_a_map_stays(opened: Session) -> None:
+    shown = opened.state.map
     opened._change(map=MapState())
     opened._cancelled = True
     opened._receive(FindMap(opened._preview.pair_files, LandmarkList()), Failure(STOPPED_KIND, "killed"))
+    opened._change(map=shown)
     assert opened.state.messages[-1].text == "cancelled"
+
+
+def test_a_request_carries_the_chosen_answer(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    tasks = queue.Queue[Task]()
+    monkeypatch.setattr(opened._preview._worker, "run", lambda task: tasks.put(task) or Failure(CANCELLED_KIND, ""))
+    shown = opened.state.map
+    opened._change(map=replace(shown, chosen_answer=1))
+    opened.match_again()
+    assert tasks.get(timeout=10).chosen_answer == 1
+    opened._change(map=shown)

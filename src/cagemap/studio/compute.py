@@ -75,15 +75,26 @@ class OpenModels:
 
 @dataclass(frozen=True)
 class FindMap:
-    """Compute the map: update the last one, or with ``fresh`` and landmarks enough, match from the start.
+    """Compute the map.
 
-    ``answer`` chooses one of the alignments that are found without landmarks.
+    Attributes
+    ----------
+    pair_files : PairFiles
+    landmarks : LandmarkList
+    fresh : bool
+        Match from the start in place of an update of the last map. A chosen answer is kept where there are fewer than
+        three landmarks.
+    answer : int or None
+        Choose one of the alignments that are found without landmarks.
+    chosen_answer : int
+        The one chosen before, for a process without a map.
     """
 
     pair_files: PairFiles
     landmarks: LandmarkList
     fresh: bool = False
     answer: int | None = None
+    chosen_answer: int = 0
 
 
 @dataclass(frozen=True)
@@ -260,18 +271,21 @@ def find_map(
 
     landmarks = to_landmarks(task.landmarks, cache.target.control, cache.source.control)
     has_constraints = bool(len(landmarks) + len(landmarks.curves))
-    if task.answer is not None or not has_constraints:
+    chosen_answer = task.chosen_answer if cache.result is None else cache.chosen_answer
+    answer = chosen_answer if task.answer is None else task.answer
+    restarts = len(landmarks) < FEWEST_LANDMARKS if task.fresh else cache.result is None
+    if task.answer is not None or not has_constraints or (answer and restarts):
         first_preview = preview if cache.result is None else None
         free_match = cache.free_match or match_pair(prepared_pair, progress=progress, preview=first_preview)
-        answer = cache.chosen_answer if task.answer is None else task.answer
         result = other_answer(free_match, answer, progress=progress) if answer else free_match
         config = MatchConfig(answer=answer)
         cache = replace(cache, free_match=free_match, chosen_answer=answer, result=result, config=config)
         if has_constraints:
             updated = update_match(result, landmarks, progress=progress, preview=preview)
             cache = replace(cache, result=updated, config=None)
-    elif cache.result is None or (task.fresh and len(landmarks) >= FEWEST_LANDMARKS):
-        cache = replace(cache, result=match_pair(prepared_pair, landmarks, progress=progress), config=MatchConfig())
+    elif cache.result is None or task.fresh:
+        result = match_pair(prepared_pair, landmarks, progress=progress)
+        cache = replace(cache, chosen_answer=0, result=result, config=MatchConfig())
     else:
         updated = update_match(cache.result, landmarks, progress=progress, preview=preview)
         cache = replace(cache, result=updated, config=None)

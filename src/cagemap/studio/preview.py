@@ -35,7 +35,7 @@ class Preview:
     folder : Path
         Receives an image that is inside the source's file.
     current_inputs : callable
-        Gives the current landmarks and map when a task starts.
+        Gives the current landmarks, map and chosen answer when a task starts.
     on_job : callable
         Called at every task and stage.
     on_result : callable
@@ -46,7 +46,7 @@ class Preview:
         self,
         vertices: int,
         folder: Path,
-        current_inputs: Callable[[], tuple[LandmarkList, PreviewMap | None]],
+        current_inputs: Callable[[], tuple[LandmarkList, PreviewMap | None, int]],
         on_job: Callable[[RunningJob], None],
         on_result: Callable[[Task, object], None],
     ) -> None:
@@ -159,13 +159,13 @@ class Preview:
             kind = min(self._requests, key=_KINDS.index)
             pair_files, arguments = self._pair_files, self._requests.pop(kind)
         # Outside the lock: the callee has its own lock, and may be waiting for this one.
-        landmarks, preview_map = self._current_inputs()
+        landmarks, preview_map, chosen_answer = self._current_inputs()
         assert pair_files is not None  # the first request is to open
         match kind:
             case "models":
                 return OpenModels(pair_files)
             case "map":
-                return FindMap(pair_files, landmarks, *arguments)
+                return FindMap(pair_files, landmarks, *arguments, chosen_answer=chosen_answer)
             case "answer":
                 return FindMap(pair_files, landmarks, False, *arguments)
             case "pose":

@@ -303,9 +303,9 @@ class Session(LandmarkEdits):
             if self._state.baked_images and self._finish_inputs != self._state.map_inputs:
                 self._say("note", "the baked images show the map before the last changes; press Bake for the new map")
 
-    def _preview_inputs(self) -> tuple[LandmarkList, PreviewMap | None]:
+    def _preview_inputs(self) -> tuple[LandmarkList, PreviewMap | None, int]:
         state, scene = self._state, self._scene
-        return state.history.present, None if scene is None else scene.preview_map
+        return state.history.present, None if scene is None else scene.preview_map, state.map.chosen_answer
 
     def _receive(self, task: Task, result: object) -> None:
         is_unchecked = isinstance(result, MapUpdate) and result.map_state.unchecked
