@@ -8,8 +8,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
@@ -17,11 +15,11 @@ from cagemap.studio.agreement import map_difference_notes
 from cagemap.studio.autosave import autosave_path, move_aside, read_autosave_parts
 from cagemap.studio.compute import FindMap, MapUpdate, OpenedPair, OpenModels, ShowBaked, ShowPosed, Task
 from cagemap.studio.finish import Command, FinishOptions, made_of, plan_commands
+from cagemap.studio.finish_defaults import with_defaults
 from cagemap.studio.finish_layout import explain_flags, in_page_words
 from cagemap.studio.landmark_edits import LandmarkEdits
 from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, load_landmarks, save_landmarks
 from cagemap.studio.landmarks import History, LandmarkList, Side, SideNames
-from cagemap.studio.models import NO_SCHEME
 from cagemap.studio.opening import result_folder, with_parts
 from cagemap.studio.preview import OPENING_TITLE, Preview
 from cagemap.studio.runner import Runner
@@ -196,10 +194,7 @@ class Session(LandmarkEdits):
     # Finish
 
     def plan(self, options: FinishOptions) -> tuple[Command, ...]:
-        """Commands of a finish, by default with as many vertices as the map shown.
-
-        Without an image the source's material or vertex colours are baked, or else its ambient occlusion, and a cage is
-        wrapped.
+        """Commands of a finish; see `with_defaults` for what it makes by default.
 
         Raises
         ------
@@ -207,29 +202,9 @@ class Session(LandmarkEdits):
             If the target cannot be wrapped, or a value is refused.
         """
         files, scene = self._require_open()
-        is_plain = files.schemes[0] == NO_SCHEME
         has_constraints = self._state.history.present.has_constraints
         answer = 0 if has_constraints else self._state.map.chosen_answer
-        unwrap = not scene.target.control.has_layout
-        values = options.option_values
-        has_level = values.get(("match", "level")) is not None
-        vertices = None if has_level else values.get(("match", "vertices")) or self.vertices
-        options = options.with_values(
-            {("transfer", "unwrap"): unwrap, ("match", "answer"): answer, ("match", "vertices"): vertices}
-        )
-        if options.texture and files.texture is None and scene.has_colors:
-            options = options.with_values({("transfer", "material_colors"): True})
-        elif options.texture and files.texture is None:
-            colors = None if values.get(("transfer", "detail")) else scene.source.control.vertex_colors
-            default = ("ao",) if colors is None or np.isnan(colors).all() else ("colors",)
-            kinds = values.get(("transfer", "bake")) or default
-            wrap = options.wrap or not (is_plain or kinds == ("colors",))
-            options = replace(options, wrap=wrap).with_values({("transfer", "bake"): kinds})
-        if is_plain and options.wrap:
-            raise ParameterError(
-                f"{files.target.name} is open as a plain mesh, which cannot be wrapped. Press Open… and choose how the "
-                "target is subdivided (Options). Or choose something else to make below."
-            )
+        options = with_defaults(options, files, scene, self.vertices, answer)
         return plan_commands(self.options, self.workspace, files, options, use_landmarks=has_constraints)
 
     def finish(self, options: FinishOptions) -> None:
