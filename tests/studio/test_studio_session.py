@@ -7,6 +7,7 @@ import queue
 import threading
 import time
 import types
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -510,3 +511,49 @@ def test_a_request_carries_the_chosen_answer(opened: Session, monkeypatch: pytes
     opened.match_again()
     assert tasks.get(timeout=10).chosen_answer == 1
     opened._change(map=shown)
+
+
+@pytest.fixture
+def held_tasks(opened: Session, monkeypatch: pytest.MonkeyPatch) -> Iterator[queue.Queue[Task]]:
+    """Tasks of the preview as they begin; each runs until it is cancelled."""
+    begun, killed, shown = queue.Queue[Task](), threading.Event(), opened.state.map
+
+    def run(task: Task) -> Failure:
+        begun.put(task)
+        killed.wait(10)
+        killed.clear()
+        return Failure(STOPPED_KIND, "killed")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(opened._preview._worker, "run", run)
+        patch.setattr(opened._preview._worker, "kill", killed.set)
+        yield begun
+        opened._preview._requests.clear()
+        killed.set()
+        until(lambda: at_rest(opened), opened)
+    opened._change(map=shown)
+
+
+def test_cancel_drops_the_map_that_waits_too(opened: Session, held_tasks: queue.Queue[Task]) -> None:
+    opened.match_again()
+    held_tasks.get(timeout=10)
+    click(opened, "target", 2)
+    opened.accept()
+    opened.cancel()
+    until(lambda: opened.state.preview_job is None and at_rest(opened), opened)
+    assert held_tasks.empty()
+    assert (opened.state.map.unchecked, opened.state.map.from_start) == (True, False)
+    assert opened.state.messages[-1].text == "cancelled"
+
+
+def test_no_bake_starts_while_a_chosen_alignment_is_computed(
+    opened: Session, held_tasks: queue.Queue[Task], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started = list[object]()
+    monkeypatch.setattr(opened._runner, "start", started.append)
+    opened._change(map=replace(opened.state.map, answers=("as filed", "turned")))
+    opened.choose_answer(1)
+    held_tasks.get(timeout=10)
+    opened.finish(FinishOptions())
+    assert started == []
+    assert "the chosen alignment is being computed" in opened.state.messages[-1].text

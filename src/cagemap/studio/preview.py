@@ -55,6 +55,7 @@ class Preview:
         self._condition = threading.Condition()
         self._pair_files: PairFiles | None = None
         self._requests: dict[str, tuple[Any, ...]] = {}  # those that wait: arguments by kind
+        self._running_kind = ""
         self._closed = False
         self._job = RunningJob("")
         self._task: Task | None = None
@@ -109,6 +110,18 @@ class Preview:
         """Show both models in a pose; '': unposed."""
         self._request("pose", pose)
 
+    @property
+    def is_choosing(self) -> bool:
+        """Whether another alignment's map waits or is being computed."""
+        with self._condition:
+            return "answer" in (*self._requests, self._running_kind)
+
+    def drop_map_requests(self) -> bool:
+        """Drop maps that wait; return whether there was one."""
+        with self._condition:
+            dropped = [self._requests.pop(kind, None) for kind in ("map", "answer")]
+        return dropped != [None, None]
+
     def kill(self) -> None:
         """Kill the running task; its result is a failure."""
         self._worker.kill()
@@ -140,6 +153,7 @@ class Preview:
                 return
             self._repeat_turned(task)
             self._on_result(task, result)
+            self._running_kind = ""
 
     def _repeat_turned(self, task: Task) -> None:
         """Request a map again if the models were turned meanwhile: its drawings are of the view before."""
@@ -157,7 +171,7 @@ class Preview:
             if self._closed:
                 return None
             kind = min(self._requests, key=_KINDS.index)
-            pair_files, arguments = self._pair_files, self._requests.pop(kind)
+            pair_files, arguments, self._running_kind = self._pair_files, self._requests.pop(kind), kind
         # Outside the lock: the callee has its own lock, and may be waiting for this one.
         landmarks, preview_map, chosen_answer = self._current_inputs()
         assert pair_files is not None  # the first request is to open

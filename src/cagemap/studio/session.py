@@ -186,6 +186,9 @@ class Session(LandmarkEdits):
         with self._lock:
             is_finishing = self._state.finish_job is not None
             self._cancelled = is_running = self._state.preview_job is not None and not is_finishing
+            is_dropped = is_running and self._preview.drop_map_requests()
+            if is_dropped and self._scene is not None and self._scene.preview_map is not None:
+                self._change(map=replace(self._state.map, unchecked=True, from_start=False))
         if is_finishing:
             self._runner.cancel()
         elif is_running:
@@ -212,6 +215,8 @@ class Session(LandmarkEdits):
         with self.report_errors(), self._lock:
             if self._state.finish_job is not None:
                 raise ParameterError("a bake is running; cancel it or wait for its end")
+            if self._preview.is_choosing and not self._state.history.present.has_constraints:
+                raise ParameterError("the chosen alignment is being computed; press Bake again when its map is shown")
             files, _ = self._require_open()
             commands = self.plan(options)
             if self._state.history.present.has_constraints:
