@@ -26,7 +26,7 @@ from cagemap.studio.preview import Preview
 from cagemap.studio.scene import map_point
 from cagemap.studio.session import Session
 from cagemap.studio.skins import PreviewMap
-from cagemap.studio.state import Files, MapState, Output, RunningJob, StudioState
+from cagemap.studio.state import Files, MapState, Message, Output, RunningJob, StudioState
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.surface.closest_points import build_tree, closest_points
 
@@ -557,3 +557,20 @@ def test_no_bake_starts_while_a_chosen_alignment_is_computed(
     opened.finish(FinishOptions())
     assert started == []
     assert "the chosen alignment is being computed" in opened.state.messages[-1].text
+
+
+def test_earlier_outputs_stay_until_a_bake_replaces_them(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(opened._runner, "start", lambda _: None)
+    earlier = (Output(Path("a.png"), "texture"), Output(Path("b.obj"), "wrap"), Output(Path("R"), "the map"))
+    opened._change(outputs=earlier)
+    opened.finish(FinishOptions())
+    opened._on_end(Message("note", "Bake: cancelled"))
+    assert opened.state.outputs == earlier
+    opened.finish(FinishOptions())
+    opened._on_output(Output(Path("R"), "the map"))
+    opened._on_output(Output(Path("c.png"), "texture"))
+    opened._on_output(Output(Path("R"), "texture"))  # its record of the bake
+    assert opened.state.outputs == (Output(Path("R"), "the map"), Output(Path("c.png"), "texture"), earlier[1])
+    assert opened.state.view.baked == Path("c.png")
+    opened._on_end(Message("note", "Bake: done"))  # what it did not make shows an earlier map
+    assert opened.state.outputs == (Output(Path("R"), "the map"), Output(Path("c.png"), "texture"))

@@ -22,7 +22,7 @@ from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, load_landmar
 from cagemap.studio.landmarks import History, LandmarkList, Side, SideNames
 from cagemap.studio.opening import result_folder, with_parts
 from cagemap.studio.preview import OPENING_TITLE, Preview
-from cagemap.studio.runner import Runner
+from cagemap.studio.runner import DONE_TEXT, Runner
 from cagemap.studio.scene import probe_map, propose_place
 from cagemap.studio.shape import pick
 from cagemap.studio.skins import PreviewMap
@@ -33,6 +33,7 @@ from cagemap.studio.state import (
     Output,
     RunningJob,
     View,
+    baked_images,
     baked_view,
     layout_mesh,
     map_view,
@@ -66,6 +67,8 @@ class Session(LandmarkEdits):
         self._upload_lock = threading.Lock()
         self._requested_parts: SideNames = (None, None)
         self._finish_inputs: tuple[object, ...] = ()
+        self._earlier_outputs: tuple[Output, ...] = ()  # of earlier finishes, until the last one replaces them
+        self._has_new_map = False  # whether the last finish computes a map
         self._written_map = WrittenMap()
         self._computed: ComputedMatch | None = None
         self._runner = Runner(lambda job: self._change(finish_job=job), self._on_output, self._on_message, self._on_end)
@@ -224,8 +227,11 @@ class Session(LandmarkEdits):
             self.show(map_view(self._state.view))
             commands = (replace(commands[0], computed=self._computed), *commands[1:])
             remaining = self._written_map.remaining_commands(commands, self._state)
-            reused = () if remaining == commands else (Output(commands[0].output, commands[0].output_title),)
-            self._change(outputs=reused, uv_set=options.option_values.get(("match", "target_uv_set")) or None)
+            self._has_new_map = remaining == commands
+            reused = () if self._has_new_map else (Output(commands[0].output, commands[0].output_title),)
+            self._earlier_outputs = tuple(output for output in self._state.outputs if output not in reused)
+            uv_set = options.option_values.get(("match", "target_uv_set")) or None
+            self._change(outputs=(*reused, *self._earlier_outputs), uv_set=uv_set)
             self._finish_inputs = self._state.map_inputs
             if options.texture and files.texture is None:
                 self._say("note", f"the source has no image; made instead: {', '.join(made_of(commands))}")
@@ -263,11 +269,19 @@ class Session(LandmarkEdits):
             self._written_map.record(output)
             if self._finish_inputs[:1] != self._state.map_inputs[:1]:
                 self._say("note", f"{output.path.name} was made of the models that were open before")
-            elif output.path not in [other.path for other in self._state.outputs]:
-                has_image = bool(self._state.baked_images)
-                self._change(outputs=(*self._state.outputs, output))
-                if self._state.baked_images and not has_image and self._finish_inputs == self._state.map_inputs:
-                    self.show_baked_image(self._state.baked_images[0])
+            elif output.path not in [other.path for other in self._finish_outputs]:
+                before, earlier = self._finish_outputs, self._earlier_outputs
+                others = (other for other in earlier if output.path != other.path and output.title != other.title)
+                self._earlier_outputs = tuple(others)
+                self._change(outputs=(*before, output, *self._earlier_outputs))
+                images = baked_images((*before, output))
+                if images and not baked_images(before) and self._finish_inputs == self._state.map_inputs:
+                    self.show_baked_image(images[0])
+
+    @property
+    def _finish_outputs(self) -> tuple[Output, ...]:
+        """Outputs of the last finish."""
+        return tuple(output for output in self._state.outputs if output not in self._earlier_outputs)
 
     def _on_message(self, message: Message) -> None:
         self._say(message.kind, explain_flags(self.options, in_page_words(message.text)))
@@ -276,8 +290,10 @@ class Session(LandmarkEdits):
         differences: tuple[str, ...] = ()
         with self.report_errors():  # no lock: this takes longer than a click
             if self._finish_inputs == self._state.map_inputs:
-                differences = tuple(map_difference_notes(self._scene, self._state.outputs))
+                differences = tuple(map_difference_notes(self._scene, self._finish_outputs))
         with self._lock:
+            if message.text == DONE_TEXT and self._has_new_map:  # the others are of an earlier map
+                self._change(outputs=self._finish_outputs)
             self._say(message.kind, message.text)
             self._say_all(differences, "error")  # last: the status line shows it
             if self._state.baked_images and self._finish_inputs != self._state.map_inputs:

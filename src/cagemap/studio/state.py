@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -280,15 +280,20 @@ class StudioState:
 
     @property
     def baked_images(self) -> tuple[Path, ...]:
-        """Written images in the target's layout, tiles as one; without those of the wrapped cage."""
-        paths = (output.path for output in self.outputs if output.title != "wrap")
-        images = (path for path in paths if path.suffix.lower() in IMAGE_SUFFIXES)
-        return tuple(dict.fromkeys(path.with_stem(_TILE_NUMBER.sub(f".{UDIM_MARK}", path.stem)) for path in images))
+        """Written images in the target's layout."""
+        return baked_images(self.outputs)
 
 
 _PAIR_FIELDS = ("history", "selected", "proposal", "map", "probe", "outputs", "uv_set", "saved")
 # Values of the fields that depend on the open pair, for a newly opened one.
 INITIAL_FIELDS: dict[str, object] = {name: getattr(StudioState(), name) for name in _PAIR_FIELDS}
+
+
+def baked_images(outputs: Iterable[Output]) -> tuple[Path, ...]:
+    """Images in the target's layout, tiles as one; without those of the wrapped cage."""
+    paths = (output.path for output in outputs if output.title != "wrap")
+    images = (path for path in paths if path.suffix.lower() in IMAGE_SUFFIXES)
+    return tuple(dict.fromkeys(path.with_stem(_TILE_NUMBER.sub(f".{UDIM_MARK}", path.stem)) for path in images))
 
 
 def map_view(view: View) -> View:
