@@ -355,3 +355,13 @@ def test_without_models_or_a_map_the_status_says_what_to_press(opened: Session) 
     assert status_entries(StudioState(files=files), None)["text"] == "These models are not open. Press Open…"
     without_map = replace(opened.scene, preview_map=None)
     assert status_entries(StudioState(files=files), without_map)["text"] == "No map yet. Press Match again."
+
+
+def test_landmarks_and_result_of_a_pair_are_beside_its_target(tmp_path: Path) -> None:
+    session = MagicMock(workspace=Workspace.of(tmp_path), state=StudioState())
+    for name in ("anna", "bob"):
+        sent(session, do="open", target=f"{name}/body.obj", source="base.obj", schemes=["", ""])
+    files = [call.args[0] for call in session.open.call_args_list]
+    folders = [tmp_path.resolve() / name for name in ("anna", "bob")]
+    assert [one.landmarks for one in files] == [folder / "base__body.json" for folder in folders]
+    assert [one.result for one in files] == [folder / "base__body_RESULT" for folder in folders]

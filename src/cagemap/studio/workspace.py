@@ -158,10 +158,15 @@ class Workspace:
 
     def display_name(self, path: Path) -> str:
         """Path relative to the first folder, as `list_files` gives it."""
-        try:
-            return os.path.relpath(path, self.folders[0])
-        except ValueError:  # another drive
-            return str(path)
+        return relative_path(path, self.folders[0])
+
+
+def relative_path(path: Path, folder: Path) -> str:
+    """Path relative to a folder; the absolute one on another drive."""
+    try:
+        return os.path.relpath(path, folder)
+    except ValueError:
+        return str(path)
 
 
 def _has_text_name(path: Path) -> bool:

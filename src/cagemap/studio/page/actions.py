@@ -122,7 +122,7 @@ class Actions:
         opened = self._session.state.files
         if opened is not None and (opened.target, opened.source) == (target, source):
             return replace(opened, texture=texture)
-        return default_files(self._session.workspace.folders[0], target, source, texture)
+        return default_files(target.parent, target, source, texture)
 
     def _show_baked(self, sent: Entries) -> None:
         images = self._session.state.baked_images
