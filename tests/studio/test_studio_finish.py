@@ -396,3 +396,11 @@ def test_the_map_of_a_finish_is_the_one_that_is_shown_or_it_is_said(tmp_path: Pa
     assert "Match again" in said
     assert map_difference_notes(None, outputs) == map_difference_notes(turned, ()) == ()
     assert map_difference_notes(turned, (Output(tmp_path / "gone", MAP_TITLE),)) == ()
+
+
+def test_images_of_two_sources_have_names_of_their_own(tmp_path: Path) -> None:
+    names = []
+    for source, image in (("cow", "cow.png"), ("cow", "cow_color.png"), ("cow", "skin.png"), ("bull", "skin.png")):
+        files = default_files(tmp_path, tmp_path / "deer.obj", tmp_path / f"{source}.obj", tmp_path / image)
+        names.append(finish_commands(OPTIONS, files, FinishOptions(), use_landmarks=False)[1].output.name)
+    assert names == ["deer_from_cow.png", "deer_from_cow_color.png", "deer_from_cow_skin.png", "deer_from_bull_skin.png"]
