@@ -103,7 +103,7 @@ def same_files(files: Files, folder: Path) -> None:
 
 def an_error_is_said_and_the_rest_is_made(page: Page, files: Files) -> None:
     """A file of somebody else's is refused with the remedy, and the other images are baked, of the map there is."""
-    theirs, other = (files.result.with_name(f"deer_from_{name}.png") for name in ("normals", "bumps"))
+    theirs, other = (files.result.with_name(f"deer_from_pony_{name}.png") for name in ("normals", "bumps"))
     theirs.write_text("not ours")
     other.unlink()
     map_file = files.result / "map.npz"

@@ -403,4 +403,9 @@ def test_images_of_two_sources_have_names_of_their_own(tmp_path: Path) -> None:
     for source, image in (("cow", "cow.png"), ("cow", "cow_color.png"), ("cow", "skin.png"), ("bull", "skin.png")):
         files = default_files(tmp_path, tmp_path / "deer.obj", tmp_path / f"{source}.obj", tmp_path / image)
         names.append(finish_commands(OPTIONS, files, FinishOptions(), use_landmarks=False)[1].output.name)
-    assert names == ["deer_from_cow.png", "deer_from_cow_color.png", "deer_from_cow_skin.png", "deer_from_bull_skin.png"]
+    assert names == [
+        "deer_from_cow.png",
+        "deer_from_cow_color.png",
+        "deer_from_cow_skin.png",
+        "deer_from_bull_skin.png",
+    ]
