@@ -333,7 +333,7 @@ def test_the_target_with_its_baked_image_is_one_file(opened: Session, boxes: Pat
     assert textured_model_name(opened.state) is None
     state = replace(opened.state, outputs=(Output(boxes / "b.png", "texture"),))
     assert textured_model_name(state) == "b.glb"
-    document = pygltflib.GLTF2.load_from_bytes(textured_model(state))
+    document = pygltflib.GLTF2.load_from_bytes(textured_model(state, opened.scene))
     assert len(document.images) == len(document.materials) == len(document.meshes) == 1
     assert document.materials[0].pbrMetallicRoughness.baseColorTexture.index == 0
 

@@ -117,7 +117,11 @@ def test_web_sockets_of_other_machines_need_the_token() -> None:
     async def all_of_them() -> list[object]:
         served = await asyncio.to_thread(server, "0.0.0.0", "right")
         address, cookie = f"ws://127.0.0.1:{served.port}/socket", {"Cookie": f"cagemap_studio_{served.port}=right"}
-        strangers = ({}, {"Cookie": f"cagemap_studio_{served.port}=wrong"}, cookie | {"Origin": "http://elsewhere.example"})
+        strangers = (
+            {},
+            {"Cookie": f"cagemap_studio_{served.port}=wrong"},
+            cookie | {"Origin": "http://elsewhere.example"},
+        )
         found = [await said_back(address, **headers) for headers in (cookie, *strangers)]
         found.append(await said_back(address.replace("socket", "other"), **cookie))
         await asyncio.to_thread(served.close)

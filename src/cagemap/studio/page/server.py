@@ -184,7 +184,9 @@ class Server:
         elif path in self._files:
             response = _response(*self._files[path])
             if self._token:
-                response.headers["Set-Cookie"] = f"{_cookie_name(request)}={self._token}; Path=/; HttpOnly; SameSite=Strict"
+                response.headers["Set-Cookie"] = (
+                    f"{_cookie_name(request)}={self._token}; Path=/; HttpOnly; SameSite=Strict"
+                )
         return response or _response(b"not found", status=http.HTTPStatus.NOT_FOUND)
 
     async def _serve_socket(self, page: ServerConnection) -> None:
