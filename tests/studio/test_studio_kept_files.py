@@ -323,3 +323,16 @@ def test_a_loaded_landmark_file_of_a_model_with_another_ending_is_kept(opened: S
     opened.load(landmarks)
     opened.save()
     assert landmarks.with_name(f"{landmarks.name}.before-studio").read_text() == theirs
+
+
+def test_files_that_are_dropped_again_are_used_again_and_an_obj_names_the_new_material_file(tmp_path: Path) -> None:
+    session = session_of(tmp_path)
+    try:
+        mesh = b"mtllib x.mtl\nv 0 0 0\n"
+        for name, content in (("x.mtl", b"newmtl a\n"), ("x.obj", mesh)):
+            assert session.add_file(name, content) == session.add_file(name, content) == tmp_path.resolve() / name
+        assert session.add_file("x.mtl", b"newmtl b\n").name == "x (2).mtl"
+        again = session.add_file("x.obj", mesh)
+        assert (again.name, again.read_bytes()) == ("x (2).obj", b"mtllib x (2).mtl\nv 0 0 0\n")
+    finally:
+        session.close()

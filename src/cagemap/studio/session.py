@@ -65,6 +65,7 @@ class Session(LandmarkEdits):
         self.workspace, self.vertices, self.options = workspace, vertices, options
         self._cancelled = False
         self._upload_lock = threading.Lock()
+        self._added_names: dict[str, str] = {}
         self._requested_parts: SideNames = (None, None)
         self._finish_inputs: tuple[object, ...] = ()
         self._earlier_outputs: tuple[Output, ...] = ()  # of earlier finishes, until the last one replaces them
@@ -138,7 +139,8 @@ class Session(LandmarkEdits):
     def add_file(self, name: str, content: bytes) -> Path | None:
         """Add a file to the first folder; None if it is refused."""
         with self.report_errors(), self._upload_lock:
-            path = self.workspace.add(name, content)
+            path = self.workspace.add(name, content, self._added_names)
+            self._added_names[Path(name).name] = path.name
             self._say("note", f"added {path.name}")
             return path
         return None
@@ -191,7 +193,7 @@ class Session(LandmarkEdits):
             self._cancelled = is_running = self._state.preview_job is not None and not is_finishing
             is_dropped = is_running and self._preview.drop_map_requests()
             if is_dropped and self._scene is not None and self._scene.preview_map is not None:
-                self._change(map=replace(self._state.map, unchecked=True, from_start=False))
+                self._change(map=self._state.map.as_unchecked())
         if is_finishing:
             self._runner.cancel()
         elif is_running:
@@ -349,13 +351,9 @@ class Session(LandmarkEdits):
                 if before.preview_map is None or scene.source is not before.source:
                     scene.warm_up()  # not earlier: the page loads the models first
                 shown, job = self._state.map, self._state.preview_job
+                seconds = 0.0 if job is None else time.monotonic() - job.begun
                 map_state = result.map_state.rename_landmarks(task.landmarks, self._state.history.present)
-                if map_state.unchecked:
-                    map_state = replace(shown, unchecked=True, from_start=False)
-                seconds = 0.0 if job is None or map_state.unchecked else time.monotonic() - job.begun
-                first = shown.first_seconds or seconds
-                revision = shown.revision + (not map_state.unchecked)
-                map_state = replace(map_state, revision=revision, first_seconds=first)
+                map_state = map_state.following(shown, seconds)
                 self._change(map=map_state, proposal=propose_place(scene, self._state.history.present))
             case bytes() if self._scene is not None and isinstance(task, ShowBaked):
                 if task.image == self._state.view.baked:

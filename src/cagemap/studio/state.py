@@ -144,6 +144,16 @@ class MapState:
     poses: tuple[str, ...] = ()
     first_seconds: float = 0.0
 
+    def as_unchecked(self) -> MapState:
+        """Return the state for a map that is not checked, with what is known of the last checked one."""
+        return replace(self, unchecked=True, from_start=False)
+
+    def following(self, shown: MapState, seconds: float) -> MapState:
+        """Return the state as the one after ``shown``; ``seconds``: since the computation began."""
+        if self.unchecked:
+            return shown.as_unchecked()
+        return replace(self, revision=shown.revision + 1, first_seconds=shown.first_seconds or seconds)
+
     def without_findings(self) -> MapState:
         """Return the state without what was found about the last checked map; answers, suggestion and poses stay."""
         return replace(self, confidence="", strain={}, contradictions={}, notes=(), poor="")
