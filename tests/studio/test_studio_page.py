@@ -365,3 +365,10 @@ def test_landmarks_and_result_of_a_pair_are_beside_its_target(tmp_path: Path) ->
     folders = [tmp_path.resolve() / name for name in ("anna", "bob")]
     assert [one.landmarks for one in files] == [folder / "base__body.json" for folder in folders]
     assert [one.result for one in files] == [folder / "base__body_RESULT" for folder in folders]
+
+
+def test_after_an_error_a_probe_says_what_is_there(opened: Session) -> None:
+    sent(opened, do="open")
+    assert status_entries(opened.state, opened.scene)["kind"] == "error"
+    sent(opened, do="probe", side="target", origin=[9, 9, 9], direction=[1, 0, 0])
+    assert status_entries(opened.state, opened.scene)["kind"] == "ready"

@@ -574,3 +574,22 @@ def test_earlier_outputs_stay_until_a_bake_replaces_them(opened: Session, monkey
     assert opened.state.view.baked == Path("c.png")
     opened._on_end(Message("note", "Bake: done"))  # what it did not make shows an earlier map
     assert opened.state.outputs == (Output(Path("R"), "the map"), Output(Path("c.png"), "texture"))
+
+
+def test_a_probe_ends_with_the_map_and_the_landmarks_that_it_was_made_of(opened: Session) -> None:
+    def probe() -> None:
+        point = opened.scene.target.to_view(opened.scene.target.positions[1])
+        opened.probe("target", 3 * point, -point / np.linalg.norm(point))
+        assert opened.state.probe is not None
+
+    probe()
+    click(opened, "target", 2)
+    assert opened.state.probe is None
+    probe()
+    revision = opened.state.map.revision
+    opened.accept()
+    until(lambda: opened.state.map.revision > revision, opened)
+    assert opened.state.probe is None
+    probe()
+    opened.show(replace(opened.state.view, pose="nod"))
+    assert opened.state.probe is None

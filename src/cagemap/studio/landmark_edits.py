@@ -115,7 +115,8 @@ class LandmarkEdits(SharedState):
                 landmarks, models = to_file_numbers(after, scene), autosave_models(files, scene)
                 self._say_all(self._tracker.autosave(files.landmarks, landmarks, files.parts, models))
         map_state = self._state.map.rename_landmarks(before, after)
-        self._change(history=history, saved=False, map=map_state, proposal=propose_place(self._scene, after))
+        proposal = propose_place(self._scene, after)
+        self._change(history=history, saved=False, map=map_state, proposal=proposal, probe=None)
         if after.get(self._state.selected) is None:
             self._change(selected=None)
         if after.constraints != before.constraints:

@@ -158,7 +158,8 @@ class Session(LandmarkEdits):
         """Set the view."""
         with self._lock:
             before = self._state.view
-            self._change(view=view)
+            is_same_drawing = (view.pose, view.baked) == (before.pose, before.baked)
+            self._change(view=view, probe=self._state.probe if is_same_drawing else None)
             if view.pose != before.pose and self._scene is not None:
                 self._preview.show_posed(view.pose)
             if view.baked is not None and view.baked != before.baked and self._scene is not None:
@@ -354,7 +355,8 @@ class Session(LandmarkEdits):
                 seconds = 0.0 if job is None else time.monotonic() - job.begun
                 map_state = result.map_state.rename_landmarks(task.landmarks, self._state.history.present)
                 map_state = map_state.following(shown, seconds)
-                self._change(map=map_state, proposal=propose_place(scene, self._state.history.present))
+                proposal = propose_place(scene, self._state.history.present)
+                self._change(map=map_state, proposal=proposal, probe=None)
             case bytes() if self._scene is not None and isinstance(task, ShowBaked):
                 if task.image == self._state.view.baked:
                     self._scene = replace(self._scene, skins=(result, self._scene.skins[1]))

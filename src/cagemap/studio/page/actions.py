@@ -23,8 +23,8 @@ from cagemap.studio.state import Files
 from cagemap.studio.workspace import LANDMARK_SUFFIXES
 
 _FILES = ("target", "source", "texture")
-# Messages that pages send on their own.
-_UNASKED = ("list", "probe")
+# A message that pages send on their own.
+_UNASKED = "list"
 Entries = Mapping[str, Any]
 
 
@@ -72,7 +72,7 @@ class Actions:
                     return
                 sent = json.loads(message)
                 self._handlers[sent["do"]](sent)
-                if sent["do"] not in _UNASKED:
+                if sent["do"] != _UNASKED:
                     self._session.answer_error(error)
             except CagemapError:  # also a ValueError
                 raise
