@@ -41,7 +41,7 @@ class Files:
     schemes : (str or None, str or None)
         Subdivision scheme of target and source, "none" for a plain mesh; None: as stated in the file.
     ups : (str or None, str or None)
-        Up axis of target and source, "y" or "z"; None: as stated in a USD file, else y.
+        Up axis of target and source, "y" or "z"; None: as stated in the file, else by the shape or format.
     parts : (str or None, str or None)
         Part of each file, as `cagemap match --part` takes it; None: the whole file. Opening a file of several pieces
         without a part sets this to its largest piece.

@@ -3,7 +3,7 @@ import {buildForm, element, fileOption, fill, matching, showFiles} from './form.
 import {Views} from './view.js';
 
 const $ = id => document.getElementById(id);
-const SIDES = ['target', 'source'], AGAIN = 500, AS_FILED = [['', 'as the file says']];
+const SIDES = ['target', 'source'], BOXES = ['doubts', 'cages', 'linked', 'other_parts', 'symmetric'], AGAIN = 500, AS_FILED = [['', 'as the file says']];
 let socket = null, state = null, fixed = null, listing = [], shownFiles = '', shownPair = '', picked = false, typed = null, received = 0;
 let bakeForm = {values: () => ({}), clearFiles: () => {}};
 
@@ -65,7 +65,7 @@ function show() {
   showLandmarks();
   showBake();
   showModels();
-  for (const name of ['doubts', 'cages', 'linked', 'other_parts', 'symmetric']) $(name).checked = view[name];
+  for (const name of BOXES) $(name).checked = view[name];
   $('other-parts-line').hidden = !SIDES.some(side => views.sides[side].parts.other_parts);
   $('symmetric').disabled = !state.symmetric;
   $('symmetric').parentElement.title = state.symmetric || !models ? 'Also place the mirror image of each new landmark'
@@ -96,10 +96,11 @@ function showViews() {
   const {drawn, models, view} = state;
   $('empty').hidden = !!models || state.status.kind === 'busy';
   const modes = fixed.modes.filter(one => one !== 'baked' || state.images.length);
-  fill($('mode'), modes.map(one => [one, one[0].toUpperCase() + one.slice(1)]), view.mode);
+  const entries = names => names.map(one => [one, one[0].toUpperCase() + one.slice(1)]);
+  fill($('mode'), entries(modes), view.mode);
   const compared = modes.filter(one => one !== 'baked' || state.baked);  // the model is drawn with that image
   if ($('other').value && !compared.includes($('other').value)) compare('');
-  fill($('other'), [['', '–'], ...compared.map(one => [one, one[0].toUpperCase() + one.slice(1)])], $('other').value);
+  fill($('other'), [['', '–'], ...entries(compared)], $('other').value);
   for (const side of SIDES) {
     const head = $(side).querySelector('h2'), {name = '', opened, parts = []} = models?.[side] ?? {};
     const part = opened ? `, ${opened} (1 of ${parts.length} parts)` : '';
@@ -232,7 +233,7 @@ function showModels() {
 const on = (id, what, done) => $(id).addEventListener(what, done);
 for (const name of ['undo', 'redo', 'accept', 'again', 'cancel', 'next']) on(name, 'click', () => send(name));
 on('next', 'click', () => $('target').focus({preventScroll: true}));  // Enter then accepts the proposed place
-for (const name of ['doubts', 'cages', 'linked', 'other_parts', 'symmetric'])
+for (const name of BOXES)
   on(name, 'change', () => send('view', {fields: {[name]: $(name).checked}}));
 on('mode', 'change', () => send('view', {fields: {mode: $('mode').value}}));
 on('pose', 'change', () => send('view', {fields: {pose: $('pose').value}}));
