@@ -13,7 +13,7 @@ from cagemap.studio.compute import FindMap, OpenModels, PairFiles, ShowBaked, Sh
 from cagemap.studio.landmarks import LandmarkList, Side
 from cagemap.studio.skins import PreviewMap
 from cagemap.studio.state import Files, RunningJob
-from cagemap.studio.worker import Worker
+from cagemap.studio.worker import Worker, serve_preview
 
 # Titles of computations on the page.
 OPENING_TITLE, MATCHING_TITLE, BAKED_TITLE = "Opening the models", "Matching", "Showing the baked image"
@@ -60,7 +60,7 @@ class Preview:
         self._job = RunningJob("")
         self._task: Task | None = None
         self._worker = Worker(
-            lambda stage: on_job(replace(self._job, stage=stage)), on_early_result=self._on_early_result
+            lambda stage: on_job(replace(self._job, stage=stage)), serve_preview, self._on_early_result
         )
         self._worker.start()
         threading.Thread(target=self._run_tasks, name="studio preview", daemon=True).start()

@@ -58,7 +58,7 @@ class Actions:
             "again": lambda _: session.match_again(),
             "answer": lambda sent: session.choose_answer(int(sent["index"])),
             "cancel": lambda _: session.cancel(),
-            "bake": lambda sent: session.finish(read_form(session.options, sent["options"], session.workspace.resolve)),
+            "bake": lambda sent: session.finish(read_form(session.options, sent["options"])),
         }
 
     def handle(self, message: str | bytes) -> None:
