@@ -27,7 +27,6 @@ from cagemap.files import MASK_SUFFIXES
 from cagemap.files.result.folder import write_result
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.repairs import Repairs
-from cagemap.studio.agreement import map_difference_notes
 from cagemap.studio.downloads import ARCHIVE_NAME, output_content
 from cagemap.studio.finish import MAP_TITLE, SHARED_OPTIONS, Command, FinishOptions, finish_commands, plan_commands
 from cagemap.studio.finish_layout import (
@@ -40,6 +39,7 @@ from cagemap.studio.finish_layout import (
     in_page_words,
     sections,
 )
+from cagemap.studio.finish_map import map_difference_notes
 from cagemap.studio.opening import default_files
 from cagemap.studio.runner import Runner, command_outputs
 from cagemap.studio.scene import Scene

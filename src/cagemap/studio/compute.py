@@ -26,13 +26,12 @@ from cagemap.pipeline import (
 )
 from cagemap.studio.landmark_files import to_landmarks
 from cagemap.studio.landmarks import LandmarkList, SideNames
-from cagemap.studio.models import OpenedModel, converted_model, open_model, with_texture
+from cagemap.studio.models import OpenedModel, converted_model, open_model, textured, with_texture
 from cagemap.studio.poses import animated_character, animation_poses, pose_shapes
 from cagemap.studio.scene import Scene
 from cagemap.studio.shape import refined_shape
 from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_skin
 from cagemap.studio.state import MapState, number_duplicates
-from cagemap.studio.textures import textured
 from cagemap.studio.worker import logged_warnings, without_folders
 from cagemap.subdivision import refine
 from cagemap.tasks.match import ComputedMatch

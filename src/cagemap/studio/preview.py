@@ -179,7 +179,8 @@ class Preview:
             case "models":
                 return OpenModels(pair_files)
             case "map":
-                return FindMap(pair_files, landmarks, *arguments, chosen_answer=chosen_answer)
+                (fresh,) = arguments
+                return FindMap(pair_files, landmarks, fresh, chosen_answer=chosen_answer)
             case "answer":
                 return FindMap(pair_files, landmarks, False, *arguments)
             case "pose":

@@ -11,12 +11,12 @@ from pathlib import Path
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
-from cagemap.studio.agreement import map_difference_notes
 from cagemap.studio.autosave import autosave_path, move_aside, read_autosave_parts
 from cagemap.studio.compute import FindMap, MapUpdate, OpenedPair, OpenModels, ShowBaked, ShowPosed, Task
 from cagemap.studio.finish import Command, FinishOptions, made_of, plan_commands
 from cagemap.studio.finish_defaults import with_defaults
 from cagemap.studio.finish_layout import explain_flags, in_page_words
+from cagemap.studio.finish_map import WrittenMap, map_difference_notes
 from cagemap.studio.landmark_edits import LandmarkEdits
 from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, load_landmarks, save_landmarks
 from cagemap.studio.landmarks import History, LandmarkList, Side, SideNames
@@ -41,7 +41,6 @@ from cagemap.studio.state import (
 )
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.studio.workspace import Workspace
-from cagemap.studio.written_map import WrittenMap
 from cagemap.tasks.match import ComputedMatch
 from cagemap.tasks.requests.catalogue import Options
 
