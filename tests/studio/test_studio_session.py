@@ -219,7 +219,7 @@ def test_a_fault_of_ours_is_a_message_and_the_next_click_works(
 
     revision = opened.state.map.revision
     with monkeypatch.context() as patch:
-        for module in ("session", "landmark_edits"):
+        for module in ("preview_results", "landmark_edits"):
             patch.setattr(f"cagemap.studio.{module}.propose_place", broken)
         click(opened, "target", 2)  # here, and where the answer of the computation is taken in
         opened.match_again()

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import logging
 import threading
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,42 +10,32 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, move_aside, read_autosave_parts
-from cagemap.studio.compute import FindMap, MapUpdate, OpenedPair, OpenModels, ShowBaked, ShowPosed, Task
 from cagemap.studio.finish import Command, FinishOptions, made_of, plan_commands
 from cagemap.studio.finish_defaults import with_defaults
 from cagemap.studio.finish_layout import explain_flags, in_page_words
 from cagemap.studio.finish_map import WrittenMap, map_difference_notes
-from cagemap.studio.landmark_edits import LandmarkEdits
-from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, load_landmarks, save_landmarks
-from cagemap.studio.landmarks import History, LandmarkList, Side, SideNames
-from cagemap.studio.opening import result_folder, with_parts
-from cagemap.studio.preview import OPENING_TITLE, Preview
+from cagemap.studio.landmark_files import load_landmarks, save_landmarks
+from cagemap.studio.landmarks import Side
+from cagemap.studio.opening import result_folder
+from cagemap.studio.preview_results import PreviewResults
 from cagemap.studio.runner import DONE_TEXT, Runner
-from cagemap.studio.scene import probe_map, propose_place
+from cagemap.studio.scene import probe_map
 from cagemap.studio.shape import pick
-from cagemap.studio.skins import PreviewMap
 from cagemap.studio.state import (
-    INITIAL_FIELDS,
     Files,
     Message,
     Output,
-    RunningJob,
-    View,
     baked_images,
     baked_view,
     layout_mesh,
     map_view,
     update_view,
 )
-from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.studio.workspace import Workspace
-from cagemap.tasks.match import ComputedMatch
 from cagemap.tasks.requests.catalogue import Options
 
-log = logging.getLogger(__name__)
 
-
-class Session(LandmarkEdits):
+class Session(PreviewResults):
     """State and actions of a running studio; may be called from any thread.
 
     Parameters
@@ -60,25 +48,15 @@ class Session(LandmarkEdits):
     """
 
     def __init__(self, workspace: Workspace, vertices: int, options: Options) -> None:
-        super().__init__()
+        super().__init__(vertices, workspace.folders[0])
         self.workspace, self.vertices, self.options = workspace, vertices, options
-        self._cancelled = False
         self._upload_lock = threading.Lock()
         self._added_names: dict[str, str] = {}
-        self._requested_parts: SideNames = (None, None)
         self._finish_inputs: tuple[object, ...] = ()
         self._earlier_outputs: tuple[Output, ...] = ()  # of earlier finishes, until the last one replaces them
         self._has_new_map = False  # whether the last finish computes a map
         self._written_map = WrittenMap()
-        self._computed: ComputedMatch | None = None
         self._runner = Runner(lambda job: self._change(finish_job=job), self._on_output, self._on_message, self._on_end)
-        self._preview = Preview(
-            vertices,
-            workspace.folders[0],
-            self._preview_inputs,
-            lambda job: self._change(preview_job=job),
-            self._receive,
-        )
 
     # Files
 
@@ -152,17 +130,6 @@ class Session(LandmarkEdits):
             scene = self._scene
             hit = None if scene is None else pick(scene.shape(side), origin, direction)
             self._change(probe=None if scene is None or hit is None else probe_map(scene, side, hit))
-
-    def show(self, view: View) -> None:
-        """Set the view."""
-        with self._lock:
-            before = self._state.view
-            is_same_drawing = (view.pose, view.baked) == (before.pose, before.baked)
-            self._change(view=view, probe=self._state.probe if is_same_drawing else None)
-            if view.pose != before.pose and self._scene is not None:
-                self._preview.show_posed(view.pose)
-            if view.baked is not None and view.baked != before.baked and self._scene is not None:
-                self._preview.show_baked(view.baked, layout_mesh(self._state, view.baked), self._state.uv_set)
 
     def change_view(self, **fields: object) -> None:
         """Change fields of the view; mode "baked" shows the last baked image by default."""
@@ -246,14 +213,6 @@ class Session(LandmarkEdits):
 
     # Private
 
-    def _open_pair(self, files: Files, requested_parts: SideNames) -> None:
-        """Open models; if that fails, `_apply_result` tries again with the requested parts."""
-        with self._lock:
-            self._scene, self._computed, self._requested_parts = None, None, requested_parts
-            job = RunningJob(OPENING_TITLE)
-            self._change(files=files, view=map_view(self._state.view), preview_job=job, **INITIAL_FIELDS)
-            self._preview.open(files)
-
     def _save(self, path: Path | None = None) -> None:
         files, scene = self._require_open()
         target = files.landmarks if path is None else self.workspace.resolve(path)
@@ -300,99 +259,3 @@ class Session(LandmarkEdits):
             self._say_all(differences, "error")  # last: the status line shows it
             if self._state.baked_images and self._finish_inputs != self._state.map_inputs:
                 self._say("note", "the baked images show the map before the last changes; press Bake for the new map")
-
-    def _preview_inputs(self) -> tuple[LandmarkList, PreviewMap | None, int]:
-        state, scene = self._state, self._scene
-        return state.history.present, None if scene is None else scene.preview_map, state.map.chosen_answer
-
-    def _receive(self, task: Task, result: object) -> None:
-        is_unchecked = isinstance(result, MapUpdate) and result.map_state.unchecked
-        with self._lock:
-            with self.report_errors():
-                self._apply_result(task, result, is_unchecked=is_unchecked)
-            # Under the lock: nobody cancels a finished task. After the result: no page shows the old map as finished.
-            if not is_unchecked:
-                self._change(preview_job=None)
-
-    def _apply_result(self, task: Task, result: object, *, is_unchecked: bool) -> None:
-        cancelled, self._cancelled = self._cancelled, self._cancelled and is_unchecked
-        if task.pair_files != self._preview.pair_files or (is_unchecked and cancelled):  # other models are open by now
-            return
-        files, ups = self._state.files, task.pair_files.ups
-        if files is not None and self._scene is not None and files.ups != ups and not isinstance(result, Failure):
-            self._scene = self._scene.turned(ups)
-            self._change(files=replace(files, ups=ups))
-        if isinstance(result, Failure) and self._state.map.unchecked:  # the map shown will not be checked
-            self._change(map=self._state.map.without_findings())
-        match result:
-            case Failure() if result.kind == CANCELLED_KIND:  # the same models were opened again
-                pass
-            case Failure() if cancelled and result.kind == STOPPED_KIND:
-                has_checked_map = self._state.map.revision and not self._state.map.unchecked
-                self._say("note", "cancelled" + ("; the map stays as it was" if has_checked_map else ""))
-            case Failure():
-                self._say_all(result.notes)
-                is_ours = result.kind.isidentifier()  # the text of an internal error names its class
-                self._say("error", result.message if is_ours else f"{result.kind}: {result.message}")
-                if isinstance(task, OpenModels) and files is not None and files.parts != self._requested_parts:
-                    # The parts of the autosave do not exist any more.
-                    self._open_pair(replace(files, parts=self._requested_parts), self._requested_parts)
-            case OpenedPair():
-                self._apply_models(result)
-            case MapUpdate() if self._scene is None:  # the same models are being opened again
-                pass
-            case MapUpdate() if self._scene is not None and isinstance(task, FindMap):
-                before, (target, source) = self._scene, result.skins
-                scene = replace(before, preview_map=result.preview_map, skins=(target, source or before.skins[1]))
-                if not result.map_state.unchecked:
-                    scene = replace(scene, source=scene.aligned_source)
-                self._scene = scene
-                self._computed = result.computed
-                if before.preview_map is None or scene.source is not before.source:
-                    scene.warm_up()  # not earlier: the page loads the models first
-                shown, job = self._state.map, self._state.preview_job
-                seconds = 0.0 if job is None else time.monotonic() - job.begun
-                map_state = result.map_state.rename_landmarks(task.landmarks, self._state.history.present)
-                map_state = map_state.following(shown, seconds)
-                proposal = propose_place(scene, self._state.history.present)
-                self._change(map=map_state, proposal=proposal, probe=None)
-            case bytes() if self._scene is not None and isinstance(task, ShowBaked):
-                if task.image == self._state.view.baked:
-                    self._scene = replace(self._scene, skins=(result, self._scene.skins[1]))
-                    self._change()
-            case (bytes() as target, bytes() as source) if self._scene is not None and isinstance(task, ShowPosed):
-                if task.pose == self._state.view.pose:
-                    self._scene = replace(self._scene, skins=(target, source))
-                    self._change()
-            case _:
-                log.warning("unexpected result %r of %r", type(result), type(task))
-
-    def _apply_models(self, opened: OpenedPair) -> None:
-        """Show opened models, and record how they were opened for the finish."""
-        target, source = opened.target, opened.source
-        self._scene = opened.scene
-        if self._state.files is not None:
-            files = with_parts(self._state.files, (target.part_choices.opened, source.part_choices.opened))
-            schemes, welds = (target.scheme, source.scheme), (target.weld, source.weld)
-            files = replace(files, target=target.path or files.target, source=source.path or files.source)
-            self._change(files=replace(files, schemes=schemes, welds=welds, texture=source.texture))
-        self._say_all(tuple(map(in_page_words, target.notes + source.notes)))
-        self._load_initial_landmarks()
-
-    def _load_initial_landmarks(self) -> None:
-        """Load unsaved landmarks, or else those of the file, and request the map."""
-        files, scene = self._require_open()
-        for read, saved in INITIAL_LANDMARK_READERS:
-            with self.report_errors():
-                loaded = read(files, scene, self._tracker)
-                if loaded is not None:
-                    landmarks, notes = loaded
-                    self._change(history=History(landmarks), saved=saved)
-                    self._say_all(notes)
-                    break
-        self._request_map(fresh=True)
-
-    def _request_map(self, *, fresh: bool) -> None:
-        if self._scene is not None:
-            self.show(map_view(self._state.view))  # a baked image shows an earlier map
-            self._preview.find(fresh=fresh)
