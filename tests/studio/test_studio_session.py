@@ -16,9 +16,10 @@ import pytest
 from examples.shapes import cube
 
 from cagemap.errors import ParameterError
+from cagemap.files.images.image import write_image
 from cagemap.files.result.manifest import note_transfer
 from cagemap.pictures import Z_UP
-from cagemap.studio.compute import FindMap, MapUpdate, OpenModels, ShowPosed, Task
+from cagemap.studio.compute import FindMap, MapUpdate, OpenModels, ShowImage, ShowPosed, Task
 from cagemap.studio.finish import Command, FinishOptions
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.places import vertex_place
@@ -593,3 +594,30 @@ def test_a_probe_ends_with_the_map_and_the_landmarks_that_it_was_made_of(opened:
     probe()
     opened.show(replace(opened.state.view, pose="nod"))
     assert opened.state.probe is None
+
+
+def test_another_image_of_the_open_models_is_drawn_and_nothing_else_changes(
+    opened: Session, boxes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_image(boxes / "other.png", np.full((8, 8, 3), 10, dtype=np.uint8))
+    (boxes / "broken.png").write_bytes(b"no image")
+    opened._change(outputs=(Output(boxes / "a.png", "texture"),))
+    click(opened, "target", 2)
+    before, skins, first = opened.state, opened.scene.skins, opened.state.files
+    tasks = list[Task]()
+    run = opened._preview._worker.run
+    monkeypatch.setattr(opened._preview._worker, "run", lambda task: tasks.append(task) or run(task))
+    opened.open(replace(first, texture=boxes / "other.png"))
+    until(lambda: opened.state.files.texture == boxes.resolve() / "other.png" and at_rest(opened), opened)
+    assert replace(opened.state, files=first) == before
+    assert opened.scene.skins[1] != skins[1]
+    assert {type(task) for task in tasks} == {ShowImage}
+    opened.open(replace(opened.state.files, texture=boxes / "broken.png"))
+    until(lambda: opened.state.messages and at_rest(opened), opened)
+    assert "broken.png" in opened.state.messages[-1].text
+    assert opened.state.files.texture == boxes.resolve() / "other.png"
+    opened.open(replace(opened.state.files, texture=first.texture))
+    until(lambda: opened.state.files == first and at_rest(opened), opened)
+    assert opened.scene.skins == skins
+    for name in ("other.png", "broken.png"):
+        (boxes / name).unlink()

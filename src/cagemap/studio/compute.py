@@ -1,10 +1,9 @@
-"""Tasks of the preview, run in the worker's process: open, map, show a baked image."""
+"""Runs tasks of the preview, in the worker's process: open, map, show an image."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -25,10 +24,21 @@ from cagemap.pipeline import (
     update_match,
 )
 from cagemap.studio.landmark_files import to_landmarks
-from cagemap.studio.landmarks import LandmarkList, SideNames
 from cagemap.studio.models import OpenedModel, converted_model, open_model, textured, with_texture
 from cagemap.studio.poses import animated_character, animation_poses, pose_shapes
-from cagemap.studio.scene import Scene
+from cagemap.studio.preview_tasks import (
+    FindMap,
+    ImageUpdate,
+    MapUpdate,
+    OpenedPair,
+    OpenModels,
+    PairFiles,
+    ShowBaked,
+    ShowImage,
+    ShowPosed,
+    Task,
+    TaskResult,
+)
 from cagemap.studio.shape import refined_shape
 from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_skin
 from cagemap.studio.state import MapState, number_duplicates
@@ -37,133 +47,6 @@ from cagemap.subdivision import refine
 from cagemap.tasks.match import ComputedMatch
 
 Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class PairFiles:
-    """Files of the open pair, and how the preview opens them.
-
-    Attributes
-    ----------
-    target, source : Path
-    texture : Path or None
-    vertices : int
-        Approximate number of vertices of each previewed surface.
-    folder : Path
-        Receives FBX models as GLB, and an image that is inside the source's file.
-    schemes, ups, parts : (str or None, str or None)
-        See `cagemap.studio.state.Files`.
-    """
-
-    target: Path
-    source: Path
-    texture: Path | None
-    vertices: int
-    folder: Path
-    schemes: SideNames = (None, None)
-    ups: SideNames = (None, None)
-    parts: SideNames = (None, None)
-
-
-@dataclass(frozen=True)
-class OpenModels:
-    """Open both models."""
-
-    pair_files: PairFiles
-
-
-@dataclass(frozen=True)
-class FindMap:
-    """Compute the map.
-
-    Attributes
-    ----------
-    pair_files : PairFiles
-    landmarks : LandmarkList
-    fresh : bool
-        Match from the start in place of an update of the last map. A chosen answer is kept where there are fewer than
-        three landmarks.
-    answer : int or None
-        Choose one of the alignments that are found without landmarks.
-    chosen_answer : int
-        The one chosen before, for a process without a map.
-    """
-
-    pair_files: PairFiles
-    landmarks: LandmarkList
-    fresh: bool = False
-    answer: int | None = None
-    chosen_answer: int = 0
-
-
-@dataclass(frozen=True)
-class ShowBaked:
-    """Draw a baked image on the target, in a UV set of its own (None: the first) or a file's layout."""
-
-    pair_files: PairFiles
-    image: Path
-    layout: Path | None
-    uv_set: str | None
-    preview_map: PreviewMap | None
-
-
-@dataclass(frozen=True)
-class ShowPosed:
-    """Draw both models in a pose of the source's animations; '': unposed."""
-
-    pair_files: PairFiles
-    pose: str
-    preview_map: PreviewMap | None
-
-
-Task = OpenModels | FindMap | ShowBaked | ShowPosed
-
-
-@dataclass(frozen=True, eq=False)
-class OpenedPair:
-    """Result of `OpenModels`."""
-
-    target: OpenedModel
-    source: OpenedModel
-    skins: tuple[bytes, bytes]
-
-    @property
-    def scene(self) -> Scene:
-        """A scene without a map."""
-        target, source = self.target, self.source
-        return Scene(
-            target.shape,
-            source.shape,
-            (target.mirror, source.mirror),
-            self.skins,
-            part_choices=(target.part_choices, source.part_choices),
-            dense=(target.dense, source.dense),
-            has_colors=source.look.colors is not None,
-        )
-
-
-@dataclass(frozen=True)
-class MapUpdate:
-    """Result of `FindMap`.
-
-    Attributes
-    ----------
-    preview_map : PreviewMap
-    skins : (bytes, bytes or None)
-        Target and source as drawn with the map; None: the source as before.
-    map_state : MapState
-        Without the revision.
-    computed : ComputedMatch or None
-        The map as a match from the start; None after an update.
-    """
-
-    preview_map: PreviewMap
-    skins: tuple[bytes, bytes | None]
-    map_state: MapState
-    computed: ComputedMatch | None = None
-
-
-TaskResult = OpenedPair | MapUpdate | bytes | tuple[bytes, bytes]
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,12 +96,15 @@ def run_task(
     CagemapError
         If files or landmarks are wrong.
     """
-    files = task.pair_files
-    if cache is None or isinstance(task, OpenModels) or replace(cache.pair_files, ups=files.ups) != files:
+    files, notes = task.pair_files, tuple[str, ...]()
+    is_open = cache is not None and replace(cache.pair_files, ups=files.ups, texture=files.texture) == files
+    if cache is None or isinstance(task, OpenModels) or not is_open:
         cache = PreviewCache(files, *open_models(files, progress))
     elif cache.pair_files != files:
         sides = zip((cache.target, cache.source), files.ups, strict=True)
         target, source = (replace(model, shape=model.shape.with_up(up)) for model, up in sides)
+        if cache.pair_files.texture != files.texture:
+            source, notes = _with_image(source, files, progress)
         cache = replace(cache, pair_files=files, target=target, source=source)
     match task:
         case OpenModels():
@@ -227,6 +113,9 @@ def run_task(
             return find_map(cache, task, progress, show)
         case ShowBaked():
             return cache, _baked_skin(cache, task)
+        case ShowImage():
+            skins = _posed_skins(cache, ShowPosed(files, "", task.preview_map))
+            return cache, ImageUpdate(skins, cache.source.texture, notes)
         case ShowPosed():
             return cache, _posed_skins(cache, task)
 
@@ -250,6 +139,18 @@ def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, Open
                 error.add_note(text)
             raise
     return target, replace(source, notes=(*source.notes, *without_folders(logged, folders)))
+
+
+def _with_image(source: OpenedModel, files: PairFiles, progress: Progress) -> tuple[OpenedModel, tuple[str, ...]]:
+    """The source with the image of ``files`` in place of its own, and what was logged about it."""
+    assert source.path is not None
+    refined = refined_shape(refine(source.control, source.level))  # several images in the file have a layout of theirs
+    shape = replace(source.shape, uvs=refined.uvs, uv_triangles=refined.uv_triangles)
+    look = replace(source.look, texture=None, jpeg=None, tiles=(1, 1))
+    image = files.texture or source.path
+    with logged_warnings() as logged:
+        source = textured(replace(source, shape=shape, look=look, texture=None), image, files.folder, progress)
+    return source, without_folders(logged, {files.folder, image.parent})
 
 
 def find_map(

@@ -9,20 +9,26 @@ from pathlib import Path
 from typing import Any
 
 from cagemap.numerics.products import is_compiled
-from cagemap.studio.compute import FindMap, OpenModels, PairFiles, ShowBaked, ShowPosed, Task
 from cagemap.studio.landmarks import LandmarkList, Side
+from cagemap.studio.preview_tasks import FindMap, OpenModels, PairFiles, ShowBaked, ShowImage, ShowPosed, Task
 from cagemap.studio.skins import PreviewMap
 from cagemap.studio.state import Files, RunningJob
 from cagemap.studio.worker import Worker, serve_preview
 
 # Titles of computations on the page.
 OPENING_TITLE, MATCHING_TITLE, BAKED_TITLE = "Opening the models", "Matching", "Showing the baked image"
-POSE_TITLE = "Showing a pose"
-_TITLES = {OpenModels: OPENING_TITLE, FindMap: MATCHING_TITLE, ShowBaked: BAKED_TITLE, ShowPosed: POSE_TITLE}
+IMAGE_TITLE, POSE_TITLE = "Showing the image", "Showing a pose"
+_TITLES = {
+    OpenModels: OPENING_TITLE,
+    FindMap: MATCHING_TITLE,
+    ShowBaked: BAKED_TITLE,
+    ShowImage: IMAGE_TITLE,
+    ShowPosed: POSE_TITLE,
+}
 # Follows the titles until a first map has compiled all functions.
 _COMPILE_NOTE = " (about a minute longer the first time after installing)"
 # Kinds of requests, in the order in which they are computed.
-_KINDS = ("models", "pose", "map", "answer", "baked")
+_KINDS = ("models", "image", "pose", "map", "answer", "baked")
 
 
 class Preview:
@@ -93,6 +99,20 @@ class Preview:
                 self._worker.cancel(self._task)
             self._request("pose", pose)
 
+    def show_image(self, image: Path | None) -> None:
+        """Draw the open models with another image of the source; a running map is computed again."""
+        with self._condition:
+            self.set_image(image)
+            if isinstance(self._task, FindMap):
+                self._worker.cancel(self._task)
+            self._request("image")
+
+    def set_image(self, image: Path | None) -> None:
+        """Use an image of the source from the next task on."""
+        with self._condition:
+            assert self._pair_files is not None
+            self._pair_files = replace(self._pair_files, texture=image)
+
     def find(self, *, fresh: bool) -> None:
         """Compute the map, by an update if there is one and ``fresh`` is not set."""
         with self._condition:
@@ -156,11 +176,12 @@ class Preview:
             self._running_kind = ""
 
     def _repeat_turned(self, task: Task) -> None:
-        """Request a map again if the models were turned meanwhile: its drawings are of the view before."""
+        """Request a map again if the models were turned or got another image: its drawings are of those before."""
         with self._condition:
             files = self._pair_files
             assert files is not None
-            if isinstance(task, FindMap) and task.pair_files != files == replace(task.pair_files, ups=files.ups):
+            drawn_files = replace(task.pair_files, ups=files.ups, texture=files.texture)
+            if isinstance(task, FindMap) and task.pair_files != files == drawn_files:
                 kind, argument = ("map", task.fresh) if task.answer is None else ("answer", task.answer)
                 self._requests.setdefault(kind, (argument,))
 
@@ -183,6 +204,8 @@ class Preview:
                 return FindMap(pair_files, landmarks, fresh, chosen_answer=chosen_answer)
             case "answer":
                 return FindMap(pair_files, landmarks, False, *arguments)
+            case "image":
+                return ShowImage(pair_files, preview_map)
             case "pose":
                 (pose,) = arguments
                 return ShowPosed(pair_files, pose, preview_map)

@@ -7,13 +7,23 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from cagemap.studio.compute import FindMap, MapUpdate, OpenedPair, OpenModels, ShowBaked, ShowPosed, Task
 from cagemap.studio.finish_layout import in_page_words
 from cagemap.studio.landmark_edits import LandmarkEdits
 from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS
 from cagemap.studio.landmarks import History, LandmarkList, SideNames
 from cagemap.studio.opening import with_parts
 from cagemap.studio.preview import OPENING_TITLE, Preview
+from cagemap.studio.preview_tasks import (
+    FindMap,
+    ImageUpdate,
+    MapUpdate,
+    OpenedPair,
+    OpenModels,
+    ShowBaked,
+    ShowImage,
+    ShowPosed,
+    Task,
+)
 from cagemap.studio.scene import Scene, propose_place
 from cagemap.studio.skins import PreviewMap
 from cagemap.studio.state import INITIAL_FIELDS, Files, RunningJob, View, layout_mesh, map_view
@@ -91,6 +101,11 @@ class PreviewResults(LandmarkEdits):
             return
         elif isinstance(result, MapUpdate) and isinstance(task, FindMap):
             self._apply_map(self._scene, task, result)
+        elif isinstance(result, ImageUpdate):
+            self._show_skins(result.skins)
+            if files is not None:
+                self._change(files=replace(files, ups=ups, texture=result.texture))
+            self._say_all(map(in_page_words, result.notes))
         elif isinstance(result, bytes) and isinstance(task, ShowBaked):
             if task.image == self._state.view.baked:
                 self._show_skins((result, self._scene.skins[1]))
@@ -104,6 +119,8 @@ class PreviewResults(LandmarkEdits):
         """Say why a task failed; open the requested parts if those of the autosave do not exist any more."""
         if self._state.map.unchecked:  # the map shown will not be checked
             self._change(map=self._state.map.without_findings())
+        if isinstance(task, ShowImage) and self._state.files is not None:
+            self._preview.set_image(self._state.files.texture)
         if failure.kind == CANCELLED_KIND:  # the same models were opened again
             return
         if cancelled and failure.kind == STOPPED_KIND:

@@ -63,10 +63,15 @@ class Session(PreviewResults):
     def open(self, files: Files) -> None:
         """Open two models with their unsaved landmarks, or else those of their file.
 
-        Parts that are not named are those of the autosave.
+        Parts that are not named are those of the autosave. Another image of the open models is only drawn.
         """
-        with self.report_errors():
-            files = self.workspace.resolve_paths(files)
+        with self.report_errors(), self._lock:
+            files, opened = self.workspace.resolve_paths(files), self._state.files
+            if opened is not None and self._scene is not None and files.texture != opened.texture:
+                if replace(files, texture=opened.texture) == opened:
+                    self.show(map_view(self._state.view))
+                    self._preview.show_image(files.texture)
+                    return
             (target, source), autosaved = files.parts, read_autosave_parts(autosave_path(files.landmarks))
             self._open_pair(replace(files, parts=(target or autosaved[0], source or autosaved[1])), files.parts)
 

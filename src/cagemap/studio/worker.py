@@ -204,7 +204,8 @@ class Worker:
 
 def serve_preview(connection: Connection) -> None:
     """Loop of the preview's process: receives tasks, sends stages and results."""
-    from cagemap.studio.compute import OpenModels, run_task
+    from cagemap.studio.compute import run_task
+    from cagemap.studio.preview_tasks import OpenModels
 
     cache = None
 
