@@ -145,6 +145,7 @@ def main() -> None:
     arguments = parser.parse_args()
     if not DATA.is_dir():
         parser.error("the meshes are not beside this checkout (../shared/data)")
+    arguments.output.mkdir(parents=True, exist_ok=True)
     place = arguments.output / "posed.json"
     rows = json.loads(place.read_text()) if place.is_file() else []
     bodies = Bodies(arguments.vertices)

@@ -13,7 +13,7 @@ from benchmarks.public.sets import Marks, PublicSet, more_landmarks
 from benchmarks.verdicts import verdict
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.maps.geodesic import BATCH, HeatDistances
-from cagemap.maps.places import locate
+from cagemap.maps.pair import locate
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.plain import plain_mesh

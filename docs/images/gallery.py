@@ -16,7 +16,7 @@ import numpy as np
 from tutorial import draw, draw_wired, model_of, save, screenshot, textured
 
 from cagemap.files.result.folder import read_result
-from cagemap.maps.places import locate
+from cagemap.maps.pair import locate
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray

@@ -16,7 +16,7 @@ import numpy as np
 from cagemap.files.images.image import Pixels, read_image, write_image
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.folder import read_result
-from cagemap.maps.places import locate
+from cagemap.maps.pair import locate
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.numerics.arrays import FloatArray

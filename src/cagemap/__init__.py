@@ -40,7 +40,9 @@ if TYPE_CHECKING:
     from cagemap.maps.regions import region_figures as region_figures
     from cagemap.maps.result import MatchResult as MatchResult
     from cagemap.match_config import MatchConfig as MatchConfig
+    from cagemap.mesh import CatmullClark as CatmullClark
     from cagemap.mesh import ControlMesh as ControlMesh
+    from cagemap.mesh import Loop as Loop
     from cagemap.mesh import Plain as Plain
     from cagemap.mesh.checks import check_mesh as check_mesh
     from cagemap.mesh.landmarks import Landmarks as Landmarks
@@ -66,8 +68,6 @@ if TYPE_CHECKING:
     from cagemap.spectral import Surface as Surface
     from cagemap.spectral.mesh_eigenpairs import eigenpairs as eigenpairs
     from cagemap.spectral.mesh_eigenpairs import operators_for_diffusion_net as operators_for_diffusion_net
-    from cagemap.subdivision import CatmullClark as CatmullClark
-    from cagemap.subdivision import Loop as Loop
     from cagemap.subdivision import Refinement as Refinement
     from cagemap.subdivision import refine as refine
     from cagemap.surface.surface_points import SurfacePoints as SurfacePoints
@@ -111,7 +111,7 @@ _PACKAGES = {
     "maps.regions": ("RegionFigures", "region_figures"),
     "maps.result": ("MatchResult",),
     "match_config": ("MatchConfig",),
-    "mesh": ("ControlMesh", "Plain"),
+    "mesh": ("CatmullClark", "ControlMesh", "Loop", "Plain"),
     "mesh.checks": ("check_mesh",),
     "mesh.landmarks": ("Landmarks",),
     "mesh.plain": ("plain_mesh",),
@@ -131,7 +131,7 @@ _PACKAGES = {
         "prepare_surfaces",
         "update_match",
     ),
-    "subdivision": ("CatmullClark", "Loop", "Refinement", "refine"),
+    "subdivision": ("Refinement", "refine"),
     "report": ("write_report",),
     "tasks.carry_arrays": ("carry_shapes", "carry_values", "carry_weights"),
     "transfer": ("BakeOptions", "bake", "bake_displacement", "bake_texture", "prepare_transfer", "transfer_of"),

@@ -354,13 +354,14 @@ def other_answer(
         raise ParameterError(
             f"answer {index}: a result that was read knows it at the control vertices only; match again to have it"
         )
-    problem = Problem.of_landmarks(prepared, landmarks)
+    problem, check = Problem.of_landmarks(prepared, landmarks), before.landmark_check
+    places = answers[index].positions[prepared.vertices]  # answers of a plain target have all its vertices
     timings: dict[str, float] = {}
     with one_blas_thread(), _timed(timings, "map"):
-        point_map = map_of_places(problem, answers[index].positions[prepared.vertices])
-        shared = shared_area(prepared, answers[index].positions)
+        point_map = map_of_places(problem.without(check.left_out), places)
+        shared = shared_area(prepared, places)
     progress("quality")
-    return result_of_fit(problem, point_map, landmarks, before.landmark_check, timings, shared, before.confidence)
+    return result_of_fit(problem, point_map, landmarks, check, timings, shared, before.confidence)
 
 
 @arrays_accepted

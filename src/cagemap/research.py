@@ -27,8 +27,7 @@ from cagemap.maps.functional_maps import (
 )
 from cagemap.maps.functional_maps import functional_map_from as functional_map_of
 from cagemap.maps.hypotheses.search import search_placements
-from cagemap.maps.pair import LevelPair, Pair, SymmetryPair
-from cagemap.maps.places import cage_points_of, choose_points
+from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, cage_points_of, choose_points
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import held_vertices, map_of_places
 from cagemap.maps.projection.project import project as _project

@@ -25,6 +25,8 @@ from benchmarks.public import measure, partial, sets
 from benchmarks.public.__main__ import main
 from benchmarks.public.sets import SETS, more_landmarks
 
+from plain_meshes import renumbered
+
 IDS = (0, 11, 17, 40, 60, 77)
 
 
@@ -33,17 +35,12 @@ def bodies() -> dict[str, ControlMesh]:
     mesh = triangulated(creature())
     x, y, z = mesh.positions.T
     bent = replace(mesh, positions=np.column_stack([x + 0.05 * z**2, y, 1.2 * z]))
-    order = np.random.default_rng(5).permutation(mesh.n_vertices)  # new vertex i is old vertex order[i]
-    place = np.argsort(order)
-    shuffled = replace(bent, positions=bent.positions[order], face_indices=place[bent.face_indices])
-    return {"one": mesh, "two": shuffled}
+    return {"one": mesh, "two": renumbered(bent, 5)[0]}
 
 
 def numbers(name: str, mesh: ControlMesh) -> np.ndarray:
     """Vertex of every template point of a shape."""
-    if name == "one":
-        return np.arange(mesh.n_vertices)
-    return np.argsort(np.random.default_rng(5).permutation(mesh.n_vertices))
+    return np.arange(mesh.n_vertices) if name == "one" else renumbered(mesh, 5)[1]
 
 
 @pytest.fixture
@@ -142,37 +139,6 @@ def test_faust_is_known_by_the_order_of_its_vertices(tmp_path: Path) -> None:
     assert marks.ids.tolist() == marks.points.corners[:, 0].tolist() == list(range(6890))
     with pytest.raises(sets.SetError, match="expected 6890 vertices or more, got 9"):
         public.marks(tmp_path, "tr_reg_099", grid(2, 2))
-
-
-def test_the_landmarks_are_those_that_others_published() -> None:
-    """FAUST_r from 1 (Panine et al. 2022), the others from 0 (Riva et al. 2026)."""
-    given = {name: next(iter(one.landmarks.values())) for name, one in SETS.items()}
-    assert given.pop("pfaust") == given["faust_r"]
-    assert [number + 1 for number in given.pop("faust_r")] == [2026, 3560, 2, 4489, 1971, 3406, 388]
-    assert given == {
-        "faust": (412, 5891, 6593, 3323, 2119),
-        "smal_r": (3162, 1931, 3731, 1399, 1111, 1001),
-        "shrec20": (9, 19, 48, 41, 16, 32),
-        "shrec19": (),
-        "tosca": (),
-    }
-
-
-def test_a_shape_of_two_sizes_is_refused_and_copies_are_not(faust_r: Path) -> None:
-    public = sets.SETS["faust_r"]
-    (faust_r / "vtx_8k").mkdir()
-    copy = faust_r / "vtx_8k" / "tr_reg_080.off"
-    write_mesh(copy, bodies()["one"])
-    assert len(public.pairs(faust_r, None)) == 2
-    write_mesh(copy, grid(3, 3), force=True)
-    with pytest.raises(sets.SetError, match="got several in vtx_5k, vtx_8k"):
-        public.pairs(faust_r, None)
-
-
-def test_of_several_formats_of_a_shape_the_obj_file_counts(shrec: Path) -> None:
-    for ending in ("off", "ply"):
-        write_mesh(shrec / "models" / f"one.{ending}", grid(3, 3))
-    assert {path.suffix for path in sets.SETS["shrec20"].shapes(shrec).values()} == {".obj"}
 
 
 @pytest.fixture
@@ -298,15 +264,3 @@ def test_a_broken_shape_costs_its_own_pairs_and_is_tried_again(faust_r: Path, tm
     rows = run("faust_r", faust_r, tmp_path / "out")
     assert len(rows) == 2
     assert "Not measured" not in (tmp_path / "out" / "public.md").read_text()
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("quick")
-def test_rows_of_other_sizes_are_not_taken_for_measured(faust_r: Path, tmp_path: Path) -> None:
-    one = ("--pairs", "1", "--points")
-    sizes = [len(run("faust_r", faust_r, tmp_path / "out", *one, points)) for points in ("20", "20", "30")]
-    assert sizes == [1, 1, 2]
-    (tmp_path / "out" / "public.json").write_text("[{]")
-    with pytest.raises(SystemExit) as ended:
-        main(["faust_r", str(faust_r), "--output", str(tmp_path / "out")])
-    assert ended.value.code == 2

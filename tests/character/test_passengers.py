@@ -11,7 +11,7 @@ from examples.shapes import cube, icosahedron, torus
 from scipy.spatial.transform import Rotation
 
 from cagemap.character.body_frames import BodyFrames, FrameConfig
-from cagemap.character.passengers import carry_passenger, carry_passengers
+from cagemap.character.passengers import carry_passenger, carry_passengers, unit_factor
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
@@ -79,16 +79,6 @@ def all_of(body: ControlMesh, ball: ControlMesh) -> list[ControlMesh]:
         strip,
         replace(moved(cube(), (9, 9, 9)), name="prop"),
     ]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_identity_changes_nothing(body: ControlMesh, ball: ControlMesh, kind: str | None) -> None:
-    same = surface(body.positions, cage_triangles(body)[0])
-    point_map = PointMap.from_vertices(same, same, np.arange(same.n))
-    for mesh in all_of(body, ball):
-        carried = carry_passenger(point_map, mesh, kind=kind)
-        np.testing.assert_allclose(carried.positions, mesh.positions, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(carried.matrices, np.tile(np.eye(3), (mesh.n_vertices, 1, 1)), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -164,10 +154,8 @@ def test_small_round_things_stay_round_and_cloth_does_not(body: ControlMesh, bal
 def test_rigid_keeps_the_size_of_the_whole_body(body: ControlMesh, ball: ControlMesh) -> None:
     point_map = swollen(body)
     places = carry_passenger(point_map, moved(ball, (2.2, 0.8, 0.0)), kind="rigid").positions
-    size = np.linalg.norm(np.ptp(places, axis=0)) / np.linalg.norm(np.ptp(ball.positions, axis=0))
     radii = [np.linalg.norm(at - at.mean(axis=0), axis=1) for at in (places, ball.positions)]
     np.testing.assert_allclose(radii[0], radii[1] * point_map.source.scale / point_map.target.scale, rtol=1e-9)
-    assert size > 0
 
 
 def test_pieces_of_one_mesh_move_on_their_own_and_concentric_ones_together(
@@ -205,7 +193,7 @@ def test_clothes_in_another_unit_are_recognised(factor: float, expected: float, 
     """Clothes a hundred times too small lie near the origin, which is not far from the body."""
     cloth = dressed(body)
     worn = cloth.with_positions(factor * cloth.positions)
-    assert carry_passenger(swollen(body), worn).unit_factor == pytest.approx(expected)
+    assert unit_factor(swollen(body).source, worn.positions) == pytest.approx(expected)
 
 
 def test_what_is_no_passenger_is_refused_by_name(body: ControlMesh) -> None:

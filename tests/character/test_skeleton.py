@@ -36,19 +36,11 @@ def stooping(rig: Rig) -> Rig:
 
 
 @pytest.mark.parametrize("rig", [person(), person(one_frame=True), stooping(person())])
-def test_identity_gives_the_same_rig_back(rig: Rig) -> None:
-    carried = carry_rig(body_moved(*STILL), rig)
-    assert carried.names == rig.names
-    np.testing.assert_array_equal(carried.parents, rig.parents)
-    np.testing.assert_allclose(carried.bind, rig.bind, rtol=0, atol=1e-9)
-    scale = np.abs(rig.local).max()
-    np.testing.assert_allclose(carried.local / scale, rig.local / scale, rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("rig", [person(), person(one_frame=True), stooping(person())])
 @pytest.mark.parametrize("cubic", [False, True])
 def test_rig_and_poses_move_with_the_body(rig: Rig, cubic: bool) -> None:
     carried = carry_rig(body_moved(*MOVED), rig)
+    assert carried.names == rig.names
+    np.testing.assert_array_equal(carried.parents, rig.parents)
     np.testing.assert_allclose(carried.bind, moved(rig.bind, *MOVED), rtol=0, atol=1e-8)
     np.testing.assert_allclose(
         world_transforms(carried.local, carried.parents),

@@ -115,49 +115,6 @@ def test_refined_uvs_and_materials_come_along(run: Run, tmp_path: Path) -> None:
     assert read_mesh(tmp_path / "same.obj").n_faces == 6
 
 
-BOXES = "match --target box.obj --source box.obj".split()
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["refine", "none.obj", "--level", "1", "-o", "x.obj"], "none.obj"),
-        (["refine", "box.obj", "--level", "1000", "-o", "x.obj"], "Use --level 10 or less"),
-        (["refine", "box.obj", "--level", "1", "-o", "x.stl"], r"ending in .obj, .ply"),
-        (["refine", "box.obj", "--level", "1", "-o", "nowhere/x.obj"], "nowhere"),
-        (["refine", "box.obj", "--level", "-1", "-o", "x.obj"], "--level"),
-        (["match", "--target", "box.obj", "-o", "R"], "--source"),
-        ([*BOXES, *"--method hfm -o R".split()], "at least 3 pairs"),
-        ([*BOXES, *"--landmarks l.json -o R --level 2 --vertices 5".split()], "got both"),
-        ([*BOXES, *"--landmarks l.json -o R --set schedule=10,x".split()], "100,50,50,50"),
-        ([*BOXES, *"--landmarks l.json -o R".split()], "l.json"),
-        ([*BOXES, *"--landmarks l.json -o R --method magic".split()], "hfm"),
-        (["transfer", "R", "--texture", "t.png", "-o", "o.png"], "cagemap match"),
-        (["transfer", "box.obj", "--texture", "t.png", "-o", "o.png"], "found a file"),
-        (["report", "R"], "cagemap match"),
-        (["report", "R", "-o", "r.pdf"], "ending in .html, got '.pdf'"),
-        (["match", "--target", ".", "--source", "box.obj", "-o", "R"], "got a folder"),
-        (["wrap", "box.obj", "box.obj", "-o", "new.obj"], "meshes are given by --target and --source"),
-        (["run", "."], "got a folder"),
-        (["demo", "-o", "box.obj"], "box.obj"),
-        (["demo", "-o", ""], "-o: expected a value, got an empty one"),
-        ([*BOXES, *"--force --output=".split()], "--output: expected a value"),
-        (["demo", "-o", "-"], "nothing is written to standard output"),
-        (["demo", "--output=-"], "--output: expected a name, got '-'"),
-        (["run", "box.obj/inside.toml"], "there is no such file"),
-        (["dance"], "dance"),
-        ("studio --no-browser --folder none".split(), "--folder none: expected a folder, found none. Check the name."),
-        ("studio --no-browser -t a.obj -s b.obj".split(), "a.obj: expected a mesh file, found none. Check the name."),
-    ],
-    ids=lambda words: " ".join(words)[:50] if isinstance(words, list) else "",
-)
-def test_wrong_requests_are_refused_in_words(run: Run, tmp_path: Path, words: list[str], expected: str) -> None:
-    write_mesh(tmp_path / "box.obj", cube())
-    before = sorted(tmp_path.iterdir())
-    run.refused(*words, says=expected)
-    assert sorted(tmp_path.iterdir()) == before
-
-
 SYMMETRIES = ("--set", "target.symmetry=pipe", "--set", "source.symmetry=pipe")
 
 

@@ -116,6 +116,12 @@ def test_options_that_contradict_each_other_are_refused_before_any_task(folder: 
     assert not (folder / "night").exists()
 
 
+def test_workers_of_a_scheduler_are_its_own(folder: Path) -> None:
+    words = ["run", str(folder / "job.toml"), "--scheduler", "tcp://127.0.0.1:9", "--workers", "4"]
+    with pytest.raises(ParameterError, match="--scheduler: expected none of --workers beside it"):
+        CliRunner().invoke(app, words, catch_exceptions=False)
+
+
 def test_a_dry_run_counts_plain_meshes_without_subdivision(folder: Path) -> None:
     job = folder / "job.toml"
     job.write_text(JOB.replace("vertices = 500", 'scheme = "none"\nlevel = 3'))
@@ -189,7 +195,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> list[str]:
             folder = next(place for place in root.parents if place.name == "night")
             (folder / output).parent.mkdir(parents=True, exist_ok=True)
             write_whole(folder / output, "made")
-        return {}
+        return {"notes": [f"a note of {task.kind}"]}
 
     monkeypatch.setattr("cagemap.tasks.run_job.run_task", write)
     return ran
@@ -212,7 +218,8 @@ def test_each_task_by_its_number_is_done_once_and_has_an_exit_code(folder: Path,
     assert "is not done. Run its number first." in output
     assert numbered(folder, "1-3")[0] == 1
     assert len(quick) == 3
-    assert numbered(folder, good)[0] == 0
+    code, output = numbered(folder, good)
+    assert (code, "\n  a note of match" in output) == (0, True)
     assert numbered(folder, NUMBERED["transfer pony -> deer"])[0] == 0
     before = list(quick)
     assert before[3:] == ["match pony -> deer", "picture pony -> deer", "transfer pony -> deer: deer.png"]

@@ -170,7 +170,6 @@ def test_a_source_without_layout_is_named_before_anything_is_written(run: Run, r
 
 
 def test_layouts_that_lie_over_themselves_are_warned_of(run: Run, result_folder: Path) -> None:
-    """Half of the faces in the place of the other half: mirrored halves, or materials with an image each."""
 
     def doubled(surface: cagemap.Surface) -> cagemap.Surface:
         control = surface.control

@@ -94,24 +94,11 @@ def test_functions_of_a_scan_are_in_its_own_order(tmp_path):
 @pytest.mark.parametrize(
     ("output", "options", "said"),
     [
-        ("f.npz", {"kinds": "heat"}, "--kinds: expected some of eigenfunctions"),
-        ("f.obj", {}, "--output: expected a name ending in .npz, .npy, .csv or .ply"),
-        ("f.npy", {"kinds": "eigenfunctions,heat-signatures"}, "expected one kind for .npy, got 2"),
-        ("f.npz", {"kinds": "heat-kernels"}, "--points: expected control vertices from 0 to 153"),
-        ("f.npz", {"kinds": "wave-kernels", "points": "0,999"}, "--points: expected control vertices"),
-        ("f.npz", {"column": 3}, r"--column: expected a \.ply"),
         ("f.ply", {"column": 40, "k": 12}, "--column: expected a function from 0 to 11, got 40"),
         ("f.npz", {"at": 3}, "--at: expected a level from 0 to 1, got 3"),
-        ("f.npz", {"literal": True}, "--literal: expected a --schedule"),
-        ("f.npz", {"laplacian": "x"}, "--laplacian: expected mean"),
     ],
 )
-def test_wrong_requests_are_refused(mesh, tmp_path, output, options, said):
+def test_wrong_requests_are_refused_before_the_eigensolver(mesh, tmp_path, monkeypatch, output, options, said):
+    monkeypatch.setattr("cagemap.tasks.functions.prepare_surface", lambda *given, **more: pytest.fail("was solved"))
     with pytest.raises(ParameterError, match=said):
         run(mesh, tmp_path / output, level=1, **options)
-
-
-@pytest.mark.parametrize("option", [{"heat": 3}, {"wave": 3}, {"points": "0,7"}])
-def test_an_option_of_functions_that_are_not_written_is_refused(mesh, tmp_path, option):
-    with pytest.raises(ParameterError, match=f"--{next(iter(option))}: expected with --kinds"):
-        run(mesh, tmp_path / "f.npz", **option)

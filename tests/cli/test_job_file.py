@@ -9,11 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
-from typer.testing import CliRunner
 
-from cagemap.cli.app import app
 from cagemap.errors import FormatError, ParameterError
-from cagemap.files.images.image import read_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.jobs.job import read_job
@@ -164,22 +161,3 @@ def test_welds_and_masks_of_a_given_map_are_repeated(folder: Path) -> None:
     assert masks[0] is not None
     assert masks[1] is not None
     np.testing.assert_array_equal(masks[0], masks[1])
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("jobs_in_threads", "quick_fit", "small_pages")
-def test_running_it_gives_the_same_map_and_image(folder: Path) -> None:
-    runner = CliRunner()
-    (folder / "RESULT").rmdir()
-    match = ["match", "-t", f"{folder}/deer.obj", "-s", f"{folder}/pony.obj", "--landmarks", f"{folder}/landmarks.json"]
-    transfer = ["transfer", f"{folder}/RESULT", "--texture", f"{folder}/pony.png", "-o", f"{folder}/deer.png"]
-    transfer += ["--size", "64"]
-    for command in ([*match, "--vertices", "500", "-o", f"{folder}/RESULT"], transfer):
-        done = runner.invoke(app, command)
-        assert done.exit_code == 0, done.output
-    done = runner.invoke(app, ["run", f"{folder}/RESULT/{JOB}", "--workers", "1"])
-    assert done.exit_code == 0, done.output
-    again = folder / "RESULT" / "again" / "pony__deer"
-    np.testing.assert_array_equal(read_image(again / "deer.png").pixels, read_image(folder / "deer.png").pixels)
-    one, two = read_result(folder / "RESULT"), read_result(again / "RESULT")
-    np.testing.assert_allclose(two.image(), one.image(), atol=1e-12 * np.ptp(one.image()))

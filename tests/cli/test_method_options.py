@@ -19,7 +19,6 @@ from cagemap.spectral import BasisConfig, hierarchical_basis
 from cagemap.tasks.match import MatchRequest, match_config, read_inputs, run_match
 from cagemap.tasks.method import (
     require_level_or_vertices,
-    require_levels,
     side_bases,
     side_levels,
     used_parameters,
@@ -44,7 +43,6 @@ def files_of(folder):
 
 
 def test_other_search_levels_and_exact_bases_get_the_operators_of_the_finest_level(tmp_path):
-    """Those of hfm end where no finer level would change the map, unless other levels are asked for."""
     words = {"target": tmp_path, "source": tmp_path, "landmarks": tmp_path, "output": tmp_path, "method": "hfm"}
     assert side_bases(MatchRequest(**words)) == (default_basis("hfm"), default_basis("hfm"))
     assert default_basis("hfm").vertices == MAP_BASIS.vertices
@@ -125,42 +123,6 @@ def test_each_side_has_its_own_laplacian_accuracy_and_definition(tmp_path):
     np.testing.assert_allclose(result.target.basis.eigenvalues, basis.eigenvalues, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (
-            {"laplacian": "cotan"},
-            "--set laplacian: expected mean, alexa-wardetzky, .* got 'cotan'",
-        ),
-        ({"source_laplacian": "alexa-wardetzky:x"}, "--set source.laplacian: expected mean"),
-        ({"target_laplacian": "alexa-wardetzky:0"}, "stabilisation: expected a finite number above 0"),
-        ({"laplacian": "mean:2"}, "the last two with :LAMBDA"),
-        ({"literal": True}, "--set literal: expected a schedule of the target"),
-        ({"literal": True, "schedule": "9,5", "source_k": 9}, "--set literal: expected a schedule of the source"),
-        ({"accuracy": 0.1}, "--set accuracy: expected a residual"),
-        ({"source_accuracy": 0.1}, "--set source.accuracy: expected a residual"),
-        ({"target_k": 0}, "--set target.k: expected at least 1 basis function"),
-    ],
-)
-def test_wrong_options_of_bases_are_refused(tmp_path, words, said):
-    with pytest.raises(ParameterError, match=said):
-        side_bases(MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, **words))
-
-
-@pytest.mark.parametrize(
-    ("options", "levels", "said"),
-    [
-        ({"target_level": 0}, (0, 1), "--set target.level=0: expected 1 or more"),
-        ({"source_level": 13}, (1, 13), "--set source.level=13: .* Use --set source.level=[0-9]+ or less"),
-        ({"level": 13}, (13, 13), "--level 13: .* Use --level [0-9]+ or less"),
-    ],
-)
-def test_a_level_that_a_mesh_cannot_have_is_refused_by_its_option(tmp_path, options, levels, said):
-    request = MatchRequest(tmp_path, tmp_path, tmp_path, **options)
-    with pytest.raises(ParameterError, match=said):
-        require_levels(request, (shapes.cube(), shapes.cube()), levels)
-
-
 def test_options_of_landmarks_and_symmetries_that_nothing_reads_are_named(tmp_path):
     (target, *_), _ = files_of(tmp_path)
     words = {"exchange_landmarks": True, "trust_landmarks": True, "symmetry": False}
@@ -179,28 +141,13 @@ def test_parameters_reach_the_method_they_belong_to():
     used = used_parameters(MatchConfig(method="hfm", hfm=hfm))
     assert (used["last"], used["wave"], used["factor"]) == (80, 4, hfm.zoomout.factor)
     assert with_parameters(MatchConfig(), ["first=12"]).start.zoomout.first == 12
+    assert with_parameters(MatchConfig(), ["trusted_functions=6,12,24"]).start.trusted_functions == (6, 12, 24)
     assert with_parameters(MatchConfig(), []) == MatchConfig()
 
 
-@pytest.mark.parametrize(
-    ("method", "setting", "said"),
-    [
-        ("hfm", "rounds=3", "expected NAME=VALUE with one of .*search_vertices.* for hfm, got 'rounds=3'"),
-        ("paper", "laplacian", "expected NAME=VALUE"),
-        ("paper", "rounds=2.5", "rounds: expected a whole number, got '2.5'"),
-        ("paper", "decay=-1", "decay: expected a number of at least 0"),
-        ("paper", "factor=2", "expected NAME=VALUE with one of .*rounds.* for paper"),
-        ("elastic", "laplacian=0.1", "expected NAME=VALUE with one of .*search_vertices.* for elastic"),
-        ("elastic", "last=2", "no fewer at last"),
-        ("elastic", "factor=x", "factor: expected a number, got 'x'"),
-        ("hfm", "factor=1", "a factor above 1"),
-        ("hfm", "normal_weight=-1", "normal_weight: expected a number of at least 0"),
-        ("hfm", "signature_weight=-1", "signature_weight: expected a number of at least 0"),
-    ],
-)
-def test_wrong_parameters_are_refused(method, setting, said):
-    with pytest.raises(ParameterError, match=said):
-        with_parameters(MatchConfig(method=method), [setting])
+def test_a_tuple_among_parameters_has_commas_between_its_numbers():
+    with pytest.raises(ParameterError, match="expected a whole number, or several with commas between them, got '8,x'"):
+        with_parameters(MatchConfig(), ["trusted_functions=8,x"])
 
 
 def test_symmetry_files(tmp_path):

@@ -17,7 +17,6 @@ from packaging.requirements import Requirement
 from cagemap.errors import MissingLibraryError
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.numerics import factorization
-from cagemap.numerics.process import import_library
 from cagemap.pictures.render import Model
 from cagemap.pipeline import MatchResult, choose_level, match, prepare_surfaces
 from cagemap.subdivision import level_triangles
@@ -92,10 +91,6 @@ def test_pip_takes_only_what_has_a_wheel() -> None:
     for place in (("linux", "x86_64"), ("win32", "AMD64"), ("darwin", "arm64")):
         assert asked("3.14", *place) == {"embreex"}
     assert asked("3.12", "linux", "aarch64") == asked("3.14", "linux", "aarch64") == set()
-
-
-def test_a_library_that_is_there_is_given() -> None:
-    assert import_library("math", "sums").pi > 3
 
 
 @pytest.mark.slow

@@ -13,7 +13,8 @@ import pytest
 from cagemap.deform.config import StartConfig
 from cagemap.errors import FormatError, ParameterError, explain_error
 from cagemap.files.images.image import write_image
-from cagemap.files.result.folder import write_result
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.result.folder import read_result, write_result
 from cagemap.paper.hfm import HfmConfig
 from cagemap.tasks import transfer as door
 from cagemap.tasks.progress import Stages
@@ -85,30 +86,8 @@ def fail() -> str:
     raise FormatError("o.usda: cannot write there")
 
 
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [
-        ("usd", Path("a.usda")),
-        ("space", "object"),
-        ("green", "down"),
-        ("as_color", True),
-        ("filter", "nearest"),
-        ("detail", Path("d.obj")),
-        ("detail_texture", Path("d.png")),
-        ("rays", 3),
-        ("influences", 3),
-        ("only", "hip"),
-        ("mirror", True),
-        ("size", 8),
-        ("bits", 16),
-        ("scale", 2.0),
-        ("midlevel", 0.5),
-        ("unwrap", True),
-    ],
-)
-def test_options_that_would_do_nothing_are_refused(place: Path, option: str, value: object) -> None:
+def test_options_that_would_do_nothing_are_those_of_the_request() -> None:
     assert set(door._READ_BY) <= {field.name for field in fields(TransferRequest)}
-    assert option.replace("_", "-") in refused(place, "m.npz", write_map=True, **{option: value})
 
 
 @pytest.mark.parametrize("kind", [StartConfig, HfmConfig])
@@ -140,3 +119,34 @@ def test_a_result_that_may_only_be_read_is_used_with_a_word(
     for file in ("manifest.json", "job.toml"):
         assert f"{file}: cannot write to the folder" in caplog.text
     assert "not noted there" in caplog.text
+
+
+FOREIGN = {
+    "source_uvs": ("o.obj", {"source_uvs": True}, "was not written by cagemap"),
+    "source_uvs in a format without": ("o.txt", {"source_uvs": True}, "expected a mesh file ending in"),
+    "blend_shapes": ("shapes", {"blend_shapes": ("v.obj",)}, "was not written by cagemap"),
+    "blend_shapes in an npz": ("o.npz", {"blend_shapes": ("v.obj",)}, "was not written by cagemap"),
+    "weights": ("o.txt", {"weights": "v.npy"}, "expected a name ending in"),
+    "joints": ("o.txt", {"joints": "j.json"}, "expected a name ending in .json for joints"),
+}
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_what_cannot_be_written_is_refused_before_the_work(
+    place: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    output, options, says = FOREIGN[name]
+    for work in ("transfer.transfer_of", "rig.carry_shapes", "rig.carry_weights", "rig.carry_joints"):
+        monkeypatch.setattr(f"cagemap.tasks.{work}", lambda *given, **more: pytest.fail("it was carried"))
+    source = read_result(place / "R").source.control
+    write_mesh(place / "v.obj", source.with_positions(1.1 * source.positions))
+    (place / "j.json").write_text('[{"name": "hip", "parent": null, "head": [0, 0, 0], "tail": [0, 0.2, 0]}]')
+    (place / "shapes").mkdir()
+    for foreign in ("o.obj", "o.npz", "shapes/v.obj"):
+        (place / foreign).write_bytes(b"of somebody")
+    given = {
+        option: tuple(place / file for file in value) if isinstance(value, tuple) else value
+        for option, value in options.items()
+    }
+    given |= {option: place / value for option, value in given.items() if isinstance(value, str)}
+    assert says in refused(place, output, **given)

@@ -234,7 +234,6 @@ def test_weights_without_joints_do_not_keep_those_of_earlier_ones(folder: Path) 
     [["a.png", "b.png"], ["a=x.png", "a=y.png"], ["a=x.png", "y.png"], ["a/b=x.png", "c=y"], ["A=x.png", "a=y.png"]],
 )
 def test_maps_without_names_of_their_own_are_refused(words: list[str]) -> None:
-    """Also names that some disks take for one."""
     with pytest.raises(ParameterError, match="--texture"):
         texture_and_maps(words)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 from cagemap.files.gltf.character import animation_names, character_of, read_shape_keys
 from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
+from cagemap.files.values.attributes import read_attributes
+from cagemap.files.values.rigs import read_skeleton
 
 from damage import cases, mutated_bytes, outcome
 
@@ -18,6 +21,8 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import usd_document
+from cagemap.files.usd.read import read_usd
+from cagemap.files.usd.space import to_standard
 
 from usd_characters import lively, painted, with_shape_weights
 
@@ -31,6 +36,14 @@ def use(path: Path) -> None:
     assert all(np.isfinite(part.mesh.positions).all() for part in character.parts)
     for number in range(len(animation_names(document))):
         read_shape_keys(read_scene(document), number)
+
+
+def use_values(path: Path) -> None:
+    """All that `transfer` reads of a rigged mesh."""
+    read_skeleton(path)
+    read_attributes(path)
+    assert np.isfinite(read_usd(path).positions).all()
+    to_standard(path)
 
 
 def with_number(content: bytes, rng: np.random.Generator) -> bytes:
@@ -52,14 +65,19 @@ def test_changed_values_are_a_named_error_or_a_character(tmp_path: Path, suffix:
     change = with_number if suffix == ".usda" else mutated_bytes
     made = lively()
     moved = with_shape_weights(character_glb(made), "walk | fast", np.array([[0.0, 0.0], [1.0, 0.25], [0.5, 1.0]]))
+    alone = replace(made, parts=made.parts[:1])
     read = []
-    for name, (character, document) in {"C": (made, moved), "P": painted()}.items():
+    for name, (character, document, of) in {
+        "C": (made, moved, use),
+        "P": (*painted(), use),
+        "V": (alone, character_glb(alone), use_values),
+    }.items():
         given = tmp_path / f"{name}{suffix}"
         write_usd_character(given, character, read_scene(document))
-        assert outcome(lambda given=given: use(given))
+        assert outcome(lambda given=given, of=of: of(given))
         content = given.read_bytes()
-        for number in cases(10):
-            path = tmp_path / f"{name}{number}{suffix}"
+        for number in cases(40 if of is use_values else 10):
+            path = tmp_path / f"{name}{number}{suffix}"  # USD keeps what it has read by name
             path.write_bytes(change(content, rng))
-            read.append(outcome(lambda path=path: use(path)))
+            read.append(outcome(lambda path=path, of=of: of(path)))
     assert 0 < sum(read) < len(read)

@@ -8,8 +8,7 @@ from examples.shapes import creature
 from scipy.spatial import cKDTree
 
 from cagemap.deform.config import DataConfig, ElasticConfig, Stage
-from cagemap.deform.constraints import PlacementConstraints
-from cagemap.deform.data import received_weights, round_trip_weights
+from cagemap.deform.data import PlacementConstraints, received_weights, round_trip_weights
 from cagemap.deform.graph import ElasticGraph, mesh_graph
 from cagemap.maps.projection.project import facing_points
 from cagemap.mesh.cage_points import CagePoints

@@ -10,8 +10,7 @@ from examples.shapes import creature
 from scipy import sparse
 
 from cagemap.deform.config import ElasticConfig, Stage
-from cagemap.deform.constraints import PlacementConstraints
-from cagemap.deform.data import SourceSamples, curved_points, round_trip_weights, source_to_target
+from cagemap.deform.data import PlacementConstraints, SourceSamples, curved_points, round_trip_weights, source_to_target
 from cagemap.deform.energy import LinearSystem
 from cagemap.deform.fit import coarse_fit, fine_fit
 from cagemap.deform.graph import ElasticGraph
@@ -25,7 +24,7 @@ from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import factor
 from cagemap.operators import build_operators
-from cagemap.spectral.landmark_coordinates import landmark_coordinates
+from cagemap.spectral.zoomout import landmark_coordinates
 from cagemap.subdivision import Refinement, refine
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.triangles import normalize_rows, triangle_normals, vertex_normals

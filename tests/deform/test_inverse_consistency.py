@@ -11,8 +11,8 @@ from cagemap.deform.fit import fine_fit
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.refit import inverse_consistent, inverse_positions, smooth_shifts
-from cagemap.maps.hypotheses.rigid_starts import AS_FILED
 from cagemap.maps.hypotheses.search import inverse_placement
+from cagemap.maps.hypotheses.starts import AS_FILED
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import PointPairs
 from cagemap.mesh.curves import Curve, CurvePair

@@ -14,16 +14,14 @@ from cagemap import research
 from cagemap.errors import ParameterError
 from cagemap.example import ExamplePair
 from cagemap.files.result.folder import read_result, write_result
-from cagemap.maps.pair import Pair, PointPairs
-from cagemap.maps.places import locate
+from cagemap.maps.pair import Pair, PointPairs, locate
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.spectral import BasisConfig
 from cagemap.surface.surface_points import SurfacePoints
 
 from locations import ROOT
-from plain_meshes import far_apart
+from plain_meshes import far_apart, marks_at
 
 PAGE = ROOT / "docs" / "researchers.md"
 BASIS = BasisConfig(schedule=(20, 10))
@@ -35,7 +33,7 @@ def test_every_block_of_the_page_runs(tmp_path, monkeypatch, quick_fit):
     monkeypatch.chdir(tmp_path)
     mesh = shapes.creature()
     marks = far_apart(mesh.positions, 8)
-    landmarks = Landmarks(tuple(map(str, marks)), marks, marks)
+    landmarks = marks_at(marks)
     pair = ExamplePair(mesh, mesh.with_positions(mesh.positions * (1.0, 1.2, 1.0)), landmarks, np.zeros((8, 8, 3)))
     monkeypatch.setattr("cagemap.example.example_pair", lambda size: pair)
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
@@ -48,7 +46,6 @@ def test_every_block_of_the_page_runs(tmp_path, monkeypatch, quick_fit):
 
 @pytest.mark.slow
 def test_the_commands_of_table_1_run(shared_data, tmp_path, run):
-    """As the page has them, with fewer levels: one had its landmarks the wrong way round."""
     block = re.search(r"```text\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL).group(1)
     commands = re.findall(r"^cagemap (.*)$", block.replace("\\\n", ""), re.MULTILINE)
     places = {path.name: str(path) for path in [*shared_data.rglob("*.obj"), *shared_data.rglob("*.json")]}

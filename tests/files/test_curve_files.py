@@ -68,6 +68,12 @@ def test_every_fault_of_curves_is_named() -> None:
     assert "closed on one only: a" in faults(around, source_closed=False)
     assert f"a ({around[0]})" in faults(np.array([around[0], around[1], around[0], around[3]]))
     assert "fewer: a" in faults(around[:2])
+    pinched = mesh.with_positions(mesh.positions.copy())
+    pinched.positions[around[:2]] = 1.0, 2.0, 3.0
+    point = CurvePair.of_vertices("a", around[:2], around[1:3], closed=False)
+    assert curve_faults((point,), mesh, mesh) == []
+    (flat,) = curve_faults((point,), pinched, mesh)
+    assert "curves of the target with a length, got all points at one place: a at (1, 2, 3)" in flat
     chain = around[[0, 2, 3]]
     broken = replace(Landmarks.none(), curves=(CurvePair.of_vertices("a", chain, chain, closed=True),))
     with pytest.raises(InvalidLandmarksError, match="joined by edges"):
@@ -174,7 +180,6 @@ def test_the_command_takes_curves_and_says_how_they_are_met(run: Run, tmp_path: 
 
 
 def test_curves_on_pieces_that_are_set_aside_are_told() -> None:
-    """As landmarks are: who drew a curve there wants to know that it says nothing."""
     away = cube().with_positions(0.1 * cube().positions + 20.0)
     scan = replace(join_meshes([creature(), away]), scheme=Plain())
     n = creature().n_vertices

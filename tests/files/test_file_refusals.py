@@ -40,7 +40,7 @@ from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.pipeline import prepare_surface
 from cagemap.spectral import BasisConfig
 
-from example_result import identity_result, textured_cube
+from example_result import change_result, edit_header, identity_result, rewrite_arrays, textured_cube
 from gltf_scenes import arm
 from refusals import Refusal
 
@@ -72,11 +72,7 @@ def points(*curves: object) -> Callable[[Path], object]:
 def changed(place: Path, **arrays: np.ndarray | None) -> None:
     """Read a RESULT with some arrays replaced or, for None, removed."""
     write_result(place / "R", identity_result(), force=True)
-    with np.load(place / "R" / ARRAYS) as stored:
-        kept = {**stored, **arrays}
-    write_npz(place / "R" / ARRAYS, {name: array for name, array in kept.items() if array is not None})
-    manifest = json.loads((place / "R" / MANIFEST).read_text())
-    (place / "R" / MANIFEST).write_text(json.dumps({**manifest, "files": {}}))
+    change_result(place / "R", **arrays)
     read_result(place / "R")
 
 
@@ -91,13 +87,9 @@ def stored(place: Path, *, plain: bool = False, level: int | None = None, **arra
     """Read a prepared surface with another number of levels, or with arrays replaced by functions of them."""
     mesh = replace(creature(), scheme=Plain()) if plain else cube()
     save_surface(place / "s.npz", prepare_surface(mesh, 0 if plain else 2, BasisConfig(count=5)), force=True)
-    with np.load(place / "s.npz") as found:
-        kept = dict(found)
-    kept |= {name: change(kept[name]) for name, change in arrays.items()}
+    rewrite_arrays(place / "s.npz", **arrays)
     if level is not None:
-        header = json.loads(kept["header"].tobytes()) | {"level": level}
-        kept["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
-    write_npz(place / "s.npz", kept)
+        edit_header(place / "s.npz", lambda header: header.update(level=level))
     load_surface(place / "s.npz")
 
 

@@ -273,7 +273,6 @@ def test_the_map_meets_landmarks_between_vertices(twins: tuple[Surface, Surface]
 
 @pytest.mark.slow
 def test_coarse_search_levels_have_landmarks_between_vertices(twins: tuple[Surface, Surface]) -> None:
-    """Landmarks between vertices are vertices of the level that is searched, however coarse: it was an IndexError."""
     chosen = some_corners()
     points = CagePoints(chosen, np.full((len(chosen), 3), 1 / 3))
     landmarks = Landmarks.of_points(tuple(map(str, range(10))), points, points, "t", "s")

@@ -125,7 +125,6 @@ def test_refine_names_colours_of_some_vertices(tmp_path: Path) -> None:
 
 
 def test_the_format_that_is_advised_keeps_all_values(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Of groups and a further UV set, .ply drops both and .glb the groups; .obj would drop the UV set."""
     mesh = replace(_full(), face_objects=None, object_names=())
     for suffix in (".ply", ".glb"):
         caplog.clear()

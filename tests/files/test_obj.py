@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import unicodedata
-from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +15,7 @@ from examples.shapes import cube
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cagemap.errors import CagemapError, FormatError
+from cagemap.errors import FormatError
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import check_mesh_path, read_mesh, referred_files, write_mesh
 from cagemap.files.meshes.obj import read_obj
@@ -301,29 +299,6 @@ def test_missing_file_folder_and_unknown_extension(tmp_path: Path) -> None:
         read_obj("nul\0byte.obj")
 
 
-@pytest.mark.slow
-@settings(QUICK, max_examples=150)
-@given(data=st.data())
-def test_damaged_files_never_end_in_another_error(tmp_path: Path, data: st.DataObject) -> None:
-    text = bytearray(
-        b"mtllib a.mtl\n" + SQUARE.encode() + b"vt 0 .5\nvt 1 1e-3\nusemtl a\nf 1/1 2/2 3/1\nf -1/-1 1/1 3/2\n"
-    )
-    read_damaged(data, text, b"/-+# \\\n\r\t.0197vfteE\xff\xe2\x00", lambda content: read_text(tmp_path, content))
-
-
-def read_damaged(data: st.DataObject, content: bytearray, letters: bytes, read: Callable[[bytes], ControlMesh]) -> None:
-    """Read a file with bytes changed and its end cut off: a named error or a sound mesh."""
-    for _ in range(data.draw(st.integers(0, 3))):
-        place = data.draw(st.integers(0, len(content) - 1))
-        content[place] = data.draw(st.sampled_from(letters) | st.integers(0, 255))
-    cut = data.draw(st.integers(0, len(content)))
-    with suppress(CagemapError):
-        mesh = read(bytes(content[:cut]))
-        assert mesh.face_indices.min() >= 0
-        assert mesh.face_indices.max() < mesh.n_vertices
-        assert np.isfinite(mesh.positions).all()
-
-
 def test_names_that_cannot_stand_on_a_line_are_refused(tmp_path: Path) -> None:
     mesh = replace(cube(), face_materials=np.zeros(6, dtype=np.int64), material_names=("two\nlines",))
     with pytest.raises(FormatError, match="line breaks"):
@@ -375,7 +350,6 @@ def test_a_layout_over_a_file_of_others_writes_nothing(tmp_path: Path) -> None:
 
 
 def test_objects_of_one_name_without_common_vertices_are_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Not those whose name is only repeated, as before another material."""
     quads = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nv 2 1 0\nv 5 0 0\nv 6 0 0\nv 6 1 0\nv 5 1 0\n"
     (tmp_path / "one.obj").write_text(quads + "o body\nf 1 2 3 4\no hat\nf 7 8 9 10\no body\nf 2 5 6 3\n")
     assert read_obj(tmp_path / "one.obj").object_names == ("body", "hat")

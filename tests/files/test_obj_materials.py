@@ -13,6 +13,7 @@ from cagemap.files.gltf.material_images import material_images, read_material_im
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.obj_materials import obj_document
 from cagemap.files.result.folder import write_result
+from cagemap.files.text import find_image
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
@@ -121,3 +122,15 @@ def test_an_obj_file_without_images_is_refused(tmp_path: Path) -> None:
     (tmp_path / "box.mtl").unlink()
     with pytest.raises(ParameterError, match=r"box.obj: expected a colour image .* --material-colors"):
         run_transfer(TransferRequest(tmp_path / "RESULT", tmp_path / "out.png", texture=path), Stages())
+
+
+def test_images_that_are_links_to_other_folders_are_found_and_names_outside_are_not(tmp_path: Path) -> None:
+    """As in a folder of a version control system that keeps large files elsewhere."""
+    folder, store = tmp_path / "model", tmp_path / "store"
+    (folder / "maps").mkdir(parents=True)
+    store.mkdir()
+    (store / "abc").write_bytes(b"image")
+    (folder / "maps" / "skin.png").symlink_to(store / "abc")
+    for name in ("maps/skin.png", ".\\maps\\skin.png", "x/../maps/skin.png", str(folder / "maps" / "skin.png")):
+        assert find_image(folder / "a.mtl", name) == folder / "maps" / "skin.png"
+    assert [find_image(folder / "a.mtl", name) for name in ("../store/abc", str(store / "abc"), "..")] == [None] * 3

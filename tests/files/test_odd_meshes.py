@@ -80,7 +80,6 @@ def test_binary_ply_of_both_byte_orders_and_any_line_ends(tmp_path: Path, order:
 def test_colours_of_ply_are_shares_of_what_their_type_holds(
     tmp_path: Path, kind: str, full: int, one: float, prefix: str
 ) -> None:
-    """Also where all are dark: 1 of 255 is no full colour, though a text file shows no bytes."""
     channels = "".join(f"property {kind} {prefix}{name}\n" for name in ("red", "green", "blue"))
     for top in {full, 1} if kind != "float" else {full}:
         rows = _ROWS.replace(" 0\n", f" 0 {top} 1 0\n")

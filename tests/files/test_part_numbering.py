@@ -14,11 +14,13 @@ from examples.shapes import creature, poles
 from cagemap.errors import ParameterError
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
 from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.result.folder import write_result
+from cagemap.files.result.manifest import stated_inputs
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import FileRows
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, find_part, join_meshes
+from cagemap.mesh.weld import weld_mesh
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.suggest import SuggestRequest
@@ -28,7 +30,8 @@ from cagemap.tasks.suggest import run_suggest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import run_wrap
 
-from example_result import textured_cube
+from example_result import identity_result, textured_cube
+from plain_meshes import marks_at, split_at_seams
 
 
 def _scene() -> ControlMesh:
@@ -46,8 +49,7 @@ def _scene() -> ControlMesh:
 def _own_landmarks(path: Path, scene: ControlMesh, count: int = 9) -> None:
     first = scene.n_vertices - creature().n_vertices
     picked = first + np.linspace(0, creature().n_vertices - 1, count).astype(int)
-    names = tuple(f"point {number}" for number in range(count))
-    write_landmarks(path, Landmarks(names, picked, picked, "hero", "hero"), force=True)
+    write_landmarks(path, marks_at(picked, "hero", "hero"), force=True)
 
 
 @pytest.fixture(scope="module")
@@ -209,8 +211,7 @@ def test_parts_matched_one_by_one_keep_the_order_of_the_file(folder: Path) -> No
     scene = _scene()
     first = scene.n_vertices - creature().n_vertices
     picked = np.concatenate([np.arange(5), first + np.linspace(0, creature().n_vertices - 1, 9).astype(int)])
-    names = tuple(f"point {number}" for number in range(len(picked)))
-    write_landmarks(folder / "both.json", Landmarks(names, picked, picked, "hero", "hero"))
+    write_landmarks(folder / "both.json", marks_at(picked, "hero", "hero"))
     hero = folder / "hero.obj"
     run_match(MatchRequest(hero, hero, folder / "E", folder / "both.json", level=1, k=6, part="each"), Stages())
     np.savez(folder / "numbers.npz", a=scene.positions)
@@ -252,3 +253,38 @@ def test_the_source_s_uvs_are_written_into_the_whole_file(tmp_path: Path, own: b
     np.testing.assert_allclose(found[half:], wanted[half:], atol=1e-5)
     np.testing.assert_allclose(found[:half], wanted[:half] if own else 0.0, atol=1e-5)
     assert f"6 faces that were not matched {'keep theirs' if own else 'have them all at (0, 0)'}" in summary
+
+
+def _follower(path: Path, base: ControlMesh) -> np.ndarray:
+    """Positions of the vertices of a MakeHuman file for the base mesh of another file."""
+    lines = [line.split() for line in path.read_text().splitlines()]
+    rows = np.array([line for line in lines if len(line) == 9], dtype=float)
+    ends = np.array([line[1:] for line in lines if line and line[0].endswith("_scale")], dtype=float)
+    corners = base.positions[ends[:, :2].astype(int), np.arange(3)[:, None]]
+    np.testing.assert_allclose(np.abs(corners[:, 0] - corners[:, 1]), ends[:, 2])
+    return np.einsum("nk,nkd->nd", rows[:, 3:6], base.positions[rows[:, :3].astype(int)]) + rows[:, 6:]
+
+
+def test_a_makehuman_file_has_the_numbers_of_both_files(tmp_path: Path) -> None:
+    scene, split = _scene(), replace(split_at_seams(creature()), name="split.obj")
+    write_mesh(tmp_path / "split.obj", split)
+    part, welded = extract_faces(scene, find_part(scene, "body").faces), weld_mesh(split).mesh
+    result = identity_result(2, (welded, part))
+    inputs = stated_inputs({"target": tmp_path / "split.obj"}, tmp_path / "R")
+    write_result(tmp_path / "R", replace(result, provenance={**result.provenance, "inputs": inputs}))
+    run_transfer(TransferRequest(tmp_path / "R", tmp_path / "a.mhclo", write_map=True), Stages())
+    np.testing.assert_allclose(_follower(tmp_path / "a.mhclo", scene), split.positions, atol=1e-9)
+    run_wrap(WrapRequest((tmp_path / "R",), tmp_path / "w.obj", mhclo=tmp_path / "w.mhclo"), Stages())
+    wrapped = read_mesh(tmp_path / "w.obj").positions
+    np.testing.assert_allclose(_follower(tmp_path / "w.mhclo", scene), wrapped, atol=1e-6)
+    (tmp_path / "split.obj").unlink()
+    with pytest.raises(ParameterError, match="expected the file that was matched"):
+        run_transfer(TransferRequest(tmp_path / "R", tmp_path / "b.mhclo", write_map=True), Stages())
+
+
+def test_a_part_does_not_follow_a_body_in_makehuman(folder: Path) -> None:
+    with pytest.raises(ParameterError, match="vertices that were not matched"):
+        run_transfer(TransferRequest(folder / "R", folder / "never.mhclo", write_map=True), Stages())
+    with pytest.raises(ParameterError, match="vertices that were not matched"):
+        run_wrap(WrapRequest((folder / "R",), folder / "never.obj", mhclo=folder / "never.mhclo"), Stages())
+    assert not list(folder.glob("never.*"))

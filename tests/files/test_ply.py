@@ -10,7 +10,7 @@ import pytest
 from examples.shapes import cube, grid
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_obj import QUICK, polygon_meshes, read_damaged
+from test_obj import QUICK, polygon_meshes
 
 from cagemap.errors import FormatError
 from cagemap.files.gltf.primitives import material_names
@@ -161,7 +161,6 @@ def test_faces_of_several_colours_have_a_material_for_each(tmp_path: Path, caplo
 
 
 def test_faces_without_a_colour_are_written_grey(tmp_path: Path) -> None:
-    """Of a material without one, or without a material (-1)."""
     mesh = replace(
         cube(),
         face_materials=np.array([0, 1, -1, 0, 0, 0]),
@@ -249,17 +248,6 @@ def test_bad_files_are_refused_with_the_place(tmp_path: Path, case: str) -> None
     content, message = BAD_FILES[case]
     with pytest.raises(FormatError, match=r"(?s)mesh\.ply.*" + message):
         read_bytes(tmp_path, content)
-
-
-@pytest.mark.slow
-@settings(QUICK, max_examples=150)
-@given(data=st.data())
-def test_damaged_files_never_end_in_another_error(tmp_path: Path, data: st.DataObject) -> None:
-    mesh = cube().with_uvs(np.zeros((1, 2)), np.zeros(24, dtype=np.int64))
-    path = tmp_path / f"{data.draw(st.booleans())}.ply"
-    (write_text_ply if path.stem == "True" else write_ply)(path, mesh)
-    letters = b" \n-.0179e\xff\x7f\x00"
-    read_damaged(data, bytearray(path.read_bytes()), letters, lambda content: read_bytes(tmp_path, content))
 
 
 @pytest.mark.parametrize("text", [False, True])

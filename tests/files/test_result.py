@@ -19,10 +19,14 @@ from cagemap.maps.landmarks.check import DISTANCES, LandmarkCheck, LandmarkSuspe
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult, SpectralMap
+from cagemap.mesh import CatmullClark, Loop
+from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import FileVertex
 from cagemap.spectral import BasisConfig, Surface
-from cagemap.subdivision import CatmullClark, Loop, refine
+from cagemap.subdivision import refine
+
+from example_result import edit_manifest
 
 
 @pytest.fixture(scope="module")
@@ -175,11 +179,6 @@ def test_nothing_is_left_behind_when_writing_fails(result: MatchResult, tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
-def edit(folder: Path, **changes: object) -> None:
-    manifest = json.loads((folder / MANIFEST).read_text())
-    (folder / MANIFEST).write_text(json.dumps(manifest | changes))
-
-
 def test_missing_folder_manifest_or_arrays_are_named(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"nowhere.*nothing of that name"):
         read_result(tmp_path / "nowhere")
@@ -192,10 +191,10 @@ def test_missing_folder_manifest_or_arrays_are_named(folder: Path, tmp_path: Pat
 
 
 def test_newer_and_foreign_manifests_are_refused(folder: Path) -> None:
-    edit(folder, format_version=99, versions={"cagemap": "9.1"})
+    edit_manifest(folder, format_version=99, versions={"cagemap": "9.1"})
     with pytest.raises(FormatError, match=r"version 99.*cagemap 9\.1"):
         read_result(folder)
-    edit(folder, format="holiday")
+    edit_manifest(folder, format="holiday")
     with pytest.raises(FormatError, match="cagemap-result"):
         read_result(folder)
     (folder / MANIFEST).write_text('{"format": "cagemap-res')
@@ -255,3 +254,21 @@ def test_a_result_of_before_is_sure_only_if_its_map_may_be_now(result: MatchResu
     back = read_result(tmp_path / name).confidence
     assert back.verdict == LOOK
     assert "match again" in back.message
+
+
+def test_all_uv_sets_come_back(result: MatchResult, tmp_path: Path) -> None:
+    """`wrap RESULT` and `transfer` write them again."""
+    control = result.target.control
+    assert control.uv_indices is not None
+    second = UvSet("light", np.random.default_rng(1).random((30, 2)), control.uv_indices[::-1])
+    target = Surface(refine(replace(control, uv_sets=(second,)), 2, CatmullClark("edge_only")), BasisConfig(count=4))
+    write_result(tmp_path / "R", replace(result, target=target))
+    (found,) = read_result(tmp_path / "R").target.control.uv_sets
+    assert found.name == "light"
+    np.testing.assert_array_equal(found.uvs, second.uvs)
+    np.testing.assert_array_equal(found.uv_indices, second.uv_indices)
+    with np.load(tmp_path / "R" / ARRAYS) as stored:
+        arrays = dict(stored)
+    np.savez(tmp_path / "R" / ARRAYS, **(arrays | {"target_control_uv_set_0_indices": np.full(24, 30)}))
+    with pytest.raises(FormatError, match="target_control_uv_set_0_indices counts past 0 to 29"):
+        read_result(tmp_path / "R")

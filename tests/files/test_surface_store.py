@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
@@ -17,10 +16,12 @@ from examples import shapes
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.result.manifest import code_version
 from cagemap.files.result.surface_store import SUFFIX, load_or_prepare, load_surface, save_surface, surface_key
+from cagemap.mesh import CatmullClark
 from cagemap.pipeline import MatchConfig, match, prepare_surface
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.surface import Surface
-from cagemap.subdivision import CatmullClark
+
+from example_result import edit_header, rewrite_arrays
 
 CONFIG = BasisConfig(count=20)
 LEVEL = 2
@@ -131,30 +132,19 @@ def test_the_key_depends_on_all_that_matters_and_on_nothing_else():
     assert surface_key(replace(mesh, name="x"), 2, CatmullClark(), CONFIG) == keys[0]
 
 
-def spoil(path, change):
-    """Rewrite a stored surface with another header."""
-    with np.load(path) as stored:
-        arrays = dict(stored)
-    header = json.loads(arrays["header"].tobytes())
-    change(header, arrays)
-    arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-    with path.open("wb") as stream:
-        np.savez(stream, **arrays)
-
-
 DAMAGE = {
     "cut": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
     "empty": lambda path: path.write_bytes(b""),
     "a flipped byte": lambda path: flip(path),
     "another zip": lambda path: another_zip(path),
-    "newer": lambda path: spoil(path, lambda header, _: header.update(format_version=99)),
-    "older": lambda path: spoil(path, lambda header, _: header.update(format_version=0)),
-    "something else": lambda path: spoil(path, lambda header, _: header.update(format="cagemap-result")),
-    "no scheme": lambda path: spoil(path, lambda header, _: header.pop("scheme")),
-    "unknown scheme": lambda path: spoil(path, lambda header, _: header.update(scheme={"name": "doo-sabin"})),
-    "another level": lambda path: spoil(path, lambda header, _: header.update(level=1)),
-    "a band missing": lambda path: spoil(path, lambda _, arrays: arrays.pop("band_0")),
-    "a short array": lambda path: spoil(path, lambda _, arrays: arrays.update(indices=arrays["indices"][:-1])),
+    "newer": lambda path: edit_header(path, lambda header: header.update(format_version=99)),
+    "older": lambda path: edit_header(path, lambda header: header.update(format_version=0)),
+    "something else": lambda path: edit_header(path, lambda header: header.update(format="cagemap-result")),
+    "no scheme": lambda path: edit_header(path, lambda header: header.pop("scheme")),
+    "unknown scheme": lambda path: edit_header(path, lambda header: header.update(scheme={"name": "doo-sabin"})),
+    "another level": lambda path: edit_header(path, lambda header: header.update(level=1)),
+    "a band missing": lambda path: rewrite_arrays(path, band_0=None),
+    "a short array": lambda path: rewrite_arrays(path, indices=lambda array: array[:-1]),
 }
 
 

@@ -96,7 +96,6 @@ def test_uvs_of_every_interpolation(tmp_path: Path) -> None:
 
 
 def test_texture_coordinates_without_indices_are_one_island_where_they_agree(tmp_path: Path) -> None:
-    """As Blender exports them: a value a face corner, and no indices."""
     control = grid(4, 3)
     uvs = control.positions[:, :2][control.face_indices].astype(np.float32)
     right = np.repeat(np.arange(control.n_faces) >= 6, 4)  # columns 2 and 3
@@ -177,7 +176,6 @@ def test_names_without_an_identifier_of_their_own_stay_apart(tmp_path: Path) -> 
 
 
 def test_textures_show_on_all_faces(tmp_path: Path) -> None:
-    """Also where faces have materials, in a file of its own and in a layer over the target."""
     (tmp_path / "a.png").write_bytes(b"")
     mesh, results = full_cube(), UsdResults(textures={"albedo": "./a.png"})
     write_usd(tmp_path / "own.usda", mesh, results)

@@ -18,7 +18,7 @@ from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import read_shape_keys
 from cagemap.files.gltf.entries import Document, image_bytes
-from cagemap.files.gltf.material_images import material_images
+from cagemap.files.gltf.material_images import material_images, with_copied_materials
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.write import character_glb
@@ -306,7 +306,6 @@ def test_check_reads_a_character_in_usd_once(tmp_path: Path, caplog: pytest.LogC
 
 
 def test_colours_and_opacity_of_corners_are_written(tmp_path: Path) -> None:
-    """In place of one colour for each vertex."""
     mesh = replace(icosahedron(), name="ball", vertex_colors=np.full((12, 3), 0.5))
     colors = np.random.default_rng(3).uniform(size=(len(mesh.face_indices), 4))
     _written(tmp_path / "OUT.usda", Character((Part("ball", mesh, colors=colors),)))
@@ -318,3 +317,21 @@ def test_colours_and_opacity_of_corners_are_written(tmp_path: Path) -> None:
     ):
         assert primvar.GetInterpolation() == "faceVarying"
         np.testing.assert_allclose(np.array(primvar.Get()), meant, atol=1e-6)
+
+
+def test_materials_without_their_images_are_neither_metallic_nor_glow(tmp_path: Path) -> None:
+    """Of images in a format that is not read, the factors are left out too; in USD, and in copies of materials."""
+    made, document = painted()
+    textures = document.json["textures"]
+    textures.append({"extensions": {"KHR_texture_basisu": {"source": 0}}})
+    skin = document.json["materials"][0]
+    for table, slot in ((skin, "emissiveTexture"), (skin["pbrMetallicRoughness"], "metallicRoughnessTexture")):
+        table[slot] = {"index": len(textures) - 1}
+    _written(tmp_path / "OUT.usda", made, document)
+    stage = Usd.Stage.Open(str(tmp_path / "OUT.usda"))
+    surface = UsdShade.Material(stage.GetPrimAtPath("/Asset/materials/body")).ComputeSurfaceSource()[0]
+    assert not any(surface.GetInput(name) for name in ("metallic", "roughness", "emissiveColor"))
+    copied = with_copied_materials(document, [("body", "copy")], [("copy", "baseColorTexture")]).json["materials"][-1]
+    assert copied["emissiveFactor"] == [0.0, 0.0, 0.0]
+    assert copied["pbrMetallicRoughness"]["metallicFactor"] == 0.0
+    assert copied["pbrMetallicRoughness"]["baseColorFactor"] == [0.5, 0.6, 0.7, 0.8]

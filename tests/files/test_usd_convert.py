@@ -23,6 +23,7 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
+from cagemap.files.images.image import write_image
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import read_usd_character, usd_document
 from cagemap.files.usd.materials import STRENGTH
@@ -119,7 +120,9 @@ def test_shaders_of_one_image_that_repeat_it_differently_are_not_one_texture(
         roughness = UsdShade.Shader(stage.GetPrimAtPath("/Asset/materials/body/roughness_texture"))
         roughness.GetInput("wrapS").Set("clamp")
     found = usd_document(path)
-    assert "metallicRoughnessTexture" not in found.entry("materials", 0)["pbrMetallicRoughness"]
+    base = found.entry("materials", 0)["pbrMetallicRoughness"]
+    assert "metallicRoughnessTexture" not in base
+    assert (base["metallicFactor"], base["roughnessFactor"]) == (0.0, 0.5)  # not those of the images
     assert "the image of its metallic/roughness is left out" in caplog.text
 
 
@@ -222,6 +225,7 @@ def test_missing_layers_and_damaged_images_are_named_once(tmp_path: Path, caplog
     said = "C.usda: body: the image of its emissiveColor (./C_body_emissive.png) is not found or cannot be read"
     assert caplog.text.count(said) == 1
     assert "emissiveTexture" not in {one.slot for one in material_images(found, "body")}
+    assert found.entry("materials", 0)["emissiveFactor"] == [0.0, 0.0, 0.0]
     write_usd_character(tmp_path / "P.usdz", made, read_scene(document))
     content = (tmp_path / "P.usdz").read_bytes()
     image = content.index(b"\x89PNG")
@@ -257,7 +261,6 @@ def test_an_uneven_scale_of_a_skeleton_is_said(tmp_path: Path, caplog: pytest.Lo
 def test_images_that_gltf_reads_otherwise_are_named(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, shader: str, setting: str, value: object
 ) -> None:
-    """Such as a normal map whose green axis is turned round."""
     made, document = painted()
     write_usd_character(tmp_path / "C.usda", made, read_scene(document))
     usd_document(tmp_path / "C.usda")
@@ -358,7 +361,6 @@ def test_a_character_of_another_program(shared_data: Path) -> None:
 def test_display_colors_and_opacity_of_every_interpolation_are_read(
     tmp_path: Path, kind: str, left_handed: bool
 ) -> None:
-    """Of every corner, also in the glTF document; vertices have the mean of their corners."""
     mesh = cube()
     rows = {"uniform": mesh.corner_faces, "vertex": mesh.face_indices}.get(kind, np.arange(len(mesh.face_indices)))
     values = np.random.default_rng(3).uniform(size=(rows.max() + 1, 4)).astype(np.float32)
@@ -388,7 +390,6 @@ def test_display_colors_and_opacity_of_every_interpolation_are_read(
 
 
 def test_normals_of_blend_shapes_are_read(tmp_path: Path) -> None:
-    """Of listed points; turned as the mesh is, by the inverse transposed transform."""
     mesh = cube()
     offsets, turned = np.random.default_rng(4).normal(size=(2, 3, 3))
     normals = mesh.positions / np.linalg.norm(mesh.positions, axis=1, keepdims=True)
@@ -413,7 +414,6 @@ def test_normals_of_blend_shapes_are_read(tmp_path: Path) -> None:
 
 
 def test_faces_of_two_corners_are_refused_by_name(tmp_path: Path) -> None:
-    """And `check` lists them instead of ending in an internal error."""
     with stage_at(tmp_path / "cube.usda") as stage:
         prim = usd_mesh(stage, "/cube", cube())
         prim.GetFaceVertexCountsAttr().Set([*cube().face_sizes.tolist(), 2])
@@ -439,3 +439,32 @@ def test_display_colors_beside_an_image_are_named(
     (part,) = read_usd_character(tmp_path / "cube.usda").parts
     assert part.mesh.vertex_colors is not None
     assert ("glTF multiplies both" in caplog.text) == with_image
+
+
+@pytest.mark.parametrize("only", [("roughness",), ("metallic", "roughness")])
+def test_grey_images_of_roughness_and_metalness_become_one(tmp_path: Path, only: tuple[str, ...]) -> None:
+    """Of any sizes; an input without an image keeps its value."""
+    made, document = painted()
+    path = tmp_path / "C.usda"
+    write_usd_character(path, made, read_scene(document))
+    sizes = {"metallic": (2, 2, 1), "roughness": (4, 4, 3)}
+    pixels = {name: np.arange(np.prod(size), dtype=np.uint8).reshape(size) for name, size in sizes.items()}
+    with stage_at(path) as stage:
+        for name in only:
+            texture = UsdShade.Shader(stage.GetPrimAtPath(f"/Asset/materials/body/{name}_texture"))
+            write_image(tmp_path / f"{name}.png", pixels[name])
+            texture.GetInput("file").Set(f"./{name}.png")
+            surface = UsdShade.Shader(stage.GetPrimAtPath("/Asset/materials/body/surface"))
+            surface.GetInput(name).ConnectToSource(texture.CreateOutput("r", Sdf.ValueTypeNames.Float))
+        if "metallic" not in only:
+            surface.GetInput("metallic").ClearSources()
+            surface.GetInput("metallic").Set(0.75)
+    found = usd_document(path)
+    base = found.entry("materials", 0)["pbrMetallicRoughness"]
+    assert base["roughnessFactor"] == pytest.approx(0.4)
+    assert base["metallicFactor"] == pytest.approx(0.3 if "metallic" in only else 0.75)
+    (image,) = material_images(found, "body", "metallicRoughnessTexture")
+    packed = read_material_image(found, image).pixels
+    np.testing.assert_array_equal(packed[:, :, 1], pixels["roughness"][:, :, 0])
+    metallic = pixels["metallic"][:, :, 0].repeat(2, axis=0).repeat(2, axis=1) if "metallic" in only else 255
+    np.testing.assert_array_equal(packed[:, :, 2], np.broadcast_to(metallic, (4, 4)))

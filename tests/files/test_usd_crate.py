@@ -32,7 +32,6 @@ def sections(content: bytes) -> dict[str, tuple[int, int]]:
 
 @pytest.mark.parametrize(("section", "offset"), [("TOKENS", 0), ("SPECS", 8), ("PATHS", 16), ("FIELDS", 8)])
 def test_a_section_that_states_more_than_it_holds_is_refused(section: str, offset: int, tmp_path: Path) -> None:
-    """Such numbers made USD allocate gigabytes for seconds, or until the system ended the process."""
     path = tmp_path / "box.usdc"
     write_usd(path, cube())
     content = bytearray(path.read_bytes())
@@ -106,7 +105,6 @@ def crate_of(path: Path, kind: str, values: np.ndarray, *, sampled: bool = False
 def test_an_array_that_states_more_than_it_holds_is_refused(
     kind: str, sampled: bool, package: bool, tmp_path: Path
 ) -> None:
-    """USD allocated 12 GB for three billion compressed integers of a file of 2 kB."""
     path = tmp_path / "box.usdc"
     content = crate_of(path, kind, ARRAYS[kind], sampled=sampled)
     check_crate(path)

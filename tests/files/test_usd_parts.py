@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from examples.shapes import creature, cube, poles, torus
 
+from cagemap.files.gltf.primitives import material_names
 from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.values.attributes import read_attributes
 from cagemap.mesh import CatmullClark, ControlMesh
-from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, find_part, join_meshes
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.tasks.match import MatchRequest, run_match
@@ -36,6 +36,7 @@ from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
+from plain_meshes import marks_at
 from usd_scenes import complaints, full_cube, stage_at, usd_mesh
 
 PLACE = np.array([[0, 2.0, 0, 0], [-2.0, 0, 0, 0], [0, 0, 2.0, 0], [5, 6, 7, 1]])
@@ -63,8 +64,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     _stage(hero, scene)
     first = scene.n_vertices - creature().n_vertices
     picked = first + np.linspace(0, creature().n_vertices - 1, 9).astype(int)
-    names = tuple(f"point {number}" for number in range(9))
-    write_landmarks(place / "landmarks.json", Landmarks(names, picked, picked, "hero", "hero"))
+    write_landmarks(place / "landmarks.json", marks_at(picked, "hero", "hero"))
     request = MatchRequest(hero, hero, place / "R", place / "landmarks.json", level=1, k=30, part="component:1")
     run_match(request, Stages())
     return place
@@ -153,7 +153,6 @@ def test_what_only_moves_is_read_at_its_first_time(tmp_path: Path) -> None:
 
 
 def test_mirrored_and_left_handed_prims_face_outwards_and_layers_fit_them(tmp_path: Path) -> None:
-    """Face corners come in the prim's own order in a layer, whichever way they were run through."""
     with stage_at(tmp_path / "mirrored.usda", ("Y", 1)) as stage:
         stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Root").GetPrim())
         other = cube().face_indices.reshape(-1, 4)[:, ::-1].ravel()
@@ -334,7 +333,6 @@ def _bound(stage: Any, to: Any, material: str, **options: Any) -> None:
 
 
 def test_materials_are_those_that_usd_resolves(tmp_path: Path) -> None:
-    """Of previews or final renderings alone, of a collection, or of a prim above that overrides those below it."""
     with stage_at(tmp_path / "looks.usda") as stage:
         strong = UsdShade.Tokens.strongerThanDescendants
         _bound(stage, UsdGeom.Xform.Define(stage, "/over"), "above", bindingStrength=strong)
@@ -365,7 +363,6 @@ def test_materials_are_those_that_usd_resolves(tmp_path: Path) -> None:
 def test_curves_copies_and_values_of_as_many_faces_as_vertices_are_left_out_aloud(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """By their number of rows, values of a torus' faces would be values of its vertices."""
     ring = torus()
     assert ring.n_faces == ring.n_vertices
     with stage_at(tmp_path / "ring.usda") as stage:
@@ -424,7 +421,6 @@ def test_creasing_that_usd_has_no_word_for_is_left_out_aloud(tmp_path: Path, cap
 def test_a_transform_that_changes_the_shape_of_an_only_mesh_is_said(
     scale: tuple[float, float, float], said: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Left and right of the mesh were exchanged without a word."""
     with stage_at(tmp_path / "scaled.usda") as stage:
         UsdGeom.Xform.Define(stage, "/x").AddScaleOp().Set(scale)
         usd_mesh(stage, "/x/box", cube())
@@ -461,10 +457,41 @@ def test_several_meshes_are_upright_as_their_world(tmp_path: Path) -> None:
 def test_a_binding_without_its_schema_is_read_without_a_word_of_usd(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Of exporters that do not apply MaterialBindingAPI: it would name a source file of USD on the console."""
     with stage_at(tmp_path / "cube.usda") as stage:
         prim = usd_mesh(stage, "/cube", cube()).GetPrim()
         UsdShade.Material.Define(stage, "/red")
         prim.CreateRelationship("material:binding").SetTargets(["/red"])
     assert read_usd(tmp_path / "cube.usda").material_names == ("red",)
     assert capfd.readouterr().err == ""
+
+
+def test_a_face_in_several_groups_is_written_into_each_and_names_are_kept_as_display_names(tmp_path: Path) -> None:
+    """One and two of `g one two` would lose the face; `Skin.001` is no name of a prim."""
+    mesh = replace(
+        cube(),
+        face_groups=np.array([0, 3, 3, 3, 1, 2]),
+        group_names=("one", "two", "one two", ""),
+        face_materials=np.array([0, 0, 0, 1, 1, 1]),
+        material_names=("Skin.001", "eye"),
+    )
+    write_usd(tmp_path / "box.usda", mesh)
+    stage = Usd.Stage.Open(str(tmp_path / "box.usda"))
+    subsets = UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(stage.GetPrimAtPath("/Asset/mesh")))
+    found = {one.GetPrim().GetDisplayName(): list(one.GetIndicesAttr().Get()) for one in subsets}
+    assert found == {"one": [0, 5], "two": [4, 5], "Skin.001": [0, 1, 2], "eye": [3, 4, 5]}
+    assert stage.GetPrimAtPath("/Asset/materials/Skin_001").GetDisplayName() == "Skin.001"
+    read = read_usd(tmp_path / "box.usda")
+    assert read.group_names == ("one", "two", "", "one two")
+    assert read.material_names == material_names(usd_document(tmp_path / "box.usda")) == ("Skin.001", "eye")
+
+
+def test_subsets_of_faces_that_are_not_there_are_left_out_aloud(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with stage_at(tmp_path / "asset.usda") as stage:
+        mesh = usd_mesh(stage, "/A/m", cube())
+        UsdGeom.Subset.CreateGeomSubset(mesh, "one", "face", [0, 5], "picked")
+        UsdGeom.Subset.CreateGeomSubset(mesh, "far", "face", [1, 6], "picked")
+    assert read_usd(tmp_path / "asset.usda").group_names == ("one", "")
+    (said,) = caplog.messages
+    assert "/A/m: subset far is left out: expected faces from 0 to 5, got 1 to 6" in said

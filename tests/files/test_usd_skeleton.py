@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,10 +26,11 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
-from cagemap.files.usd.prims import local_to_world, transform_points
-from cagemap.files.usd.read import read_usd, read_usd_meshes
+from cagemap.files.usd.prims import transform_points
+from cagemap.files.usd.read import read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import StageSpace, between_spaces, to_standard, unit_notes
+from cagemap.files.usd.transforms import local_to_world
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
 from usd_scenes import complaints, stage_at, usd_mesh
@@ -104,7 +104,6 @@ def test_a_skeleton_comes_back_from_usd_and_skins_to_rest(tmp_path: Path) -> Non
 
 
 def test_vertices_without_weights_stay_and_all_joints_are_kept(tmp_path: Path) -> None:
-    """Such as those outside a matched part: USD would move them to the skeleton's origin."""
     names = tuple(f"joint{number}" for number in range(9))
     heads = np.arange(27.0).reshape(9, 3)
     skeleton = Skeleton(names, ("", *names[:-1]), heads, heads + 1.0)
@@ -166,27 +165,6 @@ def test_a_mesh_without_a_skeleton_and_a_damaged_one(tmp_path: Path) -> None:
     stage.Save()
     with pytest.raises(FormatError, match="of 1, or joints that the skeleton has not"):
         read_usd_meshes(path)
-
-
-@pytest.mark.slow
-def test_mutated_rigs_are_refused_by_name(tmp_path: Path) -> None:
-    """Numbers and words replaced, pieces cut out: read as something else, or refused, and nothing foreign raised."""
-    path, rng = tmp_path / "rig.usda", np.random.default_rng(0)
-    _write(path, "rig.usda")
-    text = path.read_text(encoding="utf-8")
-    places = [found.span() for found in re.finditer(r'-?\d+\.?\d*(e-?\d+)?|"[^"\n]*"', text)]
-    words = ["-1", "nan", "inf", "1e300", '""', "[]", "None", "()", '"x"', "999999999"]
-    refused = 0
-    for number in range(90):
-        first, last = places[rng.integers(len(places))] if number % 3 else sorted(rng.integers(len(text), size=2))
-        broken = tmp_path / f"broken_{number}.usda"  # USD keeps what it has read by name
-        broken.write_text(text[:first] + words[rng.integers(len(words))] + text[last:], encoding="utf-8")
-        for read in (read_skeleton, read_attributes, lambda file: (read_usd(file), to_standard(file))):
-            try:
-                read(broken)
-            except FormatError:
-                refused += 1
-    assert refused > 60
 
 
 def test_joints_without_an_identifier_of_their_own_stay_apart(tmp_path: Path) -> None:

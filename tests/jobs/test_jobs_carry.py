@@ -23,7 +23,7 @@ from cagemap.jobs.detours import add_detours
 from cagemap.jobs.job import read_job
 from cagemap.jobs.plan import Plan, plan_job
 from cagemap.jobs.tree import spanning_tree
-from cagemap.maps.places import cage_points_of, locate
+from cagemap.maps.pair import cage_points_of, locate
 from cagemap.mesh.landmarks import NamedPoints
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.spectral.surface import prepare_surface
@@ -32,6 +32,7 @@ from cagemap.tasks.requests.catalogue import COMMANDS
 
 from example_once import example_pair
 from example_result import identity_result, textured_cube
+from plain_meshes import renumbered
 
 JOB = """output = "night"
 [options]
@@ -221,11 +222,8 @@ def test_a_point_of_the_surface_has_a_point_of_the_cage_that_lies_there() -> Non
 @pytest.mark.slow
 @pytest.mark.usefixtures("jobs_in_threads", "small_pages")
 def test_a_job_carries_landmarks_and_takes_the_corrected_ones(tmp_path: Path) -> None:
-    """Between two meshes of one surface, whose maps are found at once."""
     pair = example_pair(16)
-    order = np.random.default_rng(2).permutation(pair.source.n_vertices)  # vertex i of b is vertex order[i] of a
-    number = np.argsort(order)
-    other = replace(pair.source, positions=pair.source.positions[order], face_indices=number[pair.source.face_indices])
+    other, number = renumbered(pair.source, 2)
     write_mesh(tmp_path / "a.obj", pair.source)
     write_mesh(tmp_path / "b.obj", other)
     corrected = number[pair.landmarks.source]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 
@@ -17,11 +18,14 @@ from cagemap.jobs.consistency import (
     read_consistency,
     write_consistency,
 )
-from cagemap.jobs.detours import add_detours, compose_maps, has_detours
+from cagemap.jobs.detours import add_detours, compose_maps, compose_results, has_detours
 from cagemap.jobs.plan import Plan, Task
+from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.subdivision import refine
 from cagemap.surface.triangle_surface import TriangleSurface
+
+from example_result import identity_result
 
 NAMES = "abcdef"
 
@@ -136,3 +140,17 @@ def test_outputs_of_a_doubtful_pair_are_made_from_the_way_round(tmp_path: Path) 
 def test_a_way_round_is_at_least_twice_as_good(error: float, found: bool) -> None:
     errors = {("a", "c"): error, ("a", "b"): 0.05, ("b", "c"): 0.05}
     assert _detours(errors, [("a", "c")]) == ({("a", "c"): ("a", "b", "c")} if found else {})
+
+
+def test_a_composed_result_has_the_masks_and_files_of_its_ends() -> None:
+    entries = {name: {"path": f"../../../{name}.obj", "sha256": name} for name in "abc"}
+    steps = []
+    for target, source in (("a", "b"), ("b", "c")):
+        result, inputs = identity_result(), {"target": entries[target], "source": entries[source]}
+        vertices = len(result.target.vertices)
+        masks = Masks(np.full(vertices, 0.25), np.full(vertices, 0.5))
+        steps.append(replace(result, masks=masks, provenance={**result.provenance, "inputs": inputs}))
+    composed = compose_results(steps, ("a", "b", "c"))
+    assert composed.manifest["inputs"] == {"target": entries["a"], "source": entries["c"]}
+    assert composed.masks.target is steps[0].masks.target
+    assert composed.masks.source is steps[1].masks.source

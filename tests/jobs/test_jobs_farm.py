@@ -109,3 +109,14 @@ echo "$id;cluster"
     assert all("--mem=8G" in line for line in submitted)
     after = [line.partition("afterany:")[2].partition(" ")[0] for line in submitted]
     assert after == ["", "1", "1", "2:3", "2:3", "4:5"]
+
+
+def test_the_slurm_script_ends_where_a_step_is_not_accepted(tmp_path: Path) -> None:
+    sbatch, script = tmp_path / "sbatch", tmp_path / "submit.sh"
+    sbatch.write_text(f'#!/bin/bash\necho "$@" >> "{tmp_path}/submitted"\n[[ "$*" != *cagemap-match* ]] && echo 1\n')
+    sbatch.chmod(0o755)
+    script.write_text(slurm_script(tmp_path / "job.toml", farm_steps(plan(tmp_path))))
+    environment = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    done = subprocess.run(["bash", str(script)], env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, "submitted" in done.stdout) == (1, False)
+    assert len((tmp_path / "submitted").read_text().splitlines()) == 2

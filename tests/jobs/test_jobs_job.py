@@ -12,11 +12,10 @@ from examples.shapes import cube, icosahedron, torus
 
 from cagemap.errors import FormatError, InvalidMeshError
 from cagemap.files.meshes.formats import write_mesh
-from cagemap.files.result.manifest import file_hash
 from cagemap.jobs.job import Job, read_job
 from cagemap.jobs.job_checks import find_line
 from cagemap.jobs.job_schema import Scheme
-from cagemap.jobs.plan import Plan, Task, content_hash, plan_job
+from cagemap.jobs.plan import Plan, Task, plan_job
 from cagemap.jobs.tree import shape_distribution, spanning_tree
 from cagemap.mesh.schemes import SCHEMES
 from cagemap.tasks.requests.catalogue import COMMANDS as REAL
@@ -374,7 +373,6 @@ def test_a_part_of_a_pair_takes_precedence_over_that_of_an_asset(folder: Path) -
     "option", ['laplacian = "alexa-wardetzky"', "target_accuracy = 1e-4", 'parameter = ["search_vertices=900"]']
 )
 def test_what_changes_a_basis_is_prepared(folder: Path, option: str) -> None:
-    """Otherwise a match finds no prepared surface and prepares both itself."""
     tasks = real_plan(folder, HEAD + f"{option}\n" + ASSETS + PAIRS).tasks
     name = option.split()[0]
     assert any(name in task.request["options"] for task in tasks if task.kind == "prepare")
@@ -396,54 +394,6 @@ def test_values_that_no_command_takes_are_refused_with_what_to_do(folder: Path) 
         "outputs.0.space: expected 'tangent' or 'object', got 'world'. Correct it.",
     ):
         assert words in said, said
-
-
-@pytest.mark.parametrize(
-    ("mesh", "text"),
-    [
-        ("mesh.obj", "mtllib other part.mtl\nv 0 0 0\n"),
-        ("mesh.gltf", f'{{"buffers": [{{"uri": "other%20part.mtl"}}, {{"uri": "data:,{400 * "a"}"}}]}}'),
-        ("mesh.usda", "#usda 1.0\n(\n    subLayers = [@./other.usda@]\n)\n"),
-    ],
-)
-def test_files_that_a_mesh_refers_to_count_by_their_content(folder: Path, mesh: str, text: str) -> None:
-    """Materials of an OBJ, buffers of a glTF, layers of a USD file."""
-    if mesh.endswith("usda"):
-        pytest.importorskip("pxr.Usd")
-    (folder / mesh).write_text(text)
-    keys = []
-    for end in ("", "# changed\n"):
-        for name in ("other part.mtl", "other.usda"):
-            (folder / name).write_text(f"#usda 1.0\n{end}")
-        tasks = plan_of(folder, HEAD + ASSETS.replace("a.obj", mesh) + PAIRS).tasks
-        keys.append({task.key for task in tasks if task.kind == "match" and "a" in (task.pair or ())})
-    assert keys[0]
-    assert not keys[0] & keys[1]
-
-
-def test_layers_and_images_of_a_usd_character_count_by_their_content(tmp_path: Path) -> None:
-    """References, payloads, images and tiles; a package, whose layers are in it, by its own content."""
-    pytest.importorskip("pxr.Usd")
-    from pxr import UsdUtils
-
-    shader = 'def Shader "s" {\nasset inputs:a = @./skin.<UDIM>.png@\nasset inputs:b = @eye.png@\n}'
-    files = {
-        "a.usda": '#usda 1.0\ndef Xform "a" (\n references = @b.usda@</b>\n payload = @c.usda@</c>\n)\n{\n}\n',
-        "b.usda": '#usda 1.0\ndef "b" {\n}\n',
-        "c.usda": f'#usda 1.0\ndef "c" {{\n{shader}\n}}\n',
-        "skin.1002.png": "one",
-        "eye.png": "two",
-    }
-    for name, text in files.items():
-        (tmp_path / name).write_text(text)
-    path = str(tmp_path / "a.usda")
-    assert UsdUtils.CreateNewUsdzPackage(path, str(tmp_path / "a.usdz"))
-    assert content_hash(str(tmp_path / "a.usdz")) == f"a.usdz {file_hash(tmp_path / 'a.usdz')}"
-    known = {content_hash(path)}
-    for name, text in files.items():
-        (tmp_path / name).write_text(f"{text}\n# changed")
-        known.add(content_hash(path))
-    assert len(known) == 1 + len(files)
 
 
 @pytest.mark.parametrize("name", ["a.%(UDIM)d.png", "a.<UDIM>.png"])
@@ -469,3 +419,18 @@ def test_shapes_of_a_folder_count_by_name_and_content(folder: Path) -> None:
         (folder / "shapes" / name).write_text(content)
         keys.append(next(task.key for task in real_plan(folder, text).tasks if task.kind == "transfer"))
     assert len(set(keys)) == 3
+
+
+def test_point_files_of_a_pair_take_precedence_over_landmarks_of_assets(folder: Path) -> None:
+    assets = ASSETS.replace('.obj"', '.obj"\nlandmarks = "asset.json"')
+    options = 'options = { target_points = "t.json", source_points = "s.json" }\n'
+    for name in ("asset", "t", "s"):
+        (folder / f"{name}.json").write_text("{}")
+    (task, *_) = [task for task in real_plan(folder, HEAD + assets + PAIRS + options).tasks if task.kind == "match"]
+    assert [Path(task.request[f"{side}_points"]).name for side in ("target", "source")] == ["t.json", "s.json"]
+
+
+def test_a_wrap_of_a_job_takes_no_map(folder: Path) -> None:
+    (folder / "m.npy").write_bytes(b"")
+    outputs = '[[outputs]]\ncommand = "wrap"\nmap = "m.npy"\n'
+    assert "outputs.0.map" in refusal(folder, HEAD + ASSETS + PAIRS + outputs)

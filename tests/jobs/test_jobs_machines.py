@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -22,9 +18,7 @@ from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.result.folder import read_result
 
 from forked import dask_command, forking
-from locations import FIXTURES
 
-HERE = FIXTURES
 JOB = """output = "{output}"
 [options]
 vertices = 300
@@ -67,31 +61,6 @@ def single(folder: Path, target: str, source: str, landmarks: str) -> np.ndarray
     said = CliRunner().invoke(app, given)
     assert said.exit_code == 0, said.output
     return ALONE.setdefault(target, read_result(result).image())
-
-
-def test_a_disk_that_fills_costs_only_what_does_not_fit(folder: Path) -> None:
-    """Results are whole or not there, the failures are named, and with room again the same command does the rest."""
-    unshare = shutil.which("unshare")
-    if unshare is None or subprocess.run([unshare, "-rm", "true"], capture_output=True, check=False).returncode:
-        pytest.skip("a disk of one's own needs unshare -rm, which this machine refuses")
-    (folder / "job.toml").write_text(JOB.format(output="disk/night"))
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
-    done = subprocess.run(
-        [unshare, "-rm", sys.executable, str(HERE / "disk_runner.py"), str(folder), "64m", str(4_100_000)],
-        env=environment, capture_output=True, text=True, check=False, timeout=500,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    said = json.loads((folder / "said.json").read_text())
-    assert said["full"]["code"] == 1, said["full"]["said"]
-    assert "space left" in said["full"]["said"]
-    assert said["full"]["temporary"] == []
-    assert all(isinstance(images, list) for images in said["full"]["results"].values())
-    assert said["roomy"]["code"] == 0, said["roomy"]["said"]
-    pairs = {"pony__deer": ("deer", "pony", "landmarks.json"), "deer__pony": ("pony", "deer", "back.json")}
-    assert set(said["roomy"]["results"]) == set(pairs)
-    for name, (target, source, landmarks) in pairs.items():
-        alone = single(folder, target, source, landmarks)
-        np.testing.assert_allclose(said["roomy"]["results"][name], alone.ravel()[:3000], atol=1e-12)
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from cagemap.files import atomic
 from cagemap.jobs.page import PairRow, build_library_page, build_table, pair_rows, write_library
 from cagemap.jobs.plan import Plan, Task
 from cagemap.jobs.run import TaskOutcome
+from cagemap.tasks.run_job import summary
 
 QUALITY = {
     "landmark_error_mean": 0.001,
@@ -91,7 +92,6 @@ def test_writing_the_same_again_writes_nothing(tmp_path: Path) -> None:
 
 
 def test_the_same_parquet_is_not_written_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a stand-in for pyarrow, which not everybody has."""
     arrow, parquet = ModuleType("pyarrow"), ModuleType("pyarrow.parquet")
     arrow.__spec__ = ModuleSpec("pyarrow", None)
     vars(arrow).update(parquet=parquet, table=lambda arrays, metadata: repr((arrays, metadata)).encode())
@@ -163,3 +163,19 @@ def test_rows_gather_what_the_tasks_of_a_pair_said(tmp_path: Path) -> None:
     failure = {"code": "format", "place": "a.png", "remedy": "Export it again."}
     assert rows[0].failure == failure
     assert [{name: row[name] for name in failure} for row in build_table(rows)] == [failure, dict.fromkeys(failure, "")]
+
+
+def test_a_row_has_the_warnings_and_notes_of_all_tasks_of_its_pair(tmp_path: Path) -> None:
+    pair = ("a", "b")
+    tasks = tuple(Task(kind, f"{kind} a -> b", "k", (), {}, (), pair) for kind in ("match", "transfer"))
+    figures = {"quality": QUALITY, "warnings": [], "notes": ["b.obj: 3 vertices are welded"]}
+    outcomes = {
+        tasks[0].name: TaskOutcome(tasks[0].name, "done", "", 2.0, figures),
+        tasks[1].name: TaskOutcome(tasks[1].name, "kept", "", 1.0, {"warnings": ["b.obj: UVs overlap"]}),
+    }
+    plan = Plan(tmp_path, tasks, (pair,))
+    (row,) = pair_rows(plan, outcomes)
+    assert row.messages == ("b.obj: 3 vertices are welded", "transfer a -> b: b.obj: UVs overlap")
+    assert row.verdict == "good"
+    text = summary(plan, outcomes, [], None, 1.0)
+    assert "\n  match a -> b: b.obj: 3 vertices are welded\n  transfer a -> b: b.obj: UVs overlap" in text

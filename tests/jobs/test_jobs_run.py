@@ -19,7 +19,7 @@ import pytest
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import write_whole
 from cagemap.files.meshes.formats import referred_files
-from cagemap.files.result.manifest import stated_inputs
+from cagemap.files.result.manifest import file_hash, stated_inputs
 from cagemap.jobs.plan import Plan, Task, content_hash
 from cagemap.jobs.run import TaskOutcome, _outcome_of, execute, kept_outcome, missing_tasks, open_client, run_plan
 
@@ -73,39 +73,75 @@ def test_another_key_or_a_lost_output_means_that_it_is_done_again(tmp_path: Path
     assert kept_outcome(tmp_path, one) is None
 
 
-@pytest.mark.parametrize("stated", [r"gr\u00f6\u00dfe 1.bin", "gr%C3%B6%C3%9Fe%201.bin", r"maps\\..\/größe 1.bin"])
-@pytest.mark.parametrize("file", ["a.gltf", "a.glb", "a.VRM"])
-def test_the_hash_of_a_gltf_depends_on_its_buffer_however_it_is_named(stated: str, file: str, tmp_path: Path) -> None:
-    (tmp_path / "maps").mkdir()
+def gltf(file: str, stated: str) -> bytes:
     text = f'{{"buffers": [{{"uri": "{stated}"}}, {{"uri": "data:,{"x" * 2000}"}}]}}'.encode()
-    head = b"" if file == "a.gltf" else struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON")
-    (tmp_path / file).write_bytes(head + text)
-    hashes = []
-    for content in (b"as it was", b"as it is"):
-        (tmp_path / "größe 1.bin").write_bytes(content)
-        hashes.append(
-            (content_hash(str(tmp_path / file)), stated_inputs({"m": tmp_path / file}, tmp_path)["m"]["sha256"])
-        )
-    assert not set(hashes[0]) & set(hashes[1])
-    (tmp_path / file).write_bytes(head[:-1])  # cut short: its reader says so
-    assert content_hash(str(tmp_path / file))
-    (tmp_path / file).unlink()
-    assert referred_files(tmp_path / file) == []
+    return (b"" if file == "a.gltf" else struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON")) + text
 
 
-@pytest.mark.parametrize(
-    ("stated", "place"),
-    [("C:\\work\\häute\\skin 1.PNG", "skin 1.PNG"), ("C:/skin.tga", "textures/skin.tga"), ("maps/a.jpg", "maps/a.jpg")],
-)
-def test_the_hash_of_an_fbx_depends_on_its_textures(stated: str, place: str, tmp_path: Path) -> None:
+def fbx(stated: str) -> bytes:
     name = stated.encode()
     head = b"Kaydara FBX Binary  \0" + bytes(range(256)) + b"S" + bytes([len(name), 0, 0, 0])
-    (tmp_path / "a.fbx").write_bytes(head + name + b"S" + 400 * b"n" + b".png")
-    (tmp_path / place).parent.mkdir(exist_ok=True)
-    (tmp_path / place).write_bytes(b"as it was")
-    before = content_hash(str(tmp_path / "a.fbx"))
-    (tmp_path / place).write_bytes(b"as it is")
-    assert content_hash(str(tmp_path / "a.fbx")) != before
+    return head + name + b"S" + 400 * b"n" + b".png"
+
+
+LAYERS = b"""#usda 1.0
+def Xform "a" (\n references = @b.usda@</b>\n payload = @c.usda@</c>\n)
+{
+    def Shader "s" {\nasset inputs:a = @./skin.<UDIM>.png@\nasset inputs:b = @eye.png@\n}
+}
+"""
+REFERRED = [
+    ("a.obj", b"mtllib other part.mtl\nv 0 0 0\n", ["other part.mtl"]),
+    ("a.usda", b"#usda 1.0\n(\n    subLayers = [@./other.usda@]\n)\n", ["other.usda"]),
+    ("a.usda", LAYERS, ["b.usda", "c.usda", "skin.1002.png", "eye.png"]),
+    ("a.fbx", fbx("C:\\work\\häute\\skin 1.PNG"), ["skin 1.PNG"]),
+    ("a.fbx", fbx("C:/skin.tga"), ["textures/skin.tga"]),
+    ("a.fbx", fbx("maps/a.jpg"), ["maps/a.jpg"]),
+    *(
+        (file, gltf(file, stated), ["größe 1.bin"])
+        for file in ("a.gltf", "a.glb", "a.VRM")
+        for stated in (r"gr\u00f6\u00dfe 1.bin", "gr%C3%B6%C3%9Fe%201.bin", r"maps\\..\/größe 1.bin")
+    ),
+]
+
+
+@pytest.mark.parametrize(("file", "content", "others"), REFERRED, ids=lambda value: str(value)[:30])
+def test_hashes_of_a_mesh_follow_each_file_that_it_names(
+    file: str, content: bytes, others: list[str], tmp_path: Path
+) -> None:
+    if file == "a.usda":
+        pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    (tmp_path / "maps").mkdir()
+    (tmp_path / file).write_bytes(content)
+
+    def hashes(changed: str = "") -> set[str]:
+        for other in others:
+            (tmp_path / other).parent.mkdir(exist_ok=True)
+            (tmp_path / other).write_text("#usda 1.0\n" + ("# changed\n" if other == changed else ""))
+        hashed = {content_hash(str(tmp_path / file))}
+        if content.startswith((b"glTF", b"{")):
+            hashed.add(stated_inputs({"m": tmp_path / file}, tmp_path)["m"]["sha256"])
+        return hashed
+
+    before = hashes()
+    assert not [other for other in others if before & hashes(other)]
+
+
+def test_a_gltf_that_is_cut_short_or_gone_names_no_files(tmp_path: Path) -> None:
+    for file in (tmp_path / "a.gltf", tmp_path / "a.glb"):
+        file.write_bytes(gltf(file.name, "a.bin")[:19])  # its reader says so
+        assert content_hash(str(file))
+        file.unlink()
+        assert referred_files(file) == []
+
+
+def test_a_usd_package_counts_by_its_own_content(tmp_path: Path) -> None:
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    from pxr import UsdUtils
+
+    (tmp_path / "a.usda").write_text('#usda 1.0\ndef "b" {\n}\n')
+    assert UsdUtils.CreateNewUsdzPackage(str(tmp_path / "a.usda"), str(tmp_path / "a.usdz"))
+    assert content_hash(str(tmp_path / "a.usdz")) == f"a.usdz {file_hash(tmp_path / 'a.usdz')}"
 
 
 def test_what_came_of_a_file_that_changed_meanwhile_is_not_kept(tmp_path: Path) -> None:
@@ -300,35 +336,7 @@ def test_a_worker_that_nobody_starts_again_is_replaced(tmp_path: Path, monkeypat
     assert outcomes["one"].state == "done"
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("forked_workers")
-def test_a_scheduler_elsewhere_is_reached_by_its_address(tmp_path: Path) -> None:
-    from distributed import LocalCluster
-
-    tasks = (task(tmp_path, "one"), task(tmp_path, "two", ("one",)))
-    with (
-        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        open_client(cluster.scheduler_address) as connect,
-    ):
-        outcomes = run_plan(Plan(tmp_path, tasks, ()), write_name, connect)
-    assert [outcomes[name].state for name in ("one", "two")] == ["done", "done"]
-
-
-@pytest.mark.slow
-def test_an_address_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import distributed
-
-    client = distributed.Client
-    monkeypatch.setattr(distributed, "Client", lambda address, timeout: client(address, timeout="1s"))
-    with (
-        open_client("tcp://127.0.0.1:9") as connect,
-        pytest.raises(ParameterError, match=r"127\.0\.0\.1:9 does not answer"),
-    ):
-        run_plan(Plan(tmp_path, (task(tmp_path, "one"),), ()), write_name, connect)
-
-
 def test_the_dashboard_s_address_is_told_and_workers_share_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With stand-ins for the cluster and for bokeh."""
     import distributed
     from distributed.system import MEMORY_LIMIT
 
@@ -361,7 +369,6 @@ def test_the_dashboard_s_address_is_told_and_workers_share_the_memory(monkeypatc
 
 
 def test_an_interrupted_start_of_dask_has_nothing_to_close_at_exit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Closing workers that have not started ended in a traceback after the message."""
     import distributed
     from distributed.deploy.spec import close_clusters
 

@@ -10,14 +10,13 @@ import pytest
 from examples.shapes import cube, icosahedron
 
 from cagemap.deform.config import StartConfig
-from cagemap.deform.constraints import CurveConstraint
+from cagemap.deform.data import CurveConstraint
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.multi_start import curve_vertices
 from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.errors import FormatError
-from cagemap.files.result.folder import ARRAYS, read_result, write_result
-from cagemap.maps.pair import Pair, point_pairs
-from cagemap.maps.places import curve_pairs, refined_edges
+from cagemap.files.result.folder import read_result, write_result
+from cagemap.maps.pair import Pair, curve_pairs, point_pairs, refined_edges
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.curves import CurvePair
@@ -30,6 +29,7 @@ from cagemap.subdivision import refine
 from cagemap.surface.polylines import Polyline
 
 from curved_bar import RINGS, bar, ends_of, ring, rings_of, slid
+from example_result import change_result
 
 
 @pytest.fixture(scope="module")
@@ -114,8 +114,7 @@ def test_a_result_keeps_its_curves(with_curves: MatchResult, tmp_path: Path) -> 
 
 def test_a_damaged_curve_in_a_result_is_refused(with_curves: MatchResult, tmp_path: Path) -> None:
     write_result(tmp_path / "RESULT", with_curves)
-    arrays = dict(np.load(tmp_path / "RESULT" / ARRAYS))
-    np.savez(tmp_path / "RESULT" / ARRAYS, **arrays | {"target_curve_corners": arrays["target_curve_corners"] + 1000})
+    change_result(tmp_path / "RESULT", target_curve_corners=lambda array: array + 1000)
     with pytest.raises(FormatError, match="target_curve_corners"):
         read_result(tmp_path / "RESULT")
 
@@ -243,6 +242,3 @@ def test_descriptors_of_a_curve_are_the_mean_of_its_points(surfaces: tuple) -> N
     vertices = curve.points.corners[np.arange(len(curve.points)), curve.points.barycentric.argmax(axis=1)]
     expected = curve.line.point_shares @ surface.basis.rows(surface.finest_level, vertices)
     np.testing.assert_allclose(curve_rows(surface, [curve])[0], expected, atol=1e-10)
-
-
-# ---- files and checks

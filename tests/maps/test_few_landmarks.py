@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmarks.truth import compare_with_truth, true_map
 
-from cagemap import BasisConfig, Landmarks, match, prepare_surface, read_mesh, refine
-from cagemap.files.landmarks.pairs import read_landmarks
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap import BasisConfig, Landmarks, match, prepare_surface
 
 from example_once import example_pair
 from quick_match import SEARCHED
@@ -33,19 +30,3 @@ def test_a_single_hoof_tells_left_from_right():
     assert sideways.mean() > 0.3
     assert crossed.sum() <= 0.005 * sideways.sum()
     assert found.suspects == ()
-
-
-@pytest.mark.slow
-def test_six_landmarks_on_humans(shared_data):
-    humans = shared_data / "humans"
-    names = "male1591_female_old_heavy", "female1605_male_young"
-    target, source = (prepare_surface(read_mesh(humans / f"{name}.obj"), 1, BasisConfig(count=300)) for name in names)
-    file = humans / "landmarks" / "female1605__male1591_fps30.json"
-    landmarks, _ = read_landmarks(file, "male1591", "female1605")
-    six = landmarks.without(range(6, len(landmarks)))
-    found = match(target, source, six, SEARCHED)
-    neutral = (refine(read_mesh(humans / f"{name}_neutral.obj"), 1).finest for name in ("male1591", "female1605"))
-    truth = true_map(*(TriangleSurface.from_faces(side.positions, side.faces) for side in neutral))
-    figures = compare_with_truth(found.point_map, truth)
-    assert figures.mean < 0.01
-    assert figures.p95 < 0.03

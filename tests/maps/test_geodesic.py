@@ -56,7 +56,6 @@ def test_errors_are_distances_along_the_source(sphere_map: PointMap) -> None:
 
 
 def test_truth_of_some_vertices_is_enough(sphere_map: PointMap) -> None:
-    """Of the first ones, with -1 where unknown: those with a truth are judged, others are refused."""
     truth = sphere_map.nearest_vertices()[:12].copy()
     truth[::2] = -1
     np.testing.assert_allclose(cagemap.geodesic_error(sphere_map, truth), np.zeros(6), atol=1e-12)

@@ -7,22 +7,23 @@ from itertools import product
 
 import numpy as np
 import pytest
-from examples.shapes import creature, cube, voxels
+from examples.shapes import creature, cube, grid, voxels
 from scipy.spatial.transform import Rotation
 
 from cagemap.deform.placement import Placement
 from cagemap.errors import InvalidLandmarksError
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
-from cagemap.maps.hypotheses.rigid_starts import (
+from cagemap.maps.hypotheses.search import cost_floor
+from cagemap.maps.hypotheses.starts import (
     AS_FILED,
     BY_FILE_AXES,
     rigid_starts,
     rotation_name,
     rotation_penalty,
+    unmoved_start,
     usual_rotations,
 )
-from cagemap.maps.hypotheses.search import cost_floor
 from cagemap.maps.masks import Masks
 from cagemap.mesh import Bilinear
 from cagemap.mesh.landmarks import Landmarks
@@ -61,7 +62,6 @@ ABOUT_X, ABOUT_Y, ABOUT_Z = (Rotation.from_rotvec(np.pi * axis).as_matrix().roun
 def test_rotations_between_the_axes_that_the_files_state_have_no_penalty(
     up_axes: tuple[FloatArray | None, FloatArray | None], penalties: list[float]
 ) -> None:
-    """Half turns about the vertical have a small one."""
     prepared = prepare_pair(*(prepare_surface(replace(creature(), upright=upright), 1) for upright in up_axes))
     rotations = (np.eye(3), Z_UP.T, Z_UP, ABOUT_Y, ABOUT_Z, ABOUT_X, ABOUT_Y @ Z_UP.T)
     assert [rotation_penalty(matrix, prepared) for matrix in rotations] == penalties
@@ -71,7 +71,6 @@ def test_rotations_between_the_axes_that_the_files_state_have_no_penalty(
 
 @pytest.mark.slow
 def test_a_model_with_another_axis_up_is_aligned_by_its_file() -> None:
-    """The shapes differ; an alignment that turns the files' axes was doubted."""
     tilted = replace(creature().with_positions(creature().positions * (1.3, 1.0, 0.8) @ Z_UP.T), upright=Z_UP)
     confidence = match(prepare_surface(tilted, 1), prepare_surface(creature(), 1), None, SEARCHED).confidence
     assert confidence.signs["turned"] == 0.0
@@ -91,6 +90,21 @@ def test_boxes_agree_and_no_start_mirrors() -> None:
     stretched = starts[1].positions
     np.testing.assert_allclose(np.ptp(stretched, axis=0), np.ptp(others, axis=0))
     np.testing.assert_allclose(stretched.min(axis=0), others.min(axis=0), atol=1e-12)
+
+
+@pytest.mark.parametrize("factor", [1.0, 2.0, 5.0])
+def test_open_surfaces_of_related_units_also_start_where_the_files_place_them(factor: float) -> None:
+    """Also in exactly one unit; closed surfaces and unrelated units have no such start."""
+    closed = prepare_surface(cube(), 1)
+    assert unmoved_start(prepare_pair(closed, closed), closed.finest_triangles.positions) == []
+    mesh = grid()
+    target, source = (prepare_surface(mesh.with_positions(k * mesh.positions), 1) for k in (1.0, factor))
+    points = target.finest_triangles.positions
+    starts = unmoved_start(prepare_pair(target, source), points)
+    assert len(starts) == (0 if factor == 5.0 else 1)
+    for start in starts:
+        in_file = start.positions / source.finest_triangles.scale, points / target.finest_triangles.scale
+        np.testing.assert_allclose(*in_file)
 
 
 def test_principal_frames_do_not_depend_on_where_vertices_are_dense() -> None:

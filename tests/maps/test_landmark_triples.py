@@ -107,7 +107,6 @@ def placed(positions: np.ndarray, normals: np.ndarray, noise: float, rng: np.ran
 
 
 def test_landmarks_on_the_midline_alone_are_not_mirrored() -> None:
-    """Their turns are what their places are off by: in a third of these sets these once had the opposite sense."""
     rng = np.random.default_rng(6)
     for count in np.repeat([6, 8, 14], 20).tolist():
         angles = 2 * np.pi * (np.arange(count) + rng.uniform(-0.4, 0.4, count)) / count

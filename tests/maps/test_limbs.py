@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from cagemap.deform.config import SearchConfig
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.limbs import assigned_limbs, limb_measures, rank_assignments
 from cagemap.maps.hypotheses.search import fit_small_graph
+from cagemap.maps.hypotheses.starts import assigned_limbs, limb_measures, rank_assignments
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import prepare_pair, prepare_surface

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import creature
+from examples.shapes import creature, torus
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import Image, read_image, write_image
@@ -19,10 +19,10 @@ from cagemap.files.result.maps import write_map
 from cagemap.files.values.attributes import read_attributes, write_attributes
 from cagemap.maps.masks import face_mask
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import find_part
 from cagemap.report import draw_gallery
 from cagemap.tasks.import_map import run_map
+from cagemap.tasks.masks import read_mask
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.import_map import MapRequest
@@ -31,6 +31,7 @@ from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import WrapRequest, run_wrap
 
 from example_result import identity_result
+from plain_meshes import marks_at
 from quick_match import from_one_start
 
 
@@ -52,8 +53,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     swollen = mesh.positions * np.where(behind[:, None], [1.0, 1.6, 1.6], 1.0)
     write_obj(folder / "source.obj", mesh.with_positions(swollen))
     front = np.flatnonzero(~behind)[:: max(1, int((~behind).sum()) // 16)]
-    names = tuple(f"p{k}" for k in range(len(front)))
-    write_landmarks(folder / "landmarks.json", Landmarks(names, front, front, "target.obj", "source.obj"))
+    write_landmarks(folder / "landmarks.json", marks_at(front, "target.obj", "source.obj"))
     write_image(folder / "texture.png", np.random.default_rng(1).integers(0, 256, (64, 64, 3), dtype=np.uint8))
     write_image(folder / "base.png", np.full((64, 64, 3), 9, dtype=np.uint8))
     _run_match(folder, "RESULT", target_mask="front", source_mask="not:hind")
@@ -118,7 +118,7 @@ def test_outside_the_mask_the_texture_is_the_base(scene: Path) -> None:
     with pytest.raises(FormatError, match="JPEG holds no alpha"):
         _run_transfer(scene, "alpha.jpg", texture=scene / "texture.png")
     write_image(scene / "small.png", np.zeros((16, 16, 4), dtype=np.uint8))
-    with pytest.raises(ParameterError, match="base image: expected 16 x 16 texels of 3 channels"):
+    with pytest.raises(ParameterError, match="expected 16 x 16 texels of 3 channels"):
         _run_transfer(scene, "no.png", texture=scene / "texture.png", bases=(("", scene / "small.png"),))
 
 
@@ -149,12 +149,6 @@ def test_masks_of_a_transfer_are_beside_those_of_the_match(scene: Path, whole: P
     _run_transfer(scene, "further.png", texture=scene / "texture.png", target_mask=str(scene / "painted.png"))
     half = read_image(scene / "further.png").pixels[..., 3]
     assert np.abs(half - at_match * (128 / 255)).max() <= 1
-    with pytest.raises(ParameterError, match="--mask-edge: expected with --target-mask"):
-        _run_transfer(scene, "no.png", texture=scene / "texture.png", mask_edge=0.1)
-    with pytest.raises(
-        ParameterError, match=r"--target-mask: expected with --texture or .* --blend-shapes only, got --write-map"
-    ):
-        _run_transfer(scene, "no.npz", write_map=True, target_mask="front")
     with pytest.raises(ParameterError, match="target mask: expected some of the surface to count"):
         _run_transfer(scene, "no.png", texture=scene / "texture.png", target_mask="hind")
     with pytest.raises(FormatError, match="is an input too"):
@@ -203,32 +197,57 @@ def test_a_mask_fades_colours_that_are_multiplied_by_alpha_once(scene: Path) -> 
 
 
 @pytest.mark.slow
-def test_outside_the_mask_values_shapes_and_cages_stay(scene: Path) -> None:
+def test_outside_the_mask_values_and_cages_stay(scene: Path) -> None:
     result = read_result(scene / "RESULT")
     control = result.target.control
     own = np.random.default_rng(2).random(control.n_vertices)
     write_attributes(scene / "given.npz", {"weight": 5 + own})
-    write_attributes(scene / "own.npz", {"weight": own})
     _, warnings = _run_transfer(scene, "carried.npz", attribute=scene / "given.npz")
     assert any("--base" in text for text in warnings)
-    _run_transfer(scene, "kept.npz", attribute=scene / "given.npz", bases=(("", scene / "own.npz"),))
-    kept = read_attributes(scene / "kept.npz")["weight"]
+    mixed = []
+    for name, base in (("own", own), ("zeros", np.zeros(control.n_vertices, dtype=np.int64))):
+        np.savez(scene / f"{name}.npz", weight=base)
+        _run_transfer(scene, f"{name}_out.npz", attribute=scene / "given.npz", bases=(("", scene / f"{name}.npz"),))
+        mixed.append(read_attributes(scene / f"{name}_out.npz")["weight"])
     weight = result.masks.joint(result.point_map)[: control.n_vertices]
-    assert np.any(weight == 0)
-    np.testing.assert_array_equal(kept[weight == 0], own[weight == 0])
-    assert kept[weight > 0.9].min() > 4
-    np.savez(scene / "zeros.npz", weight=np.zeros(control.n_vertices, dtype=np.int64))
-    _run_transfer(scene, "mixed.npz", attribute=scene / "given.npz", bases=(("", scene / "zeros.npz"),))
-    mixed = read_attributes(scene / "mixed.npz")["weight"]  # whole numbers in a base are mixed as others are
-    np.testing.assert_allclose(mixed, kept - (1 - weight) * own, atol=1e-12)
-    np.savez(scene / "shape.npz", up=np.tile([0.0, 1.0, 0.0], (control.n_vertices, 1)))
-    _run_transfer(scene, "shapes.npz", blend_shapes=(scene / "shape.npz",))
-    offsets = np.load(scene / "shapes.npz")["up"]
-    assert np.all(offsets[weight == 0] == 0)
-    assert offsets[weight > 0.9, 1].min() > 0.2
+    # Whole numbers in a base are mixed as others are.
+    np.testing.assert_allclose(mixed[1], mixed[0] - (1 - weight) * own, atol=1e-12)
     run_wrap(WrapRequest((scene / "RESULT",), scene / "wrapped.obj"), Stages())
     wrapped = read_mesh(scene / "wrapped.obj").positions
     # The swollen half is not taken over: its cage follows the front, which is as it was.
     behind = weight == 0
     swollen, own_shape = result.source.control.positions[behind], control.positions[behind]
     assert np.abs(wrapped[behind] - own_shape).mean() < 0.8 * np.abs(wrapped[behind] - swollen).mean()
+
+
+def test_a_bake_has_the_size_of_its_base(scene: Path) -> None:
+    write_image(scene / "wide.png", np.full((16, 32, 3), 9, dtype=np.uint8))
+    summary, _ = _run_transfer(scene, "over_wide.png", texture=scene / "texture.png", bases=(("", scene / "wide.png"),))
+    assert "32 x 16 texels" in summary
+    pixels = read_image(scene / "over_wide.png").pixels
+    assert pixels.shape == (16, 32, 3)
+    assert (pixels == 9).all(axis=2).any()
+
+
+@pytest.mark.parametrize(
+    ("size", "channels", "options"), [(16, 4, {}), (8, 3, {"size": 16}), (8, 1, {"bake": ("colors",)})]
+)
+def test_a_base_that_does_not_fit_is_refused_before_the_bake(
+    scene: Path, monkeypatch: pytest.MonkeyPatch, size: int, channels: int, options: dict[str, object]
+) -> None:
+    monkeypatch.setattr("cagemap.tasks.carry_images.prepare_bake", lambda *given: pytest.fail("it was prepared"))
+    write_image(scene / f"base{channels}.png", np.zeros((size, size, channels), dtype=np.uint8))
+    options = {"bases": (("", scene / f"base{channels}.png"),), "texture": scene / "texture.png", **options}
+    options |= {"texture": None} if "bake" in options else {}
+    with pytest.raises(ParameterError, match=rf"--base .*got {size} x {size} of {channels}"):
+        _run_transfer(scene, "never.png", **options)
+
+
+def test_a_mask_of_as_many_vertices_as_faces_is_said_to_be_at_vertices(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    ring = torus()
+    assert ring.n_vertices == ring.n_faces
+    np.save(tmp_path / "m.npy", np.linspace(0.0, 1.0, ring.n_faces))
+    assert read_mask(str(tmp_path / "m.npy"), None, ring, tmp_path / "ring.obj", "--target-mask").vertices is not None
+    assert "as many rows as control vertices and as control faces: assumed to be at vertices" in caplog.text

@@ -18,7 +18,7 @@ from cagemap.files.images.image import write_image
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.files.values.attributes import write_attributes
 from cagemap.maps.masks import Masks, face_mask, soft_edge, vertex_mask
-from cagemap.maps.quality import measure_quality
+from cagemap.maps.quality import NOTHING_JOINED, measure_quality
 from cagemap.mesh import ControlMesh
 from cagemap.pipeline import MatchConfig
 from cagemap.subdivision import refine
@@ -53,6 +53,16 @@ def test_a_set_of_faces_does_not_leak_and_a_vertex_group_is_refined() -> None:
         vertex_mask(refinement, np.full(8, 1.5))
     with pytest.raises(ParameterError, match="6 numbers from 0 to 1, one a control face"):
         face_mask(refinement, np.ones(8))
+
+
+def test_masks_that_the_map_does_not_join_leave_the_figures_of_the_target_s_mask() -> None:
+    result = identity_result()
+    upper = (result.target.vertices[:, 2] > 0).astype(np.float64)
+    apart, own = (measure_quality(result.point_map, masks=Masks(upper, source)) for source in (1.0 - upper, None))
+    assert apart.flipped_area == own.flipped_area
+    assert apart.trusted_area == own.trusted_area
+    assert apart.warnings[0] == NOTHING_JOINED
+    assert NOTHING_JOINED not in own.warnings
 
 
 @pytest.mark.slow
@@ -108,7 +118,6 @@ def test_a_correspondence_counts_as_the_product_of_its_ends() -> None:
 
 
 def test_figures_are_those_of_what_counts() -> None:
-    """Half of a sheet is folded over; masked, the other half is without fault."""
     level = plane(16, 16)
     here = identity_map(level)
     half = level.positions[:, 0] > 0.5

@@ -60,13 +60,18 @@ def test_no_points_have_no_closest_points() -> None:
     assert barycentric.shape == (0, 3)
 
 
-@settings(max_examples=15)
-@given(seed=st.integers(10, 10_000), weight=st.sampled_from([0.0, 0.3]), cosine=st.sampled_from([-2.0, 0.2]))
-def test_closest_points_agree_with_trying_every_triangle(seed: int, weight: float, cosine: float) -> None:
+def random_search(seed: int) -> tuple[np.random.Generator, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A generator, positions and triangles of a soup, and points with normals to search for."""
     rng = np.random.default_rng(seed)
     positions = rng.standard_normal((30, 3))
     triangles = np.array([rng.choice(30, 3, replace=False) for _ in range(50)])
-    points, normals = rng.standard_normal((20, 3)), normalize_rows(rng.standard_normal((20, 3)))
+    return rng, positions, triangles, rng.standard_normal((20, 3)), normalize_rows(rng.standard_normal((20, 3)))
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(10, 10_000), weight=st.sampled_from([0.0, 0.3]), cosine=st.sampled_from([-2.0, 0.2]))
+def test_closest_points_agree_with_trying_every_triangle(seed: int, weight: float, cosine: float) -> None:
+    rng, positions, triangles, points, normals = random_search(seed)
     options = {"normal_weight": weight, "minimum_cosine": cosine}
     guess = rng.integers(-1, 50, 20)
     expected, barycentric, distance = closest_points_slowly(positions, triangles, points, normals, **options)
@@ -105,10 +110,7 @@ def test_both_orders_of_the_tree_find_the_same_points(shuffled: bool) -> None:
 @settings(max_examples=15)
 @given(seed=st.integers(10, 10_000), weight=st.sampled_from([0.0, 0.3]), cosine=st.sampled_from([-2.0, 0.2]))
 def test_a_limit_leaves_out_what_is_farther_and_nothing_else(seed: int, weight: float, cosine: float) -> None:
-    rng = np.random.default_rng(seed)
-    positions = rng.standard_normal((30, 3))
-    triangles = np.array([rng.choice(30, 3, replace=False) for _ in range(50)])
-    points, normals = rng.standard_normal((20, 3)), normalize_rows(rng.standard_normal((20, 3)))
+    rng, positions, triangles, points, normals = random_search(seed)
     options = {"normal_weight": weight, "minimum_cosine": cosine}
     tree = build_tree(positions, triangles)
     unlimited, _, distance = closest_points(tree, points, normals, **options)

@@ -22,6 +22,7 @@ from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.wrap import run_wrap
 
+from plain_meshes import renumbered
 from quick_match import QUICK
 
 LEVEL = 1
@@ -39,11 +40,7 @@ def moved(positions: np.ndarray, angle: float) -> np.ndarray:
 def frame(angle: float, seed: int) -> tuple[ControlMesh, np.ndarray]:
     """A frame with its vertices in another order, and the number of each vertex of the body in it."""
     body = torus(12, 8)
-    number = np.random.default_rng(seed).permutation(body.n_vertices)
-    places = np.empty_like(body.positions)
-    places[number] = moved(body.positions, angle)
-    faces = number[body.face_indices].reshape(-1, 4)
-    return ControlMesh.from_faces(places, faces, name=f"frame{seed}.obj"), number
+    return renumbered(replace(body.with_positions(moved(body.positions, angle)), name=f"frame{seed}.obj"), seed)
 
 
 def error(result: MatchResult, number: np.ndarray) -> float:

@@ -30,8 +30,10 @@ from cagemap.maps.hypotheses.confidence import (
     turned_share,
 )
 from cagemap.maps.hypotheses.search import ANOTHER_WAY, distinct_answers
+from cagemap.maps.landmarks.check import LandmarkCheck
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.point_map import PointMap
+from cagemap.maps.result import NOTHING_SHARED, result_of_fit
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pipeline import MatchConfig, match, prepare_pair, prepare_surface
@@ -229,6 +231,19 @@ def test_what_has_no_counterpart_says_nothing_about_a_map(surface: Surface, prep
     assert median_distortion(wrong, weights) == pytest.approx(1.0, abs=1e-6)
     nothing = Masks(np.zeros(wrong.target.n), np.ones(wrong.source.n))
     assert not WHOLE.within(nothing).any  # a map that shares nothing is judged as a whole
+
+
+def test_unmasked_area_without_a_counterpart_is_judged_as_if_it_had_one(surface: Surface) -> None:
+    same, n = map_to(surface, surface.finest_triangles.positions), len(surface.vertices)
+    upper = (surface.vertices[:, 1] > surface.vertices[:, 1].mean()).astype(np.float64)
+    masks, lower = Masks(upper), Masks(1.0 - upper, np.ones(n))
+    np.testing.assert_array_equal(masks.within(lower).of_target(n), upper)
+    problem = Problem.of_landmarks(prepare_pair(surface, surface, MatchConfig(masks=masks)), Landmarks.none())
+    for shared in (lower, Masks(np.ones(n), np.ones(n))):
+        found = result_of_fit(problem, same, Landmarks.none(), LandmarkCheck(), {}, shared)
+        quality = found.quality
+        assert np.isfinite([quality.flipped_area, quality.coverage, quality.trusted_area]).all()
+        assert (NOTHING_SHARED in quality.warnings) == (shared is lower)
 
 
 def test_what_is_masked_does_not_jump(surface: Surface) -> None:

@@ -15,7 +15,7 @@ from cagemap.deform.graph import cluster_graph, mesh_graph
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.deform.refit import finish_placement
-from cagemap.maps.hypotheses.limbs import (
+from cagemap.maps.hypotheses.starts import (
     find_tips,
     mean_distances,
     pair_tips,
@@ -111,7 +111,7 @@ def test_a_fit_is_led_to_tips_that_it_missed(
         held.append((clusters.energy.graph.positions[: len(clusters.constraints.places)], clusters.constraints.places))
         return coarse_fit(problem, start, clusters, samples)
 
-    monkeypatch.setattr("cagemap.maps.hypotheses.limbs.coarse_fit", fitted)
+    monkeypatch.setattr("cagemap.maps.hypotheses.starts.coarse_fit", fitted)
     problem = Problem.of_landmarks(prepared, Landmarks.none())
     found, rest = find_tips(problem), prepared.energy.graph.positions
     ends = prepared.graphs[1].positions[found[1]]

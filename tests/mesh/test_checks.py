@@ -333,9 +333,7 @@ def test_arrays_that_do_not_fit_are_refused(change: dict[str, object], message: 
 @given(mesh=polygon_meshes())
 def test_any_arrays_get_a_verdict(mesh: ControlMesh) -> None:
     """Degenerate faces, positions up to 1e308, anything: problems, not exceptions and not warnings."""
-    report = check_mesh(mesh)
-    assert str(report)
-    assert report.is_valid == (not report.problems)
+    assert str(check_mesh(mesh))
 
 
 def test_every_vertex_list_is_plain_python() -> None:

@@ -121,7 +121,6 @@ def test_landmarks_are_pairs_of_target_and_source_vertices() -> None:
 
 
 def test_values_of_cagemap_and_others_are_no_meshes() -> None:
-    """A `Surface` has vertices and faces too; taken for a control mesh it would be subdivided once more."""
     surface = cagemap.prepare_surface(ARRAYS, 1, cagemap.BasisConfig(count=20))
     for wrong in (surface, surface.refinement.finest, 3, "a.obj", SimpleNamespace(vertices=ARRAYS[0])):
         with pytest.raises(ParameterError, match="control: expected ControlMesh, got"):

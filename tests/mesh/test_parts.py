@@ -39,6 +39,8 @@ from cagemap.tasks.requests.mesh_commands import CheckRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
+from plain_meshes import marks_at
+
 
 def _named(mesh: ControlMesh, name: str, shift: float = 0.0) -> ControlMesh:
     objects = np.zeros(mesh.n_faces, dtype=np.int64)
@@ -57,7 +59,7 @@ def _scene() -> ControlMesh:
     return join_meshes([body, eye, other])
 
 
-def test_parts_are_listed_with_their_sizes(tmp_path: Path) -> None:
+def test_parts_are_listed_once_with_their_sizes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     parts = {part.title: len(part.faces) for part in list_parts(_scene())}
     assert parts == {
         "object:body": 6,
@@ -70,18 +72,13 @@ def test_parts_are_listed_with_their_sizes(tmp_path: Path) -> None:
         "component:eye_right": 20,
     }
     write_obj(tmp_path / "scene.obj", _scene())
-    text, sound = run_check(CheckRequest((tmp_path / "scene.obj",)), Stages())
-    assert not sound
-    assert "`find_part`" in text
-    assert "object:eye_right     20 faces" in text
-
-
-def test_check_lists_the_parts_of_a_mesh_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_obj(tmp_path / "scene.obj", _scene())
     listed = list[str]()
     monkeypatch.setattr(mesh_commands, "list_parts", lambda mesh: (listed.append(mesh.name), list_parts(mesh))[1])
-    run_check(CheckRequest((tmp_path / "scene.obj",)), Stages())
+    text, sound = run_check(CheckRequest((tmp_path / "scene.obj",)), Stages())
+    assert not sound
     assert listed == ["scene.obj"]
+    assert "`find_part`" in text
+    assert "object:eye_right     20 faces" in text
 
 
 def test_parts_are_found_by_name() -> None:
@@ -319,8 +316,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_obj(folder / "target.obj", scene.with_positions(scene.positions * [1, 1.05, 1]))
     count = creature().n_vertices
     picked = np.concatenate([np.linspace(0, count - 1, 8).astype(int), count + np.arange(0, poles(6).n_vertices, 3)])
-    names = tuple(f"point {number}" for number in range(len(picked)))
-    write_landmarks(folder / "landmarks.json", Landmarks(names, picked, picked, "target.obj", "source.obj"))
+    write_landmarks(folder / "landmarks.json", marks_at(picked, "target.obj", "source.obj"))
     image = np.zeros((64, 128, 3), dtype=np.uint8)
     image[:, :64], image[:, 64:] = (200, 30, 30), (30, 30, 200)
     write_image(folder / "texture.png", image)
@@ -368,7 +364,6 @@ def test_each_part_is_matched_and_one_texture_baked(folder: Path) -> None:
 
 
 def test_the_level_of_one_part_is_that_of_its_own_size(folder: Path) -> None:
-    """At the level of the whole file an eye had too few vertices for its basis."""
     files = [folder / name for name in ("target.obj", "source.obj", "R", "landmarks.json")]
     wanted = 400
     inputs = read_inputs(MatchRequest(*files, target_part="body", source_part="ball", vertices=wanted))

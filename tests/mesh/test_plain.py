@@ -156,7 +156,6 @@ def test_a_polygon_that_crosses_itself_gets_no_more_area_than_its_fan() -> None:
 
 
 def test_polygons_with_collinear_corners_are_split_without_a_loss() -> None:
-    """Fans gave each side of a halved edge a flat triangle, and both were left out as copies of each other."""
     box = cube()
     faces = np.split(box.face_indices, box.face_offsets[1:-1])
     ends = np.unique(np.sort(np.concatenate([np.column_stack([f, np.roll(f, -1)]) for f in faces]), axis=1), axis=0)

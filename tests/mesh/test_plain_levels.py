@@ -39,7 +39,7 @@ from cagemap.transfer.matched import transfer_of
 from cagemap.wrap import wrap
 
 from cotangents import triangle_cotangents
-from plain_meshes import animal, far_apart
+from plain_meshes import animal, far_apart, marks_at, renumbered
 
 
 @pytest.fixture(scope="module")
@@ -152,11 +152,10 @@ def test_only_level_0_of_a_plain_mesh_exists() -> None:
 def test_a_plain_mesh_lies_on_itself() -> None:
     """Shuffled numbers change nothing: rows of the result are those of the meshes given."""
     mesh = animal(2)
-    order = np.random.default_rng(3).permutation(mesh.n_vertices)
-    shuffled = replace(mesh, positions=mesh.positions[order], face_indices=np.argsort(order)[mesh.face_indices])
+    shuffled, number = renumbered(mesh, 3)
     target, source = prepare_surface(mesh, 0), prepare_surface(shuffled, 0)
     marks = far_apart(creature().positions, 8)
-    landmarks = Landmarks(tuple(map(str, marks)), marks, np.argsort(order)[marks])
+    landmarks = Landmarks(tuple(map(str, marks)), marks, number[marks])
     found = match(target, source, landmarks)
     result = found
     assert result.target is target
@@ -175,7 +174,7 @@ def test_a_plain_mesh_lies_on_itself() -> None:
 def test_a_plain_result_that_is_read_has_no_coarse_levels_until_a_match_asks(tmp_path: Path) -> None:
     surface = prepare_surface(animal(2), 0)
     marks = far_apart(creature().positions, 6)
-    landmarks = Landmarks(tuple(map(str, marks)), marks, marks)
+    landmarks = marks_at(marks)
     write_result(tmp_path / "RESULT", match(surface, surface, landmarks))
     result = read_result(tmp_path / "RESULT")
     np.testing.assert_allclose(result.image(), surface.vertices, atol=1e-9)

@@ -73,7 +73,6 @@ def test_refine_makes_the_cage_of_a_glb(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_body_as_games_have_it(shared_data: Path) -> None:
-    """Limits were chosen on base_neutral."""
     for name in ("male1591_neutral", "soma18056_neutral"):
         mesh = read_mesh(shared_data / "humans" / f"{name}.obj").with_uvs(None, None)
         mesh = replace(mesh, uv_sets=())

@@ -21,7 +21,6 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
 from cagemap.mesh.weld import weld_mesh
 from cagemap.studio.autosave import FileTracker
-from cagemap.studio.compute import OpenedPair, OpenModels, PairFiles, run_task
 from cagemap.studio.finish import FinishOptions, finish_commands
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks
 from cagemap.studio.models import open_model
@@ -32,7 +31,7 @@ from cagemap.tasks.requests.catalogue import all_options
 from command_line import Run
 from mesh_faults import moebius_strip
 from plain_meshes import animal, soup, split_at_seams
-from studio_boxes import until
+from studio_boxes import opened_pair, until
 
 
 @pytest.fixture(scope="module")
@@ -217,9 +216,7 @@ def test_the_finish_of_the_studio_welds_as_it_opened(folder: Path, boxes: Path, 
 
 @pytest.mark.slow
 def test_studio_landmarks_on_a_welded_mesh_have_the_numbers_of_the_file(folder: Path, tmp_path: Path) -> None:
-    opening = PairFiles(folder / "split.obj", folder / "whole.obj", None, 300, tmp_path)
-    _, opened = run_task(None, OpenModels(opening), lambda _: None)
-    assert isinstance(opened, OpenedPair)
+    opening, _, opened = opened_pair(folder / "split.obj", folder / "whole.obj")
     files = replace(default_files(tmp_path, opening.target, opening.source, None), landmarks=folder / "pairs.json")
     found, notes = load_landmarks(files.landmarks, None, opened.scene, files, FileTracker())
     assert len(found.items) == 9, notes

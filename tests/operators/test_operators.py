@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.operators import (
     build_operators,
@@ -26,6 +25,7 @@ from cagemap.subdivision import refine
 from cagemap.surface.triangles import triangle_areas
 
 from cotangents import triangle_cotangents
+from plain_meshes import renumbered
 
 SHAPES = {
     "cube": lambda: shapes.cube(),
@@ -127,12 +127,8 @@ def test_rigid_motion_and_scale_change_nothing(scale, seed):
 
 
 def test_relabelled_vertices_give_permuted_matrices():
-    rng = np.random.default_rng(77)
     mesh = shapes.creature()
-    new_number = rng.permutation(mesh.n_vertices)
-    positions = np.empty_like(mesh.positions)
-    positions[new_number] = mesh.positions
-    relabelled = ControlMesh(positions, mesh.face_offsets, new_number[mesh.face_indices])
+    relabelled, new_number = renumbered(mesh, 77)
     before, after = build_operators(refine(mesh, 2)), build_operators(refine(relabelled, 2))
     for old, new in zip((before.mass[0], before.stiffness[0]), (after.mass[0], after.stiffness[0]), strict=True):
         assert abs(new[new_number][:, new_number] - old).max() < EXACT * abs(old).max()

@@ -1,4 +1,4 @@
-"""Descriptors in the spectral domain: Definition 3 and Lemma 4 of the paper."""
+"""Descriptors in the spectral domain: Definition 3 of the paper."""
 
 from __future__ import annotations
 
@@ -23,24 +23,6 @@ RNG = np.random.default_rng(314)
 @pytest.fixture
 def spectrum():
     return np.concatenate([[0.0], np.sort(RNG.uniform(1.0, 90.0, 19))])
-
-
-def test_lemma_4_descriptor_matrix_of_the_next_level(spectrum):
-    """K^{l+1} = S K^l S^T + Phi-bar rho(Lambda-bar) Phi-bar^T, for landmark columns and for the diagonal (eq. 12)."""
-    n_coarse, n_fine, low = 25, 60, 12
-    subdivision = RNG.random((n_fine, n_coarse))
-    phi_low, phi_band = RNG.standard_normal((n_coarse, low)), RNG.standard_normal((n_fine, 20 - low))
-    filters = heat_filters(spectrum, np.array([0.01, 0.3]))
-    phi_fine = np.hstack([subdivision @ phi_low, phi_band])
-    for column in range(2):
-        rho = filters[:, column]
-        coarse = phi_low @ np.diag(rho[:low]) @ phi_low.T
-        expected = subdivision @ coarse @ subdivision.T + phi_band @ np.diag(rho[low:]) @ phi_band.T
-        landmarks = np.array([3, 41])
-        coefficients = landmark_descriptors(phi_fine[landmarks], filters)[:, [column, 2 + column]]
-        scale = abs(expected).max()
-        np.testing.assert_allclose(phi_fine @ coefficients, expected[:, landmarks], atol=1e-12 * scale)
-        np.testing.assert_allclose(signatures(phi_fine, filters)[:, column], np.diag(expected), atol=1e-12 * scale)
 
 
 def test_heat_times_span_the_recommended_range(spectrum):

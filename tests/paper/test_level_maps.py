@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -11,7 +12,6 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import write_mesh
-from cagemap.files.npz import write_npz
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, note_transfer
 from cagemap.files.result.maps import read_images
@@ -26,7 +26,7 @@ from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
 from example_once import example_pair
-from example_result import identity_result
+from example_result import change_result, edit_manifest, identity_result
 
 
 @pytest.fixture(scope="module")
@@ -122,40 +122,39 @@ def test_a_report_shows_what_its_level_baked(matched, monkeypatch):
         np.testing.assert_array_equal(shown[matched / f"{level}.html"]["baked"], expected)
 
 
+@pytest.fixture
+def copied(matched, tmp_path):
+    """A copy of the result whose files may be changed."""
+    for name in (MANIFEST, ARRAYS):
+        shutil.copy(matched / "R" / name, tmp_path)
+    return tmp_path
+
+
 @pytest.mark.parametrize("name", ["level_0_match", "level_1_triangle", "level_0_functional_map"])
-def test_damaged_levels_are_refused(matched, tmp_path, name):
+def test_damaged_levels_are_refused(copied, name):
     """An array that is gone or counts past its surface."""
-    manifest = json.loads((matched / "R" / MANIFEST).read_text())
-    (tmp_path / MANIFEST).write_text(json.dumps(manifest | {"files": {}}))
-    arrays = dict(np.load(matched / "R" / ARRAYS))
-    write_npz(tmp_path / ARRAYS, {key: array for key, array in arrays.items() if key != name})
+    wrong = np.full((3, 3, 3), 0.5) if name.endswith("map") else np.full_like(np.load(copied / ARRAYS)[name], 10**7)
+    change_result(copied, **{name: None})
     with pytest.raises(FormatError, match=f"lacks '{name}'"):
-        read_result(tmp_path)
-    wrong = np.full((3, 3, 3), 0.5) if name.endswith("map") else np.full_like(arrays[name], 10**7)
-    write_npz(tmp_path / ARRAYS, arrays | {name: wrong})
+        read_result(copied)
+    change_result(copied, **{name: wrong})
     with pytest.raises(FormatError, match=name):
-        read_result(tmp_path)
+        read_result(copied)
 
 
-def test_points_of_levels_lie_in_their_triangles_but_for_rounding(matched, tmp_path):
-    manifest = json.loads((matched / "R" / MANIFEST).read_text())
-    (tmp_path / MANIFEST).write_text(json.dumps(manifest | {"files": {}}))
-    arrays = dict(np.load(matched / "R" / ARRAYS))
-    places = arrays["level_0_barycentric"].copy()
+def test_points_of_levels_lie_in_their_triangles_but_for_rounding(copied):
+    places = np.load(copied / ARRAYS)["level_0_barycentric"]
     places[0] = -1e-17, 0.4, 0.6
-    write_npz(tmp_path / ARRAYS, arrays | {"level_0_barycentric": places})
-    assert read_result(tmp_path).level_maps[0].points.barycentric[0, 0] == -1e-17
+    change_result(copied, level_0_barycentric=places)
+    assert read_result(copied).level_maps[0].points.barycentric[0, 0] == -1e-17
     places[0] = -0.5, 0.5, 1.0
-    write_npz(tmp_path / ARRAYS, arrays | {"level_0_barycentric": places})
+    change_result(copied, level_0_barycentric=places)
     with pytest.raises(FormatError, match="level_0_barycentric lie outside"):
-        read_result(tmp_path)
+        read_result(copied)
 
 
 @pytest.mark.parametrize("levels", [[(0, 0), (1, 1)], [(0, 0), (2, 1), (1, 2)], [(0, 0), (1, 1), (1, 1)]])
-def test_levels_that_do_not_end_at_the_finest_are_refused(matched, tmp_path, levels):
-    manifest = json.loads((matched / "R" / MANIFEST).read_text())
-    entries = [{"target": one, "source": other} for one, other in levels]
-    (tmp_path / MANIFEST).write_text(json.dumps(manifest | {"files": {}, "level_maps": entries}))
-    write_npz(tmp_path / ARRAYS, dict(np.load(matched / "R" / ARRAYS)))
+def test_levels_that_do_not_end_at_the_finest_are_refused(copied, levels):
+    edit_manifest(copied, files={}, level_maps=[{"target": one, "source": other} for one, other in levels])
     with pytest.raises(FormatError, match=r"end at \(1, 2\)"):
-        read_result(tmp_path)
+        read_result(copied)

@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.errors import ParameterError
 from cagemap.maps.pair import Pair, PointPairs, near_vertices
-from cagemap.mesh.landmarks import Landmarks
 from cagemap.paper import hfm, method
 from cagemap.paper.functional_constraints import MapWeights
 from cagemap.paper.hfm import HfmConfig, both_directions, fit_displacement, hfm_map
@@ -25,6 +24,7 @@ from cagemap.spectral.zoomout import ZoomOutSchedule
 from cagemap.surface.surface_points import SurfacePoints
 
 from judged_pairs import Judged
+from plain_meshes import marks_at
 
 
 @pytest.mark.slow
@@ -49,7 +49,6 @@ def test_the_equations_of_the_blocks_carry_the_paper_method(shared_data):
 
 @pytest.mark.slow
 def test_every_improvement_of_hfm_helps(shared_data, monkeypatch):
-    """Each left out costs something on a pair that nothing was chosen on; docs/paper/index.md has all 28 runs."""
     judged = Judged(HUMANS["base__male1591"], default_basis("hfm"), 14, method="hfm")
 
     def error(**changes):
@@ -69,7 +68,6 @@ def one_direction(areas, matches):
 
 
 def test_matches_of_both_directions_count_both_surfaces_alike():
-    """Whatever the numbers of samples: each side's areas have the same sum."""
     matches = np.array([2, 0, 1]), np.array([0, 0, 1, 2, 2, 1])
     of_target, of_source, areas = both_directions((np.full(3, 1 / 3), np.full(6, 1 / 6)), matches)
     np.testing.assert_array_equal(of_target, [0, 1, 2, 0, 0, 1, 2, 2, 1])
@@ -78,7 +76,6 @@ def test_matches_of_both_directions_count_both_surfaces_alike():
 
 
 def test_a_displacement_is_a_rotation_and_smooth_functions():
-    """What was rotated and displaced by some functions is found again, from weighted samples."""
     rng = np.random.default_rng(7)
     rows = np.hstack([np.ones((300, 1)), rng.standard_normal((300, 4))])
     positions, turn = rng.standard_normal((300, 3)), Rotation.from_rotvec([0.4, -1.1, 2.0]).as_matrix()
@@ -109,7 +106,6 @@ def creature_pair(level=1, schedule=(20, 10)):
 
 @pytest.mark.slow
 def test_landmarks_between_vertices_have_vertices_of_the_searched_level():
-    """Those of the level where functions end are more than the searched level has: an internal error."""
     surface = creature_pair(2, (40, 15, 5)).target
     mesh = surface.triangles(2)
     rng = np.random.default_rng(0)
@@ -129,7 +125,7 @@ def test_finer_levels_start_from_the_same_map():
     for levels in ((1, 1), (2, 1), (3, 2)):
         one, two = (prepare_surface(shapes.creature(), level, BasisConfig(count=30, vertices=300)) for level in levels)
         chosen = np.arange(0, one.control.n_vertices, 7)
-        landmarks = Landmarks(tuple(map(str, chosen)), chosen, chosen, one.control.name, two.control.name)
+        landmarks = marks_at(chosen, one.control.name, two.control.name)
         found.append(match(one, two, landmarks, MatchConfig(method="hfm", hfm=config)))
         assert found[-1].level_maps[-1].levels == levels
         away = found[-1].point_map.images.positions - one.triangles(one.finest_level).positions
@@ -177,7 +173,7 @@ def test_orthonormal_is_the_nearest_isometry():
 def test_match_keeps_the_maps_of_all_levels():
     surface = creature_pair().target
     chosen = np.arange(0, surface.control.n_vertices, 7)
-    landmarks = Landmarks(tuple(map(str, chosen)), chosen, chosen, surface.control.name, surface.control.name)
+    landmarks = marks_at(chosen, surface.control.name, surface.control.name)
     found = match(surface, surface, landmarks, MatchConfig(method="paper"))
     assert [one.levels for one in found.level_maps] == [(0, 0), (1, 1)]
     np.testing.assert_array_equal(found.functional_map, found.level_maps[-1].functional_map)

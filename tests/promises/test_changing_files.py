@@ -94,7 +94,6 @@ def test_a_mesh_in_several_files_has_changed_with_each_of_them(
 
 
 def test_transfers_that_end_at_once_are_both_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As where somebody starts one for each image: each reads the manifest, adds its own line and writes it."""
     pytest.importorskip("fcntl", reason="no locks of folders on this system")
     write_result(tmp_path / "R", identity_result(1))
     both = threading.Barrier(2)

@@ -216,7 +216,6 @@ def test_an_unwrapped_mesh_shows_each_baked_image_on_every_face(place: Path) -> 
 
 
 def test_a_foreign_material_file_is_not_replaced(place: Path) -> None:
-    """Nor beside an unwrapped mesh, which says what it lacks where its original is lost."""
     for name in ("fine.mtl", "a_unwrapped.mtl"):
         (place / name).write_text(PAINT)
     before = contents(place)

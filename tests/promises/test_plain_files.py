@@ -17,7 +17,6 @@ from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.surface_store import load_or_prepare
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
 from cagemap.pipeline import update_match
 from cagemap.studio.compute import FindMap, OpenModels, PairFiles, _suggested_vertex, run_task
@@ -29,7 +28,7 @@ from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.wrap import run_wrap
 
-from plain_meshes import animal, ball, far_apart, soup
+from plain_meshes import animal, ball, far_apart, marks_at, soup
 
 
 def _scan_files(folder: Path) -> list[str]:
@@ -40,7 +39,7 @@ def _scan_files(folder: Path) -> list[str]:
     for name, one in zip(names, (mesh, taller), strict=True):
         write_mesh(folder / name, one)
     marks = far_apart(creature().positions, 8)
-    write_landmarks(folder / "marks.json", Landmarks(tuple(map(str, marks)), marks, marks, *names))
+    write_landmarks(folder / "marks.json", marks_at(marks, *names))
     given = (*zip(("--target", "--source"), names, strict=True), ("--landmarks", "marks.json"))
     return ["--scheme", "none", *(str(word) for option, name in given for word in (option, folder / name))]
 
@@ -90,7 +89,6 @@ def test_the_studio_maps_plain_files_and_goes_on_from_another_answer(
 
 @pytest.mark.slow
 def test_files_to_result_and_back(tmp_path: Path) -> None:
-    """A scan with a stray piece and a cage: one plain side, one refined; the result goes on after it was read."""
     scan = join_meshes([animal(2), replace(ball(0), positions=ball(0).positions * 1e-3 + 5.0)])
     write_mesh(tmp_path / "scan.ply", soup(scan))
     write_mesh(tmp_path / "cage.obj", creature())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,9 @@ import pytest
 
 from cagemap.report import CarriedData, CarriedItem, write_report
 
-from browser_page import LOOK, LOOK_SIZE, PATIENCE, chromium
+from browser_page import LOOK, LOOK_SIZE, chromium
 from example_result import identity_result
+from studio_boxes import until
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
 SERIOUS = {"serious", "critical"}
@@ -40,13 +40,6 @@ def browser(browser: Any, page: Path) -> Any:
     browser.get(page.as_uri())
     until(lambda: browser.execute_script("return document.getElementById('viewer').dataset.ready") == "yes")
     return browser
-
-
-def until(done: Any) -> None:
-    end = time.monotonic() + PATIENCE
-    while not done():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 def look(browser: Any) -> np.ndarray:

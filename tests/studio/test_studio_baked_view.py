@@ -115,7 +115,6 @@ def test_what_was_baked_is_shown_where_there_is_any(opened: Session, boxes: Path
 
 @pytest.mark.slow
 def test_what_a_bake_of_other_models_wrote_is_no_output_of_the_open_ones(opened: Session, boxes: Path) -> None:
-    """Other models are opened while it runs: an image of theirs would be shown on these."""
     image = Output(boxes / "else_from_b.png", "texture")
     with opened._lock:
         models, *others = opened.state.map_inputs

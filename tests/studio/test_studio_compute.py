@@ -39,7 +39,7 @@ from cagemap.tasks.match import run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.match import MatchRequest
 
-from studio_boxes import landmarks, unwrapped_cube
+from studio_boxes import landmarks, opened_pair, unwrapped_cube
 
 
 @pytest.fixture(scope="module")
@@ -86,8 +86,7 @@ def test_an_image_that_a_source_lacks_is_named_on_the_page(tmp_path: Path) -> No
     text = (tmp_path / "b.obj").read_text()
     (tmp_path / "b.obj").write_text("mtllib b.mtl\n" + text.replace("\nf ", "\nusemtl skin\nf ", 1))
     (tmp_path / "b.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
-    task = OpenModels(PairFiles(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, tmp_path))
-    _, opened = run_task(None, task, lambda _: None)
+    _, _, opened = opened_pair(tmp_path / "a.obj", tmp_path / "b.obj")
     (note,) = [note for note in opened.source.notes if "skin.png" in note]
     assert note.startswith("b.obj: material skin: 'skin.png' is not found")
 
@@ -146,7 +145,6 @@ def test_a_bake_writes_the_map_of_the_page_if_a_match_would_find_the_same(
 
 @pytest.mark.slow
 def test_fbx_models_are_converted_once_to_files_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also two of one name, beside another file that has it."""
     mesh, converted = unwrapped_cube(), list[Path]()
 
     def convert(path: Path) -> bytes:
@@ -237,8 +235,7 @@ def test_a_failing_task_is_a_named_failure_and_the_worker_lives_on(opened: tuple
     assert not isinstance(answer, Failure)
     assert stages
     worker.kill()
-    assert isinstance(worker.run(task), (Failure, type(answer)))
-    # Whatever happened to the process that was killed, the next task has one.
+    worker.run(task)  # it may fail with the process that was killed; the next task has one
     assert not isinstance(worker.run(task), Failure)
     worker.kill()
 

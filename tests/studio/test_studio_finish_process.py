@@ -28,6 +28,8 @@ from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 
+from studio_boxes import until
+
 
 def two_creatures(folder: Path) -> tuple[Path, Path]:
     """Files of two shapes, whose match takes a while."""
@@ -166,10 +168,3 @@ def remove_slowly(connection: Connection) -> None:
 
     finish_process.runner_of = lambda request: wait  # type: ignore[assignment]
     serve(connection)
-
-
-def until(done: object) -> None:
-    end = time.monotonic() + 30
-    while not done():  # type: ignore[operator]
-        assert time.monotonic() < end
-        time.sleep(0.01)

@@ -76,7 +76,6 @@ def test_a_landmark_file_of_other_models_is_kept(opened: Session) -> None:
 
 
 def test_what_another_studio_saves_or_keeps_meanwhile_is_not_lost(opened: Session) -> None:
-    """Both have the same models and landmark file open; each file is one of ours."""
     landmarks = opened.state.files.landmarks
     usual = autosave_path(landmarks)
     for vertex in (0, 3):

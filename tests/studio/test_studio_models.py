@@ -32,7 +32,6 @@ from cagemap.studio.autosave import FileTracker
 from cagemap.studio.compute import (
     FindMap,
     OpenModels,
-    PairFiles,
     ShowBaked,
     ShowPosed,
     run_task,
@@ -62,8 +61,7 @@ from cagemap.subdivision import refine
 from cagemap.tasks.requests.catalogue import all_options
 
 from example_once import example_pair
-from ply_text import write_text_ply
-from studio_boxes import landmarks, unwrapped_cube
+from studio_boxes import landmarks, opened_pair, unwrapped_cube
 
 
 def read_back(data: bytes) -> list[trimesh.Trimesh]:
@@ -148,8 +146,7 @@ def test_a_bake_in_a_new_layout_lies_on_the_model_as_it_is_shown(tmp_path: Path)
     write_image(tmp_path / "c.png", np.full((8, 8, 3), 90, dtype=np.uint8))
     for scheme in ("none", "bilinear", None):
         paths = tmp_path / "a.obj", tmp_path / "b.obj"
-        opening = PairFiles(*paths, None, 300, tmp_path, schemes=(scheme, scheme), ups=("z", None))
-        cache, opened = run_task(None, OpenModels(opening), lambda _: None)
+        opening, cache, opened = opened_pair(*paths, schemes=(scheme, scheme), ups=("z", None))
         task = ShowBaked(opening, tmp_path / "c.png", tmp_path / "c_unwrapped.obj", None, None)
         _, skin = run_task(cache, task, lambda _: None)
         (plain,), (shown,) = (read_back(one) for one in (opened.skins[0], skin))
@@ -160,8 +157,7 @@ def test_a_bake_in_a_new_layout_lies_on_the_model_as_it_is_shown(tmp_path: Path)
 def test_other_up_axes_keep_the_map(tmp_path: Path) -> None:
     for name in ("a.obj", "b.obj"):
         write_mesh(tmp_path / name, creature())
-    opening = PairFiles(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, tmp_path, schemes=("none", None))
-    cache, opened = run_task(None, OpenModels(opening), lambda _: None)
+    opening, cache, opened = opened_pair(tmp_path / "a.obj", tmp_path / "b.obj", schemes=("none", None))
     known: Any = MagicMock()
     cache = replace(cache, free_match=known)
     turned, skins = run_task(cache, ShowPosed(replace(opening, ups=("z", None)), "", None), lambda _: None)
@@ -216,8 +212,7 @@ def test_an_obj_shows_the_images_of_its_materials(tmp_path: Path, count: int) ->
     (tmp_path / "own.mtl").write_text("".join(lines) + "newmtl away\nmap_Kd ../outside.png\n")
     for name, grey in (("skin", 90), ("the hair", 60)):
         write_image(tmp_path / f"{name}.png", np.full((8, 8, 3), grey, dtype=np.uint8))
-    opening = PairFiles(tmp_path / "a.obj", tmp_path / "a.obj", None, 300, tmp_path)
-    source = run_task(None, OpenModels(opening), lambda _: None)[1].source
+    source = opened_pair(tmp_path / "a.obj", tmp_path / "a.obj")[2].source
     assert source.texture == (None, tmp_path / "a_texture.png", tmp_path / "a.obj")[count]
 
 
@@ -247,8 +242,7 @@ def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     )
     for name in ("a.obj", "b.obj"):
         write_mesh(tmp_path / name, speck)
-    opening = PairFiles(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, tmp_path, ("none", "none"))
-    cache, opened = run_task(None, OpenModels(opening), lambda _: None)
+    opening, cache, opened = opened_pair(tmp_path / "a.obj", tmp_path / "b.obj", schemes=("none", "none"))
     assert any("set aside" in note for note in opened.target.notes)
     shape = opened.scene.target
     np.testing.assert_allclose(shape.positions, points)
@@ -353,8 +347,7 @@ def test_a_bake_in_the_second_uv_set_is_shown_in_it(tmp_path: Path) -> None:
     write_mesh(tmp_path / "box.glb", replace(mesh, uv_sets=(second,)))
     write_image(tmp_path / "t.png", np.full((8, 8, 3), 90, dtype=np.uint8))
     files = default_files(tmp_path, tmp_path / "box.glb", tmp_path / "box.glb", None)
-    opening = PairFiles(tmp_path / "box.glb", tmp_path / "box.glb", None, 300, tmp_path)
-    cache, _ = run_task(None, OpenModels(opening), lambda _: None)
+    opening, cache, _ = opened_pair(tmp_path / "box.glb", tmp_path / "box.glb")
     outputs = (Output(tmp_path / "t.png", "texture"),)
     for uv_set, factor in ((None, 1.0), ("TEXCOORD_1", 0.5)):
         largest = factor * mesh.uvs[:, 0].max()
@@ -372,30 +365,15 @@ def test_the_image_inside_a_glb_is_the_texture_where_none_is_named(tmp_path: Pat
     files = default_files(tmp_path, tmp_path / "box.obj", tmp_path / "box.obj", None)
     model = textured_model(StudioState(files=files, outputs=(Output(tmp_path / "t.png", "texture"),)), None)
     (tmp_path / "box.glb").write_bytes(model)
-    opening = PairFiles(tmp_path / "box.obj", tmp_path / "box.glb", None, 300, tmp_path)
+    given = tmp_path / "box.obj", tmp_path / "box.glb"
     for _ in range(2):  # the file that was put there is used again
-        _, opened = run_task(None, OpenModels(opening), lambda _: None)
+        _, _, opened = opened_pair(*given)
         assert opened.source.texture == tmp_path / "box_texture.png"
     np.testing.assert_array_equal(np.unique(opened.source.look.texture[..., 0]), [255])
     (tmp_path / "box_texture.png").write_bytes(b"another's")
-    _, opened = run_task(None, OpenModels(opening), lambda _: None)
-    assert opened.source.texture == tmp_path / "box_texture1.png"
+    assert opened_pair(*given)[2].source.texture == tmp_path / "box_texture1.png"
     assert (tmp_path / "box_texture.png").read_bytes() == b"another's"
-    named = replace(opening, texture=tmp_path / "t.png")
-    _, opened = run_task(None, OpenModels(named), lambda _: None)
-    assert opened.source.texture == tmp_path / "t.png"
-
-
-def test_the_image_that_a_ply_file_names_is_the_texture(tmp_path: Path) -> None:
-    write_image(tmp_path / "t.png", np.full((8, 8, 3), [255, 0, 0], dtype=np.uint8))
-    for mesh, texture in ((unwrapped_cube(), tmp_path / "t.png"), (cube(), None)):  # without UVs it cannot be shown
-        write_text_ply(tmp_path / "scan.ply", mesh)
-        text = (tmp_path / "scan.ply").read_text()
-        (tmp_path / "scan.ply").write_text(text.replace("\nelement", "\ncomment TextureFile t.png\nelement", 1))
-        opening = PairFiles(tmp_path / "scan.ply", tmp_path / "scan.ply", None, 300, tmp_path)
-        _, opened = run_task(None, OpenModels(opening), lambda _: None)
-        assert opened.source.texture == texture
-        assert (opened.source.look.texture is None) == (texture is None)
+    assert opened_pair(*given, texture=tmp_path / "t.png")[2].source.texture == tmp_path / "t.png"
 
 
 def test_each_material_of_a_glb_is_shown_with_its_own_image(tmp_path: Path) -> None:
@@ -414,8 +392,7 @@ def test_each_material_of_a_glb_is_shown_with_its_own_image(tmp_path: Path) -> N
         material = next(one for one in document["materials"] if one["name"] == name)
         material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": ["red", "blue"].index(name)}
     (tmp_path / "box.gltf").write_text(json.dumps(document))
-    opening = PairFiles(tmp_path / "box.gltf", tmp_path / "box.gltf", None, 300, tmp_path)
-    _, opened = run_task(None, OpenModels(opening), lambda _: None)
+    _, _, opened = opened_pair(tmp_path / "box.gltf", tmp_path / "box.gltf")
     assert opened.source.texture == tmp_path / "box.gltf"
     shape, look = opened.source.shape, opened.source.look
     middles = shape.uvs[shape.uv_triangles].mean(axis=1)
@@ -436,8 +413,7 @@ def test_the_image_inside_a_usd_file_is_the_texture_where_none_is_named(tmp_path
     write_usd(tmp_path / "box.usda", unwrapped_cube(), UsdResults(textures={"albedo": "./skin.png"}))
     write_mesh(tmp_path / "bare.usda", unwrapped_cube())
     for name, texture in (("box.usda", tmp_path / "box_texture.png"), ("bare.usda", None)):
-        opening = PairFiles(tmp_path / "bare.usda", tmp_path / name, None, 300, tmp_path)
-        _, opened = run_task(None, OpenModels(opening), lambda _: None)
+        _, _, opened = opened_pair(tmp_path / "bare.usda", tmp_path / name)
         assert opened.source.texture == texture
         assert (opened.source.look.texture is None) == (texture is None)
 

@@ -102,8 +102,9 @@ def test_a_turn_keeps_the_map_the_history_and_what_was_baked(opened: Session, mo
         until(lambda up=up: opened.state.files.ups[0] == up and at_rest(opened), opened)
 
 
-def test_a_map_that_is_computed_during_a_turn_is_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    begun, goes_on = queue.Queue[Task](), threading.Event()
+def slow_preview(patch: pytest.MonkeyPatch) -> tuple[Preview, queue.Queue[Task], list[Task], threading.Event]:
+    """A preview whose tasks last until an event is set or they are cancelled; what begins and what is cancelled."""
+    begun, dropped, goes_on = queue.Queue[Task](), list[Task](), threading.Event()
 
     class Slow(Idle):
         def run(self, task: Task) -> None:
@@ -111,11 +112,17 @@ def test_a_map_that_is_computed_during_a_turn_is_computed_again(monkeypatch: pyt
             assert goes_on.wait(10)
             goes_on.clear()
 
-        def cancel(self, _: Task) -> None:
+        def cancel(self, task: Task) -> None:
+            dropped.append(task)
             goes_on.set()
 
-    monkeypatch.setattr("cagemap.studio.preview.Worker", Slow)
-    preview = Preview(100, Path(), lambda: (LandmarkList(), None, 0), lambda _: None, lambda *_: None)
+    patch.setattr("cagemap.studio.preview.Worker", Slow)
+    made = Preview(100, Path(), lambda: (LandmarkList(), None, 0), lambda _: None, lambda *_: None)
+    return made, begun, dropped, goes_on
+
+
+def test_a_map_that_is_computed_during_a_turn_is_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    preview, begun, _, goes_on = slow_preview(monkeypatch)
     preview.open(Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT")))
     assert isinstance(begun.get(timeout=10), OpenModels)
     goes_on.set()
@@ -254,21 +261,7 @@ def test_until_a_first_map_is_compiled_titles_say_so(monkeypatch: pytest.MonkeyP
 
 
 def test_a_map_of_models_that_are_open_no_more_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both parts of a pair are chosen one after the other; opening itself goes on, its surfaces are wanted again."""
-    begun, dropped, goes_on = queue.Queue[Task](), list[Task](), threading.Event()
-
-    class Slow(Idle):
-        def run(self, task: Task) -> None:
-            begun.put(task)
-            assert goes_on.wait(10)
-            goes_on.clear()
-
-        def cancel(self, task: Task) -> None:
-            dropped.append(task)
-            goes_on.set()
-
-    monkeypatch.setattr("cagemap.studio.preview.Worker", Slow)
-    preview = Preview(100, Path(), lambda: (LandmarkList(), None, 0), lambda _: None, lambda *_: None)
+    preview, begun, dropped, goes_on = slow_preview(monkeypatch)
     files = Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT"))
     preview.open(replace(files, parts=("one", None)))
     assert isinstance(begun.get(timeout=10), OpenModels)

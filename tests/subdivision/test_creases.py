@@ -9,13 +9,14 @@ import pytest
 from examples.shapes import creature, cube, grid, icosahedron, poles, pyramid, tetrahedron
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
 from cagemap.mesh.checks import check_mesh
-from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.pipeline import match, prepare_surface
 from cagemap.spectral import BasisConfig
-from cagemap.subdivision import Bilinear, CatmullClark, Loop, limit_normals, limit_positions, refine
+from cagemap.subdivision import limit_normals, limit_positions, refine
+
+from plain_meshes import marks_at
 
 
 def _edges_of_face(mesh: ControlMesh, face: int) -> np.ndarray:
@@ -166,7 +167,7 @@ def test_a_creased_surface_goes_through_the_whole_method() -> None:
     bent = creased.with_positions(creased.positions * [1.1, 0.95, 1.05])
     picked = np.unique(np.linspace(0, mesh.n_vertices - 1, 9).astype(int))
     target, source = (prepare_surface(control, 1, BasisConfig(count=40)) for control in (bent, creased))
-    result = match(target, source, Landmarks(tuple(f"point {i}" for i in range(len(picked))), picked, picked))
+    result = match(target, source, marks_at(picked))
     gaps = np.linalg.norm(result.point_map.images.positions - source.triangles(1).positions, axis=1)
     # The same cage, stretched a little, at unit area: vertices map to themselves but for what stretching moves.
     assert np.median(gaps) < 0.01

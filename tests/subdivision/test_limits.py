@@ -7,8 +7,8 @@ import pytest
 from examples.shapes import bipyramid, creature, cube, disk, grid, icosahedron, poles, pyramid, triangulated
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import ControlMesh
-from cagemap.subdivision import CatmullClark, Loop, limit_matrix, limit_normals, limit_positions, refine, triangles
+from cagemap.mesh import CatmullClark, ControlMesh, Loop
+from cagemap.subdivision import limit_matrix, limit_normals, limit_positions, refine, triangles
 from cagemap.subdivision.limit import limit_tangents
 
 SHAPES = [

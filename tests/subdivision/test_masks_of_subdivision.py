@@ -15,12 +15,8 @@ from examples.shapes import (
     torus,
 )
 
-from cagemap.mesh import ControlMesh
-from cagemap.subdivision import (
-    CatmullClark,
-    Refinement,
-    refine,
-)
+from cagemap.mesh import CatmullClark, ControlMesh
+from cagemap.subdivision import refine
 from cagemap.subdivision.matrices import polygon_matrix, regular_matrix
 from cagemap.subdivision.refinement import state_of
 from cagemap.subdivision.topology import control_topology, fixed_boundary_vertices
@@ -97,8 +93,3 @@ def test_a_triangle_under_catmull_clark_has_no_special_weights() -> None:
     # Edge point (v + w + two face points)/4 with face points a third of each corner; vertex: 1/3 + 3 (1/9)(1/3).
     np.testing.assert_allclose(np.sort(weights[4]), [1 / 12, 1 / 12, 5 / 12, 5 / 12])
     np.testing.assert_allclose(np.sort(weights[0]), [5 / 27] * 3 + [4 / 9])
-
-
-@pytest.fixture(scope="module")
-def refinement() -> Refinement:
-    return refine(poles(5), 3)

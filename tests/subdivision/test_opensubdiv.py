@@ -12,8 +12,8 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from cagemap.files.meshes.formats import read_mesh, write_mesh
-from cagemap.mesh import ControlMesh
-from cagemap.subdivision import CatmullClark, Loop, Refinement, limit_matrix, limit_normals, limit_positions, refine
+from cagemap.mesh import CatmullClark, ControlMesh, Loop
+from cagemap.subdivision import Refinement, limit_matrix, limit_normals, limit_positions, refine
 
 from command_line import Run
 from locations import ROOT

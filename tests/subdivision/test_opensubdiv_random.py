@@ -14,19 +14,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Scheme
 from cagemap.mesh.topology import layout_topology
-from cagemap.subdivision import (
-    Bilinear,
-    CatmullClark,
-    Level,
-    Loop,
-    Refinement,
-    Scheme,
-    limit_normals,
-    limit_positions,
-    refine,
-)
+from cagemap.subdivision import Level, Refinement, limit_normals, limit_positions, refine
 from cagemap.subdivision.face_varying import control_layout
 from cagemap.subdivision.limit import limit_tangents
 from cagemap.subdivision.topology import control_state, control_topology

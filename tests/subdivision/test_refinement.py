@@ -26,18 +26,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cagemap.errors import InvalidMeshError, ParameterError
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import CatmullClark, ControlMesh, Loop
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import cage_triangles
-from cagemap.subdivision import (
-    CatmullClark,
-    Loop,
-    Refinement,
-    default_scheme,
-    finest_mesh,
-    refine,
-    triangles,
-)
+from cagemap.subdivision import Refinement, default_scheme, finest_mesh, refine, triangles
 from cagemap.subdivision.refinement import state_of, vertex_counts, with_options
 from cagemap.subdivision.topology import control_topology
 

@@ -225,22 +225,3 @@ def test_of_a_rigged_body_the_head_is_taken() -> None:
     assert there.sum() == head.mesh.n_vertices
     assert _head_vertices(body, None) is None
     assert _head_vertices(Part("head", mesh, sparse.csr_array(np.eye(4)[np.full(len(high), 3)])), rig) is None
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("-o", "F.obj"), "expected the file to write as .glb"),
-        (("-o", "B.glb"), "B.glb"),
-        (("-o", "F.glb", "--only", "tongueOut"), "tongueOut is not among the shapes"),
-        (("-o", "F.glb", "--only", ","), "expected names of shapes"),
-        (("-o", "F.glb", "--part", "nose"), "expected a part named 'nose'"),
-        (("-o", "F.glb", "--landmarks", "P.json"), "expected points of a face named"),
-    ],
-)
-def test_refusals(words: tuple[str, ...], said: str, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    write_mesh("B.glb", ball(2))
-    Path("P.json").write_text(json.dumps({"mesh": "B.glb", "points": [{"name": "ear", "vertex": 0}]}))
-    run.refused("face B.glb", *words, says=said)
-    assert not Path("F.glb").exists()

@@ -15,6 +15,12 @@ from cagemap import tasks
 from cagemap.cli.app import app
 from cagemap.errors import CagemapError, FormatError, MissingFileError, ParameterError, values_of
 from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.result.manifest import read_manifest
+from cagemap.files.usd.space import StageSpace
+from cagemap.files.usd.write import write_usd
+from cagemap.transfer.texels import LARGEST_SIDE
+
+from plain_meshes import split_at_seams
 
 
 @pytest.fixture
@@ -140,5 +146,22 @@ def test_a_place_is_added_before_the_messages_of_values() -> None:
     assert found.value.place == "w.csv: weights"
 
 
+def test_the_notes_of_a_map_are_kept_in_its_result(tmp_path: Path) -> None:
+    for name, metres in (("a.usda", 1.0), ("b.usda", 0.01)):
+        write_usd(tmp_path / name, split_at_seams(voxels([(0, 0, 0), (1, 0, 0)])), space=StageSpace("Y", metres))
+    np.save(tmp_path / "m.npy", np.arange(12))
+    request = tasks.MapRequest(*(tmp_path / name for name in ("m.npy", "a.usda", "b.usda", "R")), weld="auto")
+    notes = tasks.run(request).warnings
+    assert "results are in the target's own" in notes[0]
+    assert "a.usda" in notes[1]
+    assert read_manifest(tmp_path / "R")["notes"] == list(notes[:3])
+
+
 def _below(kind: type) -> list[type]:
     return [found for below in kind.__subclasses__() for found in (below, *_below(below))]
+
+
+@pytest.mark.parametrize("name", ["TransferRequest", "WrapRequest", "RigRequest"])
+def test_an_image_has_no_more_texels_a_side_than_a_bake_takes(name: str) -> None:
+    size = TypeAdapter(getattr(tasks, name)).json_schema()["properties"]["size"]
+    assert next(kind["maximum"] for kind in size["anyOf"] if "maximum" in kind) == LARGEST_SIDE

@@ -185,7 +185,6 @@ def baked_squares(folder: Path, control: ControlMesh, texture: Path, size: int =
 def test_a_texture_transform_and_mirrored_repetition_of_a_gltf_file_are_baked(
     tmp_path: Path, changed: dict[str, Any], mirrored: bool, uvs: Callable[..., tuple[NDArray[Any], NDArray[Any]]]
 ) -> None:
-    """As the image itself, with the texture coordinates that the transform gives."""
     scene = write_textured_scene(tmp_path)
     y, x = np.mgrid[:64, :64]
     pixels = np.stack([4 * x, 4 * y, 2 * (x + y)], axis=2).astype(np.uint8)
@@ -312,3 +311,19 @@ def test_a_model_file_is_read_once_for_its_texture(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(inner_texture, "read_document", lambda path: (read.append(path), read_document(path))[1])
     run_transfer(TransferRequest(tmp_path / "RESULT", tmp_path / "o.png", texture=tmp_path / "box.gltf"), Stages())
     assert read == [tmp_path / "box.gltf"]
+
+
+def test_a_report_shows_the_only_image_of_a_model_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_result(tmp_path / "RESULT", identity_result())
+    write_textured_scene(tmp_path)
+    run_transfer(
+        TransferRequest(tmp_path / "RESULT", tmp_path / "out.png", texture=tmp_path / "box.gltf", size=8), Stages()
+    )
+    shown: dict[str, Any] = {}
+    monkeypatch.setattr("cagemap.tasks.report.write_report", lambda *_, **given: shown.update(given))
+    run_report(ReportRequest(tmp_path / "RESULT", tmp_path / "r.html", texture=tmp_path / "box.gltf"), Stages())
+    np.testing.assert_array_equal(shown["texture"], read_image(tmp_path / "skin.png").pixels)
+    np.testing.assert_array_equal(shown["baked"], read_image(tmp_path / "out.png").pixels)
+    (tmp_path / "box.gltf").write_text('{"asset": {"version": "2.0"}, "materials": [{"name": "red"}]}')
+    with pytest.raises(ParameterError, match=r"box\.gltf: expected a colour image on most of small\.obj"):
+        run_report(ReportRequest(tmp_path / "RESULT", tmp_path / "r.html", texture=tmp_path / "box.gltf"), Stages())

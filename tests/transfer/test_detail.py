@@ -336,5 +336,3 @@ def test_through_the_command_line(run: Run, result_folder: Path) -> None:
     done = run.done("wrap R -o w.obj --normal-map wn.png --vector-displacement wv.exr --size 64")
     assert "tangent space" in done.out
     assert read_image(place / "wv.exr").pixels.dtype == np.float32
-    if "embreex" in sys.modules:
-        run.done("transfer R --bake ao --rays 8 --size 32 -o ao.png")

@@ -83,7 +83,6 @@ def test_walks_begin_in_the_triangle_that_holds_all_corners(crumpled: Level) -> 
 
 
 def test_corners_at_corners_edges_and_insides_of_one_triangle_are_in_it() -> None:
-    """Also where one corner alone lies at the vertex of the lowest number."""
     level = plane(3, 3)
     source = TriangleSurface.from_faces(level.positions, level.faces)
     rng = np.random.default_rng(7)

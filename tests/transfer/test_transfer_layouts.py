@@ -9,6 +9,7 @@ import pytest
 from examples.shapes import torus
 
 from cagemap.errors import ParameterError
+from cagemap.mesh.control_mesh import MIN_UV_AREA, ControlMesh
 from cagemap.subdivision import Level, refine
 from cagemap.surface.triangles import triangle_areas, triangle_neighbors
 from cagemap.transfer import (
@@ -21,6 +22,7 @@ from cagemap.transfer import (
 )
 from cagemap.transfer import baking as bake_module
 from cagemap.transfer.locate import TexelSamples
+from cagemap.transfer.texture import lay_texture
 from cagemap.transfer.textured_surface import TexturedSurface
 
 from bake_images import BARE, noise, ramps
@@ -222,15 +224,23 @@ def test_missing_tiles_and_islands_outside_the_grid_are_refused() -> None:
 def test_a_layout_that_covers_nothing_is_refused(
     layout: Callable[[np.ndarray], np.ndarray], tile: int, found: str
 ) -> None:
-    """Its image came out black."""
     plain, target = plane(4, 4), plane(4, 4, layout)
     transfer = prepare_transfer(target, plain, identity_map(plain))
     with pytest.raises(ParameterError, match=found):
         bake_texture(transfer, noise(8, 8, 3, "uint8"), size=8, options=BakeOptions(tile=tile))
 
 
+@pytest.mark.parametrize(("share", "is_laid_out"), [(0.75, False), (1.5, True)])
+def test_the_least_area_of_a_layout_is_the_same_for_a_mesh_and_for_a_bake(share: float, is_laid_out: bool) -> None:
+    flat = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    uvs = np.sqrt(2.0 * share * MIN_UV_AREA) * flat[:, :2]
+    mesh = ControlMesh.from_faces(flat, [[0, 1, 2]]).with_uvs(uvs, np.arange(3))
+    level = Level(flat, np.array([[0, 1, 2]]), np.zeros(1, dtype=np.int64)).with_uvs(uvs, np.array([[0, 1, 2]]))
+    assert mesh.has_layout == is_laid_out
+    assert bake_module._is_laid_out(TexturedSurface.from_level(level)).any() == is_laid_out
+
+
 def test_tiles_that_only_points_lie_in_are_none() -> None:
-    """Stray texture coordinates of faces without a texture got a black image."""
     level = plane(4, 4)
     assert level.layout is not None
     uvs, corners = level.layout
@@ -260,6 +270,8 @@ def test_wrong_input_is_refused_with_its_remedy() -> None:
         bake_texture(transfer, texture.astype(np.int32), size=8)
     with pytest.raises(ParameterError, match="wrap"):
         bake_texture(transfer, texture, size=8, options=BakeOptions(wrap="mirror"))  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match="wrap: expected 'repeat' or 'clamp', got 'mirror'"):
+        lay_texture(texture, np.eye(3)[:, :2], np.arange(3)[None], wrap="mirror")  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match="supersample"):
         bake_texture(transfer, texture, size=8, options=BakeOptions(supersample=99))
     with pytest.raises(ParameterError, match="refine it once"):

@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cagemap.character.joints import Skeleton
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
+from cagemap.files.usd.prims import JOINT_WEIGHTS
+from cagemap.files.usd.write import UsdResults, write_usd
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.transfer.skin import with_chosen_joints
 
@@ -18,24 +21,21 @@ from command_line import Run
 from example_result import identity_result, textured_cube
 
 
-def test_rigs_through_the_command_line(run: Run, result_folder: Path) -> None:
+def test_joints_and_shapes_grow_with_the_target(run: Run, result_folder: Path) -> None:
     place, result = result_folder.parent, read_result(result_folder)
-    rng = np.random.default_rng(8)
-    skin = rng.dirichlet(np.ones(2), 8)
-    (place / "w.csv").write_text("hip,knee\n" + "\n".join(f"{a!r},{b!r}" for a, b in skin.tolist()))
     joints = [
         {"name": "hip", "parent": None, "head": [0, 0, 0], "tail": [0, 0.2, 0]},
         {"name": "knee", "parent": "hip", "head": [0, 0.2, 0], "tail": [0.1, 0.3, 0]},
     ]
     (place / "s.json").write_text(json.dumps(joints))
-    run.done("transfer R --weights w.csv --joints s.json -o out.npz")
-    with np.load(place / "out.npz") as carried:
-        np.testing.assert_allclose(np.column_stack([carried["hip"], carried["knee"]]), skin, rtol=0, atol=1e-9)
     run.done("transfer R --joints s.json -o t.json")
     moved = json.loads((place / "t.json").read_text())["joints"]
     np.testing.assert_allclose(moved[1]["tail"], [0.2, 0.6, 0], atol=1e-6)  # the target is twice as large
     source = result.source.control
-    write_mesh(place / "smile.obj", source.with_positions(source.positions + 0.1 * rng.normal(size=(8, 3))))
+    write_mesh(
+        place / "smile.obj",
+        source.with_positions(source.positions + 0.1 * np.random.default_rng(8).normal(size=(8, 3))),
+    )
     run.done("transfer R --blend-shapes smile.obj -o faces")
     target = result.target.control
     given = read_mesh(place / "smile.obj").positions - source.positions
@@ -79,17 +79,6 @@ def test_weights_of_some_joints_and_of_both_sides_alike(run: Run, result_folder:
         table = np.column_stack([carried[name] for name in names])
     swapped = table[:, [0, 2, 1]]
     assert any(np.abs(swapped[mirror.image] - table).max() < 1e-9 for mirror in mirror_symmetries(control))
-    for words, message in (
-        (("--only", "leg"), "names of joints (spine, arm.L, arm.R), got leg"),
-        (("--only", "spine"), "Give them as --base"),
-        (("--only", "spine", "--base", "short.csv"), "expected values of arm.L, arm.R, as what is carried, got spine"),
-    ):
-        (place / "short.csv").write_text("spine\n" + "\n".join(["1"] * 8))
-        run.refused("transfer R --weights w.csv", *words, "-o", "never.npz", says=message)
-    np.save(place / "w.npy", given)
-    refused = run("transfer R --weights w.npy --mirror -o never.npy")
-    assert "named joints" in refused.err
-    assert not list(place.glob("never*"))
 
 
 def test_a_user_sees_that_weights_were_normalised(run: Run, result_folder: Path) -> None:
@@ -126,13 +115,38 @@ def test_vertex_groups_come_back_under_the_identity(run: Run, result_folder: Pat
     groups = json.loads((place / "out.json").read_text())["groups"]
     assert [(group["name"], group["vertices"]) for group in groups] == [("left", [0, 3]), ("top", [1])]
     np.testing.assert_allclose(groups[0]["weights"], [0.25, 1.0], rtol=0, atol=1e-9)
-    run.done("transfer R --attribute g.json -o out.json")
-    for bad, words in (
-        ({"groups": [{"name": "a", "vertices": [99]}]}, "another mesh"),
-        ({"groups": [{"name": "a", "vertices": [0, 0]}]}, "every vertex once"),
-        ({"groups": [{"name": "a", "vertices": [0], "weights": [1.0, 2.0]}]}, "a weight for each"),
-        ({"parts": []}, "groups"),
-    ):
-        (place / "bad.json").write_text(json.dumps(bad))
-        run.refused("transfer R --attribute bad.json -o never.json", says=words)
-        assert not (place / "never.json").exists()
+
+
+def test_rows_without_a_chosen_joint_keep_all_their_influences(run: Run, result_folder: Path) -> None:
+    place, names = result_folder.parent, ["a", "b", "c", "d"]
+    given, own = np.tile([0.0, 1.0, 0.0, 0.0], (8, 1)), np.tile([0.0, 0.2, 0.3, 0.5], (8, 1))
+    for name, table in (("w.csv", given), ("own.csv", own)):
+        np.savetxt(place / name, table, delimiter=",", header=",".join(names), comments="")
+    run.done("transfer R --weights w.csv --only a --base own.csv --influences 2 -o kept.npz")
+    with np.load(place / "kept.npz") as carried:
+        np.testing.assert_allclose(np.column_stack([carried[name] for name in names]), own, atol=1e-12)
+
+
+@pytest.mark.parametrize("weights", ["w.csv", "w.usda"])
+@pytest.mark.parametrize("words", ["--only a,b,c --target-mask half.npy", "--target-mask half.npy", "--only c"])
+def test_weights_of_a_base_are_paired_by_the_names_of_its_joints(
+    run: Run, result_folder: Path, weights: str, words: str
+) -> None:
+    place, names = result_folder.parent, ["a", "b", "c"]
+    own, given = np.tile([0.2, 0.3, 0.5], (8, 1)), np.tile([0.25, 0.25, 0.5], (8, 1))
+    np.savetxt(place / "w.csv", given, delimiter=",", header=",".join(names), comments="")
+    np.save(place / "half.npy", np.full(8, 0.5))
+    control = read_result(result_folder).target.control
+    for file, order, table in (("w.usda", [0, 1, 2], given), ("base.usda", [2, 0, 1], own), ("less.usda", [2, 0], own)):
+        joints, ends = tuple(names[joint] for joint in order), np.zeros((len(order), 3))
+        skin = UsdResults(
+            attributes={JOINT_WEIGHTS: table[:, order]}, skeleton=Skeleton(joints, ("",) * len(order), ends, ends + 0.1)
+        )
+        write_usd(place / file, control, skin)
+    run.done(f"transfer R --weights {weights} --base base.usda {words} -o named.npz")
+    with np.load(place / "named.npz") as carried:
+        expected = (own + given) / 2 if "mask" in words else own
+        np.testing.assert_allclose(np.column_stack([carried[name] for name in names]), expected, atol=1e-6)
+    run.refused(
+        f"transfer R --weights {weights} --base less.usda {words} -o never.npz", says="expected weights of the joints b"
+    )

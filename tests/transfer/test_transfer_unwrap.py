@@ -17,8 +17,9 @@ from cagemap.mesh import ControlMesh, Plain
 from cagemap.subdivision import refine, triangles
 from cagemap.surface.triangles import triangle_areas, triangle_neighbors
 from cagemap.transfer.packing import pack_islands
-from cagemap.transfer.texels import lay_out, rasterize_band
 from cagemap.transfer.unwrap import _is_convex, _outline, unwrap
+
+from transfer_scenes import check_distance, check_layout, islands_of
 
 SHAPES = {
     "cube": cube(),
@@ -33,24 +34,6 @@ ANIMALS = ["spot", "cow", "red_fox"]
 
 # The function of the same name hides the module.
 layout = importlib.import_module("cagemap.transfer.unwrap")
-
-
-def check_layout(control: ControlMesh, size: int = 700) -> None:
-    """Every refined triangle is the right way round, inside the square, and alone on its texels."""
-    assert control.uvs.min() >= 0
-    assert control.uvs.max() <= 1
-    level = refine(control, 2).finest
-    assert level.uv_indices is not None
-    corners = triangles(level.uv_indices)
-    points = level.uvs[corners]
-    a, b = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
-    assert (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] > 0).all()
-    layout = lay_out(points, triangle_neighbors(corners), size, size, band_rows=size, gutter=0)
-    backwards = lay_out(points[::-1], triangle_neighbors(corners)[::-1], size, size, band_rows=size, gutter=0)
-    first = rasterize_band(layout, 0)
-    last = len(corners) - 1 - rasterize_band(backwards, 0)
-    # The first and the last triangle over a centre differ only where it lies on an edge, to rounding.
-    assert (first[first >= 0] != last[first >= 0]).mean() < 1e-4
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -96,7 +79,7 @@ def test_animals_come_in_few_islands(shared_data: Path) -> None:
     level = refine(control, 1).finest
     assert level.uv_indices is not None
     # 29 now, for 180 bent polygons; 59 and more without smoothing, or if mirrored charts are taken apart.
-    assert len(np.unique(_islands(triangle_neighbors(triangles(level.uv_indices))))) <= 35
+    assert len(np.unique(islands_of(triangle_neighbors(triangles(level.uv_indices))))) <= 35
 
 
 def test_a_plain_mesh_is_laid_out_as_it_is() -> None:
@@ -123,20 +106,8 @@ def test_packing_keeps_the_padding_however_it_turns_out() -> None:
 
 
 def test_islands_keep_their_distance() -> None:
-    control = unwrap(torus(), padding=1 / 64)
-    level = refine(control, 1).finest
-    assert level.uv_indices is not None
-    corners = triangles(level.uv_indices)
-    size = 640  # the padding is 10 texels; islands grown by 4 must not meet, nor leave the square
-    neighbors = triangle_neighbors(corners)
-    layout = lay_out(level.uvs[corners], neighbors, size, size, band_rows=size, gutter=4.0)
-    backwards = lay_out(level.uvs[corners[::-1]], neighbors[::-1], size, size, band_rows=size, gutter=4.0)
-    owner, other = rasterize_band(layout, 0), len(corners) - 1 - rasterize_band(backwards, 0)
-    island = _islands(neighbors)
-    grown = owner >= 0
-    assert (island[owner[grown]] == island[other[grown]]).all()
-    assert not grown[[0, -1]].any()
-    assert not grown[:, [0, -1]].any()
+    # The padding is 10 texels; islands grown by 4 must not meet, nor leave the square.
+    check_distance(unwrap(torus(), padding=1 / 64), 640, 4.0)
 
 
 @pytest.mark.slow
@@ -202,14 +173,3 @@ def test_padding_without_room_for_the_islands_is_refused(padding: float) -> None
     edges = np.column_stack([np.arange(12), 4 * (np.arange(12) // 4) + (np.arange(12) + 1) % 4])
     with pytest.raises(ParameterError, match="3 islands fit into the square"):
         pack_islands(uvs, edges, np.repeat(np.arange(3), 4), padding)
-
-
-def _islands(neighbors: np.ndarray) -> np.ndarray:
-    """(t,) smallest triangle of each triangle's island."""
-    label = np.arange(len(neighbors))
-    while True:
-        reach = np.where(neighbors >= 0, label[neighbors], label[:, None]).min(axis=1)
-        smaller = np.minimum(label, reach)
-        if (smaller == label).all():
-            return label
-        label = smaller

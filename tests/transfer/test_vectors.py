@@ -226,10 +226,3 @@ def test_through_the_command_line(run: Run, result_folder: Path) -> None:
         inner = read_image(place / "o.png").pixels[38:60, 4:18].astype(int)
         assert np.abs(inner - texture[38:60, 4:18]).max() <= 2
     run.done("transfer R --vector-displacement n.png --space object -o v.exr --bits 32")
-    for words, message in (
-        (("--normal-map", "n.png", "--space", "world"), "'tangent', 'object'"),
-        (("--normal-map", "n.png", "--green", "left"), "'up', 'down'"),
-        (("--normal-map", "n.png", "--space", "object", "--green", "down"), "--green: expected with --space tangent"),
-    ):
-        run.refused("transfer R", *words, "-o", "w.png", says=message)
-    assert not (place / "w.png").exists()

@@ -23,17 +23,12 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.rays import intersect_normals
 from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap, wrapped_transfer
-from cagemap.wrap.fit import fit_net
-from cagemap.wrap.net import counterpart_mask
+from cagemap.wrap.fit import detached_pieces, fit_net
+from cagemap.wrap.net import control_net, counterpart_mask
 
 from command_line import Run
 from example_result import identity_result
-from transfer_scenes import crossed_cube
-
-
-def surface_of(refinement: Refinement) -> TriangleSurface:
-    assert refinement.finest.faces is not None
-    return TriangleSurface.from_faces(refinement.finest.positions, refinement.finest.faces)
+from transfer_scenes import crossed_cube, same_vertices, surface_of
 
 
 def nearest_map(target: Refinement, source: Refinement, places: np.ndarray | None = None) -> PointMap:
@@ -59,10 +54,6 @@ def ring() -> tuple[Refinement, Refinement]:
     """A torus, and a dented one of the same connectivity: the true wrapped cage is the source's own."""
     target = torus(12, 8)
     return refine(target, 3), refine(dented(target, 0.25), 3)
-
-
-def same_vertices(target: Refinement, source: Refinement) -> PointMap:
-    return PointMap.from_vertices(surface_of(target), surface_of(source), np.arange(target.finest.n_vertices))
 
 
 def test_under_the_true_map_the_source_s_own_cage_comes_back(ring: tuple[Refinement, Refinement]) -> None:
@@ -270,6 +261,9 @@ def test_what_does_not_fit_is_refused(ring: tuple[Refinement, Refinement]) -> No
         wrap(target, point_map, follow=np.full(target.control.n_vertices, 2.0))
     with pytest.raises(ParameterError, match="fairness"):
         WrapConfig(fairness=0)
+    graph = control_net(target, 0, 1.0).graph
+    with pytest.raises(ParameterError, match=r"weights: .*a part of the target that follows the source.* above 0"):
+        detached_pieces(graph, np.arange(graph.n))
 
 
 def test_an_obj_keeps_all_but_positions(tmp_path: Path) -> None:

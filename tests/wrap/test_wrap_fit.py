@@ -175,7 +175,6 @@ def test_faces_of_a_body_neither_fold_nor_grow_thin(shared_data: Path) -> None:
 
 @pytest.mark.slow
 def test_a_mouth_bag_stays_in_the_head(shared_data: Path) -> None:
-    """The source has none, and the map lays the back of the target's over the upper lip: it came out of the face."""
     humans = shared_data / "humans"
     names = ("base_male_young.obj", "female1605_female_old_heavy.obj")
     bodies = [read_obj(humans / name) for name in names]
@@ -192,7 +191,6 @@ def test_a_mouth_bag_stays_in_the_head(shared_data: Path) -> None:
 
 
 def test_a_small_piece_of_its_own_that_folds_goes_with_what_is_around_it() -> None:
-    """Once it is released nothing pulls at it any more: no equation is left for it."""
     config = WrapConfig(mending=MendConfig(small=1.0, max_small_fold=0.0, release_rings=3))
     control, n = ring_and_ball(0.05)
     target = refine(control, 2)

@@ -9,12 +9,12 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from cagemap.maps.point_map import PointMap
-from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, nearest_rotations
 from cagemap.numerics.kinds import Config
 from cagemap.numerics.threads import kept
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import corner_sums, normalize_rows
+from cagemap.surface.triangles import corner_sums, normalize_rows, row_lengths
 
 
 @dataclass(frozen=True)
@@ -34,18 +34,10 @@ class FrameConfig(Config):
 
 @dataclass(frozen=True, eq=False)
 class SignedDistances:
-    """Signed distances of points from a body.
+    """Signed distances of points from a body."""
 
-    Attributes
-    ----------
-    heights : (m,) float64
-        Negative inside the body; infinite where no closest point was found.
-    normals : (m, 3) float64
-        Unit normals of the body at the closest points.
-    """
-
-    heights: FloatArray
-    normals: FloatArray
+    heights: FloatArray  # (m,) negative inside the body; infinite where no closest point was found
+    normals: FloatArray  # (m, 3) unit normals of the body at the closest points
 
     @classmethod
     def of(
@@ -74,11 +66,6 @@ class BodyFrames:
     An offset from the source, as a row, times one of the ``matrices`` is the offset from the target. A frame transforms
     tangents by the map's averaged derivative, and the source's unit normal to the target's. Lengths are those of unit
     area.
-
-    Attributes
-    ----------
-    point_map : PointMap
-    config : FrameConfig
     """
 
     point_map: PointMap
@@ -173,6 +160,24 @@ def neighbor_means(corners: IndexArray, count: int) -> sparse.csr_array:
     matrix.sum_duplicates()
     matrix.data[:] = 1.0
     return sparse.csr_array(sparse.diags_array(1.0 / matrix.sum(axis=1)) @ matrix)
+
+
+def weighted_means(rows: IndexArray, weights: FloatArray, moves: FloatArray, count: int) -> FloatArray:
+    """(count, 3) weighted means of the moves (k, 3) of each row's vertex; 0 at others."""
+    total = np.bincount(rows, weights, minlength=count)[:, None]
+    return np.asarray(grouped_sums(rows, weights[:, None] * moves, count) / np.where(total, total, 1.0))
+
+
+def spread_push(means: sparse.csr_array, push: FloatArray, rounds: int) -> FloatArray:
+    """A push (n, 3) that spreads to neighbouring vertices by `neighbor_means`, and fades with each step."""
+    for _ in range(rounds):
+        push = longer_rows(push, means @ push)
+    return push
+
+
+def longer_rows(first: FloatArray, second: FloatArray) -> FloatArray:
+    """(n, 3) the longer vector of each row."""
+    return np.where((row_lengths(first) >= row_lengths(second))[:, None], first, second)
 
 
 def limit_stretches(frames: FloatArray, max_stretch: float) -> FloatArray:

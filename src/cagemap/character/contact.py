@@ -8,12 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.character.body_frames import BodyFrames, SignedDistances, neighbor_means
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
+from cagemap.character.body_frames import (
+    BodyFrames,
+    SignedDistances,
+    longer_rows,
+    neighbor_means,
+    spread_push,
+    weighted_means,
+)
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Config
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import normalize_rows, row_lengths
+from cagemap.surface.triangles import normalize_rows
 
 
 @dataclass(frozen=True)
@@ -30,33 +37,20 @@ class ContactConfig(Config):
     spreading_rounds: int = 4  # in which a push spreads to neighbouring vertices
 
 
+_CONFIG = ContactConfig()
+
+
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """Passenger vertices over the body, and body vertices below the passenger.
+    """Passenger vertices over the body, and body vertices below the passenger."""
 
-    Attributes
-    ----------
-    vertices : (k,) int64
-        Passenger vertices above the source's body.
-    directions : (k, 3) float64
-        Unit directions away from the target at them.
-    min_heights : (k,) float64
-        Smallest allowed heights over the target.
-    body_vertices : (c,) int64
-        Vertices of the target's body that the passenger covers.
-    corners, barycentric : (c, 3)
-        Point of the passenger over each.
-    min_gaps : (c,) float64
-        Smallest allowed heights of these points.
-    """
-
-    vertices: IndexArray
-    directions: FloatArray
-    min_heights: FloatArray
-    body_vertices: IndexArray
-    corners: IndexArray
-    barycentric: FloatArray
-    min_gaps: FloatArray
+    vertices: IndexArray  # (k,) passenger vertices above the source's body
+    directions: FloatArray  # (k, 3) unit directions away from the target at them
+    min_heights: FloatArray  # (k,) smallest allowed heights over the target
+    body_vertices: IndexArray  # (c,) vertices of the target's body that the passenger covers
+    corners: IndexArray  # (c, 3) point of the passenger over each
+    barycentric: FloatArray  # (c, 3)
+    min_gaps: FloatArray  # (c,) smallest allowed heights of these points
 
     @classmethod
     def find(
@@ -66,56 +60,47 @@ class Contact:
         meshes: Sequence[IndexArray],
         normals: FloatArray,
         frames_at_points: FloatArray,
-        config: ContactConfig = ContactConfig(),
     ) -> Contact:
         """Find the contact on the source, for every mesh on its own.
 
-        Parameters
-        ----------
-        frames : BodyFrames
-        points : (n, 3) float64
-            Vertices of all passengers in the source's unit.
-        meshes : sequence of (t, 3) int64
-            Triangles of each.
-        normals : (n, 3) float64
-            Of the source at their closest points.
-        frames_at_points : (n, 3, 3) float64
-            Affine maps from source to target around them.
-        config : ContactConfig
+        ``points``: (n, 3), vertices of all passengers in the source's unit.
+        ``meshes``: (t, 3) triangles of each.
+        ``normals``: (n, 3), of the source at the closest points.
+        ``frames_at_points``: (n, 3, 3), affine maps from source to target around the points.
         """
-        heights = _signed_distances(frames.point_map.source, points, normals, config).heights
-        vertices = np.flatnonzero((heights > 0) & (heights < config.reach))
+        heights = _signed_distances(frames.point_map.source, points, normals).heights
+        vertices = np.flatnonzero((heights > 0) & (heights < _CONFIG.reach))
         directions = normalize_rows(np.einsum("nd,nde->ne", normals, frames_at_points))[vertices]
-        found_per_mesh = [_find_covered(frames, points, triangles, config) for triangles in meshes]
+        found_per_mesh = [_find_covered(frames, points, triangles) for triangles in meshes]
         body_vertices, corners, barycentric, gaps = (
             np.concatenate(arrays) for arrays in zip(*found_per_mesh, strict=True)
         )
         return cls(
             vertices,
             directions,
-            config.height_share * heights[vertices],
+            _CONFIG.height_share * heights[vertices],
             body_vertices,
             corners,
             barycentric,
-            config.height_share * gaps,
+            _CONFIG.height_share * gaps,
         )
 
 
 def _find_covered(
-    frames: BodyFrames, points: FloatArray, triangles: IndexArray, config: ContactConfig
+    frames: BodyFrames, points: FloatArray, triangles: IndexArray
 ) -> tuple[IndexArray, IndexArray, FloatArray, FloatArray]:
     """Body vertices below a mesh; corners, barycentric coordinates and heights of the points above."""
     images, upward = frames.point_map.images.positions, frames.source_normals
     used, inverse = np.unique(triangles, return_inverse=True)
     mesh_points, mesh_triangles = points[used], inverse.reshape(-1, 3)
-    low, high = mesh_points.min(axis=0) - config.reach, mesh_points.max(axis=0) + config.reach
+    low, high = mesh_points.min(axis=0) - _CONFIG.reach, mesh_points.max(axis=0) + _CONFIG.reach
     body = np.flatnonzero(((images > low) & (images < high)).all(axis=1))
     triangle, barycentric, distance = closest_points(
-        build_tree(mesh_points, mesh_triangles), images[body], within=config.reach
+        build_tree(mesh_points, mesh_triangles), images[body], within=_CONFIG.reach
     )
     offsets = np.einsum("nc,ncd->nd", barycentric, mesh_points[mesh_triangles[triangle]]) - images[body]
     gaps = np.einsum("nd,nd->n", offsets, upward[body])
-    rows = np.flatnonzero((triangle >= 0) & (gaps > 0) & (gaps >= config.min_above_cosine * distance))
+    rows = np.flatnonzero((triangle >= 0) & (gaps > 0) & (gaps >= _CONFIG.min_above_cosine * distance))
     return body[rows], triangles[triangle[rows]], barycentric[rows], gaps[rows]
 
 
@@ -124,7 +109,6 @@ def push_out(
     contact: Contact,
     places: FloatArray,
     triangles: IndexArray,
-    config: ContactConfig = ContactConfig(),
 ) -> FloatArray:
     """Positions (n, 3) moved out of the target's body to the contact's heights, at unit area.
 
@@ -136,48 +120,39 @@ def push_out(
     start = places
     is_moved: NDArray[np.bool_] = np.ones(len(places), dtype=bool)
     heights, upright = np.full(len(contact.vertices), np.inf), np.zeros_like(contact.directions)
-    for _ in range(config.max_rounds):
+    for _ in range(_CONFIG.max_rounds):
         changed = np.flatnonzero(is_moved[contact.vertices])
-        distances = _signed_distances(target, places[contact.vertices[changed]], contact.directions[changed], config)
+        distances = _signed_distances(target, places[contact.vertices[changed]], contact.directions[changed])
         heights[changed], upright[changed] = distances.heights, distances.normals
         rise = np.maximum(contact.min_heights - heights, 0.0)  # 0 where no body is near: heights are infinite
-        rise[rise < config.tolerance] = 0.0
+        rise[rise < _CONFIG.tolerance] = 0.0
         offsets = np.einsum("nc,ncd->nd", contact.barycentric, places[contact.corners]) - body_positions
         missing = np.maximum(contact.min_gaps - np.einsum("nd,nd->n", offsets, upward), 0.0)
-        rows = np.flatnonzero(missing > config.tolerance)
+        rows = np.flatnonzero(missing > _CONFIG.tolerance)
         if not len(rows) and not rise.any():
             break
         shares = contact.barycentric[rows] / squared[rows, None]
         moves = (missing[rows, None] * shares)[:, :, None] * upward[rows, None]
         corners, weights = contact.corners[rows].ravel(), contact.barycentric[rows].ravel()
-        total = np.bincount(corners, weights, minlength=len(places))[:, None]
-        push = grouped_sums(corners, weights[:, None] * moves.reshape(-1, 3), len(places)) / np.where(total, total, 1.0)
-        push[contact.vertices] = _longer_rows(rise[:, None] * upright, push[contact.vertices])
-        for _ in range(config.spreading_rounds):
-            push = _longer_rows(push, means @ push)
+        push = weighted_means(corners, weights, moves.reshape(-1, 3), len(places))
+        push[contact.vertices] = longer_rows(rise[:, None] * upright, push[contact.vertices])
+        push = spread_push(means, push, _CONFIG.spreading_rounds)
         places, is_moved = places + push, np.asarray(push.any(axis=1))
-    return _limit_depth(target, start, places, config)
+    return _limit_depth(target, start, places)
 
 
-def _limit_depth(target: TriangleSurface, start: FloatArray, pushed: FloatArray, config: ContactConfig) -> FloatArray:
+def _limit_depth(target: TriangleSurface, start: FloatArray, pushed: FloatArray) -> FloatArray:
     """(n, 3) pushed positions; pushes into another part of the body are halved."""
     rows = np.flatnonzero((start != pushed).any(axis=1))
-    depths = np.minimum(_signed_distances(target, start[rows], None, config).heights, 0.0)
-    for _ in range(config.max_halvings):
-        is_deeper = _signed_distances(target, pushed[rows], None, config).heights < depths - config.tolerance
+    depths = np.minimum(_signed_distances(target, start[rows], None).heights, 0.0)
+    for _ in range(_CONFIG.max_halvings):
+        is_deeper = _signed_distances(target, pushed[rows], None).heights < depths - _CONFIG.tolerance
         rows, depths = rows[is_deeper], depths[is_deeper]
         pushed[rows] = 0.5 * (start[rows] + pushed[rows])
     return pushed
 
 
-def _signed_distances(
-    surface: TriangleSurface, points: FloatArray, normals: FloatArray | None, config: ContactConfig
-) -> SignedDistances:
+def _signed_distances(surface: TriangleSurface, points: FloatArray, normals: FloatArray | None) -> SignedDistances:
     """Signed distances from points of the surface with similar normals, infinite out of reach."""
-    minimum_cosine = -2.0 if normals is None else config.min_facing_cosine
-    return SignedDistances.of(surface, points, normals, minimum_cosine, 2.0 * config.reach)
-
-
-def _longer_rows(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(n, 3) the longer vector of each row."""
-    return np.where((row_lengths(first) >= row_lengths(second))[:, None], first, second)
+    minimum_cosine = -2.0 if normals is None else _CONFIG.min_facing_cosine
+    return SignedDistances.of(surface, points, normals, minimum_cosine, 2.0 * _CONFIG.reach)

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.faces import cage_triangles, keep_faces
+from cagemap.mesh.faces import cage_triangles, face_areas, keep_faces
 from cagemap.mesh.parts import passenger_pieces
 from cagemap.mesh.topology import face_components
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, members_of
@@ -67,7 +67,11 @@ def pieces_in_surface(carried: ControlMesh, point_map: PointMap) -> list[IndexAr
     nearest, _, distances = closest_points(target.tree, triangle_centres(places, triangles))
     is_inside = is_collapsed[nearest] & (distances <= reach[piece])
     inside, whole = (np.bincount(piece, area, len(boxes)) for area in (areas * is_inside, areas))
-    is_found = (inside > 0) & (inside >= _MIN_COLLAPSED_SHARE * whole) & ~passenger_pieces(carried, labels)
+    is_found = (
+        (inside > 0)
+        & (inside >= _MIN_COLLAPSED_SHARE * whole)
+        & ~passenger_pieces(carried, labels, face_areas(carried))
+    )
     return [faces for number, faces in enumerate(members_of(labels)) if is_found[number]]
 
 

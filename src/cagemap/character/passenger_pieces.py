@@ -27,44 +27,23 @@ class PieceConfig(Config):
     concentric_share: float = 0.5  # largest distance of the centres of one group, over the larger radius
 
 
+_CONFIG = PieceConfig()
+
+
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Groups of pieces that move together.
+    """Groups of pieces that move together."""
 
-    Attributes
-    ----------
-    group : (n,) int64
-        Of every vertex.
-    is_rigid : (g,) bool
-        Whether a group keeps its shape, up to its size.
-    has_local_scale : bool
-        Whether rigid groups scale with their surroundings, not with the whole body.
-    """
-
-    group: IndexArray
-    is_rigid: NDArray[np.bool_]
-    has_local_scale: bool
+    group: IndexArray  # (n,) of every vertex
+    is_rigid: NDArray[np.bool_]  # (g,) whether a group keeps its shape, up to its size
+    has_local_scale: bool  # whether rigid groups scale with their surroundings, not with the whole body
 
 
-def find_pieces(
-    mesh: ControlMesh,
-    points: FloatArray,
-    heights: FloatArray,
-    kind: PassengerKind | None,
-    config: PieceConfig = PieceConfig(),
-) -> Pieces:
+def find_pieces(mesh: ControlMesh, points: FloatArray, heights: FloatArray, kind: PassengerKind | None) -> Pieces:
     """Group the connected pieces of a mesh; decide which are rigid.
 
-    Parameters
-    ----------
-    mesh : ControlMesh
-    points : (n, 3) float64
-        Its vertices in the source's unit.
-    heights : (n,) float64
-        Their signed distances from the body.
-    kind : str, optional
-        Of all pieces.
-    config : PieceConfig
+    ``points``: (n, 3), its vertices in the source's unit, and ``heights`` (n,), their signed distances from the body.
+    ``kind``: of all pieces.
     """
     piece = label_components(mesh.face_indices, mesh.face_indices[mesh.next_corners], mesh.n_vertices)
     count = int(piece.max()) + 1
@@ -76,14 +55,14 @@ def find_pieces(
     radius = np.zeros(count)
     np.maximum.at(radius, piece, np.linalg.norm(offsets, axis=1))
     mean_height = np.bincount(piece, np.abs(heights), minlength=count) / sizes
-    is_rigid = (radius < config.max_radius) & (extents[:, 1] > config.min_compactness * extents[:, 2]) | (
-        mean_height > config.prop_distance
+    is_rigid = (radius < _CONFIG.max_radius) & (extents[:, 1] > _CONFIG.min_compactness * extents[:, 2]) | (
+        mean_height > _CONFIG.prop_distance
     )
     if kind is not None:
         is_rigid = np.full(count, kind != "cloth")
-    near = cKDTree(centres).query_pairs(config.concentric_share * config.max_radius, output_type="ndarray")
+    near = cKDTree(centres).query_pairs(_CONFIG.concentric_share * _CONFIG.max_radius, output_type="ndarray")
     heads, tails = near.astype(np.int64).T
-    is_joined = np.linalg.norm(centres[heads] - centres[tails], axis=1) < config.concentric_share * np.maximum(
+    is_joined = np.linalg.norm(centres[heads] - centres[tails], axis=1) < _CONFIG.concentric_share * np.maximum(
         radius[heads], radius[tails]
     )
     is_joined &= is_rigid[heads] & is_rigid[tails]

@@ -31,15 +31,11 @@ class CarriedPassenger:
         Rotation times scale that takes an offset of a vertex, as a row, to the target.
     distance : float
         Mean distance of the vertices from the source's body, in units of sqrt(area).
-    unit_factor : float
-        Factor of the passenger's lengths, a ratio of two units such as 100, that brings it onto the source's body; 1
-        if its unit is the body's.
     """
 
     positions: FloatArray
     matrices: FloatArray
     distance: float
-    unit_factor: float
 
     def carry_offsets(self, offsets: FloatArray) -> FloatArray:
         """Offsets (n, 3) of a shape key of the passenger, rotated and scaled for the target."""
@@ -114,8 +110,7 @@ def carry_passengers(
         positions, turns, scales = fit_similarities(pieces, points[rows], places[rows], matrices[rows])
         linear_map = factor * scales[:, None, None] * turns
         distance = float(np.abs(distances.heights[rows]).mean())
-        unit_factor = _unit_factor(source, points[rows])
-        carried.append(CarriedPassenger(positions / target.scale, linear_map, distance, unit_factor))
+        carried.append(CarriedPassenger(positions / target.scale, linear_map, distance))
     return carried
 
 
@@ -127,8 +122,12 @@ _MAX_DISTANCE_RATIO = 0.25
 _UNIT_SAMPLES = 500  # vertices
 
 
-def _unit_factor(body: TriangleSurface, points: FloatArray) -> float:
-    """Factor of lengths with which points (n, 3) lie nearer to a body, relative to their extent; 1 if none."""
+def unit_factor(body: TriangleSurface, positions: FloatArray) -> float:
+    """Factor of a passenger's lengths, a ratio of units such as 100, that brings it onto a body; 1 if none does.
+
+    ``positions``: (n, 3), in the body's file units.
+    """
+    points = positions * body.scale
     samples = points[:: -(-len(points) // _UNIT_SAMPLES)]
     scaled = _UNIT_FACTORS[:, None, None] * samples
     distances = np.abs(SignedDistances.of(body, scaled.reshape(-1, 3)).heights)

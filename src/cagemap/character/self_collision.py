@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cagemap.character.body_frames import neighbor_means
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
+from cagemap.character.body_frames import neighbor_means, spread_push, weighted_means
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Config
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.triangles import row_lengths, surface_area, vertex_normals
@@ -30,23 +30,17 @@ class CollisionConfig(Config):
     spreading_rounds: int = 4  # in which a push spreads to neighbouring vertices
 
 
+_CONFIG = CollisionConfig()
+
+
 @dataclass(frozen=True, eq=False)
 class Collisions:
-    """Vertices inside another part of the surface.
+    """Vertices inside another part of the surface."""
 
-    Attributes
-    ----------
-    vertices : (k,) int64
-    exits : (k, 3) float64
-        Vectors from each vertex to the nearest point of the surface whose normal opposes its own.
-    corners, barycentric : (k, 3)
-        That point.
-    """
-
-    vertices: IndexArray
-    exits: FloatArray
-    corners: IndexArray
-    barycentric: FloatArray
+    vertices: IndexArray  # (k,)
+    exits: FloatArray  # (k, 3) vectors to the nearest point of the surface whose normal opposes the vertex's own
+    corners: IndexArray  # (k, 3) that point
+    barycentric: FloatArray  # (k, 3)
 
     @classmethod
     def find(
@@ -55,14 +49,13 @@ class Collisions:
         triangles: IndexArray,
         vertices: IndexArray,
         outward: FloatArray,
-        config: CollisionConfig = CollisionConfig(),
     ) -> Collisions:
         """Find which of some vertices collide; no ray along ``outward`` (3,) may pass through a hole."""
         size = np.sqrt(surface_area(positions, triangles))
         normals = vertex_normals(positions, triangles)[vertices]
-        points = positions[vertices] + config.lift * size * normals
+        points = positions[vertices] + _CONFIG.lift * size * normals
         triangle, barycentric, _ = closest_points(
-            build_tree(positions, triangles), points, -normals, minimum_cosine=0.0, within=config.reach * size
+            build_tree(positions, triangles), points, -normals, minimum_cosine=0.0, within=_CONFIG.reach * size
         )
         near = np.flatnonzero(triangle >= 0)
         inside = near[winding_numbers(positions, triangles, points[near], outward) > 0]
@@ -76,7 +69,6 @@ def move_apart(
     moved: FloatArray,
     triangles: IndexArray,
     outward: FloatArray,
-    config: CollisionConfig = CollisionConfig(),
 ) -> FloatArray:
     """Positions (n, 3) of ``moved``, with collisions that ``rest`` (n, 3) does not have moved apart.
 
@@ -85,26 +77,22 @@ def move_apart(
     """
     size = np.sqrt(surface_area(rest, triangles))
     means = neighbor_means(triangles, len(rest))
-    vertices = np.flatnonzero(row_lengths(moved - rest) > config.min_move * size)
-    tested = Collisions.find(moved, triangles, vertices, outward, config).vertices
+    vertices = np.flatnonzero(row_lengths(moved - rest) > _CONFIG.min_move * size)
+    tested = Collisions.find(moved, triangles, vertices, outward).vertices
     if not len(tested):
         return moved
-    at_rest = Collisions.find(rest, triangles, np.arange(len(rest)), outward, config).vertices
-    for _ in range(config.max_rounds):
+    at_rest = Collisions.find(rest, triangles, np.arange(len(rest)), outward).vertices
+    for _ in range(_CONFIG.max_rounds):
         tested = np.setdiff1d(tested, at_rest)
-        found = Collisions.find(moved, triangles, tested, outward, config)
-        if row_lengths(found.exits).max(initial=0.0) < config.max_depth * size:
+        found = Collisions.find(moved, triangles, tested, outward)
+        if row_lengths(found.exits).max(initial=0.0) < _CONFIG.max_depth * size:
             break
         half, weights = 0.5 * found.exits, found.barycentric
         shares = weights / np.einsum("kc,kc->k", weights, weights)[:, None]
         moves = np.concatenate([half, (-shares[:, :, None] * half[:, None]).reshape(-1, 3)])
         rows = np.concatenate([found.vertices, found.corners.ravel()])
         row_weights = np.concatenate([np.ones(len(half)), weights.ravel()])
-        total = np.bincount(rows, row_weights, minlength=len(rest))[:, None]
-        push = grouped_sums(rows, row_weights[:, None] * moves, len(rest)) / np.where(total, total, 1.0)
-        for _ in range(config.spreading_rounds):
-            spread = means @ push
-            push = np.where((row_lengths(push) >= row_lengths(spread))[:, None], push, spread)
+        push = spread_push(means, weighted_means(rows, row_weights, moves, len(rest)), _CONFIG.spreading_rounds)
         moved = moved + push
         tested = np.union1d(tested, np.flatnonzero(push.any(axis=1)))
     return moved

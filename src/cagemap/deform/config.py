@@ -14,7 +14,7 @@ from cagemap.spectral.zoomout import ZoomOutSchedule
 
 @dataclass(frozen=True)
 class Stage(Config):
-    """One run of `cagemap.deform.minimise.minimise`; lengths are of sqrt(area)."""
+    """One run of `cagemap.deform.energy.minimise`; lengths are of sqrt(area)."""
 
     iterations: int
     #: Weight alpha of the energy against the data, first and last; it falls geometrically over the first ``ramp`` of
@@ -23,11 +23,9 @@ class Stage(Config):
     smoothing: float  #: epsilon of the energy; its square root is the length over which differentials are smoothed
     ramp: float = 0.7  #: share of the iterations in which the stiffness falls
     momentum: float = 0.0  #: each iteration adds this share of its step once more, the last one does not
-    #: most extra iterations, at the last stiffness, while more than `max_bounded` of the vertices are bounded
-    patience: int = 0
+    patience: int = 0  #: most extra iterations, at the last stiffness, while `max_bounded` is exceeded
     factored: int = 1  #: iterations from one factorisation of the matrix to the next; those between reuse its factors
-    #: share of vertices whose differentials may be bounded (fold or flatten the surface) at the end
-    max_bounded: float = 0.005
+    max_bounded: float = 0.005  #: share of vertices whose differentials may be bounded (folded or flat) at the end
     gradient_steps: int = 4  #: conjugate gradient steps of an iteration that reuses factors
     tolerance: float = 1e-9  #: relative residual at which these steps end early
     max_unsolved: float = 0.5  #: relative residual above which the matrix is factored anew
@@ -46,18 +44,15 @@ class Stage(Config):
 class StartConfig(Config):
     """Starts of the elastic fit by ZoomOut (`deform.multi_start`), from landmarks and from a fit's closest points."""
 
-    #: least number of vertices of the target's deformed level and of the source's searched level
-    search_vertices: int = 3000
+    search_vertices: int = 3000  #: least number of vertices of the target's deformed and the source's searched level
     source_search_vertices: int = 0  #: the same number for the source, where it differs; 0: as for the target
     zoomout: ZoomOutSchedule = ZoomOutSchedule()
     samples: int = 3000  #: source vertices that ZoomOut searches; it takes twice the number of coarse vertices
     curve_points: int = 40  #: points of a curve at which its landmark coordinate is 1
-    #: numbers of basis functions that a fit determines; each gives one start
-    trusted_functions: tuple[int, ...] = (8, 20)
+    trusted_functions: tuple[int, ...] = (8, 20)  #: numbers of functions that a fit determines; each gives one start
     growth: float = 1.5  #: factor by which ZoomOut from a fit raises the number of functions
     last_functions: int = 100  #: number of functions at which it ends
-    #: length of a unit normal in the search of a fit's closest points among as many samples, of sqrt(area)
-    normal_length: float = 0.1
+    normal_length: float = 0.1  #: length of a unit normal in the search of a fit's closest points, of sqrt(area)
 
     RANGES: ClassVar = {"samples": (1, np.inf)}
 
@@ -90,15 +85,12 @@ class DataConfig(Config):
     #: round trip (a source sample, its closest point on the target, that one's closest point on the source) at which
     #: a sample inside the target has a quarter of its weight
     inside_trip: float = 0.006
-    #: round trip of a quarter of the weight outside the target, in sqrt(alpha): it may not have arrived yet
-    outside_trips: float = 6.0
-    #: largest distance from an open surface that is counted; beyond its boundary there is no misfit
-    uncovered: float = 0.02
+    outside_trips: float = 6.0  #: round trip of a quarter of the weight outside, in sqrt(alpha): it may yet arrive
+    uncovered: float = 0.02  #: largest distance from an open surface that counts; beyond its boundary is no misfit
     curve_share: int = 6  #: at most one in so many coarse vertices lies on curves
     min_curve_points: int = 6  #: coarse vertices that a curve needs to bend
     shared_gap: float = 0.03  #: a place that a fit leaves farther from the other surface has no counterpart there
-    #: a place so near to the other surface has a counterpart, even at that surface's boundary
-    at_boundary: float = 1e-4
+    at_boundary: float = 1e-4  #: a place so near to the other surface has a counterpart, also at that one's boundary
 
 
 @dataclass(frozen=True)
@@ -109,8 +101,7 @@ class SearchConfig(Config):
     """
 
     # Fits from two starts that landmarks give, and from further starts if these two fits disagree
-    #: the fits disagree if their coarse placements are farther apart, on average
-    max_start_distance: float = 0.004
+    max_start_distance: float = 0.004  #: the fits disagree if their coarse placements are farther apart, on average
     max_limb_rotation: float = 0.48  #: or if a limb is rotated by more, in radians
     limb_area: float = 0.02  #: share of the area that counts as a limb; less than a forearm and its hand
     min_coarse_distance: float = 0.001  #: coarse placements at a larger mean distance are both refined
@@ -133,8 +124,7 @@ class SearchConfig(Config):
     max_assigned: int = 2  #: assignments of limbs that reach the coarse stage
     max_finish_cost: float = 2.5  #: a candidate that costs more times the best one is not finished
     mirrored_starts: int = 4  #: starts on the mirror image that are fitted; the nearest ones
-    #: factor on the cost of a start rotated about the vertical; files mostly agree on the front
-    turned_penalty: float = 1.1
+    turned_penalty: float = 1.1  #: cost factor of a start rotated about the vertical; files mostly agree on the front
     tilted_penalty: float = 1.3  #: the same of other rotations; files nearly always agree on up
     max_unit_ratio: float = 4.0  #: files of parts whose sizes have a larger ratio are in different units
     # Limbs and their tips
@@ -166,8 +156,7 @@ class RefitConfig(Config):
     rounds: int = 2  #: times that the target is posed and fitted
     #: `match_next` discards a map that folds a larger share of the area; correct ones have 0.001, without a leg 0.007
     max_folded_frame: float = 0.005
-    #: length over which the gradient of rotations, and the shifts towards the inverse, are smoothed
-    smoothing: float = 0.02
+    smoothing: float = 0.02  #: length over which the gradient of rotations and the shifts to the inverse are smoothed
     gap: float = 0.01  #: distance from the inverse's mesh at which a vertex has a quarter of its weight
     normal_weight: float = 0.02  #: length of a unit normal in the search on that mesh
 
@@ -187,12 +176,10 @@ class CoincidenceConfig(Config):
     clothed: float = 0.6  #: least share of the source that is covered; clothes cover 0.34 to 0.5, a second body 0.81
     reach: float = 0.1  #: search radius of closest points that face the same way
     # Motions
-    #: largest mean distance of a moved target; another shape, 4 % longer, can be moved to a distance of 0.0029
-    moved_gap: float = 0.001
+    moved_gap: float = 0.001  #: largest mean distance of a moved target; another shape, 4 % longer, can have 0.0029
     #: largest relative difference of the deviations along principal axes; one body under several cages has up to 0.04
     max_moment_change: float = 0.05
-    #: least ratio of the deviations along two principal axes; with equal ones there is no telling them apart
-    min_axis_ratio: float = 1.05
+    min_axis_ratio: float = 1.05  #: least ratio of deviations along two principal axes; equal ones cannot be told apart
     settling_rounds: int = 30  #: closest points and the best similarity in turn
     settling_samples: int = 500  #: face centres of the target in it
     max_distance_ratio: float = 0.95  #: they end where the mean distance falls by less than this factor
@@ -218,10 +205,8 @@ class LandmarkConfig(Config):
     #: a landmark is at a tip if no place within this distance is farther from the other landmarks
     tip_reach: float = 0.15
     tip_slack: float = 0.03  #: slack in this comparison
-    #: a given place and the best one are on one limb if paths through the best one are longer by at most this
-    detour: float = 0.2
-    #: with a larger share of suspected pairs it is unknown which are right, and none is left out
-    max_suspects: float = 1 / 3
+    detour: float = 0.2  #: a given and the best place are on one limb if the best one lengthens paths by at most this
+    max_suspects: float = 1 / 3  #: with a larger share of suspects it is unknown which are right: none is left out
     one_of: int = 100  #: of so many pairs one is left out before the others are judged again
     #: with a larger typical misfit nothing is judged; shuffled pairs have 0.36 to 0.53, animals up to 0.26
     max_typical_misfit: float = 0.32
@@ -230,19 +215,16 @@ class LandmarkConfig(Config):
     slip_by_sides: float = 1.05  #: the same for pairs suspected by orientation; exchanged ears have 1.04 to 1.19
     max_confirmed_miss: float = 0.03  #: a suspected pair that the map before an update misses by less is kept
     # Orientation of landmark triples
-    #: rise of the agreement around two exchanged pairs when they are exchanged back; 0.3 or more
-    min_side_rise: float = 0.2
+    min_side_rise: float = 0.2  #: rise of the agreement around two exchanged pairs once exchanged back; 0.3 or more
     min_side_agreement: float = 0.8  #: least agreement after that
     max_side_agreement: float = 0.1  #: largest agreement before; it suspects 14 of 1200 correct sets, without it 95
     min_side_gain: float = -0.03  #: least gain in distances of an exchange of mirror images; they have -0.02 to 0.4
-    #: nearer landmarks are not used; their orientation depends on how exactly they were placed
-    min_side_distance: float = 0.05
+    min_side_distance: float = 0.05  #: nearer landmarks are not used; their orientation depends on exact placement
     #: a triple with a larger log ratio of distances says little about the orientation of all
     max_triple_change: float = 0.5
     #: landmarks with a smaller mean product of orientations are too flat to judge; others have 0.03 to 0.2
     min_orientation: float = 0.02
-    #: landmarks with a smaller agreement are mirrored as a whole; correct ones have 0.45 or more
-    mirrored_agreement: float = -0.2
+    mirrored_agreement: float = -0.2  #: landmarks with less are mirrored as a whole; correct ones have 0.45 or more
     min_mirrored_cost: float = 1.3  #: and only if they raise the cost by this factor; correct crossed arms have 1.02
     #: largest distance at which a fit without them may put a landmark from the one it is exchanged with
     exchange_distance: float = 0.08
@@ -250,8 +232,7 @@ class LandmarkConfig(Config):
     strain_vertices: int = 300  #: vertices of the graph; the surroundings of a landmark are coarse
     strain_stiffness: float = 1e-4  #: stiffness of its energy
     strain_smoothing: float = 1e-3  #: smoothing of its differentials
-    #: weight that holds every vertex tangentially, so that the solution is unique without landmarks
-    strain_ridge: float = 1e-7
+    strain_ridge: float = 1e-7  #: weight that holds vertices tangentially, for a unique solution without landmarks
     fewest_strained: int = 10  #: fewer pairs are not judged by strain
     min_strain: float = 0.05  #: a pair that moves farther when it is released strains the map
     min_strain_of_next: float = 1.5  #: and this many times as far as any other; unlike shapes strain many pairs
@@ -262,12 +243,10 @@ class LandmarkConfig(Config):
 class ProjectionConfig(Config):
     """Projection of a fitted mesh, and removal of its folds; lengths are of sqrt(area), areas shares of the surface."""
 
-    #: a closest point whose normal has a smaller cosine with the point's own is on the wrong side of a thin part
-    min_cosine: float = 0.15
+    min_cosine: float = 0.15  #: a closest point with a smaller cosine of normals is on the wrong side of a thin part
     landmark_tolerance: float = 1e-12  #: a landmark is met if it is missed by less
     landmark_steps: int = 12  #: most steps to a landmark; few suffice, since the surface is nearly flat there
-    #: weight of normals in the first step, which keeps to one side of a thin part
-    landmark_normal_weight: float = 0.002
+    landmark_normal_weight: float = 0.002  #: weight of normals in the first step, to keep to one side of a thin part
     rings: tuple[int, ...] = (1, 2, 3, 5, 8)  #: rings of triangles around small folds that are relaxed, by round
     sweeps: int = 10  #: averages over neighbours between two projections of a patch
     min_gain: float = 0.02  #: a further round needs the last one to remove this share of the flipped triangles
@@ -303,8 +282,7 @@ class ElasticConfig(Config):
     landmark_weight: float = 1e2  #: of a landmark, against a data weight of 1 for the whole surface
     curve_weight: float = 1.0  #: of a curve, by its length in sqrt(area), against the same
     cost_stiffness: float = 1e-3  #: stiffness alpha at which placements are compared
-    #: of the variance of logarithmic stretches, where placements of open surfaces are compared
-    stretch_weight: float = 3e-3
+    stretch_weight: float = 3e-3  #: of the variance of log stretches, where placements of open surfaces are compared
     #: what changed landmarks do to a map that is there, on the coarse graph (`cagemap.deform.update`)
     response: Stage = Stage(8, (2e-4, 2e-4), 1e-2, momentum=0.6)
     # Numbers of the parts of the method

@@ -1,10 +1,16 @@
-"""The elastic energy of a graph: its differentials, and the linear systems for positions."""
+"""The elastic energy of a graph, and its minimisation with other terms: positions and differentials alternate.
+
+Every deformation is one call of `minimise` with its graph, differentials and terms: the coarse and the fine stage,
+positions from landmarks alone, the pose of a placement, the response of a map to its landmarks, and the wrap of a net.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any, Protocol
 
 import numpy as np
 from scipy import sparse
@@ -12,10 +18,9 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from cagemap.deform.config import GraphConfig, Stage
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.minimise import minimise
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, nearest_rotations
 from cagemap.numerics.factorization import Factorization, factor
-from cagemap.numerics.threads import kept
+from cagemap.numerics.threads import ThreadPool, kept
 from cagemap.surface.triangles import normalize_rows
 
 
@@ -94,7 +99,7 @@ class ElasticEnergy:
         transposed = self.factors.solve(self.graph.moments @ positions)  # rows (i, b), columns a: A_i[a, b]
         return np.ascontiguousarray(transposed.reshape(-1, 3, 3).transpose(0, 2, 1))
 
-    def differentials(self, positions: FloatArray) -> tuple[FloatArray, IndexArray]:
+    def differentials(self, positions: FloatArray) -> Differentials:
         """(n, 3, 3) admissible maps for positions x (n, 3), and which of them were bounded."""
         return self.admissible(self.maps(positions), self.graph.normals)
 
@@ -125,12 +130,66 @@ class VertexTerms:
         return LinearSystem(factor(matrix, like=like, dtype=np.float32), matrix)
 
 
-def minimise_constant(
-    energy: ElasticEnergy, blocks: FloatArray, right: FloatArray, start: FloatArray, stage: Stage
+# Maps (n, 3, 3) of positions, and which of them were bounded (b,).
+Differentials = tuple[FloatArray, IndexArray]
+
+
+class System(Protocol):
+    """Linear system of the positions."""
+
+    def solve(self, right: FloatArray, positions: FloatArray) -> FloatArray:
+        """(n, 3) new positions, from a right side (n, 3) and the positions before (n, 3)."""
+
+
+class Quadratic(Protocol):
+    """Terms of one iteration, ``x^T B x - 2 b^T x`` up to a constant."""
+
+    @property
+    def right(self) -> FloatArray:
+        """(n, 3) b."""
+
+    def system(self, alpha: float, stage: Stage, before: Any) -> System:
+        """System ``alpha L + B``; reuses the factors of the system ``before``, if any."""
+
+
+# Data terms and constraints at positions (n, 3), from their differentials (computed meanwhile), the stiffness alpha and
+# the terms of the previous iteration (None in the first).
+Terms = Callable[[FloatArray, Future[Differentials], float, Any], Quadratic]
+
+
+def minimise(
+    graph: ElasticGraph,
+    differentials: Callable[[FloatArray], Differentials],
+    terms: Terms | Quadratic,
+    start: FloatArray,
+    stage: Stage,
+    adjust: Callable[[FloatArray], FloatArray] = lambda positions: positions,
 ) -> FloatArray:
-    """`minimise` with the same terms ``sum_i x_i^T B_i x_i - 2 b_i^T x_i`` in all iterations; B (n, 3, 3), b (n, 3)."""
-    terms = VertexTerms(energy, blocks, right, constant=True)
-    return minimise(energy.graph, energy.differentials, lambda *_: terms, start, stage)
+    """Positions x (n, 3) that minimise ``alpha E(x, A)`` plus terms; alternates positions and differentials A.
+
+    The terms are a function, or the same in all iterations. Momentum makes the alternation three times faster.
+    ``adjust`` is applied to the positions of every iteration, to keep a symmetry.
+    """
+    positions, before = start, start
+    quadratic: Quadratic | None = None
+    system: System | None = None
+    last_alpha = 0.0
+    with ThreadPool(1) as pool:
+        for iteration, alpha in enumerate(stage.ramped().tolist(), start=1):
+            pending = pool.submit(differentials, positions)
+            last = quadratic
+            quadratic = terms(positions, pending, alpha, quadratic) if callable(terms) else terms
+            if system is None or quadratic is not last or alpha != last_alpha:
+                anew = (iteration - 1) % stage.factored == 0
+                system, last_alpha = quadratic.system(alpha, stage, None if anew else system), alpha
+            maps, bounded = pending.result()
+            right = quadratic.right + alpha * graph.divergence(maps)
+            after = adjust(system.solve(right, positions))
+            if iteration >= stage.iterations and len(bounded) <= stage.max_bounded * graph.n:
+                return after
+            positions = after + stage.momentum * (after - before) if iteration > 1 else after
+            before = after
+    return np.asarray(before)
 
 
 def any_map(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexArray]:

@@ -13,11 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.deform.config import ElasticConfig
-from cagemap.deform.constraints import PlacementConstraints
-from cagemap.deform.data import SourceSamples, received_weights, source_to_clusters, source_to_target, target_to_source
-from cagemap.deform.energy import VertexTerms, deformed_normals, minimise_constant
+from cagemap.deform.data import (
+    PlacementConstraints,
+    SourceSamples,
+    received_weights,
+    source_to_clusters,
+    source_to_target,
+    target_to_source,
+)
+from cagemap.deform.energy import Differentials, Terms, VertexTerms, deformed_normals, minimise
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.minimise import Differentials, Terms, minimise
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.errors import ParameterError
@@ -133,7 +138,8 @@ def landmark_start(clusters: Clusters, config: ElasticConfig) -> FloatArray:
     blocks, right = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
     start = scale * graph.positions @ rotation.T + shift
     constraints.add_points(blocks, right, start, config)
-    return minimise_constant(clusters.energy, blocks, right, start, config.landmark_start)
+    terms = VertexTerms(clusters.energy, blocks, right, constant=True)
+    return minimise(graph, clusters.energy.differentials, terms, start, config.landmark_start)
 
 
 def evaluate_placement(prepared: PreparedPair, positions: FloatArray) -> Placement:

@@ -21,8 +21,13 @@ from cagemap.deform.problem import Clusters, Problem
 from cagemap.deform.refit import largest_limb_rotation
 from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
 from cagemap.numerics.threads import ThreadPool, in_threads
-from cagemap.spectral.landmark_coordinates import landmark_coordinates
-from cagemap.spectral.zoomout import ZoomOutSchedule, evenly_spaced_vertices, nearest_rows, zoomout
+from cagemap.spectral.zoomout import (
+    ZoomOutSchedule,
+    evenly_spaced_vertices,
+    landmark_coordinates,
+    nearest_rows,
+    zoomout,
+)
 
 # Landmarks from which on they give a start of their own; fewer only restrict the search.
 FEWEST_LANDMARKS = 3

@@ -36,11 +36,6 @@ class Placement:
         return self.positions if self.finished_positions is None else self.finished_positions
 
     @property
-    def has_penalty(self) -> bool:
-        """Whether the cost has a penalty because the files' axes are rotated."""
-        return self.penalty > 1.0
-
-    @property
     def penalised_cost(self) -> float:
         """Cost times penalty."""
         return self.penalty * self.cost

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig, GraphConfig, Stage, StartConfig
-from cagemap.deform.constraints import CurveConstraint, PlacementConstraints, constrained_clusters
-from cagemap.deform.data import SourceSamples
+from cagemap.deform.data import CurveConstraint, PlacementConstraints, SourceSamples, constrained_clusters
 from cagemap.deform.energy import NO_VERTICES, ElasticEnergy, bounded_energy
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
 from cagemap.errors import ParameterError
@@ -72,9 +71,14 @@ class PreparedPair:
         elastic: ElasticConfig = ElasticConfig(),
         masks: Masks = WHOLE,
     ) -> PreparedPair:
-        """Factor the target's elastic energy, and build the source's search trees."""
+        """Factor the target's elastic energy, and build the source's search trees.
+
+        ParameterError if a surface has no operators up to its searched level.
+        """
         wanted = start.search_vertices, start.source_search_vertices or start.search_vertices
         levels = target.hierarchy.coarsest_level(wanted[0]), source.hierarchy.coarsest_level(wanted[1])
+        for surface, level in zip((target, source), levels, strict=True):
+            surface.require_operators(level, "elastic")
         fitted = fitted_surface(source, elastic)
         with ThreadPool(1) as pool:
             trees = pool.submit(lambda: (fitted.tree, source.finest_triangles.tree))

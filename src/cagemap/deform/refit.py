@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from cagemap.deform.config import RefitConfig
-from cagemap.deform.energy import ElasticEnergy, deformed_normals, minimise_constant, rotations
+from cagemap.deform.energy import ElasticEnergy, VertexTerms, deformed_normals, minimise, rotations
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.placement import Placement
@@ -106,7 +106,8 @@ def rigid_pose(graph: ElasticGraph, positions: FloatArray, config: RefitConfig =
     for _ in range(config.joint_rounds):
         stiffness = edge_stiffness(graph, energy.differentials(posed)[0], config)
         energy = ElasticEnergy(replace(graph, weights=graph.weights * stiffness), stage.smoothing, rotations)
-        posed = minimise_constant(energy, blocks, right, posed, stage)
+        terms = VertexTerms(energy, blocks, right, constant=True)
+        posed = minimise(energy.graph, energy.differentials, terms, posed, stage)
     return posed
 
 

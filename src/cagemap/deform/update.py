@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig
-from cagemap.deform.energy import ElasticEnergy, any_map, minimise_constant
+from cagemap.deform.energy import ElasticEnergy, VertexTerms, any_map, minimise
 from cagemap.deform.graph import ElasticGraph, extrapolate
 from cagemap.deform.problem import Problem
 from cagemap.maps.point_map import PointMap
@@ -43,7 +43,8 @@ def displacement_response(
     blocks[vertices] = landmark_weight * np.eye(3)
     right[vertices] = landmark_weight * offsets
     constant = replace(stage, stiffness=(stage.stiffness[-1], stage.stiffness[-1]))
-    displacements = minimise_constant(energy, blocks, right, np.zeros((graph.n, 3)), constant)
+    both = VertexTerms(energy, blocks, right, constant=True)
+    displacements = minimise(graph, energy.differentials, both, np.zeros((graph.n, 3)), constant)
     return displacements, energy.maps(displacements)
 
 

@@ -1,7 +1,7 @@
 """Atomic writing of files and folders: readers never see half a file, and foreign files are never replaced.
 
-Every file goes through `atomic_path`: written under a temporary name, flushed to disk, moved into place. It replaces
-only files that carry cagemap's mark (`cagemap.files.ownership`). Symbolic links are followed.
+Every file goes through `atomic_path` or `atomic_folder`, which replace only files that carry cagemap's mark
+(`cagemap.files.ownership`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
@@ -22,11 +22,14 @@ from pathlib import Path
 from cagemap.errors import FormatError
 from cagemap.files.ownership import is_own, seal
 
-# Errors of a full disk. Other errors may concern another file that the block handles.
+# Errors of a full disk: those of a block that are told of the output. Others may concern another file of the block.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _STORAGE = (*_FULL, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENAMETOOLONG)
 # Seconds after which a temporary file must be locked: it is locked just after it is created.
 _SETTLED = 10.0
+# The process's umask, read once: reading sets it for a moment, also for other threads.
+_UMASK = os.umask(0o077)
+os.umask(_UMASK)
 _Step = Callable[[], None]
 
 Owned = Callable[[Path], bool]
@@ -54,7 +57,13 @@ def _tell(*files: Path) -> None:
 
 @contextmanager
 def all_or_nothing() -> Iterator[None]:
-    """Move the files that `atomic_path` writes into place at the block's end; none after an error."""
+    """Move the files that `atomic_path` writes into place at the block's end; none after an error.
+
+    Inside another such block, at the end of the outer one.
+    """
+    if _together.get() is not None:
+        yield
+        return
     moves: list[tuple[_Step, _Step]] = []
     with ExitStack() as removed:
         token = _together.set((moves, removed))
@@ -94,7 +103,7 @@ def _has_content(path: Path) -> bool:
 def atomic_path(
     final: str | Path, *, force: bool = False, owned: Owned = is_own, verify: Callable[[Path], bool] = _has_content
 ) -> Iterator[Path]:
-    """Yield a temporary path in the folder of ``final``; move it there after a block without errors.
+    """Yield a temporary path in the folder of ``final``; flush and move it there after a block without errors.
 
     The suffix is kept, since image libraries choose their format by it. After an error, or an interrupt, the
     temporary file is removed and an older ``final`` is untouched. Where ``final`` is a symbolic link, the file that it
@@ -112,8 +121,9 @@ def atomic_path(
         temporary = _reserve(target)
         removed.callback(temporary.unlink, missing_ok=True)
         removed.enter_context(_hold_lock(temporary))
-        with _storage_told(target):
+        with _storage_told(target, _FULL):
             yield temporary
+        with _storage_told(target):
             removed.enter_context(_hold_lock(temporary))  # libraries may have put another file in its place
             if not verify(temporary):
                 raise FormatError(
@@ -159,12 +169,15 @@ def atomic_folder(
     require_own_folder(final, names, force=force, owned=owned)
     target = _resolve_links(final)
     _remove_abandoned(target)
-    with _storage_told(target), ExitStack() as released:
+    with _storage_told(target):
         temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
-        released.enter_context(_hold_lock(temporary))
-        try:
-            temporary.chmod(0o777 & ~_umask())
+    with ExitStack() as removed:
+        removed.callback(shutil.rmtree, temporary, ignore_errors=True)
+        removed.enter_context(_hold_lock(temporary))
+        temporary.chmod(0o777 & ~_UMASK)
+        with _storage_told(target, _FULL):
             yield temporary
+        with _storage_told(target):
             for name in names:
                 seal(temporary / name)
                 _flush(temporary / name)
@@ -180,9 +193,7 @@ def atomic_folder(
                 with one_at_a_time(target):
                     for name in names:
                         os.replace(temporary / name, _resolve_links(target / name))
-            _tell(*(Path(final) / name for name in names))
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
+        _tell(*(Path(final) / name for name in names))
 
 
 def require_replaceable(path: str | Path, *, force: bool = False, owned: Owned = is_own) -> None:
@@ -289,7 +300,7 @@ def _reserve(target: Path) -> Path:
         handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=f".part{target.suffix}", dir=target.parent)
     os.close(handle)
     temporary = Path(name)
-    temporary.chmod(0o666 & ~_umask())
+    temporary.chmod(0o666 & ~_UMASK)
     return temporary
 
 
@@ -336,12 +347,6 @@ def leftovers(final: str | Path) -> list[Path]:
     return [path for path in siblings if any(re.fullmatch(name, path.name) for name in patterns)]
 
 
-def _umask() -> int:
-    mask = os.umask(0o077)
-    os.umask(mask)
-    return mask
-
-
 def _flush(path: Path) -> None:
     """Flush a file's content to disk before it is renamed, so that a power cut leaves the old or the new file."""
     with path.open("rb+") as stream:
@@ -349,12 +354,12 @@ def _flush(path: Path) -> None:
 
 
 @contextmanager
-def _storage_told(target: Path) -> Iterator[None]:
-    """Turn an error of the disk into a FormatError that names the output."""
+def _storage_told(target: Path, kinds: Collection[int] = _STORAGE) -> Iterator[None]:
+    """Turn an error of the disk, of these kinds, into a FormatError that names the output."""
     try:
         yield
     except OSError as error:
-        if error.errno not in _STORAGE:
+        if error.errno not in kinds:
             raise
         reason = error.strerror or type(error).__name__
         raise FormatError(

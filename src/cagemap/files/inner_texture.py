@@ -9,7 +9,13 @@ import numpy as np
 from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
-from cagemap.files.gltf.material_images import MaterialImage, material_images, write_numbered
+from cagemap.files.gltf.material_images import (
+    MaterialImage,
+    material_images,
+    png_bytes,
+    read_material_image,
+    write_numbered,
+)
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.meshes.obj_materials import obj_document
 from cagemap.files.meshes.ply import ply_document, ply_image
@@ -84,7 +90,9 @@ def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | No
     return write_texture(path, document, found, folder)
 
 
-def write_texture(path: Path, document: Document, texture: MaterialImage, folder: Path) -> Path | None:
-    """Write an image that a document of the file ``path`` contains; None for a format that cagemap does not read."""
+def write_texture(path: Path, document: Document, texture: MaterialImage, folder: Path) -> Path:
+    """Write an image that a document of the file ``path`` contains; of another format than `IMAGE_SUFFIXES` as PNG."""
     data, suffix = image_bytes(document, texture.image)
-    return write_numbered(folder / f"{path.stem}_texture{suffix}", data) if suffix in IMAGE_SUFFIXES else None
+    if suffix not in IMAGE_SUFFIXES:
+        data, suffix = png_bytes(read_material_image(document, texture)), ".png"
+    return write_numbered(folder / f"{path.stem}_texture{suffix}", data)

@@ -1,8 +1,7 @@
 """Checksum marks in files: whether cagemap wrote a file, and whether it was changed since.
 
 A writer puts `mark` where its format stores text: a comment in OBJ, MTL, PLY and zip archives (NPZ), a key in JSON, the
-``generator`` of HTML, the ``Software`` of images. `cagemap.files.atomic` then replaces the blank checksum by that of
-the file. After an edit the checksum no longer fits, and cagemap does not replace the file.
+``generator`` of HTML, the ``Software`` of images. `cagemap.files.atomic` then calls `seal`.
 """
 
 from __future__ import annotations

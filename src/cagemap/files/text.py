@@ -112,12 +112,13 @@ def file_in(folder: Path, name: str) -> Path:
 
 
 def find_image(path: Path, stated: str) -> Path | None:
-    """The image that a file names, searched in the file's folder and below; None if missing."""
+    """The image that a file names, searched in the file's folder and below; None if missing. Links are followed."""
     name = PurePosixPath(stated.replace("\\", "/").replace("\0", ""))
-    folder = path.parent
+    folder = Path(os.path.abspath(path.parent))
     for place in (name, name.name, f"textures/{name.name}", f"{path.stem}.fbm/{name.name}"):
-        file = file_in(folder, str(place)).resolve()
-        if name.name and file.is_relative_to(folder.resolve()) and os.path.isfile(file):
+        file = file_in(folder, os.path.normpath(folder / place))
+        inside = file.is_relative_to(folder) or file.is_relative_to(folder.resolve())
+        if name.name and inside and os.path.isfile(file):
             return file
     return None
 

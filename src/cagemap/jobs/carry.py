@@ -10,7 +10,7 @@ import itertools
 import os
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from cagemap.files.result.folder import read_result
 from cagemap.jobs.detours import MAP_NORMAL_WEIGHT
 from cagemap.jobs.job import Job
 from cagemap.jobs.plan import PairNames, Plan, Task, content_hash, task_key
-from cagemap.maps.places import cage_points_of, locate
+from cagemap.maps.pair import cage_points_of, locate
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage
@@ -39,24 +39,20 @@ from cagemap.surface.triangles import normalize_rows
 MAX_DIRECTION_DIFFERENCE = 0.01
 
 
-@dataclass(frozen=True, eq=False)
-class DirectedMap:
-    """A map with a direction."""
+def map_points(result: MatchResult, forward: bool, positions: FloatArray, normals: FloatArray) -> SurfacePoints:
+    """Corresponding points of the other model, for positions (q, 3) at unit area and their normals.
 
-    result: MatchResult
-    forward: bool  # whether points go from the map's target to its source, as the map is stored
-
-    def map_points(self, positions: FloatArray, normals: FloatArray) -> SurfacePoints:
-        """Corresponding points of the next model, for positions (q, 3) at unit area and their normals."""
-        point_map = self.result.point_map
-        if self.forward:
-            start = SurfacePoints.nearest(point_map.target, positions, normals, normal_weight=MAP_NORMAL_WEIGHT)
-            images = start.interpolate(point_map.images.positions)
-            normals = normalize_rows(start.interpolate(point_map.images.normals))
-            return SurfacePoints.nearest(point_map.source, images, normals, normal_weight=MAP_NORMAL_WEIGHT)
-        image_surface = TriangleSurface(point_map.images.positions, point_map.target.triangles, 1.0)
-        points_on_image = SurfacePoints.nearest(image_surface, positions, normals, normal_weight=MAP_NORMAL_WEIGHT)
-        return SurfacePoints(point_map.target, points_on_image.triangle, points_on_image.barycentric)
+    ``forward``: whether points go from the map's target to its source, as the map is stored.
+    """
+    point_map = result.point_map
+    if forward:
+        start = SurfacePoints.nearest(point_map.target, positions, normals, normal_weight=MAP_NORMAL_WEIGHT)
+        images = start.interpolate(point_map.images.positions)
+        normals = normalize_rows(start.interpolate(point_map.images.normals))
+        return SurfacePoints.nearest(point_map.source, images, normals, normal_weight=MAP_NORMAL_WEIGHT)
+    image_surface = TriangleSurface(point_map.images.positions, point_map.target.triangles, 1.0)
+    points_on_image = SurfacePoints.nearest(image_surface, positions, normals, normal_weight=MAP_NORMAL_WEIGHT)
+    return SurfacePoints(point_map.target, points_on_image.triangle, points_on_image.barycentric)
 
 
 def add_carry_tasks(plan: Plan, job: Job, version: str) -> Plan:
@@ -98,16 +94,17 @@ def carry_landmarks(request: Mapping[str, Any]) -> dict[str, Any]:
 
     "look_at" are the points where both directions of a map disagree, worst first.
     """
-    steps = [DirectedMap(read_result(folder), bool(forward)) for folder, forward in request["steps"]]
-    first = steps[0].result.target if steps[0].forward else steps[0].result.source
+    steps = [(read_result(folder), bool(forward)) for folder, forward in request["steps"]]
+    (first_result, first_forward), (last_result, last_forward) = steps[0], steps[-1]
+    first = first_result.target if first_forward else first_result.source
     source_points, point_sets = _read_on(request, first.control)
     sizes = [len(points.corners) for points in point_sets]
     joined = CagePoints.joined(point_sets)
     start = locate(first.finest_triangles, joined)
     end = start
-    for step in steps:
-        end = step.map_points(end.positions, end.normals)
-    last = steps[-1].result.source if steps[-1].forward else steps[-1].result.target
+    for result, forward in steps:
+        end = map_points(result, forward, end.positions, end.normals)
+    last = last_result.source if last_forward else last_result.target
     cage_points = cage_points_of(last, end)
     vertices, positions = cage_points.vertices, cage_points.of(last.control.positions)
     if last.control.file_vertices is not None:  # a part or welded: landmark files have the file's numbers
@@ -122,8 +119,7 @@ def carry_landmarks(request: Mapping[str, Any]) -> dict[str, Any]:
     write_points(request["output"], points, last.control)
     look_at: list[str] = []
     if request["back"] is not None:
-        opposite = DirectedMap(read_result(request["back"]), not steps[-1].forward)
-        opposite_end = opposite.map_points(start.positions, start.normals)
+        opposite_end = map_points(read_result(request["back"]), not last_forward, start.positions, start.normals)
         differences = np.linalg.norm(opposite_end.positions - end.positions, axis=1)[: sizes[0]]
         look_at = [
             source_points.names[i] for i in np.argsort(-differences) if differences[i] > MAX_DIRECTION_DIFFERENCE

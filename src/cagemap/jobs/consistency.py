@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -36,11 +36,12 @@ MAX_SAMPLE_VERTICES = 1500
 class Consistency:
     """Estimated errors of a collection's maps, and detours around doubtful maps."""
 
-    errors: dict[MapKey, float]  # estimated mean error of every map in a triple, of sqrt(area)
-    triples: int  # number of compared triples
-    doubtful: tuple[MapKey, ...]  # worst first
+    # estimated mean error of every map in a triple, of sqrt(area)
+    errors: dict[MapKey, float] = field(default_factory=dict)
+    triples: int = 0  # number of compared triples
+    doubtful: tuple[MapKey, ...] = ()  # worst first
     # For doubtful maps with a better detour: the assets along it, from target to source
-    detours: dict[MapKey, tuple[str, ...]]
+    detours: dict[MapKey, tuple[str, ...]] = field(default_factory=dict)
 
 
 def measure_consistency(maps: Mapping[MapKey, PointMap]) -> Consistency:
@@ -56,7 +57,7 @@ def measure_consistency(maps: Mapping[MapKey, PointMap]) -> Consistency:
         columns += [column_of[direct], column_of[first], column_of[second]]
         disagreements.append(disagreement(maps[direct], maps[first], maps[second]))
     if not disagreements:
-        return Consistency({}, 0, (), {})
+        return Consistency()
     system = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(disagreements), len(map_keys)))
     in_triples = np.flatnonzero(system.sum(axis=0) > 0)
     estimates = nnls(system[:, in_triples].toarray(), np.array(disagreements))[0]

@@ -12,6 +12,7 @@ import numpy as np
 from cagemap.files.result.folder import ARRAYS
 from cagemap.jobs.consistency import MapKey
 from cagemap.jobs.plan import DETOUR_FOLDER, PairNames, Plan, Task, task_key
+from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality
 from cagemap.maps.result import MatchResult, SpectralMap
@@ -37,18 +38,33 @@ def compose_maps(maps: Sequence[PointMap]) -> PointMap:
 
 
 def compose_results(results: Sequence[MatchResult], names: Sequence[str]) -> MatchResult:
-    """Compose results from target to source, which ``names`` names; quality is measured without landmarks."""
+    """Compose results from target to source, which ``names`` names; quality is measured without landmarks.
+
+    Masks and input files are those of the first target and the last source.
+    """
     first, last = results[0], results[-1]
     point_map = compose_maps([result.point_map for result in results])
-    quality = measure_quality(point_map)
+    masks = Masks(first.masks.target, last.masks.source)
+    quality = measure_quality(point_map, masks=masks)
     spectral = None
     if all(result.has_spectral for result in results):
         product = reduce(np.matmul, [result.functional_map for result in results])
         spectral = SpectralMap(product, first.spectral.target_eigenvalues, last.spectral.source_eigenvalues)
     note = f"composed of the maps {' -> '.join(reversed(names))}, since the direct one disagrees with its detours"
-    provenance = {"notes": [note], "way": list(names)}
+    # All RESULT folders of a job are equally deep, so that relative paths hold.
+    inputs = {
+        side: (result.manifest.get("inputs") or {}).get(side) for side, result in (("target", first), ("source", last))
+    }
+    provenance = {"notes": [note], "way": list(names), "inputs": {side: one for side, one in inputs.items() if one}}
     return MatchResult(
-        first.target, last.source, Landmarks.none(), point_map, quality, known_spectral=spectral, provenance=provenance
+        first.target,
+        last.source,
+        Landmarks.none(),
+        point_map,
+        quality,
+        masks=masks,
+        known_spectral=spectral,
+        provenance=provenance,
     )
 
 

@@ -127,7 +127,7 @@ def slurm_script(job: Path, steps: tuple[Step, ...]) -> str:
         "submit() {",
         "    local name=$1 first=$2 count=$3 after=${4:+--dependency=afterany:$4} id; shift 4",
         '    id=$(sbatch --parsable "$@" --job-name="cagemap-$name" \\',
-        '        --array="0-$((count - 1))" $after "$0" task "$first")',
+        '        --array="0-$((count - 1))" $after "$0" task "$first") || return 1',
         '    echo "${id%%;*}"',
         "}",
         "before=",

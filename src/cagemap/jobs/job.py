@@ -1,31 +1,4 @@
-"""Job files: pairs to match, options and outputs; validated before anything starts.
-
-A job file is TOML. Options have the names of the command line's options, with underscores::
-
-    output = "night"                     # folder of all results, beside the job file
-
-    [options]                            # of `cagemap match`, for every pair
-    vertices = 100000
-
-    [[assets]]
-    name = "zebra"
-    file = "zebra.obj"
-    files = { color = "zebra.png" }      # what outputs may ask for as {source.color} or {target.color}
-
-    [[pairs]]
-    source = "zebra"                     # a name, a list of names, or "all"
-    target = ["horse", "cow"]
-    landmarks = "zebra__horse.json"
-
-    [[outputs]]                          # for every pair that has what it asks for
-    command = "transfer"
-    texture = "{source.color}"
-    output = "{target}.png"
-
-    [carry]                              # carry landmarks of one model to all others, see `cagemap.jobs.carry`
-    source = "zebra"
-    folder = "landmarks"                 # NAME.json for every other model, beside the job file
-"""
+"""Job files: pairs to match, options and outputs; validated before anything starts (docs/jobs.md)."""
 
 from __future__ import annotations
 
@@ -49,18 +22,9 @@ MAX_LISTED_PROBLEMS = 50
 EXCLUDED_FIELDS = {
     "match": ("target", "source", "output", "cache"),
     "transfer": ("result", "output"),
-    "wrap": (
-        "results",
-        "output",
-        "target",
-        "source",
-        "landmarks",
-        "scheme",
-        "target_scheme",
-        "source_scheme",
-        "weld",
-        "target_weld",
-        "source_weld",
+    "wrap": tuple(
+        "results output target source landmarks map scheme target_scheme source_scheme weld target_weld "
+        "source_weld".split()
     ),
     "report": ("result", "output"),
 }

@@ -43,7 +43,7 @@ class PairRow:
     source: str
     target: str
     verdict: str  # "good", "fair", "poor" or "failed"
-    messages: tuple[str, ...]  # failures and warnings
+    messages: tuple[str, ...]  # failures, warnings and notes
     seconds: float  # of the pair's own tasks
     quality: dict[str, Any] = field(default_factory=dict, repr=False)  # figures of the manifest
     cycle_error: float | None = None  # error of the map by cycle consistency, of sqrt(area)
@@ -72,6 +72,8 @@ def pair_rows(
         warnings = [str(text) for text in figures.get("warnings", [])]
         quality = dict(figures.get("quality") or {})
         verdict = "failed" if failures or match is None else overall_verdict(rate_figures(quality), warnings)
+        outputs = [(task, outcome) for task, outcome in tasks_of_pair if task.kind not in ("compose", "match")]
+        remarks = [text for task, outcome in outputs if outcome is not None for text in remarks_of(outcome, task.name)]
         usable = [outcome for _, outcome in tasks_of_pair if outcome is not None and outcome.usable]
         files = [name for outcome in usable for name in _linked_files(outcome.files)]
         picture = plan.root / f"{pair[0]}__{pair[1]}" / PICTURE_FILE
@@ -80,7 +82,7 @@ def pair_rows(
                 pair[0],
                 pair[1],
                 verdict,
-                (*failures, *warnings),
+                (*failures, *([] if match is None else remarks_of(match)), *remarks),
                 sum(o.seconds for _, o in tasks_of_pair if o is not None),
                 quality,
                 None if cycle_errors is None else cycle_errors.get((pair[1], pair[0])),
@@ -90,6 +92,12 @@ def pair_rows(
             )
         )
     return sorted(rows, key=_sort_key)
+
+
+def remarks_of(outcome: TaskOutcome, name: str = "") -> list[str]:
+    """Warnings and notes of a task, after its ``name``."""
+    texts = [str(text) for entry in ("warnings", "notes") for text in outcome.figures.get(entry, [])]
+    return [f"{name}: {text}" if name else text for text in dict.fromkeys(texts)]
 
 
 def build_library_page(title: str, rows: Sequence[PairRow], notes: Sequence[str] = ()) -> str:

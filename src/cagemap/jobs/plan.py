@@ -28,23 +28,10 @@ DETOUR_FOLDER = "RESULT-composed"
 PICTURE_FILE = "picture.jpg"
 # Options of a match that change a prepared surface, also with a side's name before them.
 SURFACE_OPTIONS = frozenset(
-    [
-        "level",
-        "vertices",
-        "k",
-        "schedule",
-        "laplacian",
-        "accuracy",
-        "literal",
-        "method",
-        "parameter",
-        "scheme",
-        "boundary",
-        "uv_interpolation",
-        "creasing",
-        "weld",
-        "uv_set",
-    ]
+    (
+        "level vertices k schedule laplacian accuracy literal method parameter scheme boundary uv_interpolation "
+        "creasing weld uv_set"
+    ).split()
 )
 DEFAULT_OUTPUTS = {"report": "report.html", "wrap": "{target}.obj"}
 PairNames = tuple[str, str]
@@ -223,7 +210,8 @@ class _Planner:
         inputs |= {f"{side}_weld": asset.weld for side, asset in sides if asset.weld is not None}
         inputs |= {f"{side}_part": asset.part for side, asset in sides if asset.part}
         inputs |= options
-        if not {"landmarks", "map"} & set(options) and source.landmarks is not None and target.landmarks is not None:
+        own_points = {"landmarks", "map", "target_points", "source_points"} & set(options)
+        if not own_points and source.landmarks is not None and target.landmarks is not None:
             inputs |= {"target_points": str(target.landmarks), "source_points": str(source.landmarks)}
         key = task_key(self.version, "match", self.hashes.of_value(inputs), [task.key for task in needs])
         request = {**inputs, "output": str(self.job.output / folder)}

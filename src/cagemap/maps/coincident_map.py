@@ -10,8 +10,7 @@ from cagemap.deform.update import linear_update
 from cagemap.maps.coincidence import SAME
 from cagemap.maps.hypotheses.confidence import Confidence
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.maps.pair import PointPairs
-from cagemap.maps.places import curve_miss
+from cagemap.maps.pair import PointPairs, curve_miss
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import snap_landmarks
 from cagemap.maps.quality import landmark_errors

@@ -35,36 +35,24 @@ def geodesic_error(
     vertices: ArrayLike | None = None,
     distances: Callable[[int], ArrayLike] | None = None,
 ) -> FloatArray:
-    """Geodesic distances on the source between the images of target vertices and their true images.
+    """Geodesic distances (s,) on the source between images of target vertices and their true images, of sqrt(area).
 
     Distances are those of the heat method on the source's triangles, at least the straight distance. On a sphere of
-    2562 vertices they differ from the exact ones by 0.2 edge lengths on average, and by 2.1 % at most.
+    2562 vertices they differ from the exact ones by 0.2 edge lengths on average, and by 2.1 % at most. The literature
+    prints them x100.
 
-    Parameters
-    ----------
-    point_map : PointMap
-        A result's ``point_map``.
-    truth : PointMap, SurfacePoints or (m,) array
-        The true image of every target vertex, or of the first m of them: points of the source surface, or its
-        vertices, -1 where unknown. Control vertices come first and keep their numbers, so vertices of the control
-        meshes can be given.
-    vertices : (s,) array, optional
-        Target vertices to judge. Default: 300 of those whose truth is known, evenly spaced by number. Time is linear
-        in s: two solves on the source for each.
-    distances : callable, optional
-        Another library's distances: takes a source vertex, gives (n2,) in the unit of ``point_map.source.positions``,
-        such as ``potpourri3d.MeshHeatMethodDistanceSolver(positions, triangles).compute_distance``. Each true image is
-        then replaced by the nearest corner of its triangle.
+    ``truth`` is the true image of every target vertex, or of the first m of them: points of the source surface, or its
+    vertices (m,), -1 where unknown. Control vertices come first and keep their numbers, so vertices of the control
+    meshes can be given. ``vertices`` (s,) are the target vertices to judge, by default 300 of those whose truth is
+    known, evenly spaced by number. Time is linear in s: two solves on the source for each.
 
-    Returns
-    -------
-    (s,) float64
-        In units of sqrt(source area); the literature prints them x100.
+    ``distances`` are another library's: a function of a source vertex that gives (n2,) in the unit of
+    ``point_map.source.positions``, such as
+    ``potpourri3d.MeshHeatMethodDistanceSolver(positions, triangles).compute_distance``. Each true image is then
+    replaced by the nearest corner of its triangle.
 
-    Raises
-    ------
-    ParameterError
-        If the truth does not fit the map, is not known at a vertex to be judged, or distances have another length.
+    ParameterError if the truth does not fit the map, is not known at a vertex to be judged, or distances have another
+    length.
     """
     true_images, known = _true_images(point_map, truth)
     if vertices is None:

@@ -85,24 +85,20 @@ class Masks:
         return float(target.vertex_areas @ on_target), float(source.vertex_areas @ on_source)
 
     def within(self, shared: Masks | None) -> Masks:
-        """Masks of the unmasked area that has a counterpart; unchanged if ``shared`` is None, or no area has one."""
+        """Masks of the unmasked area that has a counterpart; unchanged if ``shared`` is None, or none of it has one."""
         if shared is None or shared.target is None or shared.source is None:
             return self
-        target, source = shared.target, shared.source
-        if not (target.any() and source.any()):
-            return self
-        return Masks(self.of_target(len(target)) * target, self.of_source(len(source)) * source)
+        target = self.of_target(len(shared.target)) * shared.target
+        source = self.of_source(len(shared.source)) * shared.source
+        return Masks(target, source) if target.any() and source.any() else self
 
     def require_fit(self, n_target: int, n_source: int) -> None:
         """ParameterError for masks of the wrong length, values outside [0, 1], and masks that leave nothing."""
+        remedy = "; `cagemap.vertex_mask` and its like make them from what a file has"
         for side, mask, n in (("target", self.target, n_target), ("source", self.source, n_source)):
             if mask is None:
                 continue
-            if mask.shape != (n,) or not np.all((mask >= 0) & (mask <= 1)):
-                raise ParameterError(
-                    f"{side} mask: expected {n} numbers from 0 to 1, one a vertex of the finest level, got shape "
-                    f"{mask.shape}; `cagemap.vertex_mask` and its like make them from what a file has"
-                )
+            _checked(mask, n, "vertex of the finest level", f"{side} mask", remedy)
             if mask.mean() < LEAST:
                 raise ParameterError(f"{side} mask: expected some of the surface to count, got 0 nearly everywhere")
 
@@ -166,11 +162,12 @@ def distances_along_edges(
     return np.asarray(paths[0]), np.asarray(paths[2], dtype=np.int64)
 
 
-def _checked(values: FloatArray, count: int, place: str) -> FloatArray:
-    given = real_numbers(values, "mask")
+def _checked(values: FloatArray, count: int, place: str, what: str = "mask", remedy: str = "") -> FloatArray:
+    """The values as numbers; ParameterError unless there are ``count`` from 0 to 1."""
+    given = real_numbers(values, what)
     if given.shape != (count,) or not np.all((given >= 0) & (given <= 1)):
+        extremes = f" from {given.min():g} to {given.max():g}" if given.size else ""
         raise ParameterError(
-            f"mask: expected {count} numbers from 0 to 1, one a {place}, got shape {given.shape}"
-            + (f" from {given.min():g} to {given.max():g}" if given.size else "")
+            f"{what}: expected {count} numbers from 0 to 1, one a {place}, got shape {given.shape}{extremes}{remedy}"
         )
     return given

@@ -33,6 +33,11 @@ COVERAGE_TOLERANCE = 0.98  # of the source's area
 TRUSTED_STRETCH = 2.0  # up to this stretch or compression (relative to isometry) a map is fully trusted
 COVERAGE_SAMPLES = 50_000
 ON_SURFACE = 1e-6  # of sqrt(area): closer points are on the surface
+# Warning about masks that leave no part of the map.
+NOTHING_JOINED = (
+    "the map leads from no unmasked part of the target to an unmasked part of the source: look at the masks of both "
+    "sides. The figures are those of the target's mask"
+)
 # Figures of one number, and percentiles (by target area) of figures with a distribution.
 FIGURES = ("flipped_area", "coverage", "dirichlet", "trusted_area")
 PERCENTILES = {"area_ratio": ("1", "5", "50", "95", "99"), "aspect_ratio": ("50", "95", "99")}
@@ -48,8 +53,7 @@ class QualityFigures:
     #: share of the source's area that the image of the target covers. If a surface is open, only the area that has a
     #: counterpart on the other surface counts.
     coverage: float
-    #: Dirichlet energy of the map between unit-area surfaces: 1 for an isometry, and never below the covered area
-    dirichlet: float
+    dirichlet: float  #: Dirichlet energy between unit-area surfaces: 1 for an isometry, at least the covered area
     #: (5,) percentiles 1, 5, 50, 95, 99 (by target area) of the area stretch, 1 meaning area-preserving
     area_ratios: FloatArray = field(repr=False)
     #: (3,) percentiles 50, 95, 99 (by target area) of the ratio of singular values, 1 meaning conformal
@@ -233,6 +237,8 @@ def measure_quality(
     """
     target, images = point_map.target, point_map.images
     image, normals, counted = images.positions, _source_normals(images), masks.joint(point_map)
+    is_joined = bool(counted.any())
+    counted = counted if is_joined else masks.of_target(target.n)
     areas = target.areas * counted[target.triangles].mean(axis=1)
 
     flipped, stretch = np.empty(len(areas), dtype=np.bool_), np.empty((2, len(areas)))
@@ -268,7 +274,10 @@ def measure_quality(
         aspect_ratios=aspect_ratios,
         trust=trust,
         trusted_area=float(vertex_areas @ trust),
-        warnings=_warnings(errors, names, flipped_area, coverage, trust, target, vertex_areas),
+        warnings=(
+            *(() if is_joined else (NOTHING_JOINED,)),
+            *_warnings(errors, names, flipped_area, coverage, trust, target, vertex_areas),
+        ),
     )
 
 

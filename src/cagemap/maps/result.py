@@ -14,15 +14,19 @@ from cagemap.maps.functional_maps import functional_map_of
 from cagemap.maps.hypotheses.confidence import Confidence, jump_lengths, jump_warnings
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect, foreign_warnings
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.maps.pair import LevelPair, point_pairs
-from cagemap.maps.places import CurveMiss, curve_miss, curve_pairs
+from cagemap.maps.pair import CurveMiss, LevelPair, curve_miss, curve_pairs, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures, judge, measure_quality, unshared_warnings
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, joined_runs
 from cagemap.numerics.threads import in_threads, kept, one_blas_thread
 from cagemap.spectral import Surface
 from cagemap.subdivision.refinement import truncate_refinement
+
+# Warning about masks that leave only area without a counterpart.
+NOTHING_SHARED = (
+    "none of the area that the masks leave has a counterpart on the other surface: look at the masks of both sides"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,12 +218,11 @@ class MatchResult:
         triangles_per_face = len(self.source_triangles) // len(self.source.faces)
         faces = self.source.refinement.finest.face_parents[self.triangle[:count] // triangles_per_face]
         sizes = control.face_sizes[faces]
-        first = np.cumsum(sizes) - sizes
-        owners = np.repeat(np.arange(count), sizes)
-        corners = control.face_indices[np.arange(sizes.sum()) + (control.face_offsets[faces] - first)[owners]]
+        offsets, face_corners = joined_runs(control.face_offsets[faces], sizes)
+        owners, corners = np.repeat(np.arange(count), sizes), control.face_indices[face_corners]
         source_positions, images = self.point_map.source.positions, self.point_map.images.positions
         away = np.linalg.norm(source_positions[corners] - images[owners], axis=1)
-        return np.asarray(corners[np.lexsort((away, owners))[first]])
+        return np.asarray(corners[np.lexsort((away, owners))[offsets[:-1]]])
 
     def image(self) -> FloatArray:
         """(n1, 3) image of every target vertex, in source file units."""
@@ -262,8 +265,11 @@ def result_of_fit(
     with one_blas_thread():
         jumps = jump_lengths(prepared, point_map, shared) if jumps is None else jumps
         jumping = jump_warnings(prepared, jumps)
-        quality = judge(target, point_map, points, masks.within(shared))
+        counted = masks.within(shared)
+        quality = judge(target, point_map, points, counted)
         unshared = () if shared is None else unshared_warnings(*shared.shares(point_map.target, point_map.source))
+        if shared is not None and masks.any and counted is masks:
+            unshared = (NOTHING_SHARED, *unshared)
         foreign = foreign_warnings(quality.flipped_area, len(landmarks), len(check.suspects))
         quality = replace(
             quality,

@@ -12,7 +12,7 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.mesh_report import FileVertex
 from cagemap.mesh.schemes import Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, offsets_of, real_numbers, whole_numbers
-from cagemap.surface.triangles import fan_triangles
+from cagemap.surface.triangles import fan_triangles, triangle_areas
 
 # Texture coordinates of all corners of faces that have none, where other faces of the mesh have some.
 NO_UV = (0.5, 0.5)
@@ -142,9 +142,10 @@ class ControlMesh:
     @property
     def has_layout(self) -> bool:
         """Whether texture coordinates span an area: some exporters write one for all corners."""
-        corners = self.uv_corners()[0]
-        a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        return bool((np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) > MIN_UV_AREA).any())
+        if self.uvs is None or self.uv_indices is None:
+            return False
+        triangles, _ = fan_triangles(self.face_offsets, self.uv_indices)
+        return bool((triangle_areas(self.uvs, triangles) > MIN_UV_AREA).any())
 
     def uv_corners(self) -> tuple[FloatArray, IndexArray]:
         """(t, 3, 2) texture coordinates of the corners of all triangles, and the (t,) face of each; no UVs: none."""

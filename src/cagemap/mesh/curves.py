@@ -26,12 +26,15 @@ from cagemap.mesh.cage_points import (
     shared_names,
 )
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.mesh_report import first_few
+from cagemap.mesh.mesh_report import first_few, place_text
 from cagemap.mesh.topology import mesh_topology
-from cagemap.numerics.arrays import IndexArray, pair_keys
+from cagemap.numerics.arrays import IndexArray, box_diagonal, pair_keys
 from cagemap.numerics.threads import kept
 from cagemap.surface.polylines import Polyline
 from cagemap.surface.surface_points import SurfacePoints
+
+# Least extent of a curve, of the mesh's; shorter ones have no direction.
+MIN_CURVE_EXTENT = 1e-9
 
 P = TypeVar("P", CagePoints, SurfacePoints)
 
@@ -165,10 +168,14 @@ def _side_faults(side: str, names: list[str], curves: list[Curve[CagePoints]], m
     if outside := outside_fault(points, name_of_point, mesh, f"{side} vertices of curves"):
         return [outside]
     short = [name for name, curve in named if len(curve.points) < (3 if curve.closed else 2)]
-    repeated, unjoined = list[str](), list[str]()
+    repeated, unjoined, flat = list[str](), list[str](), list[str]()
+    least = MIN_CURVE_EXTENT * box_diagonal(mesh.positions)
     edges = pair_keys(mesh_topology(mesh).edge_vertices, mesh.n_vertices)
     for name, curve in named:
         vertices, corners = curve.points.vertices, curve.points.corners
+        places = curve.points.of(mesh.positions)
+        if len(places) > 1 and box_diagonal(places) <= least:
+            flat.append(f"{name} at {place_text(places[0])}")
         at_vertices = vertices[vertices >= 0]
         repeated += [f"{name} ({at_vertices[i]})" for i in find_repeats(at_vertices)]
         # A position may coincide with a vertex; only points given as vertices have to follow edges.
@@ -181,6 +188,11 @@ def _side_faults(side: str, names: list[str], curves: list[Curve[CagePoints]], m
         faults.append(
             f"expected curves of the {side} with two points or more, closed ones with three, got fewer: "
             f"{first_few(short)}."
+        )
+    if flat:
+        faults.append(
+            f"expected curves of the {side} with a length, got all points at one place: {first_few(flat)}. Leave such "
+            "a curve out, or give its other points."
         )
     if repeated:
         faults.append(f"expected every {side} vertex once in a curve, got these again: {first_few(repeated)}.")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.mesh.control_mesh import ControlMesh, UvSet
-from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of, pair_keys
+from cagemap.numerics.arrays import FloatArray, IndexArray, joined_runs, pair_keys
 from cagemap.surface.triangles import fan_triangles, row_lengths
 
 
@@ -23,13 +23,7 @@ def faces_of_one_size(mesh: ControlMesh) -> IndexArray | None:
 
 def keep_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
     """Return the mesh with only the given faces; vertices and texture coordinates are unchanged."""
-    return with_corners_of(mesh, faces, *corners_of(mesh.face_offsets, faces, mesh.face_sizes[faces]))
-
-
-def corners_of(starts: IndexArray, faces: IndexArray, sizes: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """Offsets (k + 1,) of faces of the given sizes (k,), and their corners, which start at ``starts[faces]``."""
-    offsets = offsets_of(sizes)
-    return offsets, np.repeat(starts[faces] - offsets[:-1], sizes) + np.arange(offsets[-1])
+    return with_corners_of(mesh, faces, *joined_runs(mesh.face_offsets[faces], mesh.face_sizes[faces]))
 
 
 def with_corners_of(mesh: ControlMesh, faces: IndexArray, offsets: IndexArray, corners: IndexArray) -> ControlMesh:

@@ -93,18 +93,19 @@ def passenger_word(name: str) -> str:
 
 def largest_part(mesh: ControlMesh) -> Part:
     """The connected piece of largest area (`body_areas`), among pieces with enough faces (`MIN_SHARE_OF_FACES`)."""
-    pieces, areas = connected_parts(mesh), body_areas(mesh, face_components(mesh))
+    pieces, areas = connected_parts(mesh), body_areas(mesh, face_components(mesh), face_areas(mesh))
     sizes = np.array([len(piece.faces) for piece in pieces])
     least = MIN_SHARE_OF_FACES * sizes[areas > 0.0].max(initial=0)
     return pieces[int(np.where(sizes >= least, areas, -1.0).argmax())]
 
 
-def body_areas(mesh: ControlMesh, labels: IndexArray) -> FloatArray:
+def body_areas(mesh: ControlMesh, labels: IndexArray, of_faces: FloatArray) -> FloatArray:
     """(k,) area of each connected piece; 0 for `passenger_pieces`, if another piece can be the body.
 
-    The largest other piece must span `MIN_BODY_EXTENT` of the mesh. ``labels``: (m,) piece of each face.
+    The largest other piece must span `MIN_BODY_EXTENT` of the mesh. ``labels`` and ``of_faces`` (m,) are the piece and
+    the area of each face.
     """
-    areas, named = np.bincount(labels, face_areas(mesh)), passenger_pieces(mesh, labels)
+    areas, named = np.bincount(labels, of_faces), passenger_pieces(mesh, labels, of_faces)
     others = np.where(named, 0.0, areas)
     if named.any() and others.any():
         corners = mesh.positions[mesh.face_indices]
@@ -114,11 +115,10 @@ def body_areas(mesh: ControlMesh, labels: IndexArray) -> FloatArray:
     return np.asarray(areas)
 
 
-def passenger_pieces(mesh: ControlMesh, labels: IndexArray) -> NDArray[np.bool_]:
-    """(k,) whether at least half of a piece's area is named as a passenger; ``labels`` (m,) are the pieces of faces."""
-    areas = face_areas(mesh)
-    of_passengers = np.bincount(labels, areas * _faces_of_passengers(mesh))
-    return np.asarray((of_passengers > 0) & (of_passengers >= 0.5 * np.bincount(labels, areas)))
+def passenger_pieces(mesh: ControlMesh, labels: IndexArray, of_faces: FloatArray) -> NDArray[np.bool_]:
+    """(k,) whether at least half of a piece's area is named as a passenger, from pieces and areas (m,) of faces."""
+    of_passengers = np.bincount(labels, of_faces * _faces_of_passengers(mesh))
+    return np.asarray((of_passengers > 0) & (of_passengers >= 0.5 * np.bincount(labels, of_faces)))
 
 
 def _faces_of_passengers(mesh: ControlMesh) -> NDArray[np.bool_]:
@@ -273,7 +273,7 @@ def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
     joined = ControlMesh(
         np.concatenate([mesh.positions for mesh in meshes]),
         offsets_of(np.concatenate([mesh.face_sizes for mesh in meshes])),
-        _shifted([mesh.face_indices for mesh in meshes], vertices),
+        np.concatenate([mesh.face_indices + start for mesh, start in zip(meshes, vertices, strict=True)]),
         uv_sets=tuple(uv_sets),
         **labels,
         material_colors=_material_colors(meshes, labels["material_names"]),
@@ -292,10 +292,6 @@ def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
     return joined.with_uv_set(uv_sets[0].name) if uv_sets else joined
 
 
-def _shifted(arrays: Sequence[IndexArray], starts: IndexArray) -> IndexArray:
-    return np.concatenate([array + start for array, start in zip(arrays, starts, strict=True)])
-
-
 def _uv_sets(meshes: Sequence[ControlMesh]) -> list[UvSet]:
     """UV sets of the joined mesh, by name; the first mesh's set in use comes first."""
     known = [{uv_set.name: uv_set for uv_set in mesh.all_uv_sets} for mesh in meshes]
@@ -305,7 +301,8 @@ def _uv_sets(meshes: Sequence[ControlMesh]) -> list[UvSet]:
         sets = [sets_by_name.get(name, blank) for sets_by_name, blank in zip(known, bare, strict=True)]
         starts = np.cumsum([0, *(len(uv_set.uvs) for uv_set in sets)])[:-1]
         values = np.concatenate([uv_set.uvs for uv_set in sets])
-        result.append(UvSet(name, values, _shifted([uv_set.uv_indices for uv_set in sets], starts)))
+        indices = np.concatenate([uv_set.uv_indices + start for uv_set, start in zip(sets, starts, strict=True)])
+        result.append(UvSet(name, values, indices))
     return result
 
 

@@ -203,7 +203,8 @@ def _largest_piece(mesh: ControlMesh) -> tuple[ControlMesh, Repairs]:
     count = int(labels.max()) + 1
     if count == 1:
         return mesh, Repairs()
-    areas, body = np.bincount(labels, face_areas(mesh)), body_areas(mesh, labels).argmax()
+    of_faces = face_areas(mesh)
+    areas, body = np.bincount(labels, of_faces), body_areas(mesh, labels, of_faces).argmax()
     kept = labels == body
     share = 1.0 - float(areas[body] / areas.sum()) if areas.sum() > 0 else 0.0
     vertices = len(np.unique(mesh.face_indices[~kept[mesh.corner_faces]]))

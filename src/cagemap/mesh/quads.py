@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.faces import corners_of, with_corners_of
+from cagemap.mesh.faces import with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import adjacent_corners, mesh_topology
-from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys, places_of
+from cagemap.numerics.arrays import FloatArray, IndexArray, joined_runs, pair_keys, places_of
 
 # Degrees: largest fold of a pair, and largest difference of its corners from 90.
 _MOST_FOLDED, _MOST_SKEWED = 90.0, 75.0
@@ -58,7 +58,7 @@ def join_quads(mesh: MeshLike) -> tuple[ControlMesh, int]:
     kept = np.ones(mesh.n_faces, dtype=bool)
     kept[pairs[:, 1]] = False
     faces = np.flatnonzero(kept)
-    offsets, corners = corners_of(mesh.face_offsets, faces, sizes[faces])
+    offsets, corners = joined_runs(mesh.face_offsets[faces], sizes[faces])
     place = np.empty(mesh.n_faces, dtype=np.int64)
     place[faces] = offsets[:-1]
     corners[place[pairs[:, 0]][:, None] + np.arange(4)] = chosen

@@ -63,6 +63,12 @@ def offsets_of(sizes: Sequence[int] | NDArray[np.integer]) -> IndexArray:
     return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
 
 
+def joined_runs(starts: IndexArray, sizes: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """Offsets (k + 1,) of k runs of numbers, one after the other, and the numbers: run i counts up from its start."""
+    offsets = offsets_of(sizes)
+    return offsets, np.repeat(starts - offsets[:-1], sizes) + np.arange(offsets[-1])
+
+
 def places_of(numbers: NDArray[np.integer], count: int) -> IndexArray:
     """(count,) index of every number below ``count`` in an array without repeats; -1 for missing numbers."""
     places = np.full(count, -1, dtype=np.int64)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, joined_runs
 from cagemap.numerics.products import multiply
 from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.spectral.surface import Surface
@@ -113,11 +113,10 @@ def vertex_to_point(
     starts = np.searchsorted(triangles.ravel()[order], np.arange(int(triangles.max(initial=-1)) + 2))
 
     def project(block: IndexArray) -> None:
-        first, counts = starts[match[block]], np.diff(starts)[match[block]]
-        ends = np.concatenate([[0], np.cumsum(counts)])
+        counts = np.diff(starts)[match[block]]
         row = np.repeat(np.arange(len(block)), counts)
-        # Corner of each triangle at the match.
-        corner = order[np.repeat(first - ends[:-1], counts) + np.arange(ends[-1])]
+        ends, around = joined_runs(starts[match[block]], counts)
+        corner = order[around]  # of each triangle, at the match
         turned = (corner[:, None] + np.arange(3)) % 3
         vertices, local = np.unique(np.take_along_axis(triangles[corner // 3], turned, 1), return_inverse=True)
         embedded = source(vertices)[local.reshape(-1, 3)]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.maps.hypotheses.confidence import SURE
-from cagemap.maps.places import surface_curve
+from cagemap.maps.pair import surface_curve
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.srgb import encode_srgb

@@ -57,11 +57,6 @@ class BasisConfig:
         if self.literal and self.schedule is None:
             raise ParameterError("literal: expected a schedule with it (Definition 2), got none; give schedule")
 
-    @property
-    def total(self) -> int:
-        """Number of basis functions asked for."""
-        return self.count if self.schedule is None else sum(self.schedule)
-
     def bands(self, refinement: Refinement, finest: int) -> tuple[int, ...]:
         """Number of functions that each level adds: the schedule, or all at one level up to ``finest``."""
         if self.schedule is not None:

@@ -120,18 +120,10 @@ def operators_for_diffusion_net(
     every gradient, in squared lengths at unit area; the default is DiffusionNet's and reduces gradients where edges are
     shorter than about 0.005. ParameterError if the level or count is out of range.
 
-    Returns
-    -------
-    mass : (n,) float64
-        Vertex areas; their sum is 1 on the finest level.
-    L : (n, n) CSR array
-        Cotangent matrix, positive semi-definite.
-    evals : (count,) float64
-    evecs : (n, count) float64
-        L x = lambda diag(mass) x, mass-orthonormal.
-    gradX, gradY : (n, n) CSR arrays
-        Least-squares gradient over the edges at a vertex, in tangent axes. X is the projection of the first axis of
-        space, or of the second where the normal is within 26 degrees of the first; Y = normal x X.
+    mass (n,) are vertex areas, of sum 1 on the finest level. L (n, n) is the cotangent matrix, positive semi-definite.
+    evals (count,) and mass-orthonormal evecs (n, count) solve L x = lambda diag(mass) x. gradX and gradY (n, n) are
+    least-squares gradients over the edges at a vertex, in tangent axes: X is the projection of the first axis of space,
+    or of the second where the normal is within 26 degrees of the first; Y = normal x X.
     """
     triangles = surface.finest_triangles if level is None else surface.triangles(level)
     if not 0.0 < regularisation < np.inf:

@@ -24,7 +24,7 @@ from cagemap.spectral.config import HFM_FUNCTIONS, MAP_BASIS, PAPER_SCHEDULE, Ba
 from cagemap.subdivision import Refinement, default_scheme, level_triangles, refine
 from cagemap.subdivision.refinement import vertex_counts
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import load_kernels, surface_area
+from cagemap.surface.triangles import surface_area, triangle_areas
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -250,6 +250,6 @@ def prepare_surfaces(
     configs = config if isinstance(config, tuple) else (config, config)
     progress(f"prepare {target.name} and {source.name}")
     with one_blas_thread(), ThreadPool(1) as pool:  # before the threads start: the setting is global
-        pool.submit(load_kernels)  # in parallel: refinement needs no kernels
+        pool.submit(triangle_areas, np.eye(3), np.arange(3)[None])  # loads Numba's kernels; refinement needs none
         surfaces = in_threads(lambda side: prepare(*side), list(zip((target, source), levels, configs, strict=True)))
     return surfaces[0], surfaces[1]

@@ -12,7 +12,6 @@ from cagemap.deform.multi_start import FEWEST_LANDMARKS
 from cagemap.deform.problem import PreparedPair
 from cagemap.errors import ParameterError
 from cagemap.files.result.verdicts import rate_figures
-from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.point_map import PointMap
 from cagemap.pipeline import (
     MatchConfig,
@@ -45,6 +44,7 @@ from cagemap.studio.state import MapState, number_duplicates
 from cagemap.studio.worker import logged_warnings, without_folders
 from cagemap.subdivision import refine
 from cagemap.tasks.match import ComputedMatch
+from cagemap.tasks.suggest import suggested_vertices
 
 Progress = Callable[[str], None]
 
@@ -173,6 +173,7 @@ def find_map(
     has_constraints = bool(len(landmarks) + len(landmarks.curves))
     chosen_answer = task.chosen_answer if cache.result is None else cache.chosen_answer
     answer = chosen_answer if task.answer is None else task.answer
+    is_update = has_constraints
     restarts = len(landmarks) < FEWEST_LANDMARKS if task.fresh else cache.result is None
     if task.answer is not None or not has_constraints or (answer and restarts):
         first_preview = preview if cache.result is None else None
@@ -180,13 +181,12 @@ def find_map(
         result = other_answer(free_match, answer, progress=progress) if answer else free_match
         config = MatchConfig(answer=answer)
         cache = replace(cache, free_match=free_match, chosen_answer=answer, result=result, config=config)
-        if has_constraints:
-            updated = update_match(result, landmarks, progress=progress, preview=preview)
-            cache = replace(cache, result=updated, config=None)
     elif cache.result is None or task.fresh:
         result = match_pair(prepared_pair, landmarks, progress=progress)
         cache = replace(cache, chosen_answer=0, result=result, config=MatchConfig())
-    else:
+        is_update = False
+    if is_update:
+        assert cache.result is not None
         updated = update_match(cache.result, landmarks, progress=progress, preview=preview)
         cache = replace(cache, result=updated, config=None)
     return _map_update(cache)

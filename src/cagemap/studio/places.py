@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cagemap.maps.places import LANDMARK_NORMAL_WEIGHT, locate
+from cagemap.maps.pair import LANDMARK_NORMAL_WEIGHT, locate
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio.landmarks import Place

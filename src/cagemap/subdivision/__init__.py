@@ -1,9 +1,5 @@
 """Subdivision: refined levels, the matrices between them, and limit positions and normals."""
 
-from cagemap.mesh.schemes import Bilinear as Bilinear
-from cagemap.mesh.schemes import CatmullClark as CatmullClark
-from cagemap.mesh.schemes import Loop as Loop
-from cagemap.mesh.schemes import Scheme as Scheme
 from cagemap.subdivision.limit import limit_matrix as limit_matrix
 from cagemap.subdivision.limit import limit_normals as limit_normals
 from cagemap.subdivision.limit import limit_positions as limit_positions

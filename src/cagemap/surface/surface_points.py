@@ -125,11 +125,19 @@ class SurfacePoints:
     ) -> SurfacePoints:
         """Closest surface points to points (m, 3) at unit area; options as `closest_points`.
 
-        ParameterError if the points are not finite or not (m, 3).
+        ParameterError if the points are not finite or not (m, 3), or normals or guess do not fit them.
         """
         points = real_numbers(points, "points")
         if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):
             raise ParameterError(f"points: expected finite places (m, 3), got {points.shape}: {points.ravel()[:3]} ...")
+        normals = None if normals is None else real_numbers(normals, "normals")
+        guess = None if guess is None else whole_numbers(guess, "guess")
+        for name, given, shape in (("normals", normals, points.shape), ("guess", guess, points.shape[:1])):
+            if given is not None and given.shape != shape:
+                raise ParameterError(f"{name}: expected one for each point, {shape}, got {given.shape}")
+        count = len(surface.triangles)
+        if guess is not None and guess.max(initial=-1) >= count:
+            raise ParameterError(f"guess: expected triangles 0 to {count - 1} of the surface, got {guess.max()}")
         triangle, barycentric, _ = closest_points(
             surface.tree, points, normals, normal_weight=normal_weight, guess=guess
         )

@@ -184,11 +184,6 @@ def triangle_neighbors(corners: IndexArray) -> NDArray[np.int32]:
     return neighbors
 
 
-def load_kernels() -> None:
-    """Load Numba ahead of its first use; loading takes longer than any kernel."""
-    triangle_areas(np.eye(3), np.arange(3)[None])
-
-
 # Kernels fill arrays allocated by the caller: allocation inside doubles their compile time.
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _fill_normals(positions, triangles, normals):  # type: ignore[no-untyped-def]

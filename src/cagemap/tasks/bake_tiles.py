@@ -12,14 +12,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.files.atomic import check_outputs
+from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.images.image import (
     UDIM_MARK,
     Image,
     check_writable,
     first_image,
     pixel_type,
-    read_image,
     read_texture,
     texture_files,
     texture_pixels,
@@ -36,15 +35,14 @@ from cagemap.files.usd.results import preview_inputs
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.threads import ThreadPool
+from cagemap.tasks.base_images import ImageSize, base_size, mask_function, require_base, written_channels
 from cagemap.tasks.masks import mask_inputs
 from cagemap.tasks.match_summary import colors_option
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import files_read
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, transfer_of, unwrap
-from cagemap.transfer.baking import to_dtype, unit
 from cagemap.transfer.displacement import Displacement
-from cagemap.transfer.masks import bake_mask, blend, with_alpha
 from cagemap.transfer.overlapping_uvs import overlapping_materials, overlapping_share
 from cagemap.transfer.texture import Pixels
 
@@ -74,7 +72,7 @@ class SourceImage:
     texture: Pixels | dict[int, Pixels]
     first: Image  # gives the result its colour space and alpha
     dtype: np.dtype[Any]  # number type to write
-    size: int  # width and height to bake
+    size: ImageSize  # to bake
 
 
 def bake_inputs(request: TransferRequest) -> list[Path]:
@@ -101,19 +99,19 @@ def read_source_image(
         )
     first = first_image(texture)
     dtype = first.pixels.dtype if request.bits is None else pixel_type(request.bits, request.output.suffix)
+    size = request.size or base_size(request, name) or max(first.size)
     if channels is not None:
         check_writable(request.output, dtype, written_channels(request, result, channels))
-    return SourceImage(
-        texture_pixels(texture), first, dtype, request.size or base_size(request, name) or max(first.size)
-    )
+        require_base(request, result, size, (channels,), name)
+    return SourceImage(texture_pixels(texture), first, dtype, size)
 
 
-def require_source_uvs(result: MatchResult) -> None:
+def require_source_uvs(source: ControlMesh) -> None:
     """Refuse to carry an image of a source without texture coordinates."""
-    if result.source.control.uvs is None:
+    if source.uvs is None:
         raise ParameterError(
-            f"{result.source.control.name}: expected texture coordinates of the source, over which its image lies, the "
-            f"mesh has none. {colors_remedy(result.source.control)}"
+            f"{source.name}: expected texture coordinates of the source, over which its image lies, the mesh has none. "
+            f"{colors_remedy(source)}"
         )
 
 
@@ -145,7 +143,7 @@ def prepare_bake(
         *request.maps,
     )
     if any(source_images):
-        require_source_uvs(result)
+        require_source_uvs(result.source.control)
     if request.unwrap:
         stages("unwrap")
         control = unwrap(result.target.control)
@@ -224,7 +222,7 @@ def bake_tiles(
         prepared.tiles,
         lambda options: bake(options=replace(options, filter=request.filter)),
         stages,
-        mask_function(request, prepared, name),
+        mask_function(request, prepared.transfer, name),
         force=request.force,
         name=name,
     )
@@ -246,7 +244,7 @@ def write_tiles(
     ``bake``, ``stages``, ``name``: as in `bake_tiles`.
     ``finished``: a baked image -> the image to write.
     """
-    with ThreadPool(1) as writer:
+    with all_or_nothing(), ThreadPool(1) as writer:
         writes: list[Future[None]] = []
         for number, tile in enumerate(tiles):
             place = f"tile {tile}, {number + 1} of {len(tiles)}" if tile else ""
@@ -263,53 +261,6 @@ def write_tiles(
     return baked
 
 
-def mask_function(
-    request: TransferRequest, prepared: Prepared, name: str = ""
-) -> Callable[[Image, BakeOptions], Image]:
-    """Function that applies masks to a baked image: blend over the base image, or add alpha."""
-    base, transfer = base_of(request, name), prepared.transfer
-    if not transfer.masks.any:
-        return lambda image, _: image
-    return lambda image, options: _apply_mask(image, transfer, base, replace(options, filter=request.filter))
-
-
-def _apply_mask(image: Image, transfer: Transfer, base: Path | None, options: BakeOptions) -> Image:
-    """A baked image blended over its tile's base image, or with weights as alpha."""
-    weight = bake_mask(transfer, size=image.size, options=options)
-    if base is None:
-        image = unpremultiply(image)
-        return replace(image, pixels=with_alpha(image.pixels, weight), channel_names=())
-    under = read_image(udim_path(base, options.tile))
-    if under.associated != image.associated:
-        image, under = unpremultiply(image), unpremultiply(under)
-    # Floats without a stated colour space are linear, as in EXR.
-    spaces = [p.color_space or ("linear" if p.pixels.dtype.kind == "f" else "") for p in (under, image)]
-    if all(spaces) and spaces[0] != spaces[1]:
-        text = "--base %s is %s, what is baked over it %s: their numbers are mixed as they are. Convert one of them."
-        _log.warning(text, base, *spaces)
-    below, full_scale = under.pixels, unit(image.pixels.dtype)
-    if below.dtype != image.pixels.dtype:
-        below = to_dtype(below * (full_scale / unit(below.dtype)), image.pixels.dtype)
-    if options.filter == "nearest":  # labels are not mixed
-        weight = (weight >= 0.5).astype(weight.dtype)
-    return replace(image, pixels=blend(image.pixels, below, weight))
-
-
-def written_channels(request: TransferRequest, result: MatchResult, channels: int, name: str = "") -> int:
-    """Channels of the image to write: one more if masks become alpha."""
-    opaque = channels in (1, 3)
-    return channels + 1 if result.masks.any and opaque and base_of(request, name) is None else channels
-
-
-def base_size(request: TransferRequest, name: str = "") -> int | None:
-    """Larger side of the base image, or None without one."""
-    base = base_of(request, name)
-    if base is None:
-        return None
-    files = texture_files(base)
-    return max(read_image(files[0]).size) if files else None
-
-
 def record_bake(
     request: TransferRequest, prepared: Prepared, entry: dict[str, Any], stages: Stages
 ) -> SummaryAndWarnings:
@@ -321,7 +272,8 @@ def record_bake(
         request.result, {**entry, **level, "output": outputs[0], "tiles": prepared.tiles, "mesh": prepared.mesh}
     )
     written = [*outputs, *([prepared.mesh] if prepared.mesh else [])]
-    summary = f"wrote {', '.join(map(str, written))}; {entry['size']} x {entry['size']} texels"
+    height, width = np.broadcast_to(entry["size"], 2)
+    summary = f"wrote {', '.join(map(str, written))}; {width} x {height} texels"
     if prepared.transfer.masks.any:
         base = base_of(request, str(entry.get("map", "")))
         outside = "alpha holds the weights of the masks" if base is None else f"outside the masks it is {base}"

@@ -20,7 +20,6 @@ from cagemap.transfer import (
     combine,
     control_weights,
     corner_weights,
-    prepare_transfer,
     pull_back_faces,
     transfer_of,
 )
@@ -70,7 +69,7 @@ def carry_values(
     if at is not None and at not in PLACES:
         raise ParameterError(f"carry_values: at: expected one of {', '.join(PLACES)}, got {at!r}")
     transfer = transfer_of(result)
-    at_vertices = control_weights(transfer, *sides)
+    at_vertices = control_weights(result.point_map, *sides)
 
     def carried(name: str, given: ArrayLike) -> NDArray[Any]:
         array = array_of(given)
@@ -132,7 +131,7 @@ def carry_weights(result: MatchResult, weights: ArrayLike, *, influences: int | 
     if scaled:
         logger.warning("skinning weights: %s", scaled)
     target, source = result.target.refinement, result.source.refinement
-    at_vertices = control_weights(prepare_transfer(target.finest, source.finest, result.point_map), target, source)
+    at_vertices = control_weights(result.point_map, target, source)
     split = cage_triangles(target.control)[0]
     scale = result.point_map.target.scale
     net = mesh_graph(TriangleSurface(scale * target.control.positions, split, scale), split)

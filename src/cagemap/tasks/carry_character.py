@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from cagemap.character.roles import find_body
 from cagemap.character.skeleton import carry_rig
 from cagemap.character.values import Character, Part
 from cagemap.errors import ParameterError
+from cagemap.files.result.manifest import doubt_message, landmark_messages
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
@@ -27,7 +28,7 @@ from cagemap.mesh.topology import used_vertices
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
 from cagemap.pipeline import choose_level, match, prepare_surfaces
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights
-from cagemap.tasks.match_parts import ready_mesh
+from cagemap.tasks.match_parts import lost_landmark_notes, ready_mesh
 from cagemap.tasks.progress import Stages
 
 # Least number of finest vertices of a body that is subdivided; plain meshes are not.
@@ -75,8 +76,10 @@ def carry_character(
     stages = Stages() if stages is None else stages
     target_body, source_body = find_body(target.parts, bodies[0]), find_body(source.parts, bodies[1])
     chosen, notes = _select_passengers(source, source_body, target, target_body, passengers)
+    _require_passengers(kinds or (), [*(part.name for part in chosen), _name_of_pieces(source_body)])
     matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages)
     result = matched.result
+    notes += matched.notes
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]
     others = [part for part in target.parts if part is not target_body]
     pieces, left_out = _pieces_to_carry(matched, others, named=set(kinds or ()))
@@ -119,6 +122,7 @@ class Bodies:
     given: tuple[Part, Part]
     ready: tuple[RepairedMesh, RepairedMesh]
     result: MatchResult
+    notes: tuple[str, ...] = ()  # on landmarks and the map
 
     def rows(self, side: int) -> IndexArray:
         """For every vertex of a matched mesh (0: target, 1: source), a vertex of the given mesh."""
@@ -147,11 +151,15 @@ def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stage
         If the piece of a part that is matched is only a fragment of it.
     """
     ready = _ready_body(target), _ready_body(source)
-    landmarks = landmarks.renumbered(*(mesh.vertex_of.__getitem__ for mesh in ready))
+    kept = landmarks.renumbered(*(mesh.vertex_of.__getitem__ for mesh in ready))
     stages("prepare")
     levels = choose_level(ready[0].mesh, BODY_VERTICES), choose_level(ready[1].mesh, BODY_VERTICES)
     surfaces = prepare_surfaces(ready[0].mesh, ready[1].mesh, levels)
-    return Bodies((target, source), ready, match(*surfaces, landmarks, progress=stages))
+    result = match(*surfaces, kept, progress=stages)
+    doubt = doubt_message(result.manifest)  # it names options of `cagemap match`
+    messages = [message for message in landmark_messages(result.manifest) if message != doubt]
+    notes = *lost_landmark_notes(landmarks, kept), *messages, *result.quality.warnings
+    return Bodies((target, source), ready, result, notes)
 
 
 def _ready_body(part: Part) -> RepairedMesh:
@@ -221,8 +229,13 @@ def _set_aside(body: Part, ready: RepairedMesh) -> Part | None:
     if kept.all():
         return None
     pieces = _part_of_faces(body, np.flatnonzero(~kept))
-    name = f"{body.name} pieces"
+    name = _name_of_pieces(body)
     return replace(pieces, name=name, mesh=replace(pieces.mesh, name=name))
+
+
+def _name_of_pieces(body: Part) -> str:
+    """Name of the passenger that the unmatched pieces of a body's mesh become."""
+    return f"{body.name} pieces"
 
 
 def _part_of_faces(body: Part, faces: IndexArray) -> Part:
@@ -280,3 +293,10 @@ def _select_passengers(
     declined = [part.name for part in candidates if passenger_word(part.name) in roles]
     notes = [f"{', '.join(declined)}: the body has its own and keeps them; name them as passengers to carry them"]
     return [part for part in candidates if part.name not in declined], notes if declined else []
+
+
+def _require_passengers(names: Iterable[str], known: Sequence[str]) -> None:
+    """Refuse a kind for a passenger that is not carried, before the match."""
+    for name in names:
+        if name not in known:
+            raise ParameterError(f"{name}: expected one of the passengers, {', '.join(known)} (rig: --rigid, --cloth)")

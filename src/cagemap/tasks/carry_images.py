@@ -26,16 +26,14 @@ from cagemap.tasks.bake_tiles import (
     Prepared,
     SourceImage,
     bake_tiles,
-    base_size,
     colors_remedy,
     map_path,
-    mask_function,
     prepare_bake,
     read_source_image,
     record_bake,
     require_source_uvs,
-    written_channels,
 )
+from cagemap.tasks.base_images import base_size, mask_function, require_base, written_channels
 from cagemap.tasks.detail_bakes import (
     KINDS,
     OFFSETS,
@@ -72,7 +70,7 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
     if given is not None and atlas is not None:
         joined = write_numbered(request.result / f"{given.stem}_texture.png", png_bytes(atlas.image))
         result = replace(result, source=result.source.with_control(atlas.control))
-        request = replace(request, texture=joined, size=request.size or base_size(request) or atlas.size)
+        request = replace(request, texture=joined, size=request.size or (None if base_size(request) else atlas.size))
     images = request.maps if request.texture is None else (("", request.texture),)
     maps = [(name, *_image_file(path, request, result, document if path == given else None)) for name, path in images]
     outputs = [map_path(request.output, name) for name, *_ in maps]
@@ -80,6 +78,9 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
         dtype, channels = read_image_form(path)
         kept = dtype if request.bits is None else pixel_type(request.bits, output.suffix)
         check_writable(output, kept, written_channels(request, result, channels, name))
+        size = request.size or base_size(request, name)
+        if size is not None:  # a normal map is baked without its alpha
+            require_base(request, result, size, (3, 4) if channels == 4 else (channels,), name)
     prepared = prepare_bake(
         request, result, stages, dict(zip((name or "texture" for name, *_ in maps), outputs, strict=True))
     )
@@ -121,7 +122,7 @@ def _image_file(
     """
     if path.suffix.lower() not in MESH_SUFFIXES:
         return path, None
-    require_source_uvs(result)
+    require_source_uvs(result.source.control)
     if (image_file := ply_image(path)) != path:
         return image_file, None
     document = document or material_document(path, result.source.control)
@@ -240,6 +241,7 @@ def carry_material_colors(request: TransferRequest, result: MatchResult, stages:
     check_writable(request.output, dtype, written_channels(request, result, 3))
     colors = face_colors(source)
     size = request.size or base_size(request) or DEFAULT_SIZE
+    require_base(request, result, size, (3,))
     prepared = prepare_bake(request, result, stages, {"color": request.output})
 
     bake = partial(bake_face_colors, prepared.transfer, colors, size=size, dtype=dtype)
@@ -256,6 +258,8 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     if mesh is not None and request.detail_texture is not None:
         bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture, request.filter))
     channels = {kind: bakes.channels(kind) for kind in kinds}
+    for kind in kinds:
+        require_base(request, result, bakes.size, (channels[kind],), kind)
     bakes.check({kind: written_channels(request, result, channels[kind], kind) - channels[kind] for kind in kinds})
     prepared = prepare_bake(request, result, stages, {kind.removesuffix("s"): path for kind, path in images.items()})
     warnings = prepared.warnings
@@ -277,7 +281,7 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
         prepared.tiles,
         stages,
         "the target's",
-        partial(mask_function, request, prepared),
+        partial(mask_function, request, prepared.transfer),
     )
     for kind, path in images.items():
         entry = {"kind": f"bake-{kind}", "output": udim_path(path, prepared.tiles[0]), "tiles": prepared.tiles}

@@ -33,7 +33,15 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import decode_srgb
 from cagemap.subdivision import default_scheme
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.bake_tiles import DEFAULT_SIZE, colors_remedy, layout_tiles, target_overlap_warnings, write_tiles
+from cagemap.tasks.bake_tiles import (
+    DEFAULT_SIZE,
+    colors_remedy,
+    layout_tiles,
+    require_source_uvs,
+    target_overlap_warnings,
+    write_tiles,
+)
+from cagemap.tasks.base_images import ImageSize
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import WRITTEN
 from cagemap.tasks.requests.transfer import BakeKind, TransferRequest
@@ -88,7 +96,7 @@ class DetailBakes:
     """Images to bake from a detailed mesh, with their files."""
 
     images: dict[BakeKind, Path]
-    size: int
+    size: ImageSize
     bits: int | None  # by default floats in EXR; elsewhere 16 for directions and offsets, 8 for colours and occlusion
     request: TransferRequest | WrapRequest  # gives space, green, rays and force
     texture: DetailTexture | None = None  # of the detailed mesh, for the kind "texture"
@@ -252,11 +260,14 @@ def require_wrappable(request: WrapRequest, target: ControlMesh, source: Control
     if isinstance(default_scheme(target), Plain):
         raise ParameterError(f"{target.name}: {NO_CAGE}")
     images = wrap_bakes(request).images
-    if images and target.uvs is None:
+    if (images or request.texture is not None) and not target.has_layout:
+        found = "the mesh has none" if target.uvs is None else "all of them are in one point or on a line"
         raise ParameterError(
-            f"{target.name}: expected texture coordinates to bake into, the mesh has none. Unwrap it in your "
+            f"{target.name}: expected texture coordinates to bake into, {found}. Unwrap it in your "
             "modelling program and match again."
         )
+    if request.texture is not None:
+        require_source_uvs(source)
     if "colors" in images and request.detail is None:
         vertex_colors(source)
     for texture in textures_read(request):

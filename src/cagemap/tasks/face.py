@@ -67,6 +67,7 @@ def run_face(request: FaceRequest, stages: Stages) -> SummaryAndWarnings:
     stages("shapes")
     shapes = _on_body(face_shapes(bodies), head, body)
     character = with_part(file_character, body, replace(body, shapes={**body.shapes, **shapes}))
+    notes += bodies.notes
     notes += [f"{', '.join(kept)}: {request.head.name} has its own and keeps them"] if kept else []
     stages.record({"part": body.name, "shapes": list(shapes), "trusted_area": trusted})
     stages("write")

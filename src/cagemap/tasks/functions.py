@@ -43,11 +43,11 @@ def run_functions(request: FunctionsRequest, stages: Stages) -> SummaryAndWarnin
     points = welded.vertex_of[_points(request, kinds, file_mesh)]
     level = choose_level(control, FUNCTION_VERTICES) if request.level is None else request.level
     require_size(control, level)
+    at = level if request.at is None else request.at
+    if at > level:
+        raise ParameterError(f"--at: expected a level from 0 to {level}, got {at}")
+    _require_column(request, _most_columns(request, basis, kinds[0], len(points)))
     surface = prepare_surface(control, level, basis, progress=stages)
-    finest = surface.refinement.finest_level
-    at = finest if request.at is None else request.at
-    if at > finest:
-        raise ParameterError(f"--at: expected a level from 0 to {finest}, got {at}")
     if at < surface.basis.last_level and basis.schedule is None and not surface.refinement.is_plain:
         # Functions of a level coarser than the basis are computed on that level.
         surface = prepare_surface(control, level, replace(basis, schedule=(*(0 for _ in range(at)), request.k)))
@@ -149,13 +149,25 @@ def _names(kinds: tuple[str, ...]) -> list[str]:
     return [kind.replace("-", "_") for kind in kinds]
 
 
+def _most_columns(request: FunctionsRequest, basis: BasisConfig, kind: str, points: int) -> int:
+    """Largest number of functions of a kind; a small mesh has fewer eigenfunctions."""
+    if kind == EIGENFUNCTIONS:
+        return max(basis.count, sum(basis.schedule or ()))
+    filters = request.heat if kind.startswith("heat") else request.wave
+    return filters * points if kind.endswith("kernels") else filters
+
+
+def _require_column(request: FunctionsRequest, count: int) -> None:
+    if request.column is not None and request.column >= count:
+        raise ParameterError(f"--column: expected a function from 0 to {count - 1}, got {request.column}")
+
+
 def _write_colors(request: FunctionsRequest, surface: Surface, level: int, values: FloatArray) -> int:
     """Write the mesh of a level with one function as vertex colours; returns the function's column."""
     signed = values.min() < 0.0
     spread = np.ptp(values, axis=0) > 1e-6 * max(float(np.abs(values).max()), np.finfo(float).tiny)
+    _require_column(request, values.shape[1])
     column = int(np.argmax(spread)) if request.column is None else request.column
-    if column >= values.shape[1]:
-        raise ParameterError(f"--column: expected a function from 0 to {values.shape[1] - 1}, got {column}")
     shown = values[:, column]
     most = float(np.abs(shown).max())
     ends = (-most, most, BALANCE_SCALE) if signed else (float(shown.min()), float(shown.max()), AMOUNT_SCALE)

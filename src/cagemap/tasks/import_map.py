@@ -10,6 +10,7 @@ from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.folder import ARRAYS, check_result_folder, write_result
 from cagemap.files.result.manifest import MANIFEST, stated_inputs
 from cagemap.files.result.maps import dense_map, read_images, source_level
+from cagemap.files.usd.space import unit_notes
 from cagemap.maps.quality import measure_quality
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
@@ -61,7 +62,8 @@ def run_map(
     quality = measure_quality(point_map, masks=masks)
     options = field_values(request, "weld", "target_weld", "source_weld", "target_mask", "source_mask", "mask_edge")
     parameters = {"method": "map of the user's", "level": request.level, **options}
-    provenance = {"parameters": parameters, "inputs": stated}
+    notes = [*unit_notes(request.target, request.source), *(note for joined in welded for note in joined.notes)]
+    provenance = {"parameters": parameters, "inputs": stated, "notes": notes}
     result = MatchResult(target, source, Landmarks.none(), point_map, quality, masks=masks, provenance=provenance)
     stages("write")
     write_result(request.output, result, force=request.force)
@@ -72,7 +74,7 @@ def run_map(
     )
     if level is not None:
         text += f"\n  its points are taken for those of level {level} of {request.source.name}; --level says another"
-    return text, [*(note for joined in welded for note in joined.notes), *quality.warnings]
+    return text, [*notes, *quality.warnings]
 
 
 def _surface(control: ControlMesh, level: int | None) -> Surface:

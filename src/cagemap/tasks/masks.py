@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,10 +12,13 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files import IMAGE_SUFFIXES, INVERT_PREFIX, MASK_SUFFIXES
+from cagemap.files.gltf.document import SCENE_SUFFIXES
+from cagemap.files.gltf.read import gltf_skeleton
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.result.manifest import input_file
 from cagemap.files.usd.prims import JOINT_WEIGHTS
 from cagemap.files.usd.read import read_usd_meshes
+from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.values.attributes import read_attributes
 from cagemap.maps.masks import Masks, face_mask, soft_edge, vertex_mask
@@ -36,6 +40,7 @@ from cagemap.tasks.requests.options import refuse_unread
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.tasks.requests.wrap import WrapRequest
 
+_log = logging.getLogger(__name__)
 # Default width of the soft edge of a set of faces, in units of sqrt(area).
 DEFAULT_EDGE = 0.02
 
@@ -185,7 +190,7 @@ def read_mask(text: str, edge: float | None, control: ControlMesh, mesh_file: Pa
 
 def _of_values(array: FloatArray, where: str, control: ControlMesh, inverted: bool, edge: float | None) -> GivenMask:
     values = np.asarray(array, dtype=np.float64)
-    rows = {control.n_vertices: "vertices", control.n_faces: "faces"}
+    rows = {control.n_faces: "faces", control.n_vertices: "vertices"}
     kind = rows.get(len(values)) if values.ndim == 1 else None
     if kind is None or not np.all((values >= 0) & (values <= 1)):
         raise ParameterError(
@@ -193,7 +198,7 @@ def _of_values(array: FloatArray, where: str, control: ControlMesh, inverted: bo
             f"one a control face, got shape {values.shape} from {values.min():g} to {values.max():g}"
         )
     if control.n_vertices == control.n_faces:
-        kind = "vertices"
+        _log.warning("%s: as many rows as control vertices and as control faces: assumed to be at vertices", where)
     if kind == "vertices":
         return GivenMask(vertices=values, inverted=inverted, edge=edge or 0.0)
     return GivenMask(faces=values, inverted=inverted, edge=DEFAULT_EDGE if edge is None else edge)
@@ -245,20 +250,51 @@ def to_file_values(request: TransferRequest, carried: Attributes, rows: FileRows
 
 
 def own_values(base: Path, control: ControlMesh, rows: FileRows | None, names: Collection[str]) -> Attributes:
-    """The target's own values by the names of what is carried; a file's only table has the names' order."""
+    """The target's own values by the names of what is carried.
+
+    Weights of a scene have the names of its joints. The only table of another file has the order of ``names``.
+    """
     given = read_attributes(base, control, rows)
     if all(name in given for name in names):
         return given
+    joints = _joint_names(base, control if rows is None else rows.whole) if JOINT_WEIGHTS in given else ()
+    if joints:
+        weights = dict(zip(joints, given[JOINT_WEIGHTS].T, strict=True))
+        _require_names(base, "weights of the joints", [*weights], names)
+        others = [joint for joint, column in weights.items() if joint not in names and column.any()]
+        if others:
+            raise ParameterError(
+                f"--base {base}: expected weights of {', '.join(names)} alone, got some of {', '.join(others)}. Give "
+                "weights of the same joints."
+            )
+        return weights
     if len(given) == len(names) == 1:
         return dict(zip(names, given.values(), strict=True))
     table = given.get(JOINT_WEIGHTS) if len(given) > 1 else next(iter(given.values()), None)
     if table is not None and table.ndim == 2 and table.shape[1] == len(names):
         return dict(zip(names, table.T, strict=True))
+    _require_names(base, "values of", [*given], names)
+    return given
+
+
+def _joint_names(base: Path, control: ControlMesh) -> tuple[str, ...]:
+    """Names of the columns of a scene's joint weights; none for other files, or if joints have equal names."""
+    names: tuple[str, ...] = ()
+    if is_usd(base):
+        skeleton = read_usd_skeleton(base, control)
+        names = () if skeleton is None else skeleton.names
+    elif base.suffix.lower() in SCENE_SUFFIXES:
+        names = gltf_skeleton(base).names
+    return names if len(set(names)) == len(names) else ()
+
+
+def _require_names(base: Path, what: str, given: Collection[str], names: Collection[str]) -> None:
     missing = [name for name in names if name not in given]
-    raise ParameterError(
-        f"--base {base}: expected values of {', '.join(missing)}, as what is carried, got {', '.join(given)}. Give the "
-        "target's own values."
-    )
+    if missing:
+        raise ParameterError(
+            f"--base {base}: expected {what} {', '.join(missing)}, as what is carried, got {', '.join(given)}. Give "
+            "the target's own values."
+        )
 
 
 def _rows(result: MatchResult, weight: FloatArray, count: int) -> FloatArray:

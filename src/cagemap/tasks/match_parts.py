@@ -211,15 +211,20 @@ def ready_inputs(given: PartInputs) -> PartInputs:
     notes = [note for prepared in ready.values() for note in prepared.notes]
     repairs = {side: prepared.repairs.summary() for side, prepared in plain.items()}
     landmarks = given.landmarks.renumbered(*numbers)
-    for what, before, after in (
-        ("landmarks", len(given.landmarks), len(landmarks)),
-        ("curves", len(given.landmarks.curves), len(landmarks.curves)),
-    ):
-        if after < before:
-            notes.append(f"{before - after} of {before} {what} lie on pieces that are set aside and are left out")
+    notes += lost_landmark_notes(given.landmarks, landmarks)
     if not plain:  # handles of a scan mean little
         notes += _handle_notes(*meshes)
     return PartInputs(meshes[0], meshes[1], landmarks, tuple(notes), repairs)
+
+
+def lost_landmark_notes(given: Landmarks, kept: Landmarks) -> list[str]:
+    """Notes on landmarks and curves that are not among those ``kept`` on the matched pieces."""
+    counts = ("landmarks", len(given), len(kept)), ("curves", len(given.curves), len(kept.curves))
+    return [
+        f"{before - after} of {before} {what} lie on pieces that are set aside and are left out"
+        for what, before, after in counts
+        if after < before
+    ]
 
 
 def _handle_notes(*meshes: ControlMesh) -> list[str]:

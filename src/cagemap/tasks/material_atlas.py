@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UNKNOWN_COLOR
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import encode_srgb
-from cagemap.transfer.baking import to_dtype, unit
+from cagemap.transfer.baking import convert_dtype, to_dtype, unit
 
 # Width in texels of the border around each image, which repeats its edge: neighbours do not mix when it is filtered.
 _BORDER = 16
@@ -79,7 +78,7 @@ def material_atlas(document: Document | None, control: ControlMesh) -> MaterialA
             pixels, uvs[inside] = repeated
         else:
             return None
-        cells.append(_with_channels(_convert_dtype(pixels, dtype), channels))
+        cells.append(_with_channels(convert_dtype(pixels, dtype), channels))
     laid_out = _join_images(cells, uvs, places[:, 1])
     if laid_out is None:
         return None
@@ -109,10 +108,6 @@ def _tile_image(pixels: Pixels, uvs: FloatArray) -> tuple[Pixels, FloatArray] | 
     if (times * pixels.shape[1::-1] > _MAX_SIDE).any():
         return None
     return np.tile(pixels, (int(times[1]), int(times[0]), 1)), (uvs - first) / times
-
-
-def _convert_dtype(pixels: Pixels, dtype: np.dtype[Any]) -> Pixels:
-    return pixels if pixels.dtype == dtype else to_dtype(pixels * (unit(dtype) / unit(pixels.dtype)), dtype)
 
 
 def _with_channels(pixels: Pixels, channels: int) -> Pixels:

@@ -33,12 +33,15 @@ def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig
                 f"--set method: expected NAME=VALUE with one of {', '.join(sorted(values))} for {config.method}, "
                 f"got {setting!r}."
             )
-        kind = type(values[name])
+        several = isinstance(values[name], tuple)
+        kind = type(values[name][0] if several else values[name])
         try:
-            values[name] = kind(text)
+            numbers = tuple(kind(word) for word in (text.split(",") if several else [text]))
         except ValueError:
             form = "a whole number" if kind is int else "a number"
+            form = f"{form}, or several with commas between them" if several else form
             raise ParameterError(f"--set method.{name}: expected {form}, got {text!r}.") from None
+        values[name] = numbers if several else numbers[0]
     with values_of("--set method"):
         return replace(config, **{_OWN[config.method]: _with_values(method_config, values)})
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.errors import CagemapError, FormatError
+from cagemap.errors import CagemapError, FormatError, ParameterError
 from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.images.image import UDIM_MARK, Image, Pixels, read_image, read_texture
-from cagemap.files.inner_texture import material_document
-from cagemap.files.meshes.formats import read_mesh
+from cagemap.files.inner_texture import extract_texture, material_document
+from cagemap.files.meshes.formats import MESH_SUFFIXES, read_mesh
 from cagemap.files.meshes.ply import ply_image
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, input_file
@@ -62,6 +62,14 @@ def run_report(request: ReportRequest, stages: Stages) -> SummaryAndWarnings:
     atlas = None if texture is None else material_atlas(material_document(texture, source), source)
     if atlas is not None:
         result = replace(result, source=result.source.with_control(atlas.control))
+    elif texture is not None and texture.suffix.lower() in MESH_SUFFIXES:  # the only image of a model file
+        inner = extract_texture(texture, source, folder)
+        if inner is None:
+            raise ParameterError(
+                f"--texture {texture}: expected a colour image on most of {source.name} for its UV set in use, found "
+                "none. Give an image."
+            )
+        texture = inner
     shown_texture = None if texture is None else read_texture(texture) if atlas is None else atlas.image
     pixels = shown_texture.pixels if isinstance(shown_texture, Image) else None  # tiles are not shown
     baked, baked_entry = None, None

@@ -14,22 +14,29 @@ from cagemap.errors import ParameterError, values_of
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.read import gltf_skeleton
-from cagemap.files.meshes.mhclo import bind_on, write_mhclo
 from cagemap.files.result.manifest import note_transfer, read_files
 from cagemap.files.result.maps import write_map
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults
-from cagemap.files.values.attributes import Attributes, read_attributes, write_attributes
+from cagemap.files.values.attributes import Attributes, check_attribute_path, read_attributes, write_attributes
 from cagemap.files.values.part_numbering import FileRows, file_rows, other_rows, to_file
-from cagemap.files.values.rigs import read_shapes, read_skeleton, write_shapes, write_skeleton
+from cagemap.files.values.rigs import (
+    check_shapes,
+    check_skeleton_path,
+    read_shapes,
+    read_skeleton,
+    write_shapes,
+    write_skeleton,
+)
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights, trusted_vertices
+from cagemap.tasks.follower import write_follower
 from cagemap.tasks.masks import keep_base, own_values, to_file_values
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import comma_words
@@ -51,6 +58,7 @@ _APART = 0.05
 def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry skinning weights: a column or array for each joint, or one array of all joints."""
     assert request.weights is not None
+    check_attribute_path(request.output)
     check_outputs([request.output], [request.weights], force=request.force)
     rows = file_rows(request.result, result, "source")
     arrays = read_weights(request.weights, result.source.control, rows)
@@ -72,18 +80,22 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     named = all(array.ndim == 1 for array in arrays.values())
     names = tuple(arrays) if named else () if skeleton is None else skeleton.names
     carried = with_choice(request, result.target.control, carried, names, target_rows)
-    columns, notes = keep_base(request, result, _columns(carried, arrays), target_rows)
-    columns = _limit_influences(request, result, columns)
-    if skeleton is not None and request.output.suffix.lower() != ".npy":
+    columns = _columns(carried, arrays)
+    if skeleton is not None:
         columns = _by_joint(columns, skeleton)
+    columns, notes = keep_base(request, result, columns, target_rows)
+    columns = _limit_influences(request, result, columns)
     vertices, joints = carried.shape
     most = int((weight_table(columns) > 0).sum(axis=1).max())
     filled = int(np.count_nonzero(~trusted_vertices(result)))
     figures = {"vertices": vertices, "joints": joints, "influences": most, "untrusted_vertices": filled}
     stages.record(figures)
     text = f"wrote {request.output}: {vertices} vertices, {joints} joints, at most {most} a vertex"
+    whole = to_file_values(request, columns, target_rows)
+    if not named and request.output.suffix.lower() == ".npy":  # it holds one array
+        whole = {JOINT_WEIGHTS: weight_table(whole)}
     with all_or_nothing():
-        write_attributes(request.output, to_file_values(request, columns, target_rows), force=request.force)
+        write_attributes(request.output, whole, force=request.force)
         if request.usd is not None:
             moved = _carry_in_column_order(skeleton, columns, result.point_map)
             skinning = UsdResults(attributes={JOINT_WEIGHTS: weight_table(columns)}, skeleton=moved)
@@ -102,6 +114,8 @@ def read_weights(path: Path, control: ControlMesh, rows: FileRows | None) -> Att
 
 def _limit_influences(request: TransferRequest, result: MatchResult, columns: Attributes) -> Attributes:
     """Weights with at most ``--influences`` joints at vertices where masks blended them with those of ``--base``."""
+    if not result.masks.any:
+        return columns
     blended = result.masks.joint(result.point_map)[: result.target.control.n_vertices, None] > 0.0
     table = weight_table(columns)
     return _columns(np.where(blended, _prune_influences(request, table), table), columns)
@@ -178,6 +192,7 @@ def _carry_skeleton(skeleton: Skeleton, point_map: PointMap) -> Skeleton:
 def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry heads and tails of joints."""
     assert request.joints is not None
+    check_skeleton_path(request.output)
     check_outputs([request.output], [request.joints], force=request.force)
     skeleton = read_skeleton(request.joints, result.source.control)
     stages("joints")
@@ -193,11 +208,12 @@ def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stage
         file_rows(request.result, result, name) for name, side in (("source", result.source), ("target", result.target))
     )
     shapes = read_shapes(request.blend_shapes, result.source.control, rows)
+    rest = result.target.control if target_rows is None else target_rows.whole
+    inputs = [*request.blend_shapes, *read_files(request.result, result.manifest)]
+    check_shapes(request.output, shapes, rest, inputs, force=request.force)
     stages("shapes")
     carried = carry_shapes(result, shapes)
     assert isinstance(carried, dict)
-    rest = result.target.control if target_rows is None else target_rows.whole
-    inputs = [*request.blend_shapes, *read_files(request.result, result.manifest)]
     with all_or_nothing():
         files = write_shapes(request.output, to_file(carried, target_rows), rest, inputs, force=request.force)
         text = f"wrote {len(carried)} shapes to {request.output} ({len(files)} files)"
@@ -217,9 +233,15 @@ def write_point_map(request: TransferRequest, result: MatchResult, stages: Stage
         write_map(request.output, point_map, force=request.force)
         return f"wrote {request.output}: the place of {len(result.triangle)} target vertices on the source", []
     control, source = result.target.control, result.source
-    fitting = bind_on(control.positions, source, result.triangle[: control.n_vertices])
-    write_mhclo(request.output, fitting, Path(control.name).with_suffix(".obj"), force=request.force)
-    apart = float(np.linalg.norm(fitting.offsets, axis=1).mean()) * point_map.source.scale
+    rows, triangles = file_rows(request.result, result, "target"), result.triangle[: control.n_vertices]
+    if rows is None and control.file_vertices is not None:
+        raise ParameterError(
+            f"{control.name}: expected the file that was matched, which has other numbers than the RESULT. Put it back "
+            "where the match read it."
+        )
+    obj = Path(control.name).with_suffix(".obj")
+    offsets = write_follower(request.output, control.positions, triangles, result, rows, obj, force=request.force)
+    apart = float(np.linalg.norm(offsets, axis=1).mean()) * point_map.source.scale
     warnings = []
     if apart > _APART:
         warnings.append(

@@ -20,7 +20,10 @@ from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_docu
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import png_bytes
 from cagemap.files.gltf.parts import Scene, read_scene
+from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.textures import with_materials_of
 from cagemap.files.gltf.write import character_glb
+from cagemap.files.inner_texture import color_image, material_document
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh, read_whole, referred_files
 from cagemap.files.usd.character import write_usd_character
@@ -64,7 +67,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     )
     bodies = (request.body, target, to), (request.like, source, of)
     split = [note for path, character, body in bodies for note in _split_body(path, character, body)]
-    landmarks = _landmarks(request, (to, of), (target, given_source))
+    landmarks, landmark_notes = _landmarks(request, (to, of), (target, given_source))
     keeps = request.keep_textures or of.mesh.face_materials is None
     laid_out = to.mesh if keeps or of.mesh.uvs is None else with_uvs_in_unit_square(to.mesh)
     target, to = _with_mesh(target, to, replace(laid_out, name=request.body.name))
@@ -103,7 +106,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     confidence = carried.result.confidence
     doubt = [] if confidence is None or confidence.verdict == SURE else [_DOUBT]
     stages.record(_figures(dressed) | {"trusted_area": carried.result.quality.trusted_area})
-    return _summary(request, dressed), [*split, *carried.notes, *notes, *doubt]
+    return _summary(request, dressed), [*split, *landmark_notes, *carried.notes, *notes, *doubt]
 
 
 def _require_paths(request: RigRequest) -> None:
@@ -152,13 +155,27 @@ def write_character(
 
 
 def read_body(path: Path) -> tuple[Document | None, Character]:
-    """A glTF, FBX or USD file as document and character, in metres with Y up; another file's mesh as a character."""
+    """A glTF, FBX or USD file as document and character, in metres with Y up; another file as images and mesh."""
     if is_usd(path):
         return document_and_character(path)
     if path.suffix.lower() in SCENE_SUFFIXES:
         document = read_document(path)
         return document, character_of(document)
-    return None, Character((Part(path.stem, read_mesh(path)),))
+    part = Part(path.stem, read_mesh(path))
+    return _document_of_images(path, part), Character((part,))
+
+
+def _document_of_images(path: Path, part: Part) -> Document | None:
+    """A glTF document of an OBJ or PLY file: its mesh, and its materials with images; None without images."""
+    materials, mesh = material_document(path, part.mesh), part.mesh
+    if materials is None:
+        return None
+    known = material_names(materials)
+    names = [name for name in mesh.material_names if name in known and color_image(materials, name) is not None]
+    if not names:
+        return None
+    bare = replace(mesh, face_materials=None, material_names=(), material_colors=None)
+    return with_materials_of(character_glb(Character((replace(part, mesh=bare),))), materials, names)[0]
 
 
 def character_body(character: Character, name: str | None, path: Path) -> Part:
@@ -184,15 +201,17 @@ def _with_mesh(character: Character, part: Part, mesh: ControlMesh) -> tuple[Cha
     return with_part(character, part, new_part), new_part
 
 
-def _landmarks(request: RigRequest, bodies: tuple[Part, Part], characters: tuple[Character, Character]) -> Landmarks:
-    """Landmarks and curves of the files' meshes as points of the two bodies.
+def _landmarks(
+    request: RigRequest, bodies: tuple[Part, Part], characters: tuple[Character, Character]
+) -> tuple[Landmarks, tuple[str, ...]]:
+    """Landmarks and curves of the files' meshes as points of the two bodies; and notes.
 
     ``characters``: as `read_body` reads them.
     """
     if request.landmarks is None:
-        return Landmarks.none()
+        return Landmarks.none(), ()
     meshes = read_whole(request.body), read_whole(request.like)
-    given, _ = read_landmarks(request.landmarks, request.body, request.like)
+    given, notes = read_landmarks(request.landmarks, request.body, request.like)
     check_landmarks(given, *meshes)
     files = request.body, request.like
     places = [character_positions(*side) for side in zip(files, meshes, characters, strict=True)]
@@ -206,7 +225,7 @@ def _landmarks(request: RigRequest, bodies: tuple[Part, Part], characters: tuple
         target, source = on_bodies(*pair.points)
         curves.append(CurvePair(pair.name, Curve(target, pair.target.closed), Curve(source, pair.source.closed)))
     names = given.target_name, given.source_name
-    return Landmarks.of_points(given.names, points[0], points[1], *names, tuple(curves))
+    return Landmarks.of_points(given.names, points[0], points[1], *names, tuple(curves)), notes
 
 
 def points_on_body(points: CagePoints, places: FloatArray, body: Part) -> CagePoints:

@@ -24,9 +24,10 @@ from cagemap.mesh.faces import face_centres
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import decode_srgb
 from cagemap.surface.triangles import fan_triangles
+from cagemap.tasks.bake_tiles import target_overlap_warnings
 from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.carry_character import CarriedCharacter, nearest_rows
-from cagemap.transfer import Transfer, bake_texture, prepare_transfer, pull_back_faces, tile_cells, unwrap
+from cagemap.transfer import Transfer, bake_texture, prepare_transfer, pull_back_faces, tile_cells, transfer_of, unwrap
 from cagemap.transfer.vectors import bake_normal_map
 
 
@@ -67,7 +68,7 @@ def with_baked_materials(
             f"the body's own materials ({', '.join(body.mesh.material_names)}) give way to the character's; "
             "--keep-textures keeps them"
         )
-    transfer = _transfer(result, result.source.control)
+    transfer = transfer_of(result)
     mesh = replace(
         body.mesh,
         face_materials=_carried_materials(result, transfer, body.mesh),
@@ -81,6 +82,7 @@ def with_baked_materials(
                 images[copy, found.slot] = _bake_image(found, document, result, size)
             else:
                 notes.append(f"{name}: its {found.slot} is left out: {of.name} has no UV set {found.uv_set}")
+    notes += target_overlap_warnings(result.target.control) if images else []
     dressed = replace(carried.character, parts=(replace(body, mesh=mesh), *others))
     return dressed, with_copied_materials(document, list(copies.items()), images), images, notes
 
@@ -101,12 +103,11 @@ def with_carried_colors(carried: CarriedCharacter, body: Part, of: Part) -> Part
     return replace(body, mesh=replace(body.mesh, vertex_colors=table[:, :3]), colors=corners)
 
 
-def _transfer(result: MatchResult, source: ControlMesh, uvs: FloatArray | None = None) -> Transfer:
+def _transfer_with_uvs(result: MatchResult, uvs: FloatArray, uv_indices: IndexArray) -> Transfer:
     """The match prepared for bakes, with other texture coordinates of the source."""
     level, target = result.source.refinement.finest, result.target.refinement
-    if uvs is not None and source.uv_indices is not None:
-        layout = uvs, source.uv_indices.reshape(level.n_faces, -1)
-        level = replace(level, lay=lambda: layout)
+    layout = uvs, uv_indices.reshape(level.n_faces, -1)
+    level = replace(level, lay=lambda: layout)
     return prepare_transfer(target.finest, level, result.point_map, result.masks, target.holes(target.finest_level))
 
 
@@ -122,8 +123,9 @@ def _bake_image(found: MaterialImage, document: Document, result: MatchResult, s
     image = read_material_image(document, found)
     source = result.source.control.with_uv_set(found.uv_set)
     assert source.uvs is not None
+    assert source.uv_indices is not None
     pixels, uvs = found.repeating(image.pixels, found.on_image(source.uvs))
-    transfer = _transfer(result, source, uvs)
+    transfer = _transfer_with_uvs(result, uvs, source.uv_indices)
     height, width = image.size if size is None else (size, size)
     bake = bake_normal_map if found.is_normal_map and pixels.shape[2] >= 3 else bake_texture
     return image, replace(image, pixels=bake(transfer, pixels, size=(height, width)), channel_names=())
@@ -134,7 +136,7 @@ def with_uvs_in_unit_square(mesh: ControlMesh) -> ControlMesh:
 
     The UVs in tiles are kept as a second set, before further sets.
     """
-    if mesh.uvs is None or mesh.uv_indices is None:
+    if mesh.uvs is None or mesh.uv_indices is None or not mesh.has_layout:
         return unwrap(mesh)
     corners, faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
     cells = np.zeros((mesh.n_faces, 2))

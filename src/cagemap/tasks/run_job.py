@@ -19,7 +19,7 @@ from cagemap.jobs.consistency import Consistency, measure_consistency, read_cons
 from cagemap.jobs.detours import add_detours, compose_results, has_detours, keep_matches
 from cagemap.jobs.farm import PAGE_STEP, farm_steps, openjd_template, parse_task_range, slurm_script
 from cagemap.jobs.job import Job, read_job
-from cagemap.jobs.page import PairRow, pair_rows, write_library
+from cagemap.jobs.page import PairRow, pair_rows, remarks_of, write_library
 from cagemap.jobs.plan import STATE_FOLDER, Plan, Task, plan_job
 from cagemap.jobs.run import TaskOutcome, execute, kept_outcome, missing_tasks, open_client, run_plan
 from cagemap.jobs.tree import spanning_tree
@@ -39,7 +39,7 @@ from cagemap.tasks.requests.options import validate_request
 from cagemap.tasks.requests.run import RunRequest
 from cagemap.tasks.subdivision import weld_side
 from cagemap.tasks.transfer import check_transfer
-from cagemap.tasks.wrap import check_wrap
+from cagemap.tasks.wrap_checks import check_wrap
 
 
 def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
@@ -67,7 +67,7 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
 
     stages("run tasks")
     with open_client(request.scheduler, request.workers, stages.note) as connect:
-        verdict, matched = Consistency({}, 0, (), {}), dict[str, TaskOutcome]()
+        verdict, matched = Consistency(), dict[str, TaskOutcome]()
         if has_detours(plan):
             matched = run_plan(keep_matches(plan), run_task, connect, show)
             stages("compare maps with each other")
@@ -90,7 +90,7 @@ def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stage
     numbers = parse_task_range(words, steps[-1].last)
     lines, whole = [], True
     for step, number in ((step, number) for step in steps for number in numbers if step.first <= number <= step.last):
-        verdict = Consistency({}, 0, (), {})
+        verdict = Consistency()
         current = plan
         if step.name not in ("prepare", "match"):
             verdict, current = _verdict_and_plan(plan, version)
@@ -101,7 +101,7 @@ def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stage
         for task in step.tasks[number - step.first]:
             stages(task.name)
             outcome = _run_alone(task.name, current)
-            lines.append(f"{number} {outcome}")
+            lines += [f"{number} {outcome}", *(f"  {text}" for text in remarks_of(outcome))]
             whole &= outcome.usable
     return use_option_names("\n".join(lines)), whole
 
@@ -117,7 +117,7 @@ def _require_one_way(request: RunRequest) -> None:
     used = [name for name, is_given in options.items() if is_given]
     if request.workers is not None and not request.dry_run:
         used.append("--workers")
-    if len(used) > 1 and used != ["--scheduler", "--workers"]:
+    if len(used) > 1:
         raise ParameterError(f"{used[0]}: expected none of {', '.join(used[1:])} beside it. Give one of them.")
 
 
@@ -171,7 +171,7 @@ def _kept_outcomes(plan: Plan) -> dict[str, TaskOutcome]:
 def _verdict_and_plan(plan: Plan, version: str) -> tuple[Consistency, Plan]:
     """Consistency of finished maps, and the plan with detours around doubtful ones; under a file lock."""
     if not has_detours(plan):
-        return Consistency({}, 0, (), {}), plan
+        return Consistency(), plan
     from filelock import FileLock
 
     (plan.root / STATE_FOLDER).mkdir(parents=True, exist_ok=True)
@@ -239,6 +239,7 @@ def summary(plan: Plan, outcomes: dict[str, TaskOutcome], notes: list[str], page
         [
             f"{count_noun(len(plan.pairs), 'pair')}, tasks: {ended}, in {seconds:.1f} s",
             *failures,
+            *(f"  {text}" for name, outcome in outcomes.items() for text in remarks_of(outcome, name)),
             *(f"  {note}" for note in notes),
             *([] if page is None else [f"Open {page} in a browser."]),
         ]

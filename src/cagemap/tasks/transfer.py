@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from cagemap.character.passengers import carry_passenger
+from cagemap.character.passengers import carry_passenger, unit_factor
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import (
     all_or_nothing,
@@ -194,16 +194,18 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
 def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Write the target's mesh with the source's texture coordinates, so that the source's images fit it."""
     sides = result.target.refinement, result.source.refinement
+    original, control = input_file(request.result, result.manifest, "target"), result.target.control
+    like = None if original is not None and original.suffix.lower() == ".obj" else original  # its images do not fit
+    check_mesh_path(request.output)
+    check_outputs(mesh_files(request.output, control, like), [], force=request.force)
     stages("prepare")
     transfer = transfer_of(result)
     stages("texture coordinates")
     carried = carry_uvs(transfer, *sides)
-    original, control = input_file(request.result, result.manifest, "target"), result.target.control
     rows = file_rows(request.result, result, "target")
     layout = carried.uvs, carried.uv_indices
     laid_out = control.with_uvs(*layout) if rows is None else rows.laid_out(*layout)
-    of_obj = original is not None and original.suffix.lower() == ".obj"  # its images do not fit the new layout
-    write_mesh(request.output, laid_out, like=None if of_obj else original, force=request.force)
+    write_mesh(request.output, laid_out, like=like, force=request.force)
     note_transfer(request.result, {"kind": "uvs", "output": request.output})
     crossed = carried.crossed if rows is None else rows.faces[carried.crossed]
     stages.record({"uvs": len(carried.uvs), "crossed_faces": crossed.tolist()})
@@ -243,11 +245,12 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
         like = target
     write_mesh(request.output, mesh.with_positions(places), like=like, force=request.force)
     note_transfer(request.result, {"kind": "passenger", "file": request.passenger, "output": request.output})
-    figures = {"vertices": mesh.n_vertices, "distance": carried.distance, "unit_factor": carried.unit_factor}
+    factor = unit_factor(result.point_map.source, worn.positions)
+    figures = {"vertices": mesh.n_vertices, "distance": carried.distance, "unit_factor": factor}
     stages.record(figures)
     warnings = []
-    if carried.distance > _FAR_PASSENGER or carried.unit_factor != 1.0:
-        scaled = f" ({carried.unit_factor:g} times as large it would lie on it)" if carried.unit_factor != 1.0 else ""
+    if carried.distance > _FAR_PASSENGER or factor != 1.0:
+        scaled = f" ({factor:g} times as large it would lie on it)" if factor != 1.0 else ""
         warnings.append(
             f"{request.passenger} is {carried.distance:.1f} body sizes away from "
             f"{result.source.control.name} on average{scaled}: check that both have the same units and place"

@@ -5,61 +5,63 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.files.atomic import check_outputs, require_no_input
-from cagemap.files.images.image import texture_files
-from cagemap.files.meshes.formats import check_mesh_path, mesh_files, write_mesh
-from cagemap.files.meshes.mhclo import bind_on, write_mhclo
+from cagemap.files.atomic import all_or_nothing, check_outputs, require_no_input
+from cagemap.files.meshes.formats import mesh_files, write_mesh
 from cagemap.files.meshes.obj_write import write_obj_positions
-from cagemap.files.result.folder import ARRAYS, read_result
-from cagemap.files.result.manifest import MANIFEST, input_file, mesh_hash, note_transfer, read_files
+from cagemap.files.result.folder import read_result
+from cagemap.files.result.manifest import input_file, mesh_hash, note_transfer, read_files
 from cagemap.files.usd.prims import transform_points
 from cagemap.files.usd.space import between_spaces
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults
-from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import file_rows, rows_of
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.mirrors import mirror_symmetries
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import one_blas_thread
+from cagemap.pipeline import choose_level
 from cagemap.tasks.detail_bakes import (
     bake_wrapped,
     outputs_beside,
-    require_green,
     require_wrappable,
-    wrap_bakes,
 )
-from cagemap.tasks.import_map import run_map
+from cagemap.tasks.follower import require_whole, write_follower
+from cagemap.tasks.import_map import MAP_VERTICES, run_map
 from cagemap.tasks.job_file import note_output
-from cagemap.tasks.masks import mask_inputs, with_masks
+from cagemap.tasks.masks import with_masks
 from cagemap.tasks.match import match_files
 from cagemap.tasks.match_summary import warnings as result_warnings
+from cagemap.tasks.method import side_levels
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
-from cagemap.tasks.requests.catalogue import WRAP_IMAGES_OF, WRITTEN
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
-from cagemap.tasks.requests.options import field_values, files_read, refuse_unread
+from cagemap.tasks.requests.options import field_values
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.transfer import carry_one
 from cagemap.tasks.usd_output import missing_file_warnings, write_usd_results
+from cagemap.tasks.wrap_checks import (
+    check_files,
+    check_wrap,
+    mirror_image,
+    read_follow,
+    require_inputs,
+    shape_files,
+    side_options,
+)
 from cagemap.tasks.wrap_figures import distances_text, fold_warnings, wrap_figures
 from cagemap.wrap import WrapConfig, Wrapped, level_mesh, wrap
-from cagemap.wrap.wrapping import NO_CAGE
 
 
 def run_wrap(request: WrapRequest, stages: Stages) -> SummaryAndWarnings:
     """Wrap the target of one or several results, and write the cages; returns a summary and warnings."""
     check_wrap(request)
-    _check_files(request)
+    check_files(request)
     match_inputs = (request.target, request.source, request.landmarks, request.map)
     if not any(match_inputs):
         return _with_texture(request, *_run(request, stages), stages)
@@ -72,7 +74,7 @@ def run_wrap(request: WrapRequest, stages: Stages) -> SummaryAndWarnings:
             "a motion"
         )
     if request.blend_shapes:  # refuse names and files before the matches
-        files = _shape_files(request, request.target, sources)
+        files = shape_files(request, request.target, sources)
         written = files if request.output.is_dir() else [request.output]
         check_outputs(written, [request.target, *sources], force=request.force)
     with tempfile.TemporaryDirectory() as folder:
@@ -90,22 +92,26 @@ def _match_sources(
     Several sources are frames of a motion: the match of each frame starts from the map to the frame before it.
     """
     results = tuple(folder / f"{frame}" for frame in range(len(sources)))
-    require = partial(require_wrappable, request)
     if request.map is not None:
-        of_map = MapRequest(request.map, target, sources[0], results[0], **_side_options(request, "weld"))
-        return results, run_map(of_map, stages, require)[1]
-    options, warnings = _side_options(request, "scheme", "weld"), list[str]()
-    if len(sources) == 1:
-        single = MatchRequest(target, sources[0], results[0], request.landmarks, **options)
-        result = match_files(single, stages, require=require)
-        return results, list(dict.fromkeys(result_warnings(result)))
+        of_map = MapRequest(request.map, target, sources[0], results[0], **side_options(request, "weld"))
+
+        def require_of_map(*meshes: ControlMesh) -> None:
+            require_inputs(request, (target, sources[0]), choose_level(meshes[0], MAP_VERTICES), *meshes)
+
+        return results, run_map(of_map, stages, require_of_map)[1]
+    options, warnings = side_options(request, "scheme", "weld"), list[str]()
     last_frame: MatchResult | None = None
     for frame, (source, output) in enumerate(zip(sources, results, strict=True)):
-        landmarks = None if frame else request.landmarks
-        one = MatchRequest(target, source, output, landmarks, **options)
+        one = MatchRequest(target, source, output, None if frame else request.landmarks, **options)
+
+        def require(*meshes: ControlMesh, one: MatchRequest = one) -> None:
+            require_inputs(request, (one.target, one.source), side_levels(one, meshes)[0], *meshes)
+
         result = match_files(one, stages, last_frame, require=require)
-        stages.note(f"frame {frame + 1} of {len(sources)}, {source.name}: {_frame_text(result, last_frame)}")
-        warnings += [f"{source.name}: {message}" for message in result_warnings(result)]
+        name = f"{source.name}: " if len(sources) > 1 else ""
+        if name:
+            stages.note(f"frame {frame + 1} of {len(sources)}, {name}{_frame_text(result, last_frame)}")
+        warnings += [f"{name}{message}" for message in result_warnings(result)]
         last_frame = replace(result, prepared=None)
     return results, list(dict.fromkeys(warnings))
 
@@ -122,11 +128,6 @@ def _frame_text(result: MatchResult, last_frame: MatchResult | None) -> str:
     return f"follows the last frame, {folded}, moved by {moved_by:.2f} % of sqrt(area) on average"
 
 
-def _side_options(request: WrapRequest, *names: str) -> dict[str, Any]:
-    """Options for both meshes and for each of them."""
-    return field_values(request, *(f"{side}{name}" for name in names for side in ("", "target_", "source_")))
-
-
 def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stages: Stages) -> SummaryAndWarnings:
     """Also bake the source's texture into the target's layout, if requested."""
     if request.texture is None or request.baked is None:
@@ -134,56 +135,6 @@ def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stage
     options = field_values(request, "texture", "size", "target_mask", "source_mask", "mask_edge", "force")
     more, others = carry_one(TransferRequest(request.results[0], request.baked, **options), stages)
     return f"{summary}\n{more}", warnings + others
-
-
-def check_wrap(request: WrapRequest) -> None:
-    """Refuse options that contradict each other."""
-    if not 0.0 <= request.amount <= 1.0:
-        raise ParameterError(f"--amount: expected 0 (the target) to 1 (the source's shape), got {request.amount}")
-    if request.detail_texture is not None and (request.detail is None or request.texture is not None):
-        raise ParameterError("--detail-texture: expected --detail, and no --texture: --baked is one of them")
-    if (request.texture is None and request.detail_texture is None) != (request.baked is None):
-        raise ParameterError(
-            "--texture (or --detail-texture) and --baked: expected an image and the one to write, got one of them"
-        )
-    # A RESULT folder records the schemes and the welded meshes of its match.
-    matched = dict.fromkeys(_side_options(request, "scheme", "weld"), ("target",))
-    refuse_unread(request, matched, () if request.target is None else ("target",))
-    if (request.target_scheme or request.scheme) == "none":
-        raise ParameterError(f"{request.target}: {NO_CAGE}")
-    if request.map is not None and (request.landmarks is not None or any(_side_options(request, "scheme").values())):
-        raise ParameterError("--map: expected no --landmarks and no --scheme, since nothing is matched")
-    if request.map is not None and len(request.results) > 1:
-        raise ParameterError("--map: expected one --source, got frames. Wrap each frame with a map of its own.")
-    require_green(request)
-    bakes, images = wrap_bakes(request), outputs_beside(request)
-    bakes.check()
-    many = len(request.results) > 1
-    if many and not request.blend_shapes:
-        raise ParameterError(
-            f"expected one RESULT, got {len(request.results)}. Several need --blend-shapes and a folder as --output; "
-            "meshes are given by --target and --source, or the frames of a motion by --target alone."
-        )
-    if images and (many or request.blend_shapes or request.amount != 1.0):
-        raise ParameterError(
-            "images that are baked and --mhclo: expected one RESULT, the whole --amount and no --blend-shapes"
-        )
-    if request.detail is not None and not bakes.images:
-        raise ParameterError("--detail: expected an image to bake from it, such as --normal-map")
-    refuse_unread(request, WRAP_IMAGES_OF, [name for name in WRITTEN["wrap"] if getattr(request, name) is not None])
-    if not request.blend_shapes:
-        check_mesh_path(request.output)
-
-
-def _check_files(request: WrapRequest) -> None:
-    inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]
-    given = files_read(request, *WRITTEN["wrap"])
-    inputs += [*(file for path in given for file in texture_files(path)), *mask_inputs(request).values()]
-    if request.blend_shapes:
-        if request.output.exists() and not request.output.is_dir():
-            raise ParameterError(f"{request.output}: --blend-shapes writes a folder of OBJ files, got a file")
-    outputs = [*outputs_beside(request), *([] if request.blend_shapes else [request.output])]
-    check_outputs(outputs, inputs, force=request.force)
 
 
 def _run(request: WrapRequest, stages: Stages) -> SummaryAndWarnings:
@@ -199,23 +150,26 @@ def _run(request: WrapRequest, stages: Stages) -> SummaryAndWarnings:
     if request.blend_shapes:
         return _write_shapes(request, results, config, stages)
     result, folder = results[0], request.results[0]
-    wrapped = _wrap(request, result, config, stages)
     original = input_file(folder, result.manifest, "target")
+    rows = None if request.mhclo is None or request.fit_level else rows_of(original, result.target.control)
+    require_whole(rows)
+    wrapped = _wrap(request, result, config, stages)
     stages("write")
     space = _source_to_target(folder, result)
-    written, warnings = _write(request, _in_target_space(wrapped, space), result, original, request.output)
-    figures = wrap_figures(wrapped)
+    figures, cage, output = wrap_figures(wrapped), wrapped.mesh, request.output
+    with all_or_nothing():
+        written, warnings = _write(request, _in_target_space(wrapped, space), result, original, output)
+        if request.mhclo is not None:
+            triangles = wrapped.closest.triangle[: cage.n_vertices]
+            write_follower(request.mhclo, cage.positions, triangles, result, rows, output, force=request.force)
+        more, outside = bake_wrapped(request, result, wrapped, details[0], stages)
     stages.record(figures)
-    note_transfer(folder, {"kind": "wrap", "output": request.output, "amount": request.amount, **figures})
+    note_transfer(folder, {"kind": "wrap", "output": output, "amount": request.amount, **figures})
     note_output("wrap", folder, request)
-    count = wrapped.mesh.n_vertices
-    among = f", {count} of them wrapped" if written != count else ""
-    lines = [f"wrote {request.output}: {written} vertices{among} (level {wrapped.level})", distances_text(figures)]
+    among = f", {cage.n_vertices} of them wrapped" if written != cage.n_vertices else ""
+    lines = [f"wrote {output}: {written} vertices{among} (level {wrapped.level})", distances_text(figures)]
     if request.mhclo is not None:
-        places, triangles = wrapped.mesh.positions, wrapped.closest.triangle[: wrapped.mesh.n_vertices]
-        write_mhclo(request.mhclo, bind_on(places, result.source, triangles), request.output, force=request.force)
         lines.append(f"wrote {request.mhclo}: the mesh follows {result.source.control.name}")
-    more, outside = bake_wrapped(request, result, wrapped, details[0], stages)
     if more and not np.allclose(space, np.eye(4)):
         length = np.cbrt(abs(np.linalg.det(space[:3, :3])))
         outside.append(
@@ -231,12 +185,15 @@ def _meshes_read(request: WrapRequest, results: list[MatchResult]) -> list[Path]
 
 
 def _wrap(request: WrapRequest, result: MatchResult, config: WrapConfig, stages: Stages) -> Wrapped:
-    follow = None if request.weights is None else _follow(request.weights, result, request.results[0])
+    follow, control = None, result.target.control
+    if request.weights is not None:
+        rows = file_rows(request.results[0], result, "target")
+        follow = read_follow(request.weights, control, rows, len(result.target.vertices))
     if result.masks.any:
         follow = _masked_follow(result, follow)
     stages(f"wrap {result.source.control.name}")
     target = result.target.refinement
-    symmetry = _symmetry(result.target.control, request.fit_level) if request.symmetric else None
+    symmetry = mirror_image(control) if request.symmetric else None
     with one_blas_thread():
         return wrap(target, result.point_map, config, follow=follow, symmetry=symmetry)
 
@@ -247,29 +204,6 @@ def _masked_follow(result: MatchResult, follow: FloatArray | None) -> FloatArray
     if follow is None or len(follow) == len(weights):
         return weights if follow is None else weights * follow
     return np.asarray(weights * np.clip(refinement.prolong(follow, 0, refinement.finest_level), 0.0, 1.0))
-
-
-def _follow(path: Path, result: MatchResult, folder: Path) -> FloatArray:
-    control = result.target.control
-    values = read_attributes(path, control, file_rows(folder, result, "target"))
-    if len(values) != 1:
-        raise ParameterError(f"{path}: expected one column of weights from 0 to 1, got {', '.join(values)}")
-    follow = np.asarray(next(iter(values.values())), dtype=np.float64)
-    if len(follow) not in (control.n_vertices, len(result.target.vertices)):
-        raise ParameterError(
-            f"{path}: expected a weight for each of the {control.n_vertices} control vertices of {control.name}, the "
-            f"target, got {len(follow)}. Give the target's."
-        )
-    return follow
-
-
-def _symmetry(control: ControlMesh, level: int) -> IndexArray:
-    if level:
-        raise ParameterError("--symmetric: expected --fit-level 0, since symmetry is that of the control mesh")
-    image = next((mirror.image for mirror in mirror_symmetries(control) if mirror.exact), None)
-    if image is None:
-        raise ParameterError(f"{control.name}: expected a mirror symmetric mesh for --symmetric, found no symmetry")
-    return image
 
 
 def _write(
@@ -319,7 +253,7 @@ def _write_shapes(
 ) -> SummaryAndWarnings:
     """Write a folder of OBJ files: the target at rest, and its cage in every source's shape."""
     sources = [Path(result.source.control.name) for result in results]
-    files = _shape_files(request, Path(results[0].target.control.name), sources)
+    files = shape_files(request, Path(results[0].target.control.name), sources)
     names = [source.stem for source in sources]
     request.output.mkdir(exist_ok=True)
     check_outputs(files, _meshes_read(request, results), force=request.force)
@@ -340,13 +274,3 @@ def _write_shapes(
     for folder in request.results:
         note_output("wrap", folder, request)
     return "\n".join(lines), list(dict.fromkeys(warnings))
-
-
-def _shape_files(request: WrapRequest, target: Path, sources: Sequence[Path]) -> list[Path]:
-    """The files of blend shapes, by the names of target and sources; refuses equal names, and a file as folder."""
-    if request.output.is_file():
-        raise ParameterError(f"{request.output}: expected a folder for --blend-shapes, got a file. Give another name.")
-    names = [path.stem for path in (target, *sources)]
-    if len(set(names)) < len(names):
-        raise ParameterError(f"--blend-shapes: expected different names, got {', '.join(names)}. Rename the files.")
-    return [request.output / f"{name}.obj" for name in names]

@@ -93,8 +93,8 @@ class BakeOptions:
         """Check the ranges."""
         if self.tile != 0 and not 1001 <= self.tile <= 1999:
             raise ParameterError(f"tile: expected 0 or a UDIM number from 1001 on, got {self.tile}")
-        if self.supersample is not None and self.supersample < 1:
-            raise ParameterError(f"supersample: expected 1 or more samples a side, got {self.supersample}")
+        if self.supersample is not None and not 1 <= self.supersample <= 16:
+            raise ParameterError(f"supersample: expected 1 to 16 samples along a texel's side, got {self.supersample}")
         if self.filter == "nearest" and (self.supersample or 1) > 1:
             raise ParameterError(f"supersample: expected 1 with filter nearest (labels), got {self.supersample}")
         if self.dilation is not None and self.dilation < 0:
@@ -214,8 +214,6 @@ def make_layout(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
         neighbors = np.where(target.holes[neighbors], -1, neighbors)
     _require_covered(target, corner_uvs, options.tile)
     supersample = options.supersample or (1 if options.filter == "nearest" else _supersample(target, height, width))
-    if not 1 <= supersample <= 16:
-        raise ParameterError(f"supersample: expected 1 to 16 samples along a texel's side, got {supersample}")
     band_rows = max(1, _BAND_TEXELS // (width * supersample * supersample)) * supersample
     return lay_out(
         corner_uvs,
@@ -347,6 +345,11 @@ def to_dtype(values: FloatArray, dtype: np.dtype[Any]) -> Pixels:
     rounded = np.rint(values)
     np.clip(rounded, 0, np.iinfo(dtype).max, out=rounded)
     return rounded.astype(dtype)
+
+
+def convert_dtype(pixels: Pixels, dtype: np.dtype[Any]) -> Pixels:
+    """Pixels of another number type, of the same intensities."""
+    return pixels if pixels.dtype == dtype else to_dtype(pixels * (unit(dtype) / unit(pixels.dtype)), dtype)
 
 
 def output_dtype(dtype: Any, given: np.dtype[Any] | None = None) -> np.dtype[Any]:

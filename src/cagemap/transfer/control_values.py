@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from cagemap.errors import ParameterError
+from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import merged_corners
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -30,7 +31,7 @@ _SAME_UV = 1e-7
 _MAX_WEIGHT_CHANGE = 0.5
 
 
-def control_weights(transfer: Transfer, target: Refinement, source: Refinement) -> sparse.csr_array:
+def control_weights(point_map: PointMap, target: Refinement, source: Refinement) -> sparse.csr_array:
     """(c1, c2) weights of the source's control vertices at every control vertex of the target.
 
     Source values are interpolated linearly over control faces at the image of the vertex, so rows are not negative,
@@ -39,7 +40,7 @@ def control_weights(transfer: Transfer, target: Refinement, source: Refinement) 
     control = source.control
     linear = interpolate_linearly(control, control.face_indices, control.n_vertices, source.finest_level, source.scheme)
     rows = target.control.n_vertices
-    return linear.at(transfer.point_map.triangle[:rows], transfer.point_map.barycentric[:rows])
+    return linear.at(point_map.triangle[:rows], point_map.barycentric[:rows])
 
 
 def combine(weights: sparse.csr_array, values: NDArray[Any]) -> NDArray[Any]:

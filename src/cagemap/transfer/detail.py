@@ -137,7 +137,7 @@ def bake_detail_normals(
     -------
     (height, width, 3) array
     """
-    options, kept = options or BakeOptions(), output_dtype(dtype)
+    options, kept = options or BakeOptions(), np.dtype(dtype)
 
     def normals_at(samples: TexelSamples) -> FloatArray:
         hits, weights = _weighted_hits(transfer, detail, samples)
@@ -175,7 +175,7 @@ def bake_detail_vectors(
     dtype : optional
         The middle value of integers means zero.
     """
-    options, kept = options or BakeOptions(), output_dtype(dtype)
+    options, kept = options or BakeOptions(), np.dtype(dtype)
     middle, encode = _length_encoder(transfer, detail, scale, kept)
 
     def offsets_at(samples: TexelSamples) -> FloatArray:
@@ -217,7 +217,7 @@ def bake_detail_heights(
     transfer, detail, size, scale, dtype, options
         As `bake_detail_vectors` takes them.
     """
-    options, kept = options or BakeOptions(), output_dtype(dtype)
+    options, kept = options or BakeOptions(), np.dtype(dtype)
     middle, encode = _length_encoder(transfer, detail, scale, kept)
 
     def shade(samples: TexelSamples) -> FloatArray:
@@ -254,7 +254,7 @@ def bake_detail_values(
     ParameterError
         If there is not one row a vertex.
     """
-    options, kept = options or BakeOptions(), output_dtype(dtype)
+    options, kept = options or BakeOptions(), np.dtype(dtype)
     if len(values) != detail.surface.n:
         raise ParameterError(f"expected {detail.surface.n} rows, one a vertex of the detail, got {len(values)}")
     table = np.asarray(values, dtype=np.float64).reshape(len(values), -1)

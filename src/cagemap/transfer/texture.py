@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numba
 import numpy as np
@@ -99,7 +99,6 @@ def _leave_even(pixels, cells):  # type: ignore[no-untyped-def]
 
 Wrap = Literal["repeat", "clamp"]
 Filter = Literal["smooth", "linear", "nearest"]
-FILTERS = get_args(Filter)
 
 # UVs outside a tile by less than this are rounding: half a texel of a 4k image.
 OVERHANG = 1.0 / 8192.0

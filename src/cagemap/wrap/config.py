@@ -44,15 +44,13 @@ class WrapConfig(Config):
     fairness: float = 1e-4  #: weight of the net's energy against squared distances to the source
     anchor: float = 0.003  #: weight of distances to the map's images, against distances to the surface
     rounds: int = 3  #: rounds of closest-point searches
-    #: 99th percentile of distances, of sqrt(area), above which a second fit with a stronger anchor is tried
-    max_distance: float = 0.01
+    max_distance: float = 0.01  #: 99th percentile of distances above which a second fit with a stronger anchor is tried
     stronger_anchor: float = 3.0  #: factor on ``anchor`` of the second fit; the closer fit is kept
     weight_power: float = 0.5  #: exponent of an edge's squared length in its weight: 0 alike, 1 as squared distances
     smoothing: float = 0.01  #: epsilon of the energy, see `cagemap.deform.config.Stage`
     levels_below: int = 2  #: samples are vertices this many levels finer: about 16 for each point of the net
     max_samples: int = 60_000  #: most samples, unless the net's next level has more
-    #: distance from the image, in edges of the net, beyond which a closest point is on another part
-    max_slide: float = 2.0
+    max_slide: float = 2.0  #: distance from the image, in edges of the net, from which a point is on another part
     normal_weight: float = 0.03  #: weight of normals in closest points, of sqrt(area)
     accuracy: float = 3e-2  #: relative residual of a round's solution; the terms change more between rounds
     max_steps: int = 200  #: most conjugate gradient steps of a round
@@ -60,8 +58,7 @@ class WrapConfig(Config):
     carrying_rounds: int = 30  #: rounds of the energy alone that place free points before the first fit
     energy_rings: int = 3  #: rings around the points of a local fit that are part of its energy
     nearest_points: int = 30  #: nearest points whose motion a detached piece follows: some rings of a coarse cage
-    #: area ratio (source to target) below which a part has no counterpart; measured 0.01 or less
-    squeezed: float = 0.03
+    squeezed: float = 0.03  #: area ratio (source to target) below which a part has no counterpart; measured up to 0.01
     whole: float = 0.1  #: area ratio above which a part has a counterpart; measured 0.2 or more
     #: distance within which images of the area behind such a part are on images of the rest
     overlap_distance: float = 0.01

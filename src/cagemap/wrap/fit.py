@@ -18,9 +18,8 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from cagemap.deform.config import GraphConfig, Stage
-from cagemap.deform.energy import Admissible, ElasticEnergy, bounded_maps
+from cagemap.deform.energy import Admissible, Differentials, ElasticEnergy, bounded_maps, minimise
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.minimise import Differentials, minimise
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import (
     FloatArray,
@@ -34,6 +33,15 @@ from cagemap.numerics.factorization import factor
 from cagemap.surface.alignment import fit_similarity
 from cagemap.wrap.config import MendConfig, WrapConfig
 from cagemap.wrap.net import ControlNet, NetTerms, Samples, face_aspects, folded_faces
+
+# Messages for a net without a point that follows the source: from the beginning, and after mending.
+NOTHING_FOLLOWS = (
+    "weights: expected a part of the target that follows the source, got 0 everywhere. Give weights above 0."
+)
+ALL_RELEASED = (
+    "wrap: expected a net that folds in few places, got folds at all of its points, so that none follows the source. "
+    "Look at the map: it may fold there, or lead to another mesh."
+)
 
 Adjust = Callable[[FloatArray], FloatArray]
 
@@ -82,13 +90,11 @@ def whole_pieces(graph: ElasticGraph, points: IndexArray) -> list[IndexArray]:
     return [piece for piece in pieces if inside[piece].all()]
 
 
-def detached_pieces(graph: ElasticGraph, free: IndexArray) -> list[IndexArray]:
-    """Connected pieces of free points (k,) only, such as eyes; refuses a graph without other points."""
+def detached_pieces(graph: ElasticGraph, free: IndexArray, fault: str = NOTHING_FOLLOWS) -> list[IndexArray]:
+    """Connected pieces of free points (k,) only, such as eyes; ParameterError ``fault`` without other points."""
     pieces = whole_pieces(graph, free)
     if sum(map(len, pieces)) == graph.n:
-        raise ParameterError(
-            "weights: expected a part of the target that follows the source, got 0 everywhere. Give weights above 0."
-        )
+        raise ParameterError(fault)
     return pieces
 
 
@@ -212,7 +218,7 @@ def mend(
             released[graph.rings(lost, numbers.release_rings)] = 1.0
             weights = np.where(samples.rows @ released > numbers.share, 0.0, samples.weights)
             samples = replace(samples, weights=weights)
-            pieces = detached_pieces(graph, free_points(samples, config))
+            pieces = detached_pieces(graph, free_points(samples, config), ALL_RELEASED)
             if sum(map(len, pieces)) > len(detached):
                 positions, detached = (
                     adjust(carry_detached_pieces(graph, pieces, positions, config)),

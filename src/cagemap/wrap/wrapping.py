@@ -20,7 +20,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.detail import Detail, detail_over, own_transfer
 from cagemap.wrap.config import WrapConfig
-from cagemap.wrap.fit import fit_net, keep_positions, mend
+from cagemap.wrap.fit import NOTHING_FOLLOWS, fit_net, keep_positions, mend
 from cagemap.wrap.net import Samples, control_net, counterpart_mask, face_aspects, folded_faces
 
 # Message for a target without a cage.
@@ -105,9 +105,7 @@ def wrap(
     adjust = keep_positions if symmetry is None else partial(symmetrize, symmetry)
     follows = weights >= config.min_follow
     if not follows.any():
-        raise ParameterError(
-            "weights: expected a part of the target that follows the source, got 0 everywhere. Give weights above 0."
-        )
+        raise ParameterError(NOTHING_FOLLOWS)
     source = point_map.source
 
     def fitted(config: WrapConfig) -> tuple[Residual, FloatArray, Closest]:

@@ -160,7 +160,6 @@ def test_instances_with_other_geometric_transforms_keep_their_names(tmp_path: Pa
 
 
 def test_weights_shapes_and_joints_as_values(tmp_path: Path) -> None:
-    """For `transfer --weights`, `--blend-shapes` and `--joints`."""
     path = fbx_file(tmp_path, fbx_arm())
     mesh = read_mesh(path)
     assert read_attributes(path, mesh)[JOINT_WEIGHTS].shape == (6, 2)
@@ -232,3 +231,29 @@ def test_the_same_character_as_glb_and_as_fbx(shared_data: Path) -> None:
         assert np.abs(part.weights - twin.weights[:, joints]).max() < 1e-6
         for name, offsets in part.shapes.items():
             np.testing.assert_allclose(offsets, twin.shapes[name], atol=2e-6)
+
+
+@pytest.mark.parametrize("inherits", [True, False])
+def test_meshes_below_a_hidden_group_are_hidden_if_they_inherit_it(tmp_path: Path, inherits: bool) -> None:
+    made = fbx_arm()
+    group = made.add("Model", "helpers", "Null", properties(Visibility=0.0))
+    stated = () if inherits else (properties(Visibility_Inheritance=0),)
+    box = made.add("Model", "box", "Mesh", *stated, to=made.add("Model", "inner", "Null", to=group))
+    made.add("Geometry", "box", "Mesh", *BOX, to=box)
+    parts = read_character(fbx_file(tmp_path, made)).parts
+    assert [part.name for part in parts] == (["strip"] if inherits else ["strip", "box"])
+
+
+def test_joints_without_weights_whose_bind_matrix_has_no_inverse_are_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Their matrix places nothing; the file was refused."""
+    made = fbx_arm()
+    skin = next(one for one in made.objects if one.properties[2] == "Skin").properties[0]
+    flat = Node("Transform", (np.diag([1.0, 1.0, 0.0, 1.0]).ravel(),))
+    cluster = made.add("Deformer", "", "Cluster", flat, Node("TransformLink", (np.eye(4).ravel(),)), to=skin)
+    made.connect(made.add("Model", "dead", "LimbNode"), cluster)
+    character = read_character(fbx_file(tmp_path, made))
+    assert character.rig.names == ("upper", "lower")
+    assert character.parts[0].weights.shape == (6, 2)
+    assert "strip: 1 joint without weights left out of its skin; their bind matrices have no inverse" in caplog.text

@@ -80,7 +80,6 @@ def test_an_animation_that_begins_before_0_is_moved(tmp_path: Path, caplog: pyte
 
 
 def test_joints_posed_in_the_file_are_in_the_pose_of_the_bind(tmp_path: Path) -> None:
-    """Also the animation is what it is with an unposed file, where it moves the joint and where it does not."""
     plain, turned = (read_character(fbx_file(tmp_path, fbx_arm(posed=posed))) for posed in (False, True))
     for one in (plain, turned):
         np.testing.assert_allclose(one.rig.local, parent_transforms(one.rig.bind, one.rig.parents), atol=1e-6)

@@ -40,6 +40,7 @@ pytestmark = pytest.mark.usefixtures("fbx_server")
             b"; FBX 6.1.0 project file\nObjects: {{{\n",
             r"it is FBX 6\.1\.0 as text, without its end.*Export it again as binary",
         ),
+        ("; FBX 7.4.0 project file\n".encode("utf-16"), "it is FBX as text in UTF-16, expected UTF-8"),
         (Fbx().bytes(), "expected triangles"),
     ],
 )

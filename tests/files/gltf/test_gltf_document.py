@@ -10,13 +10,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 
 from cagemap.errors import FormatError
+from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import glb_bytes, read_document, write_document
 from cagemap.files.gltf.entries import read_accessor
 from cagemap.files.gltf.nodes import read_nodes
+from cagemap.files.gltf.parts import read_scene
+from cagemap.files.gltf.read import contents_of
+from cagemap.files.gltf.write import character_glb
+from cagemap.files.images.image import read_image
+from cagemap.files.inner_texture import extract_texture
 from cagemap.files.meshes.formats import read_mesh
 
 from gltf_scenes import Maker, arm, changed
@@ -176,3 +183,31 @@ def test_sparse_positions_need_no_buffer_view(tmp_path: Path) -> None:
     write_document(tmp_path / "huge.glb", make.document(accessors=[entry | {"count": 3_000_000_000}], **top))
     with pytest.raises(FormatError, match="has no data"):
         read_mesh(tmp_path / "huge.glb")
+
+
+def test_textures_that_are_webp_alone_are_read_and_written_as_png(tmp_path: Path) -> None:
+    """Their extension may be required, refers to no accessor, and its format is listed."""
+    output = oiio.ImageOutput.create(str(tmp_path / "image.webp"))
+    pixels = np.full((4, 4, 3), 200, dtype=np.uint8)
+    assert output.open(str(tmp_path / "image.webp"), oiio.ImageSpec(4, 4, 3, "uint8"))
+    assert output.write_image(pixels)
+    output.close()
+    given = arm()
+    binary, top = Binary(given), json.loads(json.dumps(given.json))
+    top["meshes"][0]["primitives"][0]["material"] = 0
+    top |= {
+        "extensionsUsed": ["EXT_texture_webp"],
+        "extensionsRequired": ["EXT_texture_webp"],
+        "materials": [{"name": "skin", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+        "textures": [{"extensions": {"EXT_texture_webp": {"source": 0}}}],
+        "images": [{"bufferView": binary.view((tmp_path / "image.webp").read_bytes()), "mimeType": "image/webp"}],
+    }
+    file = tmp_path / "hero.glb"
+    write_document(file, binary.document(top))
+    document = read_document(file)
+    assert contents_of(read_scene(document)).textures == ("skin baseColor (webp)",)
+    rebuilt, plain = (character_glb(character_of(one), one) for one in (document, changed(document, extensionsUsed=[])))
+    assert len(rebuilt.json["accessors"]) == len(plain.json["accessors"])
+    texture = extract_texture(file, read_mesh(file), tmp_path)
+    assert texture == tmp_path / "hero_texture.png"
+    np.testing.assert_array_equal(read_image(texture).pixels, read_image(tmp_path / "image.webp").pixels)

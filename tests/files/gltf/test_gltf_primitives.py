@@ -27,7 +27,6 @@ def _faces(mesh: ControlMesh) -> list[tuple[int, ...]]:
 
 
 def test_polygons_come_back_as_polygons(tmp_path: Path) -> None:
-    """Also faces round one vertex that all begin with it, which together look like one fan; of two materials."""
     angles = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     rim = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(12)])
     faces = [(0, 1, 2, 3), (0, 3, 4), (0, 4, 5, 6), (0, 6, 7, 8, 9, 10), (0, 10, 11), (0, 11, 12, 1)]
@@ -117,7 +116,6 @@ def test_a_mesh_that_no_node_uses_may_be_damaged() -> None:
 
 
 def test_normals_of_blend_shapes_come_back_and_turn_with_moved_faces() -> None:
-    """As stated where the mesh is unchanged, else as the shape turns the faces."""
     raised = np.zeros((6, 3))
     raised[:, 2] = [0.0, 0.5, 0.5, 0.0, 0.5, 0.0]  # x + 2 z = 0: the plane tilts about y
     stated = np.tile([-0.3, 0.1, -0.2], (6, 1))
@@ -136,3 +134,25 @@ def test_normals_of_blend_shapes_come_back_and_turn_with_moved_faces() -> None:
     edges = (moved.mesh.positions + shape)[moved.mesh.face_indices[[0, 1, 2]]]
     np.testing.assert_allclose(slope[0] @ (edges[1:] - edges[0]).T, 0.0, atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(slope, axis=1), 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("where", ["primitive", "accessors"])
+def test_names_of_blend_shapes_are_also_those_of_the_primitive_or_of_the_accessors(where: str) -> None:
+    """Early VRM files name them in the extras of primitives; written again, they are those of the mesh."""
+    document = _painted(POSITION=np.ones((6, 3)))
+    (primitive,) = document.json["meshes"][0]["primitives"]
+    if where == "primitive":
+        primitive["extras"] = {"targetNames": ["joy"]}
+    else:
+        document.json["accessors"][primitive["targets"][0]["POSITION"]]["name"] = "joy"
+    character = character_of(document)
+    assert list(character.parts[0].shapes) == ["joy"]
+    assert character_glb(character, document).json["meshes"][0]["extras"] == {"targetNames": ["joy"]}
+
+
+def test_equal_names_of_accessors_name_no_blend_shapes() -> None:
+    document = _painted(POSITION=np.ones((6, 3)))
+    (primitive,) = document.json["meshes"][0]["primitives"]
+    primitive["targets"] *= 2
+    document.json["accessors"][primitive["targets"][0]["POSITION"]]["name"] = "offsets"
+    assert list(character_of(document).parts[0].shapes) == ["shape 0", "shape 1"]

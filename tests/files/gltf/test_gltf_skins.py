@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.character.poses import pose_at, world_transforms
 from cagemap.character.values import skinned_positions
+from cagemap.errors import FormatError
 from cagemap.files.gltf.character import character_of
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.nodes import transform
@@ -117,32 +118,6 @@ def test_an_animated_armature_is_a_joint() -> None:
     np.testing.assert_array_equal(rig.parents, [-1, 0, 1])
 
 
-def test_skins_bound_in_other_poses_are_brought_together() -> None:
-    document = arm()
-    other = arm(bind=moved(0, 4, 0))
-    size = len(document.buffers[0])
-    count, views = len(document.json["accessors"]), len(document.json["bufferViews"])
-    joined = json.loads(json.dumps(document.json))
-    joined["bufferViews"] += [view | {"byteOffset": view["byteOffset"] + size} for view in other.json["bufferViews"]]
-    joined["accessors"] += [entry | {"bufferView": entry["bufferView"] + views} for entry in other.json["accessors"]]
-    second = json.loads(json.dumps(other.json["meshes"][0]))
-    primitive = second["primitives"][0]
-    primitive["attributes"] = {name: number + count for name, number in primitive["attributes"].items()}
-    primitive["indices"] += count
-    primitive["targets"] = [{"POSITION": primitive["targets"][0]["POSITION"] + count}]
-    joined["meshes"].append(second)
-    joined["nodes"].append({"name": "second", "mesh": 2, "skin": 1})
-    joined["scenes"][0]["nodes"].append(5)
-    joined["skins"].append(
-        {"joints": [1, 2], "inverseBindMatrices": other.json["skins"][0]["inverseBindMatrices"] + count}
-    )
-    joined["buffers"] = [{"byteLength": size + len(other.buffers[0])}]
-    character = character_of(replace(document, json=joined, buffers=(document.buffers[0] + other.buffers[0],)))
-    _, strip, again = character.parts
-    np.testing.assert_allclose(again.mesh.positions, strip.mesh.positions, atol=1e-6)
-    assert len(character.rig.names) == 2  # type: ignore[union-attr]
-
-
 def _two_skins() -> tuple[Document, np.ndarray, np.ndarray, np.ndarray]:
     """Two strips on the same joints, the second bound with its second joint bent; their points, weights and binds."""
     make, bent = Maker(), moved(1, 0, 0)
@@ -167,7 +142,6 @@ def _two_skins() -> tuple[Document, np.ndarray, np.ndarray, np.ndarray]:
 
 
 def test_joints_that_two_skins_bind_in_other_poses_move_both_as_the_file_says() -> None:
-    """Read, and written and read again."""
     document, points, weights, binds = _two_skins()
     character = character_of(document)
     pose = np.array([moved(0, 0, 0), moved(1, 0, 0)])
@@ -185,3 +159,21 @@ def test_joints_that_two_skins_bind_in_other_poses_move_both_as_the_file_says() 
             meant = np.einsum("va,vab->vb", np.column_stack([points[number], np.ones(6)]), blended)[:, :3]
             got = skinned_positions(part, rig, placed)
             np.testing.assert_allclose(got[np.lexsort(got.T.round(3))], meant[np.lexsort(meant.T.round(3))], atol=1e-5)
+
+
+def test_of_keys_at_the_same_time_the_last_one_counts(caplog: pytest.LogCaptureFixture) -> None:
+    document = arm()
+    times = document.json["animations"][0]["samplers"][0]["input"]
+    at = document.json["bufferViews"][document.json["accessors"][times]["bufferView"]]["byteOffset"]
+
+    def with_times(*stated: float) -> Document:
+        (data,) = document.buffers
+        return replace(document, buffers=(data[:at] + np.array(stated, "<f4").tobytes() + data[at + 12 :],))
+
+    (before,), (after,) = (character_of(one).animations for one in (document, with_times(0.0, 2.0, 2.0)))
+    for one, other in zip(before.tracks, after.tracks, strict=True):
+        np.testing.assert_array_equal(other.times, [0.0, 2.0])
+        np.testing.assert_array_equal(other.values, one.values[[0, 2]])
+    assert caplog.messages == ["made.glb: animations 0 has several keys at the same time, the last one is used"]
+    with pytest.raises(FormatError, match="rotation of lower: expected rising times"):
+        character_of(with_times(0.0, 2.0, 1.0))

@@ -246,7 +246,6 @@ def test_a_mesh_with_other_faces_is_written_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize("interpolation", ["LINEAR", "CUBICSPLINE"])
 @pytest.mark.parametrize("of_node", [False, True])
 def test_weights_of_shapes_follow_their_names(interpolation: str, of_node: bool) -> None:
-    """As where `face` adds shapes to a head that has animated ones, or another order is written."""
     made = lively()
     rows = 3 if interpolation == "LINEAR" else 9
     document = with_shape_weights(character_glb(made), "walk | fast", np.arange(2.0 * rows).reshape(rows, 2))
@@ -272,3 +271,16 @@ def test_weights_of_shapes_follow_their_names(interpolation: str, of_node: bool)
         for name, keys_of in expected.items():
             for one, other in zip(keys_of, found[name], strict=True):
                 np.testing.assert_array_equal(one, other)
+
+
+def test_variants_of_materials_stay_and_lost_values_of_primitives_are_named(caplog: pytest.LogCaptureFixture) -> None:
+    document = _textured()
+    strip = document.json["meshes"][0]["primitives"][0]
+    strip["attributes"] |= {"COLOR_1": 0, "_HEAT": 0}
+    variants = {"KHR_materials_variants": {"mappings": [{"material": 1, "variants": [0]}]}}
+    strip["extensions"] = variants | {"ACME_hair": {}}
+    again = character_glb(character_of(document), document)
+    (primitive,) = again.json["meshes"][0]["primitives"]
+    assert primitive["extensions"] == variants
+    assert "extensions" not in again.json["meshes"][1]["primitives"][0]
+    assert caplog.messages == ["made.glb: strip: ACME_hair, COLOR_1, _HEAT are left out, which cagemap does not read"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from cagemap.mesh.faces import face_areas, face_centres
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh
+from cagemap.mesh.schemes import Plain
 from cagemap.subdivision import with_options
 from cagemap.tasks.carry_character import _set_aside, carry_character, match_bodies
 from cagemap.tasks.progress import Stages
@@ -34,7 +36,7 @@ from cagemap.tasks.rig_character import _kinds, _landmarks, _split_body, charact
 
 from command_line import Run
 from example_character import ball, bare_body, write_character
-from plain_meshes import far_apart
+from plain_meshes import far_apart, marks_at
 from rigged import image_error, part_named, rig_done, same_order
 
 
@@ -101,7 +103,6 @@ def test_animated_shapes_need_no_skeleton(run: Run, files: Character) -> None:
 
 @pytest.mark.slow
 def test_what_the_body_has_of_its_own_stays_and_follows(run: Run, files: Character, body: ControlMesh) -> None:
-    """Also beside a passenger of the same name."""
     top = body.positions[np.argmax(body.positions[:, 1])]
     own, hat = ball("my_eye", top - [0, 0.3, 0], 0.1), ball("hat", top, 0.1)
     parts = Part("skin", body), Part("my_eye", own), Part("hat", hat)
@@ -200,7 +201,7 @@ def test_landmarks_between_vertices_and_curves_are_used(files: Character) -> Non
     _, target = read_body(Path("B.glb"))
     _, source = read_body(Path("C.glb"))
     parts = character_body(target, None, Path("B.glb")), character_body(source, "body", Path("C.glb"))
-    landmarks = _landmarks(
+    landmarks, _ = _landmarks(
         RigRequest(Path("B.glb"), Path("C.glb"), Path("O.glb"), Path("L.json")), parts, (target, source)
     )
     (rim,) = landmarks.curves
@@ -227,7 +228,6 @@ def test_a_loose_piece_of_the_body_is_said_to_be_carried_along(run: Run, files: 
 
 @pytest.mark.slow
 def test_a_character_whose_body_has_no_weights_is_named(run: Run, files: Character) -> None:
-    """Of an FBX file the clothes may be skinned and the body not."""
     bare, *others = files.parts
     write_character(Path("C.glb"), replace(files, parts=(replace(bare, weights=None), *others)))
     outcome = run("rig", "B.glb", "--like", "C.glb", "-o", "OUT.glb")
@@ -252,6 +252,17 @@ def test_a_loose_piece_keeps_what_its_vertices_and_corners_have(body: ControlMes
 
 
 @pytest.mark.slow
+def test_a_kind_of_an_unknown_passenger_is_refused_before_the_match(
+    files: Character, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cagemap.tasks.carry_character.match_bodies", lambda *_: pytest.fail("matched"))
+    request = RigRequest(Path("B.glb"), Path("C.glb"), Path("O.glb"), rigid="hta")
+    with pytest.raises(
+        ParameterError, match=r"hta: expected one of the passengers, hat, eye, body pieces \(rig: --rig"
+    ):
+        tasks.run(request)
+
+
 @pytest.mark.parametrize("own_part", [False, True])
 def test_a_piece_that_the_body_has_itself_is_not_carried(body: ControlMesh, own_part: bool) -> None:
     """The source's button and ring, onto a body with a button, or beside a part that is a button."""
@@ -292,7 +303,6 @@ def test_feet_that_are_pieces_are_not_carried_to_a_body_with_feet() -> None:
 
 
 def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
-    """Of many characters only head and hands are there: the rest was deleted under the clothes."""
     balls = [ball("piece", np.array([x, 0.0, 0.0]), size) for x, size in ((0.0, 0.15), (-0.9, 0.1), (0.9, 0.1))]
     mesh = join_meshes([replace(one, face_objects=None, object_names=()) for one in balls])
     body = Part("skin", with_options(replace(mesh, name="C.glb"), "none"))
@@ -318,8 +328,7 @@ def test_a_real_character_on_another_body(
     if body_file == "target_B_body.glb":  # the other one shows what the usual fit does, without landmarks
         request.getfixturevalue("quick_fit")
         same = far_apart(read_mesh(rigs / body_file).positions, 30)  # both bodies have the same vertices
-        names = tuple(map(str, same))
-        write_landmarks("l.json", Landmarks(names, same, same, body_file, "character_A.glb"))
+        write_landmarks("l.json", marks_at(same, body_file, "character_A.glb"))
         marks = ["--landmarks", "l.json"]
     run.done("rig", rigs / body_file, "--like", rigs / "character_A.glb", "-o", "OUT.glb", "--size", 256, *marks)
     made, truth = read_character("OUT.glb"), read_character(rigs / "truth" / "character_B.glb")
@@ -342,3 +351,19 @@ def test_a_body_in_several_joined_parts_is_named() -> None:
     (said,) = _split_body(Path("man.fbx"), Character((*halves, shell)), legs)
     assert "man.fbx: legs alone is matched as the body, but top continues it" in said
     assert _split_body(Path("man.fbx"), Character((legs, shell)), legs) == []
+
+
+def test_landmarks_that_are_left_out_and_warnings_of_the_map_are_said(
+    body: ControlMesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pieces = body, ball("button", np.array([0.0, 0.0, 9.0]), 0.1)
+    whole = join_meshes([replace(one, face_objects=None, object_names=()) for one in pieces])
+    part = Part("body", replace(whole, name="body.obj", scheme=Plain()))
+    check = {"suspects": [{"message": "nose: left out"}], "notes": []}
+    result = SimpleNamespace(manifest={"landmark_check": check}, quality=SimpleNamespace(warnings=["5 % is folded"]))
+    monkeypatch.setattr("cagemap.tasks.carry_character.prepare_surfaces", lambda *given: (None, None))
+    monkeypatch.setattr("cagemap.tasks.carry_character.match", lambda *given, progress: result)
+    spots = np.array([3, whole.n_vertices - 1])
+    bodies = match_bodies(part, part, Landmarks(("nose", "button"), spots, spots, "a", "b"), Stages())
+    lost = "1 of 2 landmarks lie on pieces that are set aside and are left out"
+    assert bodies.notes == (lost, "nose: left out", "5 % is folded")

@@ -12,20 +12,21 @@ from cagemap.character.values import Character, Part
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.material_images import material_images, png_bytes, read_material_image
 from cagemap.files.gltf.write import character_glb
-from cagemap.files.images.image import Image
-from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.images.image import Image, write_image
+from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.tasks.carry_character import with_part
+from cagemap.tasks.rig_character import read_body
 from cagemap.tasks.rig_materials import with_uvs_in_unit_square
 
 from command_line import Run
 from example_character import ball, character, with_material, write_character
+from example_result import textured_cube
 from rigged import part_named, rig_done, same_order
 
 
 def test_images_that_lie_on_no_uvs_are_left_out_aloud(run: Run, files: Character) -> None:
-    """A rig was refused after its match where the mesh had no texture coordinates for an image."""
     document = read_document("C.glb")
     material = document.json["materials"][0]
     color = material["pbrMetallicRoughness"]["baseColorTexture"]
@@ -64,7 +65,6 @@ def test_a_texture_continues_outside_the_unit_square_by_its_sampler(
 
 @pytest.mark.slow
 def test_textures_of_the_body_and_of_its_own_parts_stay(run: Run, files: Character, body: ControlMesh) -> None:
-    """Those of its own eye always, those of the body if asked for; names that both files have are told apart."""
     own = ball("my_eye", body.positions[np.argmax(body.positions[:, 1])] - [0, 0.3, 0], 0.1)
     own = replace(own.with_uvs(own.positions[:, :2] % 1.0, own.face_indices), material_names=("eye",))
     images = {
@@ -129,3 +129,29 @@ def test_vertex_colors_come_with_the_texture_they_tint(
     np.testing.assert_allclose(
         kept.mesh.vertex_colors, np.tile([1.0, 0.0, 0.0], (len(kept.mesh.positions), 1)), atol=1e-4
     )
+
+
+def test_a_body_of_an_obj_file_keeps_the_image_of_its_material(tmp_path: Path) -> None:
+    file = tmp_path / "B.obj"
+    mesh = textured_cube(file.name)
+    write_mesh(file, replace(mesh, face_materials=np.zeros(mesh.n_faces, np.int64), material_names=("skin",)))
+    file.write_text(f"mtllib B.mtl\n{file.read_text()}")
+    (tmp_path / "B.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
+    write_image(tmp_path / "skin.png", np.full((2, 2, 3), 200, np.uint8))
+    document, made = read_body(file)
+    write_document(tmp_path / "C.glb", character_glb(made, document))
+    assert [image.slot for image in material_images(read_document(tmp_path / "C.glb"), "skin")] == ["baseColorTexture"]
+    assert read_mesh(tmp_path / "C.glb").material_names == ("skin",)
+
+
+def test_a_body_whose_uvs_are_all_in_one_point_is_unwrapped() -> None:
+    mesh = textured_cube("B.obj").with_uvs(np.zeros((1, 2)), np.zeros(24, np.int64))
+    assert not mesh.has_layout
+    assert with_uvs_in_unit_square(mesh).has_layout
+
+
+def test_a_body_whose_layout_lies_over_itself_is_said(
+    run: Run, files: Character, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cagemap.tasks.rig_materials.target_overlap_warnings", lambda control: ["it lies over itself"])
+    assert "it lies over itself" in run.done("rig B.glb --like C.glb -o OUT.glb --size 16").err

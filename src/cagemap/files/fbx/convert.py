@@ -105,6 +105,16 @@ def _instance(node: Any) -> _Instance:
     return get(node, "mesh", "typed_id"), row_matrix(get(node, "geometry_to_node")).tobytes()
 
 
+def _is_hidden(node: Any) -> bool:
+    """Whether a node, or one above it whose visibility it inherits, is invisible."""
+    while node is not None:
+        if not get(node, "visible"):
+            return True
+        inherits = get(node, "props").find_bool("Visibility Inheritance", True)
+        node = get(node, "parent") if inherits else None
+    return False
+
+
 class _Scene:
     """A glTF document built from an FBX scene."""
 
@@ -178,7 +188,7 @@ class _Scene:
         mesh = self._mesh(node)
         if mesh is None:
             return entry
-        if not get(node, "visible"):
+        if _is_hidden(node):
             self._note(f"{get(node, 'name')} is hidden and left out")
             return entry
         instance = _instance(node)

@@ -10,9 +10,8 @@ import numpy as np
 import ufbx
 
 from cagemap.files.fbx.meshes import finite_array, get, keep_alive, list_attribute
-from cagemap.files.gltf.added_textures import AddedTextures
 from cagemap.files.gltf.binary import Binary
-from cagemap.files.gltf.textures import CLAMP, REPEAT
+from cagemap.files.gltf.textures import CLAMP, REPEAT, AddedTextures, scale_and_angle
 from cagemap.files.text import find_image
 from cagemap.numerics.arrays import FloatArray
 
@@ -167,9 +166,7 @@ def _transform(texture: Any, where: str) -> dict[str, Any] | None:
     if np.linalg.det(rows) == 0.0:
         return None
     down: FloatArray = flip @ np.linalg.inv(rows) @ flip
-    across = float(np.hypot(*down[0, :2]))
-    angle = float(np.arctan2(-down[0, 1], down[0, 0]))
-    scale = [across, float(np.linalg.det(down[:2, :2])) / max(across, 1e-30)]
+    *scale, angle = scale_and_angle(down)
     c, s = np.cos(angle), np.sin(angle)
     if np.abs(np.diag(scale) @ [[c, -s], [s, c]] - down[:2, :2]).max() > _MATRIX_ROUNDING * max(map(abs, scale)):
         return None

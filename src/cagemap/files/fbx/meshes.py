@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from cagemap.errors import FormatError
+from cagemap.files.gltf.nodes import is_invertible
 from cagemap.files.gltf.parts import transform_normals
 from cagemap.files.text import make_distinct
 from cagemap.mesh import ControlMesh, Plain
@@ -131,8 +132,6 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
     if any(np.any(np.array(one, dtype=np.float64) > 0.0) for one in creased if len(one)):
         note(f"{name}: creases are left out; OBJ and USD files keep them")
     shapes = _shapes(mesh, control, placed[:3, :3], note)
-    fbx_mesh = FbxMesh(control, shapes={word: offsets for word, (offsets, _) in shapes.items()})
-    channels = tuple(channel for _, channel in shapes.values())
     normals, colors = (_corner_values(get(mesh, what), corners) for what in ("vertex_normal", "vertex_color"))
     if normals is not None:
         bad = ~np.isfinite(normals.sum(axis=1))
@@ -142,7 +141,13 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
     if colors is not None:
         colors = finite_array(colors, f"mesh {name}: colors").clip(0.0, 1.0)
         colors[:, :3] = decode_srgb(colors[:, :3])
-    fbx_mesh = replace(fbx_mesh, channels=channels, normals=normals, colors=colors)
+    fbx_mesh = FbxMesh(
+        control,
+        shapes={word: offsets for word, (offsets, _) in shapes.items()},
+        channels=tuple(channel for _, channel in shapes.values()),
+        normals=normals,
+        colors=colors,
+    )
     return _with_skin(mesh, fbx_mesh, note)
 
 
@@ -222,7 +227,15 @@ def _with_skin(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh
     weights.sum_duplicates()
     weights.eliminate_zeros()
     inverse = finite_array([matrices[bone] for bone in bones], f"mesh {name}: bind pose of the skin")
-    return replace(made, weights=weights, bones=bones, inverse_bind=inverse)
+    kept = is_invertible(inverse) | (weights.sum(axis=0) > 0.0)
+    if not kept.all():
+        left = count_noun(int((~kept).sum()), "joint")
+        note(f"{name}: {left} without weights left out of its skin; their bind matrices have no inverse")
+    joints = np.flatnonzero(kept)
+    if not len(joints):
+        return made
+    of_joints = tuple(bones[joint] for joint in joints)
+    return replace(made, weights=weights[:, joints], bones=of_joints, inverse_bind=inverse[joints])
 
 
 def _vertices(value: Any, name: str, control: ControlMesh) -> IndexArray:

@@ -65,6 +65,8 @@ def kind_of(content: bytes) -> str:
     if found := _TEXT.match(content):
         whole = content.count(b"{") == content.count(b"}")
         return f"FBX {found[1].decode()} as text{'' if whole else ', without its end'}"
+    if content.startswith((b"\xff\xfe;\0", b"\xfe\xff\0;")):
+        return "FBX as text in UTF-16, expected UTF-8"
     return f"no FBX: it begins with {content[:12]!r}"
 
 

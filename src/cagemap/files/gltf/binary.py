@@ -15,6 +15,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # Targets of buffer views.
 VERTICES, INDICES = 34962, 34963
+DRACO = "KHR_draco_mesh_compression"
 # Extension that marks polygons: consecutive triangles with a common first vertex are the fan of one.
 NGONS = "FB_ngon_encoding"
 # Extra of a primitive: faces whose fan does not begin at their first corner, and the corner where it begins.
@@ -22,6 +23,15 @@ STARTS = "cagemap_fan_starts"
 # glTF's numbers of component types, by kind and size: the letters of numpy's types differ between systems.
 COMPONENTS = {kind.removeprefix("<"): number for number, kind in COMPONENT_TYPES.items()}
 SHAPES = {columns: shape for shape, columns in COLUMNS.items()}
+_KNOWN = {
+    *(DRACO, NGONS, "KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp", "KHR_lights_punctual", "VRM")
+}
+_KNOWN_FAMILIES = ("KHR_materials_", "VRMC_")
+
+
+def is_known_extension(name: object) -> bool:
+    """Whether an extension may be required, and refers to no accessors or buffer views (Draco's is decompressed)."""
+    return isinstance(name, str) and (name in _KNOWN or name.startswith(_KNOWN_FAMILIES))
 
 
 class Binary:
@@ -108,10 +118,6 @@ def corners_from(offsets: IndexArray, starts: IndexArray) -> IndexArray:
     return np.asarray(np.repeat(offsets[:-1], sizes) + place % np.repeat(sizes, sizes))
 
 
-# Extensions that refer to no accessors or buffer views; with any other extension nothing is removed.
-_KNOWN = {NGONS, "KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual", "VRM"}
-_KNOWN_FAMILIES = ("KHR_materials_", "VRMC_")
-
 _Holder = tuple[dict[str, Any], str]
 
 
@@ -120,8 +126,7 @@ def remove_unused(document: Document) -> Document:
 
     Meshes, textures and images stay, used or not, since extensions refer to them by number.
     """
-    used = document.entries("extensionsUsed")
-    if not all(str(name) in _KNOWN or str(name).startswith(_KNOWN_FAMILIES) for name in used):
+    if not all(map(is_known_extension, document.entries("extensionsUsed"))):
         return document
     top = json.loads(json.dumps(document.json))
     top["accessors"] = _take_used_entries(top.get("accessors", []), list(_accessor_references(top)))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, cast, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cagemap.character.poses import quaternion_product
@@ -110,12 +111,13 @@ def read_shape_keys(scene: Scene, animation: int | None) -> dict[tuple[str, str]
         names = names_of.get(number, [])
         if path != "weights" or not names:
             continue
-        times, interpolation = _keys(document, sampler, where)
+        times, last, interpolation = _keys(document, sampler, where)
         between = (3,) if interpolation == "CUBICSPLINE" else ()
         count = len(times) * len(names) * int(np.prod(between))
         values = read_accessor(document, sampler.get("output"), where, ("SCALAR",), count).astype(np.float64)
         values = values.reshape(len(times), *between, len(names))
-        keys |= {name: (times, values[..., [place]], interpolation) for place, name in enumerate(names)}
+        values = values[last]
+        keys |= {name: (times[last], values[..., [place]], interpolation) for place, name in enumerate(names)}
     return keys
 
 
@@ -128,36 +130,44 @@ def _channels(document: Document, entry: dict[str, Any], where: str) -> Iterator
             yield target["node"], target["path"], samplers[channel["sampler"]]
 
 
-def _keys(document: Document, sampler: dict[str, Any], where: str) -> tuple[FloatArray, Interpolation]:
-    """Rising times (k,) of a sampler, and its interpolation."""
+def _keys(
+    document: Document, sampler: dict[str, Any], where: str
+) -> tuple[FloatArray, NDArray[np.bool_], Interpolation]:
+    """Times (k,) of a sampler, which keys to use (the last one of several at the same time), and its interpolation."""
     interpolation = sampler.get("interpolation", "LINEAR")
     if interpolation not in get_args(Interpolation):
         document.refuse(where, f"expected the interpolation {', '.join(get_args(Interpolation))}")
     times = read_accessor(document, sampler.get("input"), where, ("SCALAR",)).astype(np.float64)
-    if np.any(np.diff(times) <= 0.0):
+    steps = np.diff(times)
+    if (steps < 0.0).any():
         document.refuse(where, "expected rising times")
-    return times, interpolation
+    return times, np.append(steps > 0.0, True), interpolation
 
 
 def _tracks(document: Document, joints: Joints, entry: dict[str, Any], where: str) -> list[Track]:
-    return [
-        _track(document, joints, node, cast(Channel, path), sampler, where)
+    channels = [
+        (node, cast(Channel, path), sampler)
         for node, path, sampler in _channels(document, entry, where)
         if path != "weights" and joints.joint_of[node] >= 0
     ]
+    tracks = [_track(document, joints, *channel, where) for channel in channels]
+    inputs = {sampler["input"]: sampler for _, _, sampler in channels}
+    if not all(_keys(document, sampler, where)[1].all() for sampler in inputs.values()):
+        _log.warning("%s: %s has several keys at the same time, the last one is used", document.file, where)
+    return tracks
 
 
 def _track(
     document: Document, joints: Joints, node: int, channel: Channel, sampler: dict[str, Any], where: str
 ) -> Track:
     where = f"{where}: {channel} of {joints.rig.names[joints.joint_of[node]]}"
-    times, interpolation = _keys(document, sampler, where)
+    times, last, interpolation = _keys(document, sampler, where)
     keys = 3 if interpolation == "CUBICSPLINE" else 1
     values = read_accessor(document, sampler.get("output"), where, (_TYPES[channel],), keys * len(times))
     values = values.astype(np.float64)
     if keys == 3:
         values = values.reshape(len(times), 3, -1)
-    values = to_rig_space(values, channel, joints.above[node], tangents=keys == 3)
+    values = to_rig_space(values[last], channel, joints.above[node], tangents=keys == 3)
     signs = scale_signs(document, node)
     if channel == "scale":
         values = values * signs
@@ -168,7 +178,7 @@ def _track(
         if not (lengths > 0.0).all():
             document.refuse(where, "expected rotations, got quaternions of length 0")
         values = values / lengths
-    return Track(int(joints.joint_of[node]), channel, times, values, interpolation)
+    return Track(int(joints.joint_of[node]), channel, times[last], values, interpolation)
 
 
 def animation_entries(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
 from cagemap.files.fbx.read import fbx_as_glb
-from cagemap.files.gltf.binary import COMPONENTS, INDICES, VERTICES, Binary
+from cagemap.files.gltf.binary import COMPONENTS, DRACO, INDICES, VERTICES, Binary, is_known_extension
 from cagemap.files.gltf.entries import (
     REMEDY,
     Document,
@@ -31,8 +31,6 @@ from cagemap.files.gltf.entries import (
 from cagemap.files.ownership import mark
 from cagemap.files.text import read_bytes, whole_characters
 from cagemap.numerics.arrays import shown
-
-DRACO = "KHR_draco_mesh_compression"
 
 
 def decompress_draco(document: Document) -> Document:
@@ -126,9 +124,6 @@ def _decode_draco(document: Document, data: bytes, where: str) -> Any:
 GLTF_SUFFIXES = (".glb", ".gltf", ".vrm")
 # Suffixes of files that are read as a glTF document.
 SCENE_SUFFIXES = (*GLTF_SUFFIXES, ".fbx")
-# Required extensions that do not affect what is read here, or are handled; with others data would be misread.
-_UNDERSTOOD = {DRACO, "KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual", "VRM"}
-_UNDERSTOOD_FAMILIES = ("KHR_materials_", "VRMC_")
 _TRANSFORM = "`gltf-transform cp IN.glb OUT.glb` (npm package @gltf-transform/cli) writes the file without it"
 _WAYS_ROUND = {
     "EXT_meshopt_compression": _TRANSFORM,
@@ -203,7 +198,7 @@ def _parse_json(file: Path, text: bytes) -> dict[str, Any]:
 
 def _require_understood(document: Document) -> None:
     for name in document.entries("extensionsRequired"):
-        if not isinstance(name, str) or not (name in _UNDERSTOOD or name.startswith(_UNDERSTOOD_FAMILIES)):
+        if not is_known_extension(name):
             remedy = _WAYS_ROUND.get(str(name), "Export it without this extension")
             word = whole_characters(str(name))
             raise FormatError(f"{document.file}: requires the extension {word}, which cagemap does not read. {remedy}.")

@@ -17,7 +17,7 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.primitives import material_names
-from cagemap.files.gltf.textures import MIRROR, REPEAT, texture_slots
+from cagemap.files.gltf.textures import MIRROR, REPEAT, WITHOUT_IMAGE, image_number, texture_slots
 from cagemap.files.images.image import Image, Pixels, image_of_bytes, write_image
 from cagemap.files.ownership import seal
 from cagemap.numerics.arrays import FloatArray
@@ -25,7 +25,6 @@ from cagemap.numerics.arrays import FloatArray
 _log = logging.getLogger(__name__)
 
 _TRANSFORM = "KHR_texture_transform"
-_WEBP = "EXT_texture_webp"
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,10 +146,13 @@ def with_copied_materials(
 
 
 def _with_slots(entry: dict[str, Any], kept: Collection[str]) -> dict[str, Any]:
-    """A material without its other textures."""
+    """A material without its other textures, and without the factors that they had."""
     others = {slot for slot, _ in texture_slots(entry)} - set(kept)
     tables = {name: _with_slots(value, kept) for name, value in entry.items() if isinstance(value, dict)}
-    return {name: tables.get(name, value) for name, value in entry.items() if name not in others}
+    left = {name: tables.get(name, value) for name, value in entry.items() if name not in others}
+    for slot in others.intersection(entry):
+        left |= WITHOUT_IMAGE.get(slot, {})
+    return left
 
 
 def _number(document: Document, material: str) -> int:
@@ -163,8 +165,7 @@ def _number(document: Document, material: str) -> int:
 def _image(document: Document, material: str, slot: str, holder: dict[str, Any]) -> MaterialImage | None:
     where = f"material {material}: {slot}"
     texture = document.entry("textures", holder["index"], where)
-    webp = document.table(document.table(texture, "extensions", where), _WEBP, where)
-    source = texture.get("source", webp.get("source"))
+    source = image_number(document, texture, where)
     if source is None:
         others = ", ".join(texture.get("extensions", ())) or "none stated"
         _log.warning(

@@ -100,22 +100,11 @@ def scale_signs(document: Document, number: int) -> FloatArray:
     return np.asarray(signs * signs.prod())
 
 
-def rotation_matrix(quaternion: FloatArray) -> FloatArray:
-    """(..., 3, 3) rotations, for points as rows, of quaternions (..., 4) x, y, z, w of any length but 0."""
-    length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
-    x, y, z, w = np.moveaxis(quaternion / np.where(length > 0.0, length, 1.0), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)],
-        [2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)],
-        [2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
 def transform(translation: FloatArray, quaternion: FloatArray, scale: FloatArray) -> FloatArray:
-    """(4, 4) matrix for points as rows: scales, rotates, translates."""
+    """(4, 4) matrix for points as rows: scales, rotates, translates. A quaternion of length 0 rotates nothing."""
+    rotation = Rotation.from_quat(quaternion if np.linalg.norm(quaternion) > 0.0 else _REST["rotation"])
     matrix = np.eye(4)
-    matrix[:3, :3] = scale[:, None] * rotation_matrix(quaternion)
+    matrix[:3, :3] = scale[:, None] * rotation.as_matrix().T
     matrix[3, :3] = translation
     return matrix
 

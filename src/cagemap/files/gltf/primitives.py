@@ -47,13 +47,30 @@ def material_names(document: Document) -> tuple[str, ...]:
 
 
 def shape_names(document: Document, number: int, count: int) -> tuple[str, ...]:
-    """Unique names of a mesh's morph targets: ``targetNames`` of the mesh's extras, or numbers."""
-    extras = document.entry("meshes", number).get("extras")
+    """Unique names of a mesh's morph targets, or numbers.
+
+    They are ``targetNames`` of the mesh's extras, else those of its first primitive (early VRM), else names of
+    accessors.
+    """
+    mesh = document.entry("meshes", number)
+    first = next((one for one in document.entries("primitives", mesh) if isinstance(one, dict)), {})
+    named = next(filter(None, (_stated_names(entry, count) for entry in (mesh, first))), ())
+    return make_distinct(named or _accessor_names(document, first, count) or [f"shape {n}" for n in range(count)])
+
+
+def _stated_names(entry: dict[str, Any], count: int) -> list[str]:
+    """``targetNames`` of the extras of a mesh or primitive; none if they are not names of all targets."""
+    extras = entry.get("extras")
     stated = extras.get("targetNames") if isinstance(extras, dict) else None
-    stated = stated if isinstance(stated, list) else []
-    words = [word for word in stated[:count] if isinstance(word, str)]
-    named = [whole_characters(word) for word in words] if len(words) == count else []
-    return make_distinct(named or [f"shape {target}" for target in range(count)])
+    words = [word for word in stated[:count] if isinstance(word, str)] if isinstance(stated, list) else []
+    return [whole_characters(word) for word in words] if len(words) == count else []
+
+
+def _accessor_names(document: Document, primitive: dict[str, Any], count: int) -> list[str]:
+    """Names of the accessors of a primitive's morph targets; none if they are not all different."""
+    targets = document.entries("targets", primitive)
+    words = [document.name("accessors", target["POSITION"]) for target in targets if "POSITION" in target]
+    return words if all(words) and len(set(words)) == count else []
 
 
 def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArrays | None:

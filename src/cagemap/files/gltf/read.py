@@ -19,7 +19,7 @@ from cagemap.files.gltf.document import GLTF_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.parts import ReadPart, Scene, read_scene
 from cagemap.files.gltf.primitives import material_names
-from cagemap.files.gltf.textures import texture_slots
+from cagemap.files.gltf.textures import image_number, texture_slots
 from cagemap.files.text import whole_characters
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
@@ -181,8 +181,8 @@ def _textures(document: Document) -> tuple[str, ...]:
     textures = []
     for number, name in enumerate(material_names(document)):
         for slot, holder in texture_slots(document.entry("materials", number)):
-            texture = document.entry("textures", holder["index"], f"materials {number}")
-            source = texture.get("source")
+            where = f"materials {number}"
+            source = image_number(document, document.entry("textures", holder["index"], where), where)
             form = "" if source is None else f" ({_image_form(document, source)})"
             textures.append(f"{name} {slot.removesuffix('Texture')}{form}")
     return tuple(textures)

@@ -1,4 +1,4 @@
-"""Textures of materials in glTF documents; copies of materials from one document to another."""
+"""Textures of materials in glTF documents: images are replaced or added, and materials copied between documents."""
 
 from __future__ import annotations
 
@@ -6,14 +6,24 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document, image_bytes, image_suffix, image_type
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.text import make_distinct
+from cagemap.numerics.arrays import FloatArray
 
 _COLOR = "baseColorTexture"
+WEBP = "EXT_texture_webp"
 REPEAT, CLAMP, MIRROR = 10497, 33071, 33648  # wrap modes of samplers
+
+# Factors in place of an image that is left out: those of the image would make the surface a mirror, or glow.
+WITHOUT_IMAGE: dict[str, dict[str, Any]] = {
+    "metallicRoughnessTexture": {"metallicFactor": 0.0, "roughnessFactor": 0.5},
+    "emissiveTexture": {"emissiveFactor": [0.0, 0.0, 0.0]},
+}
 
 
 def texture_slots(material: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -25,6 +35,22 @@ def texture_slots(material: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, 
             yield name, value
         elif name != "extras":
             yield from texture_slots(value)
+
+
+def image_number(document: Document, texture: dict[str, Any], where: str) -> Any:
+    """The number of a texture's image, of its WebP image if it has no other; None without one."""
+    webp = document.table(document.table(texture, "extensions", where), WEBP, where)
+    return texture.get("source", webp.get("source"))
+
+
+def scale_and_angle(transform: FloatArray) -> tuple[float, float, float]:
+    """Scales along u and v, and angle in radians, of a transform (3, 3) of texture coordinates as rows, v down.
+
+    It is that of KHR_texture_transform if the transform has no shear.
+    """
+    across = float(np.hypot(*transform[0, :2]))
+    angle = float(np.arctan2(-transform[0, 1], transform[0, 0]))
+    return across, float(np.linalg.det(transform[:2, :2])) / max(across, 1e-30), angle
 
 
 def with_images(document: Document, images: Mapping[tuple[str, str], bytes]) -> Document:
@@ -82,7 +108,7 @@ def _slot(material: dict[str, Any], slot: str, document: Document) -> dict[str, 
 
 
 # Extensions of materials and textures, or their beginnings.
-_OF_MATERIALS = ("KHR_materials_", "KHR_texture_transform", "EXT_texture_webp")
+_OF_MATERIALS = ("KHR_materials_", "KHR_texture_transform", WEBP)
 
 
 def with_materials_of(document: Document, given: Document, names: Sequence[str]) -> tuple[Document, dict[str, str]]:
@@ -122,3 +148,47 @@ def _with_texture(binary: Binary, top: dict[str, Any], given: Document, number: 
         entry["sampler"] = len(top["samplers"]) - 1
     top.setdefault("textures", []).append(entry)
     return len(top["textures"]) - 1
+
+
+class AddedTextures:
+    """Adds textures to the lists of ``top``, the JSON of a document; equal images and samplers are added once."""
+
+    def __init__(self, binary: Binary, top: dict[str, Any]) -> None:
+        self._binary, self._top = binary, top
+        self._images: dict[bytes, int | None] = {}
+
+    def image(self, data: bytes, suffix: str) -> int | None:
+        """Number of an image; of another format than PNG and JPEG as PNG. None if it cannot be read."""
+        if data not in self._images:
+            self._images[data] = self._add_image(data, suffix)
+        return self._images[data]
+
+    def texture(self, image: int, wraps: tuple[int, int], transform: dict[str, Any] | None = None) -> dict[str, Any]:
+        """What refers to a new texture; ``transform``: that of KHR_texture_transform."""
+        sampler = dict(zip(("wrapS", "wrapT"), wraps, strict=True))
+        samplers: list[Any] = self._top.setdefault("samplers", [])
+        if sampler not in samplers:
+            samplers.append(sampler)
+        entry = {"source": image, "sampler": samplers.index(sampler)}
+        textures: list[Any] = self._top.setdefault("textures", [])
+        if entry not in textures:
+            textures.append(entry)
+        holder: dict[str, Any] = {"index": textures.index(entry)}
+        if transform:
+            self._binary.extensions.add("KHR_texture_transform")
+            holder["extensions"] = {"KHR_texture_transform": transform}
+        return holder
+
+    def _add_image(self, data: bytes, suffix: str) -> int | None:
+        stored = image_suffix(data)
+        if stored not in (".png", ".jpg"):
+            from cagemap.files.gltf.material_images import png_bytes
+            from cagemap.files.images.image import image_of_bytes
+
+            try:
+                data, stored = png_bytes(image_of_bytes(data, suffix, "texture")), ".png"
+            except FormatError:
+                return None
+        images: list[Any] = self._top.setdefault("images", [])
+        images.append({"bufferView": self._binary.view(data), "mimeType": image_type(stored)})
+        return len(images) - 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from cagemap.character.normals import move_vertices
 from cagemap.character.values import Character, Part, Rig
 from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
-from cagemap.files.gltf.binary import Binary, remove_unused
+from cagemap.files.gltf.binary import NGONS, Binary, remove_unused
 from cagemap.files.gltf.character import animation_entries, character_of, reorder_columns
 from cagemap.files.gltf.document import glb_bytes, read_document, write_document
 from cagemap.files.gltf.entries import Document
@@ -24,11 +25,14 @@ from cagemap.files.gltf.nodes import decompose_transform, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene, transform_normals, transform_offsets
 from cagemap.files.gltf.primitives import material_names, shape_names
 from cagemap.files.gltf.textures import with_images
+from cagemap.files.text import whole_characters
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV, UvSet
 from cagemap.mesh.faces import merged_corners, reversed_corners
 from cagemap.mesh.plain import turn_faces
 from cagemap.numerics.arrays import FloatArray
+
+_log = logging.getLogger(__name__)
 
 
 def write_glb(path: str | Path, mesh: ControlMesh, *, to_metres: FloatArray | None = None, force: bool = False) -> None:
@@ -63,6 +67,9 @@ def material_entry(mesh: ControlMesh, number: int) -> dict[str, Any]:
     return {"name": mesh.material_names[number], "pbrMetallicRoughness": surface}
 
 
+_VARIANTS = "KHR_materials_variants"
+# Tangents are not read either: programs compute them.
+_READ_ATTRIBUTES = re.compile(r"POSITION|NORMAL|TANGENT|COLOR_0|TEXCOORD_\d+|(JOINTS|WEIGHTS)_[0-7]")
 # Relative to the largest number of a transform: with a smaller change the document's transform stays.
 _SAME_LOCAL = 1e-6
 
@@ -170,10 +177,32 @@ class _Made:
             shape_normals=shape_normals,
             colors=colors,
         )
+        if node in self._mesh_of_node:
+            self._copy_variants(part.name, self._mesh_of_node[node], mesh_data)
         entry = self._nodes[node]
         if skinned:
             entry["skin"] = 0
         entry["mesh"] = self._mesh_number(node, mesh_data)
+
+    def _copy_variants(self, name: str, number: int, made: dict[str, Any]) -> None:
+        """Copy material variants of a given mesh to a new one, by material; warn of what its primitives lose."""
+        assert self._scene is not None
+        document = self._scene.document
+        lost: set[str] = set()
+        variants: dict[Any, Any] = {}
+        for primitive in document.entries("primitives", document.entry("meshes", number)):
+            extensions = document.table(primitive, "extensions", name)
+            lost |= {word for word in extensions if word not in (_VARIANTS, NGONS)}
+            lost |= {word for word in primitive.get("attributes", {}) if not _READ_ATTRIBUTES.fullmatch(word)}
+            if _VARIANTS in extensions:
+                variants.setdefault(primitive.get("material"), extensions[_VARIANTS])
+        for primitive in made["primitives"]:
+            if primitive.get("material") in variants:
+                stated = {_VARIANTS: variants[primitive.get("material")]}
+                primitive["extensions"] = primitive.get("extensions", {}) | stated
+        if lost:
+            text = "%s: %s: %s are left out, which cagemap does not read"
+            _log.warning(text, document.file, name, ", ".join(sorted(map(whole_characters, lost))))
 
     def _mesh_number(self, node: int, made: dict[str, Any]) -> int:
         """Add a mesh; one that only this node used is replaced, and keeps its name, extras and extensions."""
@@ -289,9 +318,6 @@ class _Made:
         for name in ("matrix", "translation", "rotation", "scale"):
             entry.pop(name, None)
         entry |= decompose_transform(local)
-
-
-_log = logging.getLogger(__name__)
 
 
 def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, force: bool = False) -> bool:

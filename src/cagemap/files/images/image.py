@@ -1,8 +1,7 @@
 """Images through OpenImageIO: pixels in the number type of the file, rows from the top.
 
-Pitfalls of OpenImageIO that are handled here: it multiplies colours by alpha when it reads a PNG (switched off, so
-that texels stay unchanged); it misreads a 2-dimensional uint16 array (arrays are always (h, w, c) here); it converts
-pixels that a format cannot store (refused here).
+OpenImageIO multiplies the colours of a PNG by alpha (switched off here), misreads 2-dimensional uint16 arrays (here
+always (h, w, c)), and converts pixels that a format cannot store (refused here).
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from cagemap.numerics.kinds import kinds_checked
 Pixels = NDArray[Any]
 
 UDIM_MARK = "<UDIM>"
-# Pixel types that each format stores exactly. Wider types are refused rather than rounded silently.
+# Pixel types that each format stores exactly.
 _FORMATS: dict[str, tuple[str, ...]] = {
     ".png": ("uint8", "uint16"),
     ".jpg": ("uint8",),

@@ -14,6 +14,7 @@ from cagemap.errors import FormatError, InvalidMeshError
 from cagemap.files.npz import ArraySpec, check_arrays, check_offsets, lie_in_triangles
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import SEVERAL, require_valid
+from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.curves import CageCurvePairs, Curve, CurvePair
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.mesh.schemes import SCHEMES, Scheme, scheme_name
@@ -45,6 +46,7 @@ CONTROL_ARRAYS = tuple(CONTROL_FORMS)
 # Names other than those of materials; each an array of text.
 _NAMES = ("object_names", "group_names")
 _UV_NAME = "uv_name"
+_UV_SETS = "uv_set_names"
 # Numbers of vertices and faces in the file of a mesh that is a part of it: unknown, so a bound that never limits.
 _ANY = 2**40
 
@@ -55,6 +57,11 @@ def control_to_arrays(control: ControlMesh, prefix: str) -> dict[str, Any]:
     arrays |= {f"{prefix}{name}": np.array(getattr(control, name)) for name in _NAMES if getattr(control, name)}
     if control.uv_name:
         arrays[f"{prefix}{_UV_NAME}"] = np.array([control.uv_name])
+    if control.uv_sets:
+        arrays[f"{prefix}{_UV_SETS}"] = np.array([uv_set.name for uv_set in control.uv_sets])
+    for number, uv_set in enumerate(control.uv_sets):
+        values, indices = _uv_set_arrays(prefix, number)
+        arrays |= {values: uv_set.uvs, indices: uv_set.uv_indices}
     return {name: array for name, array in arrays.items() if array is not None}
 
 
@@ -87,12 +94,32 @@ def control_from_arrays(
     if copies is not None and (copies[:, 0] >= sizes["c"]).any():
         raise FormatError(f"{path}: {prefix}file_copies name vertices that are not there. {remedy}")
     texts[_UV_NAME] = "".join(_texts(path, f"{prefix}{_UV_NAME}", arrays.get(f"{prefix}{_UV_NAME}"), remedy))
+    values["uv_sets"] = _uv_sets(path, arrays, prefix, sizes, remedy)
     control = ControlMesh(**values, **texts, material_names=tuple(material_names), name=name, scheme=scheme)
     try:
         require_valid(control, allowed=[SEVERAL])
     except InvalidMeshError as error:
         raise FormatError(f"{path}: its control mesh is damaged ({error}). {remedy}") from error
     return control
+
+
+def _uv_set_arrays(prefix: str, number: int) -> tuple[str, str]:
+    """Names of the arrays of a further UV set: texture coordinates, and their indices of face corners."""
+    return f"{prefix}uv_set_{number}", f"{prefix}uv_set_{number}_indices"
+
+
+def _uv_sets(
+    path: Path, arrays: Mapping[str, Any], prefix: str, sizes: dict[str, int], remedy: str
+) -> tuple[UvSet, ...]:
+    """The UV sets that are not in use."""
+    sets = []
+    for number, name in enumerate(_texts(path, f"{prefix}{_UV_SETS}", arrays.get(f"{prefix}{_UV_SETS}"), remedy)):
+        values, indices = _uv_set_arrays(prefix, number)
+        size = f"t of set {number}"
+        specs = {values: ArraySpec((size, 2)), indices: ArraySpec(("q",), below=size)}
+        checked = check_arrays(path, arrays, specs, sizes, remedy)
+        sets.append(UvSet(name, checked[values], checked[indices]))
+    return tuple(sets)
 
 
 def _texts(path: Path, name: str, array: NDArray[Any] | None, remedy: str) -> tuple[str, ...]:

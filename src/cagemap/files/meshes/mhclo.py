@@ -75,11 +75,16 @@ def _coordinates(places: FloatArray, triangles: IndexArray, points: FloatArray) 
     return np.column_stack([1 - inside.sum(axis=1), inside])
 
 
+def check_mhclo_path(file: Path) -> None:
+    """Refuse a file name that `write_mhclo` would refuse, before any work is done."""
+    if file.suffix.lower() not in (".mhclo", ".proxy"):
+        raise FormatError(f"{file}: expected a name ending in .mhclo or .proxy, got {file.suffix or 'no suffix'}")
+
+
 def write_mhclo(path: str | Path, binding: Binding, obj: Path, *, force: bool = False) -> None:
     """Write a ``.mhclo`` (clothes) or ``.proxy`` (the body) file for the mesh in ``obj``."""
     file = Path(path)
-    if file.suffix.lower() not in (".mhclo", ".proxy"):
-        raise FormatError(f"{file}: expected a name ending in .mhclo or .proxy, got {file.suffix or 'no suffix'}")
+    check_mhclo_path(file)
     name = file.stem
     lines = [
         f"# {mark()}",

@@ -9,10 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cagemap.files.gltf.added_textures import AddedTextures
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.textures import CLAMP, REPEAT
+from cagemap.files.gltf.textures import CLAMP, REPEAT, AddedTextures
 from cagemap.files.meshes.colors import material_lines
 from cagemap.files.meshes.obj import material_files
 from cagemap.files.text import find_image, is_number, read_text

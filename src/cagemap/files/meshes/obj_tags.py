@@ -1,16 +1,12 @@
 """Subdivision tags in OBJ files, as by OpenSubdiv's shapes: ``t name ints/floats/strings values...``, 0-based.
 
-=================================== ==========================================================
-``t crease 2/1/0 v0 v1 s``          edge of sharpness s
-``t corner 1/1/0 v s``              vertex of sharpness s
-``t hole n/0/0 f...``               faces that are holes
-``t interpolateboundary 1/0/0 n``   0 ``none``, 1 ``edge_and_corner``, 2 ``edge_only``
-``t facevaryinginterpolateboundary  0 ``none``, 1 ``corners_only``, 2 ``corners_plus1``,
-1/0/0 n``                           3 ``corners_plus2``, 4 ``boundaries``, 5 ``all``
-``t creasemethod 0/0/1 word``       ``normal`` or ``chaikin``
-``t smoothtriangles 0/0/1 word``    ``normal`` or ``smooth``
-``t scheme 0/0/1 word``             ours: ``catmull-clark``, ``loop``, ``bilinear`` or ``none``
-=================================== ==========================================================
+================================== ================================================
+``t crease 2/1/0 v0 v1 s``         edge of sharpness s
+``t corner 1/1/0 v s``             vertex of sharpness s
+``t hole n/0/0 f...``              faces that are holes
+``t interpolateboundary 1/0/0 n``  number of an option, in ``_CHOICES``
+``t creasemethod 0/0/1 word``      word of an option, in ``_WORDS``; ``scheme`` is ours
+================================== ================================================
 """
 
 from __future__ import annotations

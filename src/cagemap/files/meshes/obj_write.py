@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.atomic import require_replaceable, write_whole
+from cagemap.files.atomic import all_or_nothing, require_replaceable, write_whole
 from cagemap.files.meshes.colors import NO_IMAGES, color_statements, read_material_statements, write_materials
 from cagemap.files.meshes.obj import MATERIAL_FILE_LINE, material_files, read_obj
 from cagemap.files.meshes.obj_tags import format_tags
@@ -52,10 +52,11 @@ def write_obj(
     for written in [library, file] if is_own else [file]:
         require_replaceable(written, force=force)
     parts = [f"# {mark()}\n", f"mtllib {library.name}\n" if is_own else named, *obj_statements(mesh)]
-    if is_own:
-        statements = color_statements(mesh.material_names, mesh.material_colors)
-        write_materials(library, statements, images, force=force)
-    write_whole(file, "".join(parts), force=force)
+    with all_or_nothing():
+        if is_own:
+            statements = color_statements(mesh.material_names, mesh.material_colors)
+            write_materials(library, statements, images, force=force)
+        write_whole(file, "".join(parts), force=force)
 
 
 def _all_named(mesh: ControlMesh) -> ControlMesh:
@@ -183,8 +184,9 @@ def write_obj_layout(
     uvs = _format_lines("vt %r %r\n", laid_out.uvs)
     numbers = iter((laid_out.uv_indices + 1).tolist())
     faces = _FACE.sub(lambda found: _renumber_texture_vertices(found[0], numbers), text[first.start() :])
-    write_materials(library_file, {name: statements.get(name, []) for name in used}, images, force=force)
-    write_whole(file, f"# {mark()}\nmtllib {library_file.name}\n{head}{uvs}{faces}", force=force)
+    with all_or_nothing():
+        write_materials(library_file, {name: statements.get(name, []) for name in used}, images, force=force)
+        write_whole(file, f"# {mark()}\nmtllib {library_file.name}\n{head}{uvs}{faces}", force=force)
 
 
 def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMesh, *, force: bool = False) -> None:

@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
-from cagemap.files.gltf.added_textures import AddedTextures
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.textures import REPEAT
+from cagemap.files.gltf.textures import REPEAT, AddedTextures
 from cagemap.files.meshes.colors import to_unit_range
 from cagemap.files.meshes.obj import warn_of_bare_faces
-from cagemap.files.meshes.ply_records import END_LINE, Column, read_columns
+from cagemap.files.meshes.ply_records import END_LINE, Column, header_of, read_columns
 from cagemap.files.ownership import mark
 from cagemap.files.text import find_image, read_bytes
 from cagemap.mesh import ControlMesh
@@ -75,7 +74,7 @@ def read_ply(path: str | Path) -> ControlMesh:
     uvs, uv_indices = _uvs(file, vertices, faces.get("texcoord"), corners.lengths, indices)
     mesh = ControlMesh(positions, offsets, indices, uvs, uv_indices, name=file.name, vertex_colors=_colors(vertices))
     scalars = {name: column for name, column in faces.items() if np.all(column.lengths == 1)}
-    return _with_materials(file, mesh, scalars, several=len(_image_names(_header_of(content))) > 1)
+    return _with_materials(file, mesh, scalars, several=len(_image_names(header_of(content))) > 1)
 
 
 def ply_images(path: Path) -> list[Path]:
@@ -125,13 +124,7 @@ def _read_header(path: Path) -> bytes:
     size = _HEADER_BYTES
     while END_LINE.search(content := read_bytes(path, "a PLY file", size)) is None and len(content) == size:
         size *= 4
-    return _header_of(content)
-
-
-def _header_of(content: bytes) -> bytes:
-    """Lines before ``end_header``, which may end in a carriage return alone, with line feeds."""
-    end = END_LINE.search(content)
-    return content[: end.start() if end else None].replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return header_of(content)
 
 
 def _has_texnumber(header: bytes) -> bool:

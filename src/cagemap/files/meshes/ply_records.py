@@ -74,6 +74,12 @@ def read_columns(path: Path, content: bytes) -> dict[str, dict[str, Column]]:
     return columns
 
 
+def header_of(content: bytes) -> bytes:
+    """Lines before ``end_header``, which may end in a carriage return alone, with line feeds."""
+    end = END_LINE.search(content)
+    return content[: end.start() if end else None].replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+
+
 def _read_header(path: Path, content: bytes) -> tuple[str, list[Element], int]:
     """Parse the header; returns the byte order ('' for text), the elements and the start of the body."""
     if not content.startswith(b"ply"):
@@ -81,7 +87,7 @@ def _read_header(path: Path, content: bytes) -> tuple[str, list[Element], int]:
     end_line = END_LINE.search(content)
     if end_line is None:
         raise FormatError(f"{path}: expected a PLY header that ends with 'end_header', found no end. {_REMEDY}")
-    end, start = end_line.span()
+    start = end_line.end()
     # If lines end in a carriage return alone, a following line feed is the first byte of the body.
     alone = content.startswith(b"ply\r") and not content.startswith(b"ply\r\n")
     for line_end in (b"\r",) if alone else (b"\r\n", b"\n", b"\r"):
@@ -90,8 +96,7 @@ def _read_header(path: Path, content: bytes) -> tuple[str, list[Element], int]:
             break
     order: str | None = None
     elements: list[Element] = []
-    header = content[:end].decode("latin-1").replace("\r\n", "\n").replace("\r", "\n")
-    for number, line in enumerate(header.split("\n"), start=1):
+    for number, line in enumerate(header_of(content).decode("latin-1").split("\n"), start=1):
         words = line.split()
         try:
             match words:

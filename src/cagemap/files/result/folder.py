@@ -42,13 +42,13 @@ from cagemap.files.schema import ResultRecord, SideRecord, parse_record, to_json
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult, SpectralMap
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import ControlMesh, Scheme
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads
 from cagemap.spectral import Surface
-from cagemap.subdivision import Scheme, refine
+from cagemap.subdivision import refine
 from cagemap.subdivision.refinement import vertex_counts
 
 ARRAYS = "map.npz"

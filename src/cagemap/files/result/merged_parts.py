@@ -18,12 +18,12 @@ from cagemap.maps.pair import point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality, unshared_warnings
 from cagemap.maps.result import MatchResult, SpectralMap
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import ControlMesh, Loop
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.spectral import Surface
-from cagemap.subdivision import Loop, refine
+from cagemap.subdivision import refine
 from cagemap.subdivision.topology import control_topology
 
 # Verdicts on maps found without landmarks, surest first.

@@ -1,9 +1,7 @@
 """Prepared surfaces on disk: each surface is refined and given its basis once, for all its pairs.
 
-A stored surface is one uncompressed ``.npz``: the control mesh and the basis. Refined levels and operators are not
-stored; computing them is quick. Every array has a checksum (of the zip format), and files are written atomically. The
-name is a hash of everything that the content depends on, so two processes may prepare one surface at once: both write
-the same content.
+A stored surface is one uncompressed ``.npz``: the control mesh and the basis. Refined levels and operators are computed
+again, which is quick. Two processes may prepare one surface at once: the name is that of the content (`surface_key`).
 """
 
 from __future__ import annotations
@@ -29,10 +27,10 @@ from cagemap.files.ownership import is_own
 from cagemap.files.result.manifest import code_version, mesh_hash, stored_basis
 from cagemap.files.schema import SurfaceRecord, parse_json, parse_record
 from cagemap.files.text import require_file
-from cagemap.mesh import ControlMesh, Plain
+from cagemap.mesh import ControlMesh, Plain, Scheme
 from cagemap.pipeline import MAP_BASIS, prepare_surface
 from cagemap.spectral import BasisConfig, HierarchicalBasis, Surface
-from cagemap.subdivision import Scheme, default_scheme, refine
+from cagemap.subdivision import default_scheme, refine
 from cagemap.subdivision.refinement import vertex_counts
 
 FORMAT = "cagemap-surface"
@@ -78,8 +76,7 @@ def surface_key(control: ControlMesh, level: int, scheme: Scheme | None = None, 
 def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> None:
     """Write a prepared surface to one file, completely or not at all.
 
-    The operators are not stored, since reading computes them from the surface's config. ParameterError if this would
-    give other operators than the surface has.
+    ParameterError if its operators are not those of its config, with which reading computes them.
     """
     expected = Surface(surface.refinement, surface.config).operators
     kinds = (surface.operators.mass, expected.mass), (surface.operators.stiffness, expected.stiffness)
@@ -140,7 +137,7 @@ def load_or_prepare(
 
 
 def load_surface(path: str | Path, control: ControlMesh | None = None) -> Surface:
-    """Read a prepared surface; its refined levels and operators are computed again.
+    """Read a prepared surface.
 
     A ``control`` mesh that is known to equal the stored one replaces it, including its name.
     """

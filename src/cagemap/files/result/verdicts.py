@@ -41,10 +41,11 @@ class Rating:
 def rate_figures(quality: dict[str, Any]) -> list[Rating]:
     """Rate the known figures of a manifest's ``quality``."""
     ratings = []
-    for reader, label, formatted, meaning, good, fair, finding in _FIGURES:
-        value = reader(quality)
-        if value is None:
+    for names, complement, label, formatted, meaning, good, fair, finding in _FIGURES:
+        stated = _read_figure(quality, *names)
+        if stated is None:
             continue
+        value = 1.0 - stated if complement else stated
         severity = math.inf if math.isnan(value) else _severity(abs(value), good, fair)
         text = "unknown" if math.isnan(value) else formatted(value)
         ratings.append(Rating(label, text, meaning, severity, finding.format(text)))
@@ -92,19 +93,13 @@ def _read_figure(quality: dict[str, Any], *names: str) -> float | None:
     return float(value) if isinstance(value, int | float) else None
 
 
-def _complement(name: str) -> Callable[[dict[str, Any]], float | None]:
-    def reader(quality: dict[str, Any]) -> float | None:
-        share = _read_figure(quality, name)
-        return None if share is None else 1.0 - share
-
-    return reader
-
-
-_FigureRow = tuple[Callable[[dict[str, Any]], float | None], str, Callable[[float], str], str, float, float, str]
-# Reader, label, format, meaning, largest good and largest fair value, finding.
+_FigureRow = tuple[tuple[str, ...], bool, str, Callable[[float], str], str, float, float, str]
+# Names of the entry, whether the figure is its complement to 1, label, format, meaning, largest good and largest fair
+# value, finding.
 _FIGURES: list[_FigureRow] = [
     (
-        lambda q: _read_figure(q, "landmark_error_mean"),
+        ("landmark_error_mean",),
+        False,
         "Landmarks, mean miss",
         lambda x: _PERCENT.format(100 * x),
         "How far from their partners the landmarks land, as a share of the model's size (the square root of its area). "
@@ -114,7 +109,8 @@ _FIGURES: list[_FigureRow] = [
         "landmarks miss by {} of the model's size",
     ),
     (
-        lambda q: _read_figure(q, "landmark_error_worst"),
+        ("landmark_error_worst",),
+        False,
         "Landmarks, worst miss",
         lambda x: _PERCENT.format(100 * x),
         "The same for the landmark that is met worst. Pairs that were left out do not count.",
@@ -123,7 +119,8 @@ _FIGURES: list[_FigureRow] = [
         "a landmark misses by {} of the model's size",
     ),
     (
-        lambda q: _read_figure(q, "flipped_area"),
+        ("flipped_area",),
+        False,
         "Folded area",
         lambda x: _PERCENT.format(100 * x),
         "Part of the target where the map runs backwards over itself. A texture is mirrored or smeared there.",
@@ -132,7 +129,8 @@ _FIGURES: list[_FigureRow] = [
         "{} of the target is folded over",
     ),
     (
-        _complement("coverage"),
+        ("coverage",),
+        True,
         "Source left out",
         lambda x: _PERCENT.format(100 * x),
         "Part of the source's area that nothing of the target maps to. What is painted there does not arrive.",
@@ -142,7 +140,8 @@ _FIGURES: list[_FigureRow] = [
         "{} of the source arrives nowhere",
     ),
     (
-        lambda q: _read_figure(q, "dirichlet"),
+        ("dirichlet",),
+        False,
         "Stretch",
         "{:.2f}".format,
         "1 for a map that keeps all lengths; models of different proportions have more. Lower is smoother.",
@@ -151,7 +150,8 @@ _FIGURES: list[_FigureRow] = [
         "its stretch is {} (1 keeps all lengths)",
     ),
     (
-        lambda q: _read_figure(q, "aspect_ratio_percentiles", "50"),
+        ("aspect_ratio_percentiles", "50"),
+        False,
         "Typical distortion",
         lambda x: f"{x:.2f} : 1",
         "How much longer than wide a small circle becomes, in the middle half of the surface.",
@@ -160,7 +160,8 @@ _FIGURES: list[_FigureRow] = [
         "its typical distortion is {}",
     ),
     (
-        _complement("trusted_area"),
+        ("trusted_area",),
+        True,
         "Not to be trusted",
         lambda x: _PERCENT.format(100 * x),
         "How far the map is from unfolded and little stretched, averaged over the target; the red places of "

@@ -20,7 +20,6 @@ from cagemap.files.gltf.character import to_rig_space
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.nodes import is_invertible
 from cagemap.files.gltf.parts import transform_normals, transform_offsets
-from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.text import make_distinct
 from cagemap.files.usd.animations import remove_scale
@@ -29,9 +28,6 @@ from cagemap.files.usd.prims import (
     JOINT_WEIGHTS,
     bind_transform,
     corner_rows,
-    is_mirrored,
-    is_similarity,
-    local_to_world,
     primvar_values,
     read_value,
 )
@@ -41,6 +37,7 @@ from cagemap.files.usd.shaders import with_materials
 from cagemap.files.usd.skeleton import joint_names, joint_parents, joints_of
 from cagemap.files.usd.space import stage_units, to_metres
 from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, usd_modules
+from cagemap.files.usd.transforms import is_mirrored, is_similarity, local_to_world
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.faces import reversed_corners
 from cagemap.mesh.mesh_report import first_few
@@ -77,12 +74,7 @@ def document_and_character(path: str | Path, meshes: Sequence[UsdMesh] | None = 
             for name in part.mesh.material_names
         }
         document = with_materials(_with_shape_weights(plain, character, weights), stage, users)
-    names = dict(zip(material_names(plain), material_names(document), strict=True))
-    parts = (
-        replace(part, mesh=replace(part.mesh, material_names=tuple(names.get(n, n) for n in part.mesh.material_names)))
-        for part in character.parts
-    )
-    return document, replace(character, parts=tuple(parts))
+    return document, character
 
 
 def read_usd_character(path: str | Path) -> Character:

@@ -13,7 +13,7 @@ import numpy as np
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.material_images import MaterialImage, material_images, png_bytes
 from cagemap.files.gltf.primitives import material_names
-from cagemap.files.gltf.textures import CLAMP, MIRROR, REPEAT, texture_slots
+from cagemap.files.gltf.textures import CLAMP, MIRROR, REPEAT, WITHOUT_IMAGE, scale_and_angle, texture_slots
 from cagemap.files.images.image import image_of_bytes
 from cagemap.files.ownership import is_own, mark
 from cagemap.files.usd.results import connect_texture, define_material, uv_reader
@@ -62,7 +62,7 @@ def write_materials(
         used, holders = {one.slot: one for one in material_images(document, name)}, dict(texture_slots(entry))
         for wanted, slot, channels, scale, bias in _inputs(document, entry, name, holders):
             if slot not in used:
-                if slot not in (_NORMAL, _OCCLUSION):
+                if slot not in (_NORMAL, _OCCLUSION) and not (slot in holders and slot in WITHOUT_IMAGE):
                     _set_constant(surface, wanted, scale)
                 continue
             number = used[slot].image
@@ -138,15 +138,13 @@ def _reader(stage: Any, material: Any, image: MaterialImage) -> Any:
         return reader
     types = pxr.Sdf.ValueTypeNames
     # With v up: scaled, rotated, moved.
-    width = float(np.hypot(*matrix[0, :2]))
-    height = float(np.linalg.det(matrix[:2, :2])) / (width or 1.0)
-    angle = float(np.degrees(np.arctan2(-matrix[0, 1], matrix[0, 0])))
+    width, height, angle = scale_and_angle(matrix)
     place = matrix[2, 0] + matrix[1, 0], 1.0 - matrix[2, 1] - matrix[1, 1]
     shader = pxr.UsdShade.Shader.Define(stage, material.AppendChild(f"{image.slot}_transform"))
     shader.CreateIdAttr("UsdTransform2d")
     shader.CreateInput("in", types.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
     shader.CreateInput("scale", types.Float2).Set((width, height))
-    shader.CreateInput("rotation", types.Float).Set(angle)
+    shader.CreateInput("rotation", types.Float).Set(float(np.degrees(angle)))
     shader.CreateInput("translation", types.Float2).Set(tuple(map(float, place)))
     shader.CreateOutput("result", types.Float2)
     return shader

@@ -1,10 +1,9 @@
-"""Content of USD mesh prims: UV sets and other primvars as arrays, face subsets, transforms."""
+"""Content of USD mesh prims: UV sets and other primvars as arrays, face subsets, blend shapes."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -259,7 +258,7 @@ def _sparse_offsets(where: str, control: ControlMesh, stored: Any, points: Index
     return table
 
 
-def face_sets(prim: Any, n_faces: int, labels: Mapping[str, str]) -> dict[str, Any]:
+def face_sets(where: str, prim: Any, n_faces: int, labels: Mapping[str, str]) -> dict[str, Any]:
     """Materials of faces by bindings of the mesh and its subsets; other subsets become groups.
 
     A face in several groups gets one group with all their names, as in OBJ's ``g one two``.
@@ -285,7 +284,11 @@ def face_sets(prim: Any, n_faces: int, labels: Mapping[str, str]) -> dict[str, A
         materials[:] = number(bound)
     for subset in pxr.UsdGeom.Subset.GetAllGeomSubsets(pxr.UsdGeom.Imageable(prim)):
         faces = index_array(read_value(subset.GetIndicesAttr()))
-        if subset.GetElementTypeAttr().Get() != "face" or not len(faces) or faces.min() < 0 or faces.max() >= n_faces:
+        if subset.GetElementTypeAttr().Get() != "face" or not len(faces):
+            continue
+        if faces.min() < 0 or faces.max() >= n_faces:
+            text = "%s: subset %s is left out: expected faces from 0 to %d, got %d to %d; export the mesh again"
+            logger.warning(text, where, subset.GetPrim().GetName(), n_faces - 1, faces.min(), faces.max())
             continue
         material_of_subset = _bound_material(subset.GetPrim())
         if material_of_subset and (not bound or material_of_subset.GetPath() != bound.GetPath()):
@@ -333,63 +336,23 @@ def _diffuse_color(material: Any) -> FloatArray:
 
 
 def faces_by_name(mesh: ControlMesh) -> list[tuple[str, IndexArray, FloatArray | None]]:
-    """Name, faces and colour of every material; name and faces of every group."""
+    """Name, faces and colour of every material; name and faces of every group.
+
+    A face in a group of several words is in the group of each word, as in OBJ's ``g one two``.
+    """
     listed: list[tuple[str, IndexArray, FloatArray | None]] = []
     if mesh.face_materials is not None:
         for number, name in enumerate(mesh.material_names):
             color = np.full(3, np.nan) if mesh.material_colors is None else mesh.material_colors[number]
             listed.append((name, np.flatnonzero(mesh.face_materials == number), color))
     if mesh.face_groups is not None:
-        listed += [(n, np.flatnonzero(mesh.face_groups == i), None) for i, n in enumerate(mesh.group_names)]
+        words = [name.split() for name in mesh.group_names]
+        for word in dict.fromkeys(one for of_group in words for one in of_group):
+            inside = np.array([word in of_group for of_group in words])
+            listed.append((word, np.flatnonzero(inside[mesh.face_groups]), None))
     return [(name, faces, color) for name, faces, color in listed if name and len(faces)]
-
-
-# Condition number from which a transform counts as flattening: float32 scales have seven digits.
-_FLATTENING = 1e12
 
 
 def transform_points(points: FloatArray, matrix: FloatArray) -> FloatArray:
     """(n, 3) points transformed by a (4, 4) matrix of USD, for points as rows."""
     return np.asarray(points @ matrix[:3, :3] + matrix[3, :3])
-
-
-def is_mirrored(matrix: FloatArray) -> bool:
-    """Whether a (4, 4) transform reverses orientation."""
-    return bool(np.linalg.det(matrix[:3, :3]) < 0)
-
-
-def is_similarity(matrix: FloatArray) -> bool:
-    """Whether a (4, 4) transform scales all directions alike."""
-    products = matrix[:3, :3] @ matrix[:3, :3].T
-    return bool(np.allclose(products, products[0, 0] * np.eye(3), atol=1e-6 * products[0, 0]))
-
-
-def local_to_world(prim: Any) -> FloatArray:
-    """(4, 4) transform from a prim's local space to world space."""
-    matrix = _to_world(prim)
-    if not np.isfinite(matrix).all() or _is_flattening(matrix):
-        raise FormatError(
-            f"{prim.GetStage().GetRootLayer().realPath}: {prim.GetPath()}: expected a transform that can be undone, "
-            "got one that flattens the mesh or holds no numbers. Repair its scale and export again."
-        )
-    return matrix
-
-
-def drop_flattened(file: Path, prims: list[Any]) -> list[Any]:
-    """Meshes that their transform does not flatten to a plane, line or point; all if it flattens every one."""
-    flat = [_is_flattening(_to_world(prim)) for prim in prims]
-    if not any(flat) or all(flat):
-        return prims
-    names = ", ".join(str(prim.GetPath()) for prim, flattened in zip(prims, flat, strict=True) if flattened)
-    logger.warning("%s: left out what its transform flattens (a scale of 0): %s", file, names)
-    return [prim for prim, flattened in zip(prims, flat, strict=True) if not flattened]
-
-
-def _to_world(prim: Any) -> FloatArray:
-    pxr = usd_modules()
-    time = pxr.Usd.TimeCode.EarliestTime()
-    return np.array(pxr.UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time), dtype=np.float64)
-
-
-def _is_flattening(matrix: FloatArray) -> bool:
-    return bool(np.isfinite(matrix).all() and np.linalg.cond(matrix[:3, :3]) > _FLATTENING)

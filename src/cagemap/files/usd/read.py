@@ -22,18 +22,15 @@ from cagemap.files.usd.prims import (
     corner_primvars,
     corner_values,
     display_colors,
-    drop_flattened,
     face_sets,
     index_array,
-    is_mirrored,
-    is_similarity,
-    local_to_world,
     primvar_arrays,
     read_value,
     transform_points,
     uv_primvars,
 )
 from cagemap.files.usd.stages import damage_as_error, open_stage, usd_modules
+from cagemap.files.usd.transforms import drop_flattened, is_mirrored, is_similarity, local_to_world
 from cagemap.mesh import ControlMesh, Scheme
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import reversed_corners
@@ -131,12 +128,13 @@ def prims_of(stage: Any, kind: Any) -> list[Any]:
 
 
 def material_labels(stage: Any) -> dict[str, str]:
-    """Names of all materials by path: their own, or the path if another material has it; one name for all instances."""
+    """Names of all materials by path: as displayed, or the path if another material has it; one for all instances."""
     label_of: dict[Any, str] = {}
     labels, taken = dict[str, str](), set[str]()
     for prim in prims_of(stage, usd_modules().UsdShade.Material):
         source, path = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim, str(prim.GetPath())
-        label_of.setdefault(source, path if prim.GetName() in taken else prim.GetName())
+        name = prim.GetDisplayName() or prim.GetName()
+        label_of.setdefault(source, path if name in taken else name)
         labels[path] = label_of[source]
         taken.add(labels[path])
     return labels
@@ -251,7 +249,7 @@ def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
     if sets:
         first, *further = sets
         control = replace(control.with_uvs(first.uvs, first.uv_indices), uv_name=first.name, uv_sets=tuple(further))
-    control = replace(control, **face_sets(prim, control.n_faces, labels))
+    control = replace(control, **face_sets(where, prim, control.n_faces, labels))
     shapes, shape_normals = blend_shapes(where, control, prim)
     attributes = primvar_arrays(where, control, prim)
     attributes |= {f"{BLEND_SHAPE}{name}": offsets for name, offsets in shapes.items()}

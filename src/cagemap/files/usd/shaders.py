@@ -10,12 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cagemap.files.gltf.added_textures import AddedTextures
+from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.material_images import png_bytes
 from cagemap.files.gltf.primitives import material_names
-from cagemap.files.gltf.textures import REPEAT
+from cagemap.files.gltf.textures import REPEAT, WITHOUT_IMAGE, AddedTextures
+from cagemap.files.images.image import Image, Pixels, image_of_bytes
 from cagemap.files.usd.materials import STRENGTH, WRAP_WORDS
 from cagemap.files.usd.read import material_labels
 from cagemap.files.usd.shader_inputs import setting_of, shader_of, source_of, uv_name, uv_transform
@@ -32,6 +35,7 @@ _SLOTS = {
     "occlusionTexture": {"occlusion": "r"},
     "emissiveTexture": {"emissiveColor": "rgb"},
 }
+_CHANNELS = ("r", "g", "b")
 _WRAP_MODES = {word: mode for mode, word in WRAP_WORDS.items()}
 
 
@@ -48,7 +52,6 @@ def with_materials(document: Document, stage: Any, users: Mapping[str, tuple[tup
         entry |= {"doubleSided": True} if double_sided else {}
         surface = shade.Material(named[name]).ComputeSurfaceSource()[0] if name in named else None
         if surface and surface.GetIdAttr().Get() == "UsdPreviewSurface":
-            entry["name"] = named[name].GetDisplayName() or name
             made.fill(entry, surface, sets)
     return made.binary.document(made.top)
 
@@ -62,6 +65,24 @@ def _is_plain(texture: Any, slot: str) -> bool:
     if slot == "normalTexture":  # without scale and bias, programs take an image as a normal map all the same
         return any(np.allclose([scale, bias], [[k], [1.0 - k]]) for k in (1.0, 2.0))
     return bool(np.allclose(bias, 1.0 - scale if slot == "occlusionTexture" else 0.0))
+
+
+def _transform_of(texture: Any) -> dict[str, Any] | None:
+    """The transform of a texture shader as KHR_texture_transform; the inverse of `cagemap.files.usd.materials`."""
+    transform = uv_transform(texture)
+    if not transform:
+        return None
+    width, height = map(float, setting_of(transform, "scale", (1.0, 1.0)))
+    right, up = map(float, setting_of(transform, "translation", (0.0, 0.0)))
+    angle = float(np.radians(setting_of(transform, "rotation", 0.0)))
+    offset = [right - height * np.sin(angle), 1.0 - up - height * np.cos(angle)]
+    return {"offset": offset, "rotation": angle, "scale": [width, height]}
+
+
+def _as_bytes(pixels: Pixels) -> NDArray[np.uint8]:
+    """Pixels as 8-bit integers."""
+    full = np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else 1
+    return np.asarray(np.rint(pixels.astype(np.float64).clip(0, full) * (255 / full)), dtype=np.uint8)
 
 
 def _content(path: str) -> bytes | None:
@@ -112,31 +133,86 @@ class _Materials:
         if opacity or alpha < 1.0:
             entry |= {"alphaMode": "MASK", "alphaCutoff": threshold} if threshold > 0.0 else {"alphaMode": "BLEND"}
         for slot, outputs in {**_SLOTS, "": {"opacity": "a"}}.items():
-            pairs = {name: shader_of(surface, name, "UsdUVTexture") for name in outputs}
-            if not any(pairs.values()):
-                continue
-            images = {self._image_and_wraps(texture) for texture in pairs.values()}
-            fits = [source_of(surface, name).GetBaseName() for name in outputs if pairs[name]] == list(outputs.values())
-            if not slot:  # the opacity of glTF is in the image of the colour
-                fits &= images == {self._image_and_wraps(shader_of(surface, "diffuseColor", "UsdUVTexture"))}
-            image, wraps = images.pop()
-            stated = [str(setting_of(texture, "file", "")).strip("@") for texture in pairs.values() if texture]
-            if image is None and not images:
-                text = "%s: %s: the image of its %s (%s) is not found or cannot be read, and is left out"
-                _log.warning(text, self._file, entry["name"], "/".join(outputs), first_few(dict.fromkeys(stated)))
-            elif images or image is None or not fits:
-                text = "%s: %s: the image of its %s is left out; give one PNG or JPEG with the channels of glTF"
-                _log.warning(text, self._file, entry["name"], "/".join(outputs))
-            elif slot:
-                texture = next(iter(pairs.values()))
-                if not _is_plain(texture, slot):
+            pairs = {name: texture for name in outputs if (texture := shader_of(surface, name, "UsdUVTexture"))}
+            found = self._find_image(entry["name"], surface, slot, pairs) if pairs else None
+            table = base if slot in ("baseColorTexture", "metallicRoughnessTexture") else entry
+            if pairs and found is None:
+                self._reset_factors(entry, table, slot, pairs)
+            elif found is not None and slot:
+                if not all(_is_plain(texture, slot) for texture in pairs.values()):
                     text = "%s: %s: the image of its %s is taken as it is, without scale, bias or colour space of USD"
                     _log.warning(text, self._file, entry["name"], "/".join(outputs))
-                in_base = slot in ("baseColorTexture", "metallicRoughnessTexture")
-                holder = self._holder(image, wraps, texture, sets)
+                holder = self._holder(*found, next(iter(pairs.values())), sets)
                 if slot == "occlusionTexture":
                     holder["strength"] = float(np.clip(factor("occlusion", 1.0), 0.0, 1.0))
-                (base if in_base else entry)[slot] = holder
+                table[slot] = holder
+
+    def _find_image(
+        self, material: str, surface: Any, slot: str, pairs: dict[str, Any]
+    ) -> tuple[int, tuple[int, int]] | None:
+        """Number and wrap modes of the image of a slot; None, with a warning, if glTF has no place for it.
+
+        ``pairs``: texture shaders by input.
+        """
+        outputs = _SLOTS.get(slot, {"opacity": "a"})
+        images = {self._image_and_wraps(texture) for texture in pairs.values()}
+        named = {name: source_of(surface, name).GetBaseName() for name in pairs}
+        fits = len(images) == 1 and named == outputs
+        if not slot:  # the opacity of glTF is in the image of the colour
+            fits &= images == {self._image_and_wraps(shader_of(surface, "diffuseColor", "UsdUVTexture"))}
+        if not fits and slot == "metallicRoughnessTexture" and (packed := self._pack_channels(surface, pairs)):
+            return packed
+        image, wraps = next(iter(images))
+        if len(images) == 1 and image is None:
+            stated = [str(setting_of(texture, "file", "")).strip("@") for texture in pairs.values()]
+            text = "%s: %s: the image of its %s (%s) is not found or cannot be read, and is left out"
+            _log.warning(text, self._file, material, "/".join(outputs), first_few(dict.fromkeys(stated)))
+        elif not fits or image is None:
+            text = "%s: %s: the image of its %s is left out; give one PNG or JPEG with the channels of glTF"
+            _log.warning(text, self._file, material, "/".join(outputs))
+        else:
+            return image, wraps
+        return None
+
+    def _reset_factors(self, entry: dict[str, Any], table: dict[str, Any], slot: str, pairs: dict[str, Any]) -> None:
+        """Replace the factors of images that are left out by the defaults of UsdPreviewSurface."""
+        table |= {
+            name: value
+            for name, value in WITHOUT_IMAGE.get(slot, {}).items()
+            if any(name.startswith(of.removesuffix("Color")) for of in pairs)
+        }
+        if slot == "emissiveTexture":
+            entry.pop("extensions", None)
+
+    def _pack_channels(self, surface: Any, pairs: dict[str, Any]) -> tuple[int, tuple[int, int]] | None:
+        """An image with roughness in green and metallic in blue, of channels of other images; None if they differ.
+
+        They differ if one cannot be read, or if they are repeated or placed in different ways.
+        """
+        texels: dict[str, Pixels] = {}
+        places = []
+        for name, texture in pairs.items():
+            image, wraps = self._image_and_wraps(texture)
+            channel = str(source_of(surface, name).GetBaseName())
+            if image is None or channel not in _CHANNELS:
+                return None
+            places.append((wraps, uv_name(texture), _transform_of(texture)))
+            path = str(setting_of(texture, "file", None).resolvedPath)
+            try:
+                pixels = image_of_bytes(_content(path) or b"", Path(path.rstrip("]")).suffix, path).pixels
+            except FormatError:
+                return None
+            of_color = pixels.shape[2] > 2  # otherwise grey, with opacity or without
+            texels[name] = _as_bytes(pixels[:, :, _CHANNELS.index(channel) if of_color else 0])
+        if places.count(places[0]) != len(places):
+            return None
+        height, width = np.max([one.shape for one in texels.values()], axis=0)
+        packed = np.full((height, width, 3), 255, dtype=np.uint8)
+        for name, one in texels.items():
+            rows, columns = np.arange(height) * len(one) // height, np.arange(width) * one.shape[1] // width
+            packed[:, :, 1 if name == "roughness" else 2] = one[np.ix_(rows, columns)]
+        number = self._textures.image(png_bytes(Image(packed)), ".png")
+        return None if number is None else (number, places[0][0])
 
     def _image_and_wraps(self, texture: Any) -> tuple[int | None, tuple[int, int]]:
         """Number of a texture shader's image, None if it cannot be read, and its wrap modes in glTF."""
@@ -152,15 +228,7 @@ class _Materials:
         return self._image_of[path], (across, up)
 
     def _holder(self, image: int, wraps: tuple[int, int], texture: Any, sets: tuple[str, ...]) -> dict[str, Any]:
-        """What refers to a texture shader's image in glTF; the inverse of `cagemap.files.usd.materials`."""
-        stated = None
-        transform = uv_transform(texture)
-        if transform:
-            width, height = map(float, setting_of(transform, "scale", (1.0, 1.0)))
-            right, up = map(float, setting_of(transform, "translation", (0.0, 0.0)))
-            angle = float(np.radians(setting_of(transform, "rotation", 0.0)))
-            offset = [right - height * np.sin(angle), 1.0 - up - height * np.cos(angle)]
-            stated = {"offset": offset, "rotation": angle, "scale": [width, height]}
+        """What refers to a texture shader's image in glTF."""
         name = uv_name(texture)
-        holder = self._textures.texture(image, wraps, stated)
+        holder = self._textures.texture(image, wraps, _transform_of(texture))
         return holder | ({"texCoord": sets.index(name)} if name in sets[1:] else {})

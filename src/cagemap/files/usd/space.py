@@ -9,9 +9,9 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.gltf.document import SCENE_SUFFIXES
-from cagemap.files.usd.prims import is_mirrored, is_similarity
 from cagemap.files.usd.read import read_usd_meshes
 from cagemap.files.usd.stages import damage_as_error, is_usd, open_each_once, open_stage, usd_modules
+from cagemap.files.usd.transforms import is_mirrored, is_similarity
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.alignment import Z_UP
 

@@ -17,11 +17,12 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.ownership import mark
 from cagemap.files.text import text_name
-from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, is_mirrored, local_to_world, transform_points
+from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, transform_points
 from cagemap.files.usd.results import add_earlier, bind_textures
 from cagemap.files.usd.skeleton import write_usd_skeleton
 from cagemap.files.usd.space import StageSpace
 from cagemap.files.usd.stages import identifiers, open_stage, usd_modules
+from cagemap.files.usd.transforms import is_mirrored, local_to_world
 from cagemap.files.usd.write_mesh import (
     CORNERS,
     row_kinds,

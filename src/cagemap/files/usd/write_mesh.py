@@ -89,21 +89,23 @@ def write_subsets(stage: Any, prim: Any, mesh: ControlMesh, materials: Mapping[s
             family = "materialBind" if color is not None else "groups"
             subset = pxr.UsdGeom.Subset.CreateUniqueGeomSubset(prim, label, "face", _ints(faces), family)
             bound = subset.GetPrim()
+            bound.SetDisplayName(name)
         else:
             bound = prim.GetPrim()
         if color is None:
             continue
         path = f"/Asset/materials/{label}"
-        material = _colored_material(stage, path, color) if materials is None else materials[name]
+        material = _colored_material(stage, path, name, color) if materials is None else materials[name]
         pxr.UsdShade.MaterialBindingAPI.Apply(bound).Bind(material)
     if mesh.face_materials is not None:
         pxr.UsdGeom.Subset.SetFamilyType(prim, "materialBind", "nonOverlapping")
         pxr.UsdGeom.Scope.Define(stage, "/Asset/materials")
 
 
-def _colored_material(stage: Any, path: str, color: FloatArray) -> Any:
+def _colored_material(stage: Any, path: str, name: str, color: FloatArray) -> Any:
     pxr = usd_modules()
     material, surface = define_material(stage, path)
+    material.GetPrim().SetDisplayName(name)
     if np.isfinite(color).all():
         value = pxr.Gf.Vec3f(*map(float, color))
         surface.CreateInput("diffuseColor", pxr.Sdf.ValueTypeNames.Color3f).Set(value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -79,6 +79,12 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
     if axes is not None and (len(axes) != len(names) or not np.isfinite(axes).all()):
         raise FormatError(f"{file}: expected finite axes of all joints or of none, got {len(axes)} of {len(names)}.")
     return Skeleton(names, parents, heads, tails, axes)
+
+
+def check_skeleton_path(file: Path) -> None:
+    """Refuse a name that is not one of a JSON file, as `write_skeleton` writes it."""
+    if file.suffix.lower() != ".json":
+        raise FormatError(f"{file}: expected a name ending in .json for joints, got {file.suffix or 'no suffix'}")
 
 
 def write_skeleton(path: str | Path, skeleton: Skeleton, *, force: bool = False) -> None:
@@ -170,35 +176,45 @@ def _checked_offsets(file: Path, name: str, array: NDArray[Any], rest: ControlMe
     return array.astype(np.float64)
 
 
+def check_shapes(
+    output: Path, names: Collection[str], rest: ControlMesh, inputs: Sequence[Path], *, force: bool = False
+) -> list[Path]:
+    """The files that `write_shapes` writes for shapes of these names; refuses what it would refuse."""
+    if output.suffix.lower() == ".npz":
+        check_outputs([output], inputs, force=force)
+        return [output]
+    base = Path(rest.name).stem
+    if base in names:
+        raise FormatError(f"{output}: a shape is named {base}, like the cage itself. Rename it.")
+    if output.exists() and not output.is_dir():
+        raise FormatError(f"{output}: expected a folder or an .npz to write shapes to, got a file.")
+    files = [output / f"{name}.obj" for name in (base, *names)]
+    if any(file.parent != output for file in files):
+        raise FormatError(f"{output}: names of shapes must not hold slashes, got {', '.join(names)}")
+    if output.is_dir():
+        bare = _without_materials(rest)
+        check_outputs([path for file in files for path in mesh_files(file, bare)], inputs, force=force)
+    else:
+        require_writable_folder(output)
+    return files
+
+
+def _without_materials(mesh: ControlMesh) -> ControlMesh:
+    return replace(mesh, face_materials=None, material_names=(), material_colors=None)
+
+
 def write_shapes(
     output: Path, shapes: Mapping[str, FloatArray], rest: ControlMesh, inputs: Sequence[Path], *, force: bool = False
 ) -> list[Path]:
     """Write displacements as an ``.npz``, or as a folder of OBJ files with the cage at rest; returns the files."""
+    files = check_shapes(output, shapes, rest, inputs, force=force)
     if output.suffix.lower() == ".npz":
-        check_outputs([output], inputs, force=force)
         with atomic_path(output, force=force) as temporary:
             write_npz(temporary, dict(shapes), compressed=True)
-        return [output]
-    base = Path(rest.name).stem
-    meshes: dict[str, Any] = {name: rest.with_positions(rest.positions + offset) for name, offset in shapes.items()}
-    if base in meshes:
-        raise FormatError(f"{output}: a shape is named {base}, like the cage itself. Rename it.")
-    meshes = {base: rest} | meshes
-    if output.exists() and not output.is_dir():
-        raise FormatError(f"{output}: expected a folder or an .npz to write shapes to, got a file.")
-    bare = {
-        name: replace(mesh, face_materials=None, material_names=(), material_colors=None)
-        for name, mesh in meshes.items()
-    }
-    files = {name: output / f"{name}.obj" for name in bare}
-    if any(file.parent != output for file in files.values()):
-        raise FormatError(f"{output}: names of shapes must not hold slashes, got {', '.join(shapes)}")
-    if output.is_dir():
-        written = [path for name, file in files.items() for path in mesh_files(file, bare[name])]
-        check_outputs(written, inputs, force=force)
-    else:
-        require_writable_folder(output)
+        return files
     output.mkdir(exist_ok=True)
-    for name, mesh in bare.items():
-        write_mesh(files[name], mesh, force=force)
-    return list(files.values())
+    bare = _without_materials(rest)
+    meshes = bare, *(bare.with_positions(rest.positions + offset) for offset in shapes.values())
+    for file, mesh in zip(files, meshes, strict=True):
+        write_mesh(file, mesh, force=force)
+    return files

@@ -17,7 +17,7 @@ from cagemap.deform.fit import coarse_fit
 from cagemap.deform.placement import Placement, distinct_placements, sort_by_cost
 from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.deform.refit import clusters_in_pose
-from cagemap.maps.hypotheses.rigid_starts import rigid_starts
+from cagemap.maps.hypotheses.starts import rigid_starts
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import distortion, stretches, weighted_percentiles
@@ -202,7 +202,7 @@ def cost_signs(answers: tuple[Placement, ...]) -> dict[str, float]:
     best, *different = answers
     cost = 1e4 * best.cost
     runner_up = max((best.cost / max(other.cost, 1e-12) for other in different), default=0.0)
-    return {"cost": cost, "turned": cost if best.has_penalty else 0.0, "runner_up": runner_up}
+    return {"cost": cost, "turned": cost if best.penalty > 1.0 else 0.0, "runner_up": runner_up}
 
 
 def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidence:

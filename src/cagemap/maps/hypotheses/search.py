@@ -23,10 +23,11 @@ from cagemap.deform.multi_start import (
 from cagemap.deform.placement import Placement, distinct_placements, mean_distance, rank_placements, sort_by_cost
 from cagemap.deform.problem import Clusters, PreparedPair, Problem, Tips, fitted_surface
 from cagemap.deform.refit import finish_placement, inverse_positions
-from cagemap.maps.hypotheses.limbs import assigned_limbs, refit_distinct_to_tips
-from cagemap.maps.hypotheses.rigid_starts import (
+from cagemap.maps.hypotheses.starts import (
     STARTS_PER_ROTATION,
+    assigned_limbs,
     axis_rotation,
+    refit_distinct_to_tips,
     rigid_starts,
     rotation_name,
     rotation_penalty,
@@ -97,7 +98,7 @@ def fit_small_graph(
         rotated = distinct_placements(starts, graph.areas, config.min_start_distance)[len(unrotated) :]
         rigid_fits = rank_placements([*rigid_fits, *fit_rigid_starts(rotated)])
     show(rank_placements([*(placed for _, placed in limb_fits), *rigid_fits])[0])
-    as_filed = [placed for placed in rigid_fits if not placed.has_penalty][:1]
+    as_filed = [placed for placed in rigid_fits if placed.penalty <= 1.0][:1]
     if not limb_fits:
         distinct = distinct_placements(rigid_fits, graph.areas, config.min_answer_distance)[: config.max_coarse]
         return [], distinct_placements([*distinct, *as_filed], graph.areas, config.min_answer_distance)

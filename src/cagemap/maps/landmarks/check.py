@@ -19,8 +19,8 @@ from cagemap.deform.multi_start import FEWEST_LANDMARKS, zoomout_start
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, TWO, Confidence, cost_signs
-from cagemap.maps.hypotheses.limbs import mutually_nearest
 from cagemap.maps.hypotheses.search import search_placements
+from cagemap.maps.hypotheses.starts import mutually_nearest
 from cagemap.maps.landmarks.outliers import (
     Marks,
     exchanged_sides,
@@ -169,7 +169,7 @@ def check_on_map(
     energy = reduced_energy(graph, images.positions, images.normals, vertices, problem.prepared.elastic)
     strains = np.zeros(count)
     strains[kept] = np.linalg.norm(energy.released(places, np.arange(len(kept))), axis=1)
-    strained, strain_notes = strained_pair(energy, places, config), list[str]()
+    strained, strain_notes = strained_pair(energy, places, strains[kept], config), list[str]()
     if strained is not None:
         typical = typical_misfit(*problem.landmark_distances, np.delete(kept, strained), config)
         if typical <= config.max_strain_misfit:

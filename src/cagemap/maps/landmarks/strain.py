@@ -71,7 +71,7 @@ class ReducedEnergy:
         force, blocks = self.times(places.ravel()) - self.load, self.blocks
         free = np.setdiff1d(np.arange(len(places)), fixed)
         if len(free):  # eliminate the free landmarks too
-            free_rows = _rows(free)
+            free_rows = (3 * free[:, None] + np.arange(3)).ravel()
             chosen = np.zeros((len(force), len(free_rows)))
             chosen[free_rows, np.arange(len(free_rows))] = 1.0
             columns = self.times(chosen)
@@ -112,26 +112,21 @@ def reduced_energy(
     return ReducedEnergy.of(sparse.csc_array(elastic + placed), right, unknowns)
 
 
-def strained_pair(energy: ReducedEnergy, places: FloatArray, config: LandmarkConfig = LandmarkConfig()) -> int | None:
+def strained_pair(
+    energy: ReducedEnergy, places: FloatArray, strains: FloatArray, config: LandmarkConfig = LandmarkConfig()
+) -> int | None:
     """Index of the one landmark that would move far if released; None if there is none.
 
-    None as well if there are too few landmarks. The others are measured again without it, because a wrong landmark
-    strains its neighbours.
+    ``strains`` (p,) are lengths of `ReducedEnergy.released`. None as well if there are too few landmarks. The others
+    are measured again without the worst one, because a wrong landmark strains its neighbours.
     """
     all_landmarks = np.arange(len(places))
     if len(all_landmarks) < config.fewest_strained:
         return None
-    moved = np.linalg.norm(energy.released(places, all_landmarks), axis=1)
-    worst = int(np.argmax(moved))
+    worst = int(np.argmax(strains))
     moved_next = np.linalg.norm(energy.released(places, all_landmarks[all_landmarks != worst]), axis=1)
-    return (
-        worst if moved[worst] >= max(config.min_strain, config.min_strain_of_next * float(moved_next.max())) else None
-    )
-
-
-def _rows(landmarks: IndexArray) -> IndexArray:
-    """Rows of H of some landmarks."""
-    return np.asarray((3 * landmarks[:, None] + np.arange(3)).ravel())
+    least = max(config.min_strain, config.min_strain_of_next * float(moved_next.max()))
+    return worst if strains[worst] >= least else None
 
 
 def _spread(rows: IndexArray) -> IndexArray:

@@ -33,7 +33,8 @@ class RigRequest:
     influences: Annotated[int, Option("Most joints per vertex; 0 for all.", OUTPUT, min=0)] = 4
     keep_textures: Annotated[bool, Option("BODY keeps its own materials and textures.", OUTPUT)] = False
     size: Annotated[
-        int | None, Option("Width and height of baked textures.  [default: as the character's]", OUTPUT, min=1)
+        int | None,
+        Option("Width and height of baked textures.  [default: as the character's]", OUTPUT, min=1, max=32767),
     ] = None
     report: Annotated[Path | None, Option("HTML page to write, which shows the animated result.", OUTPUT)] = None
     force: Force = False

@@ -117,7 +117,7 @@ class TransferRequest:
     ] = None
     size: Annotated[
         int | None,
-        Option("Width and height in texels.  [default: the source image's, or 2048]", IMAGES, min=1, max=65536),
+        Option("Width and height in texels.  [default: the source image's, or 2048]", IMAGES, min=1, max=32767),
     ] = None
     bits: Annotated[
         Literal[8, 16, 32] | None,

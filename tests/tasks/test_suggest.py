@@ -12,12 +12,11 @@ from cagemap.cli import main
 from cagemap.errors import ParameterError
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.result.folder import write_result
-from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.maps.pair import nearest_free_vertices
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.curves import CurvePair
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.tasks.suggest import suggested_landmarks
+from cagemap.tasks.suggest import suggested_landmarks, suggested_vertices
 
 from example_result import identity_result
 

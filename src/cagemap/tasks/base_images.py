@@ -1,0 +1,84 @@
+"""`--base` of a bake: the target's own image outside the masks, or alpha without it."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.files.images.image import Image, read_image, texture_files, udim_path, unpremultiply
+from cagemap.maps.result import MatchResult
+from cagemap.tasks.requests.transfer import TransferRequest, base_of
+from cagemap.transfer import BakeOptions, Transfer
+from cagemap.transfer.baking import convert_dtype
+from cagemap.transfer.masks import bake_mask, blend, with_alpha
+
+_log = logging.getLogger(__name__)
+ImageSize = int | tuple[int, int]  # width and height, or height and width
+
+
+def mask_function(
+    request: TransferRequest, transfer: Transfer, name: str = ""
+) -> Callable[[Image, BakeOptions], Image]:
+    """Function that applies masks to a baked image: blend over the base image, or add alpha."""
+    base = base_of(request, name)
+    if not transfer.masks.any:
+        return lambda image, _: image
+    return lambda image, options: _apply_mask(image, transfer, base, replace(options, filter=request.filter))
+
+
+def _apply_mask(image: Image, transfer: Transfer, base: Path | None, options: BakeOptions) -> Image:
+    """A baked image blended over its tile's base image, or with weights as alpha."""
+    weight = bake_mask(transfer, size=image.size, options=options)
+    if base is None:
+        image = unpremultiply(image)
+        return replace(image, pixels=with_alpha(image.pixels, weight), channel_names=())
+    under = read_image(udim_path(base, options.tile))
+    if under.associated != image.associated:
+        image, under = unpremultiply(image), unpremultiply(under)
+    # Floats without a stated colour space are linear, as in EXR.
+    spaces = [p.color_space or ("linear" if p.pixels.dtype.kind == "f" else "") for p in (under, image)]
+    if all(spaces) and spaces[0] != spaces[1]:
+        text = "--base %s is %s, what is baked over it %s: their numbers are mixed as they are. Convert one of them."
+        _log.warning(text, base, *spaces)
+    below = convert_dtype(under.pixels, image.pixels.dtype)
+    if options.filter == "nearest":  # labels are not mixed
+        weight = (weight >= 0.5).astype(weight.dtype)
+    return replace(image, pixels=blend(image.pixels, below, weight))
+
+
+def written_channels(request: TransferRequest, result: MatchResult, channels: int, name: str = "") -> int:
+    """Channels of the image to write: one more if masks become alpha."""
+    opaque = channels in (1, 3)
+    return channels + 1 if result.masks.any and opaque and base_of(request, name) is None else channels
+
+
+def base_size(request: TransferRequest, name: str = "") -> ImageSize | None:
+    """Size of the base image; None without one."""
+    base = base_of(request, name)
+    files = [] if base is None else texture_files(base)
+    if not files:
+        return None
+    height, width = read_image(files[0]).size
+    return height if height == width else (height, width)
+
+
+def require_base(
+    request: TransferRequest, result: MatchResult, size: ImageSize, channels: Sequence[int], name: str = ""
+) -> None:
+    """Refuse a base image of another size than that of the bake, or of other channels than one of ``channels``."""
+    base = base_of(request, name)
+    if base is None or not result.masks.any:
+        return
+    files = texture_files(base)
+    image = read_image(files[0] if files else base)
+    (height, width), found = np.broadcast_to(size, 2), np.atleast_3d(image.pixels).shape[2]
+    if image.size != (height, width) or found not in channels:
+        raise ParameterError(
+            f"--base {base}: expected {width} x {height} texels of {' or '.join(map(str, channels))} channels, as what "
+            f"is baked, got {image.size[1]} x {image.size[0]} of {found}. Give the target's own image."
+        )
