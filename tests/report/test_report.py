@@ -32,6 +32,7 @@ from cagemap.report import (
 )
 from cagemap.report.figures import BACKGROUND, display_image
 from cagemap.report.rig_panels import MAX_PANEL_POSES, cage_edges, control_edges
+from cagemap.subdivision.refinement import finest_mesh
 from cagemap.tasks.match_summary import match_figures, summary, warnings
 from cagemap.tasks.report import _baked_image
 
@@ -347,3 +348,9 @@ def test_tiles_are_found_wherever_their_number_stands(tmp_path: Path, names: str
     image = _baked_image(tmp_path, identity_result(1), entry)
     assert image.name.endswith(names.format("<UDIM>"))
     assert {tile: round(float(pixels.max() * 255)) for tile, pixels in image.tiles.items()} == {1001: 1, 1002: 2}
+
+
+def test_a_wrap_of_the_finest_level_is_drawn(result: MatchResult) -> None:
+    wrapped = finest_mesh(result.target.refinement)
+    (panel,) = draw_carried(result, CarriedData(wrapped=wrapped), SIZE)
+    assert len(panel.pictures) == 8

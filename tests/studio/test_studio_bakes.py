@@ -34,7 +34,7 @@ ASKED: dict[str, dict[str, str | bool]] = {
     "Detailed mesh": {"Mesh": "pony.obj", "normal": True, "ao": True, "Rays": "8"},
     "Rig": {"Skin weights": "skin.csv", "Influences": "1", "Blend shapes": "faces", "Attribute": "age.npy"},
     "Wrap": {"Wrap": True, "Fairness": "0.001", "Displacement": True, "Normal map": True, "MakeHuman file": True},
-    "Match": {"Functions": "60"},
+    "Match": {"Trust landmarks": True},
     "Files": {"Bits": "16", "UVs of the source": True, "Map file": ".npz", "Report": False},
 }
 # The images of the wrapped cage take 14 s more each time at 512 texels, the least that the page lists.

@@ -4,6 +4,7 @@ every control, wrong landmarks, two tabs, the bake.
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import shutil
@@ -11,6 +12,7 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+import imageio.v3 as imageio
 import numpy as np
 import pygltflib
 import pytest
@@ -22,6 +24,7 @@ from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pipeline import choose_level
 from cagemap.studio.autosave import autosave_path
+from cagemap.studio.glb import MeshPart, pack_glb
 from cagemap.studio.landmark_files import SAVE_FORMATS, side_file
 from cagemap.studio.places import cage_places
 from cagemap.studio.shape import Shape, pick, refined_shape
@@ -499,6 +502,53 @@ def test_an_error_is_named_and_the_bake_goes_on_after_it(page: Page, files: File
     page.until(lambda: page.run("return !!window.studio.views.sides.target.images.baked"), "the image on the model")
     assert page.state("view")["mode"] == "baked"
     shown = page.look("target")
+    page.set("other", "baked")
     page.set("baked", "")
     page.until(lambda: page.state("view")["mode"] == "texture", "the map")
     assert np.abs(page.look("target") - shown).mean() < 2 * OTHER
+    compared = "const at = document.getElementById('other'); return [at.value, [...at.options].map(one => one.value)]"
+    chosen, offered = page.run(compared)
+    assert chosen == ""
+    assert "baked" not in offered  # the model is drawn without the image
+
+
+def test_enter_accepts_after_next_landmark_and_rows_stay_and_are_chosen_by_keys(page: Page) -> None:
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    count = page.landmarks()
+    page.set("symmetric", False)
+    page.run("document.getElementById('next').focus()")
+    page.press("next")
+    page.until(lambda: page.state("proposal"), "a proposal")
+    ActionChains(page.browser).send_keys(Keys.ENTER).perform()
+    page.until(lambda: page.landmarks() == count + 1, "the accepted landmark")
+    page.until(lambda: page.state("status")["kind"] != "busy", "its map")
+
+    page.run("window.row = document.querySelector('#list tbody tr:nth-child(2)')")
+    page.set("cages", True)
+    page.set("cages", False)
+    assert page.run("return window.row.isConnected")  # a click that begins now ends on the same row
+    page.run("window.row.querySelector('button').focus()")
+    ActionChains(page.browser).send_keys(Keys.SPACE).perform()
+    number = int(page.run("return window.row.dataset.number"))
+    page.until(lambda: page.state("selected") == number, "the row's landmark selected")
+    assert page.run("return document.activeElement.getAttribute('aria-pressed')") == "true"
+    back_to(page, count)
+    page.set("symmetric", True)
+
+
+def test_a_target_whose_triangles_all_cross_seams_is_drawn(page: Page) -> None:
+    corners, image = np.eye(3), io.BytesIO()
+    imageio.imwrite(image, np.full((4, 4, 3), 200, dtype=np.uint8), extension=".png")
+    values = {"POSITION": corners, "NORMAL": corners, "COLOR_1": corners, "TEXCOORD_0": corners[:, :2]}
+    parts = [MeshPart(name, values, np.arange(3)[None][:count]) for name, count in (("model", 0), ("seams", 1))]
+    drawing = base64.b64encode(pack_glb(parts, {"seams": image.getvalue()})).decode()
+    script = """const [drawing, done] = arguments, fetched = window.fetch, {views} = window.studio;
+        window.fetch = async () => new Response(Uint8Array.from(atob(drawing), one => one.charCodeAt(0)));
+        views.load('target', 'skin', 'of this test').then(() => done(Object.keys(views.sides.target.parts)),
+            error => done(String(error))).finally(() => { window.fetch = fetched; });"""
+    assert "seams" in page.browser.execute_async_script(script, drawing)
+    page.set("cages", True)
+    page.set("cages", False)
+    page.drawn()

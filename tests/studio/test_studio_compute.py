@@ -34,7 +34,7 @@ from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.places import vertex_place
 from cagemap.studio.scene import Scene, map_place, mirror_place
 from cagemap.studio.state import number_duplicates
-from cagemap.studio.worker import CANCELLED_KIND, Failure, FinalResult, Worker, _serve_preview
+from cagemap.studio.worker import CANCELLED_KIND, RESULT, Failure, Worker, serve_preview
 from cagemap.tasks.match import run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.match import MatchRequest
@@ -104,16 +104,16 @@ def test_what_reading_warned_of_is_said_with_the_error_that_ends_it(
     monkeypatch.setattr("cagemap.studio.compute.textured", refuse)
     monkeypatch.setattr("cagemap.studio.worker._lower_priority", lambda: None)  # it is this process that serves
     here, there = Pipe()
-    serving = threading.Thread(target=_serve_preview, args=(there,), daemon=True)
+    serving = threading.Thread(target=serve_preview, args=(there,), daemon=True)
     serving.start()
     here.send(OpenModels(PairFiles(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, tmp_path)))
-    replies = list[object]()
-    while not replies or not isinstance(replies[-1], FinalResult | Failure):
+    kind = ""
+    while kind != RESULT:
         assert here.poll(60)
-        replies.append(here.recv())
+        kind, result = here.recv()
     here.close()
     serving.join(10)
-    assert replies[-1] == Failure("FormatError", "b.png is empty", (f"skins{os.sep}b.png: no image",))
+    assert result == Failure("FormatError", "b.png is empty", (f"skins{os.sep}b.png: no image",))
 
 
 @pytest.mark.slow
@@ -226,7 +226,7 @@ def test_mirror_images_lie_across_the_plane(opened: tuple[PreviewCache, OpenMode
 def test_a_failing_task_is_a_named_failure_and_the_worker_lives_on(opened: tuple[PreviewCache, OpenModels]) -> None:
     _, task = opened
     stages: list[str] = []
-    worker = Worker(stages.append)
+    worker = Worker(stages.append, serve_preview)
     missing = worker.run(OpenModels(replace(task.pair_files, target=Path("/nowhere/a.obj"))))
     assert isinstance(missing, Failure)
     assert missing.kind == "MissingFileError"
@@ -247,7 +247,7 @@ def test_a_task_that_is_not_wanted_ends_at_its_next_stage(
     _, task = opened
     unwanted, wanted = FindMap(task.pair_files, LandmarkList()), ShowBaked(task.pair_files, Path(), None, None, None)
     here, there = Pipe()
-    worker = Worker(lambda stage: worker.cancel(unwanted))
+    worker = Worker(lambda stage: worker.cancel(unwanted), serve_preview)
     monkeypatch.setattr(worker, "_connect", lambda: here)
     worker._connection = here
 
@@ -261,7 +261,7 @@ def test_a_task_that_is_not_wanted_ends_at_its_next_stage(
 
     monkeypatch.setattr("cagemap.studio.compute.run_task", work)
     monkeypatch.setattr("cagemap.studio.worker._lower_priority", lambda: None)  # it is this process that serves
-    serving = threading.Thread(target=_serve_preview, args=(there,), daemon=True)
+    serving = threading.Thread(target=serve_preview, args=(there,), daemon=True)
     serving.start()
     for _ in range(2):
         assert worker.run(unwanted) == Failure(CANCELLED_KIND, "the computation was cancelled")
@@ -282,3 +282,33 @@ def test_a_vertex_cannot_be_named_twice(opened: tuple[PreviewCache, OpenModels])
 def test_answers_of_one_name_are_numbered() -> None:
     numbered = ("as filed", "turned", "as filed (2)", "as filed (3)")
     assert number_duplicates(["as filed", "turned", "as filed", "as filed"]) == numbered
+
+
+@pytest.mark.slow
+def test_a_process_that_lost_its_map_starts_from_the_chosen_answer(
+    opened: tuple[PreviewCache, OpenModels], quick_fit: None
+) -> None:
+    cache, task = opened
+    _, chosen = run_task(cache, FindMap(task.pair_files, LandmarkList(), answer=1), lambda _: None)
+    again = FindMap(task.pair_files, LandmarkList(), chosen_answer=1)
+    cache, restarted = run_task(None, again, lambda _: None)
+    assert restarted.map_state.chosen_answer == 1
+    np.testing.assert_array_equal(restarted.preview_map.triangle, chosen.preview_map.triangle)
+    _, updated = run_task(None, replace(again, landmarks=landmarks(cache, 0)), lambda _: None)
+    assert updated.map_state.chosen_answer == 1
+
+
+@pytest.mark.slow
+def test_a_match_from_the_start_uses_one_landmark_too_and_three_in_place_of_a_chosen_answer(
+    opened: tuple[PreviewCache, OpenModels], quick_fit: None
+) -> None:
+    cache, task = opened
+    again = FindMap(task.pair_files, landmarks(cache, 0), fresh=True)
+    free, _ = run_task(cache, FindMap(task.pair_files, LandmarkList()), lambda _: None)
+    assert run_task(free, again, lambda _: None)[1].map_state.from_start
+    chosen, _ = run_task(free, FindMap(task.pair_files, LandmarkList(), answer=1), lambda _: None)
+    kept = run_task(chosen, again, lambda _: None)[1].map_state
+    assert (kept.chosen_answer, kept.from_start) == (1, False)
+    three = replace(again, landmarks=landmarks(cache, 0, 3, 5))
+    found = run_task(chosen, three, lambda _: None)[1].map_state
+    assert (found.chosen_answer, found.from_start) == (0, True)

@@ -104,7 +104,11 @@ def test_files_are_added_faults_are_named_and_a_scan_is_taken_as_it_is(
     page.press("plain-target")
     page.until(lambda: page.run(dense_target) is False, "the scan as it is")
 
-    # Chosen in the dialog; the image is guessed, and how a model is taken is not said of the next one.
+    # Chosen in the dialog; the image is guessed, and how a model is taken is not said of the next one, nor its files.
+    page.option("Detailed mesh", "Mesh", "scan.obj")
+    page.option("Files", "Name", "scan")
+    page.until(lambda: page.revision() >= 1, "its map")
+    page.set("wrapAmount", 1.0)
     page.press("open")
     page.set("models [name=target]", "deer.obj")
     page.set("models [name=source]", "pony.obj")
@@ -114,6 +118,10 @@ def test_files_are_added_faults_are_named_and_a_scan_is_taken_as_it_is(
     page.press("open-now")
     chosen = "const files = window.studio.state.files; return [files.target, files.schemes[1]]"
     page.until(lambda: page.run(chosen) == ["deer.obj", "bilinear"], "the pair as it was chosen")
+    typed = """return ['transfer.detail', 'name'].map(key => document.querySelector(
+        `[data-key="${key}"] select, [data-key="${key}"] input`).value)"""
+    assert page.run(typed) == ["", ""]
+    assert page.run("return document.getElementById('wrapAmount').value") == "0"
     page.until(lambda: page.state("models"), "the pair")
     page.press("plain-source")
     page.until(lambda: page.run(chosen) == ["deer.obj", "none"], "the source as it is")

@@ -27,7 +27,6 @@ from cagemap.files import MASK_SUFFIXES
 from cagemap.files.result.folder import write_result
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.repairs import Repairs
-from cagemap.studio.agreement import map_difference_notes
 from cagemap.studio.downloads import ARCHIVE_NAME, output_content
 from cagemap.studio.finish import MAP_TITLE, SHARED_OPTIONS, Command, FinishOptions, finish_commands, plan_commands
 from cagemap.studio.finish_layout import (
@@ -40,6 +39,7 @@ from cagemap.studio.finish_layout import (
     in_page_words,
     sections,
 )
+from cagemap.studio.finish_map import map_difference_notes
 from cagemap.studio.opening import default_files
 from cagemap.studio.runner import Runner, command_outputs
 from cagemap.studio.scene import Scene
@@ -396,3 +396,16 @@ def test_the_map_of_a_finish_is_the_one_that_is_shown_or_it_is_said(tmp_path: Pa
     assert "Match again" in said
     assert map_difference_notes(None, outputs) == map_difference_notes(turned, ()) == ()
     assert map_difference_notes(turned, (Output(tmp_path / "gone", MAP_TITLE),)) == ()
+
+
+def test_images_of_two_sources_have_names_of_their_own(tmp_path: Path) -> None:
+    names = []
+    for source, image in (("cow", "cow.png"), ("cow", "cow_color.png"), ("cow", "skin.png"), ("bull", "skin.png")):
+        files = default_files(tmp_path, tmp_path / "deer.obj", tmp_path / f"{source}.obj", tmp_path / image)
+        names.append(finish_commands(OPTIONS, files, FinishOptions(), use_landmarks=False)[1].output.name)
+    assert names == [
+        "deer_from_cow.png",
+        "deer_from_cow_color.png",
+        "deer_from_cow_skin.png",
+        "deer_from_bull_skin.png",
+    ]

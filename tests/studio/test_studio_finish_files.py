@@ -55,7 +55,7 @@ def write_inputs(files: Files) -> None:
 def rich_finish(files: Files, size: int, vertices: int) -> FinishOptions:
     """A finish that asks for something of every kind, of the built-in pair."""
     folder = files.source.parent
-    given: dict[Key, Value] = {VERTICES_KEY: vertices, SIZE_KEY: size, ("match", "k"): 60}
+    given: dict[Key, Value] = {VERTICES_KEY: vertices, SIZE_KEY: size, ("match", "trust_landmarks"): True}
     given |= {("transfer", name): value for name, value in TRANSFER.items()}
     given |= {("wrap", name): value for name, value in WRAP.items()}
     asked = FinishOptions(maps=(("roughness", Path("bumps.png")),), map_form=".npz", wrap=True, option_values=given)

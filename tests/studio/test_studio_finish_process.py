@@ -57,7 +57,6 @@ def test_every_request_says_how_it_ended_and_what_it_wrote(tmp_path: Path) -> No
     assert [bool(one.failure) for one in made] == [False, True, False]
     assert "none" in made[1].failure
     assert made[1].files == ()
-    assert f"wrote {result}" in made[0].summary
     assert stages
 
 

@@ -14,9 +14,9 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.landmarks.point_formats import POINT_FORMS
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.studio.autosave import autosave_path, read_autosave, write_autosave
+from cagemap.studio.autosave import FileTracker, autosave_path, read_autosave, write_autosave
 from cagemap.studio.finish import FinishOptions
-from cagemap.studio.landmark_files import side_file
+from cagemap.studio.landmark_files import autosaved_landmarks, side_file
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.session import Session
 from cagemap.tasks.requests.catalogue import Value
@@ -303,3 +303,35 @@ def test_an_added_usd_file_may_name_files_beside_it_and_a_package_its_own(sessio
         else:
             with pytest.raises(ParameterError, match=r"got one outside: a\.png"):
                 session.workspace.add("p.usdz", package.read_bytes())
+
+
+def test_an_autosave_names_the_files_that_its_landmarks_are_of(opened: Session) -> None:
+    click(opened, "target", 0)
+    kept = autosave_path(opened.state.files.landmarks)
+    assert json.loads(kept.read_text())["models"] == ["a.obj, 8 vertices", "b.obj, 8 vertices"]
+    other = replace(opened.state.files, source=opened.state.files.source.with_name("b.glb"))
+    with pytest.raises(FormatError, match=r"b\.obj, 8 vertices"):
+        autosaved_landmarks(other, opened.scene, FileTracker())
+    opened.undo()
+
+
+def test_a_loaded_landmark_file_of_a_model_with_another_ending_is_kept(opened: Session) -> None:
+    landmarks = opened.state.files.landmarks
+    write_landmarks(landmarks, Landmarks(("mine",), np.array([1]), np.array([1]), "a.obj", "b.glb"))
+    theirs = landmarks.read_text()
+    opened.load(landmarks)
+    opened.save()
+    assert landmarks.with_name(f"{landmarks.name}.before-studio").read_text() == theirs
+
+
+def test_files_that_are_dropped_again_are_used_again_and_an_obj_names_the_new_material_file(tmp_path: Path) -> None:
+    session = session_of(tmp_path)
+    try:
+        mesh = b"mtllib x.mtl\nv 0 0 0\n"
+        for name, content in (("x.mtl", b"newmtl a\n"), ("x.obj", mesh)):
+            assert session.add_file(name, content) == session.add_file(name, content) == tmp_path.resolve() / name
+        assert session.add_file("x.mtl", b"newmtl b\n").name == "x (2).mtl"
+        again = session.add_file("x.obj", mesh)
+        assert (again.name, again.read_bytes()) == ("x (2).obj", b"mtllib x (2).mtl\nv 0 0 0\n")
+    finally:
+        session.close()

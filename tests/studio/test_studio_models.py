@@ -353,7 +353,9 @@ def test_a_bake_in_the_second_uv_set_is_shown_in_it(tmp_path: Path) -> None:
         largest = factor * mesh.uvs[:, 0].max()
         _, skin = run_task(cache, ShowBaked(opening, tmp_path / "t.png", None, uv_set, None), lambda _: None)
         assert 0.9 * largest < attributes_of(skin, "model")["TEXCOORD_1"][:, 0].max() < 1.01 * largest
-        (tmp_path / "out.glb").write_bytes(textured_model(StudioState(files=files, outputs=outputs, uv_set=uv_set)))
+        (tmp_path / "out.glb").write_bytes(
+            textured_model(StudioState(files=files, outputs=outputs, uv_set=uv_set), None)
+        )
         assert read_mesh(tmp_path / "out.glb").uvs[:, 0].max() == pytest.approx(largest, abs=1e-6)
 
 
@@ -361,7 +363,7 @@ def test_the_image_inside_a_glb_is_the_texture_where_none_is_named(tmp_path: Pat
     write_mesh(tmp_path / "box.obj", unwrapped_cube())
     write_image(tmp_path / "t.png", np.full((8, 8, 3), [255, 0, 0], dtype=np.uint8))
     files = default_files(tmp_path, tmp_path / "box.obj", tmp_path / "box.obj", None)
-    model = textured_model(StudioState(files=files, outputs=(Output(tmp_path / "t.png", "texture"),)))
+    model = textured_model(StudioState(files=files, outputs=(Output(tmp_path / "t.png", "texture"),)), None)
     (tmp_path / "box.glb").write_bytes(model)
     given = tmp_path / "box.obj", tmp_path / "box.glb"
     for _ in range(2):  # the file that was put there is used again

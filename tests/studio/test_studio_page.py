@@ -58,7 +58,7 @@ def test_every_stage_of_a_match_is_said_in_words_of_the_page(opened: Session) ->
         cache, _ = run_task(cache, FindMap(opening, LandmarkList(items[:count]), fresh), stages.append)
     assert len(set(stages)) > 5
     for stage in stages:
-        said = status_entries(StudioState(preview_job=RunningJob("Matching", stage)))
+        said = status_entries(StudioState(preview_job=RunningJob("Matching", stage)), None)
         assert said["text"] != f"Matching: {stage}", f"{stage}: no words for it in page/words.py"
         assert said["fraction"] is not None
     assert not [word for _, words, _ in STAGES for word in FOREIGN if word in words]
@@ -76,7 +76,7 @@ def test_the_status_says_what_is_asked_of_the_user() -> None:
         (replace(ready, messages=(wrong,)), "error", "line 4"),
         (replace(ready, finish_job=RunningJob("finish 2/3", "texture: bake", 0.4)), "busy", "step 2/3"),
     ):
-        said = status_entries(state)
+        said = status_entries(state, None)
         assert (said["kind"], words in said["text"]) == (kind, True), said
     assert said["fraction"] == 0.4
     assert said["cancel"]
@@ -89,26 +89,26 @@ def test_every_stage_of_a_bake_is_said_in_words_of_the_page() -> None:
     stages = {"bake", *re.findall(r'stages\(f?"([^"{ ][^"{]*)', sources)}
     assert len(stages) > 10
     for stage in stages:
-        said = status_entries(StudioState(finish_job=RunningJob("finish 1/3", f"texture: {stage}", 0.1)))["text"]
+        said = status_entries(StudioState(finish_job=RunningJob("finish 1/3", f"texture: {stage}", 0.1)), None)["text"]
         assert said.startswith("Baking, step 1/3, texture: ")
         assert not said.endswith(f": {stage}"), f"{stage}: no words for it in page/words.py"
 
 
 def test_a_computation_says_how_long_it_has_run() -> None:
     job = RunningJob("Matching", "elastic alignment", begun=time.monotonic() - 40)
-    assert 40 <= status_entries(StudioState(preview_job=job))["seconds"] < 50
-    assert "seconds" not in status_entries(StudioState())
+    assert 40 <= status_entries(StudioState(preview_job=job), None)["seconds"] < 50
+    assert "seconds" not in status_entries(StudioState(), None)
 
 
 def test_an_error_leaves_the_status_after_the_next_action(opened: Session) -> None:
     for _ in range(2):
         sent(opened, do="open")
         sent(opened, do="list")  # which the page asks by itself
-        assert "expected a target and a source" in status_entries(opened.state)["text"]
+        assert "expected a target and a source" in status_entries(opened.state, opened.scene)["text"]
         sent(opened, do="open")  # the same once more
-        assert status_entries(opened.state)["kind"] == "error"
+        assert status_entries(opened.state, opened.scene)["kind"] == "error"
         sent(opened, do="select", number=None)
-        assert status_entries(opened.state)["kind"] != "error"
+        assert status_entries(opened.state, opened.scene)["kind"] != "error"
     assert opened.state.messages[-1].kind == "error"  # in the list of messages it stays
 
 
@@ -301,11 +301,9 @@ def test_the_form_has_every_option_that_the_page_shows() -> None:
         assert ("suffixes" in line) == ("file" in line["kind"]), line
 
 
-def test_values_of_the_form_are_those_of_the_command_line(tmp_path: Path) -> None:
+def test_values_of_the_form_are_those_of_the_command_line() -> None:
     options = all_options()
-    (tmp_path / "n.png").touch()
-    resolve = Workspace.of(tmp_path).resolve
-    assert read_form(options, {"match.vertices": ""}, resolve) == read_form(options, {}, resolve) == FinishOptions()
+    assert read_form(options, {"match.vertices": ""}) == read_form(options, {}) == FinishOptions()
     sent_values = {
         "texture": False,
         "maps": "roughness=r.png, n.png",
@@ -313,17 +311,17 @@ def test_values_of_the_form_are_those_of_the_command_line(tmp_path: Path) -> Non
         "transfer.size": "512",
         "transfer.normal_map": "n.png",
         "transfer.bake": ["normal"],
-        "match.k": "60",
+        "match.level": "3",
         "match.trust_landmarks": True,
     }
-    asked = read_form(options, sent_values, resolve)
+    asked = read_form(options, sent_values)
     assert asked.maps == (("roughness", Path("r.png")), ("", Path("n.png")))
-    assert asked.option_values[("transfer", "normal_map")] == tmp_path.resolve() / "n.png"
+    assert asked.option_values[("transfer", "normal_map")] == Path("n.png")
     assert asked.option_values[("match", "vertices")] == 3000
     assert asked.option_values[("transfer", "bake")] == ("normal",)
     assert asked.option_values[("match", "trust_landmarks")] is True
-    with pytest.raises(Exception, match="Functions: expected a whole number or nothing, got 'many'"):
-        read_form(options, {"match.k": "many"}, resolve)
+    with pytest.raises(Exception, match="Level: expected a whole number or nothing, got 'many'"):
+        read_form(options, {"match.level": "many"})
 
 
 @pytest.mark.slow
@@ -333,7 +331,7 @@ def test_the_target_with_its_baked_image_is_one_file(opened: Session, boxes: Pat
     assert textured_model_name(opened.state) is None
     state = replace(opened.state, outputs=(Output(boxes / "b.png", "texture"),))
     assert textured_model_name(state) == "b.glb"
-    document = pygltflib.GLTF2.load_from_bytes(textured_model(state))
+    document = pygltflib.GLTF2.load_from_bytes(textured_model(state, opened.scene))
     assert len(document.images) == len(document.materials) == len(document.meshes) == 1
     assert document.materials[0].pbrMetallicRoughness.baseColorTexture.index == 0
 
@@ -348,3 +346,27 @@ def test_a_studio_is_served_and_ends(boxes: Path) -> None:
         assert second["status"]["text"].startswith("Open two models")
     finally:
         app.close()
+
+
+def test_without_models_or_a_map_the_status_says_what_to_press(opened: Session) -> None:
+    files = default_files(Path(), Path("a.obj"), Path("b.obj"), None)
+    assert status_entries(StudioState(files=files), None)["text"] == "These models are not open. Press Open…"
+    without_map = replace(opened.scene, preview_map=None)
+    assert status_entries(StudioState(files=files), without_map)["text"] == "No map yet. Press Match again."
+
+
+def test_landmarks_and_result_of_a_pair_are_beside_its_target(tmp_path: Path) -> None:
+    session = MagicMock(workspace=Workspace.of(tmp_path), state=StudioState())
+    for name in ("anna", "bob"):
+        sent(session, do="open", target=f"{name}/body.obj", source="base.obj", schemes=["", ""])
+    files = [call.args[0] for call in session.open.call_args_list]
+    folders = [tmp_path.resolve() / name for name in ("anna", "bob")]
+    assert [one.landmarks for one in files] == [folder / "base__body.json" for folder in folders]
+    assert [one.result for one in files] == [folder / "base__body_RESULT" for folder in folders]
+
+
+def test_after_an_error_a_probe_says_what_is_there(opened: Session) -> None:
+    sent(opened, do="open")
+    assert status_entries(opened.state, opened.scene)["kind"] == "error"
+    sent(opened, do="probe", side="target", origin=[9, 9, 9], direction=[1, 0, 0])
+    assert status_entries(opened.state, opened.scene)["kind"] == "ready"

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cagemap.errors import InvalidMeshError, ParameterError
+from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import write_result
@@ -23,6 +24,7 @@ from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.parts import extract_faces, in_one_piece, join_meshes, list_parts, numbers_on_part
 from cagemap.studio.autosave import FileTracker, autosave_path, read_autosave, read_autosave_parts, write_autosave
 from cagemap.studio.compute import OpenModels, PairFiles, run_task
+from cagemap.studio.downloads import textured_model
 from cagemap.studio.file_parts import select_part
 from cagemap.studio.finish import FinishOptions, finish_commands
 from cagemap.studio.landmark_files import (
@@ -39,6 +41,7 @@ from cagemap.studio.places import vertex_place
 from cagemap.studio.scene import Scene
 from cagemap.studio.session import Session
 from cagemap.studio.skins import source_skin
+from cagemap.studio.state import Output, StudioState
 from cagemap.studio.worker import Failure
 from cagemap.subdivision import refine
 from cagemap.tasks.requests.catalogue import all_options
@@ -367,3 +370,19 @@ def test_a_scan_is_offered_to_be_taken_as_it_is_and_is_where_it_is_no_cage(
     assert welded.control.n_vertices < len(positions)
     with pytest.raises(InvalidMeshError):  # as asked: a cage
         open_model(tmp_path / "small.obj", "loop", None, 300)
+
+
+def test_only_the_open_part_has_the_baked_image_in_a_download(folder: Path) -> None:
+    import pygltflib
+
+    write_image(folder / "t.png", np.full((8, 8, 3), 90, dtype=np.uint8))
+    write_mesh(folder / "a.obj", figure().with_uvs(np.zeros((1, 2)), np.zeros(len(figure().face_indices), dtype=int)))
+    files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
+    state = StudioState(files=files, outputs=(Output(folder / "t.png", "texture"),))
+    document = pygltflib.GLTF2.load_from_bytes(textured_model(state, opened("eye")))
+    textured = [material.pbrMetallicRoughness.baseColorTexture is not None for material in document.materials]
+    assert sorted(textured) == [False, True]
+    corners = [0, 0]
+    for primitive in (primitive for mesh in document.meshes for primitive in mesh.primitives):
+        corners[textured[primitive.material]] += document.accessors[primitive.indices].count
+    assert corners == [(figure().n_faces - 6) * 6, 36]

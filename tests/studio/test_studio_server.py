@@ -15,7 +15,7 @@ import websockets.exceptions
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
-from cagemap.studio.page.server import COOKIE_NAME, Server, is_admitted
+from cagemap.studio.page.server import Server, is_admitted
 
 
 def request(path: str = "/", **headers: str) -> Request:
@@ -44,8 +44,11 @@ def test_the_server_refuses_pages_of_other_sites() -> None:
 def test_the_server_asks_for_the_token() -> None:
     token = "right"
     assert is_admitted(request("/?token=right"), token)
-    assert is_admitted(request(Cookie=f"{COOKIE_NAME}=right"), token)
-    for refused in (request(), request("/?token="), request("/?token=wrong"), request(Cookie=f"{COOKIE_NAME}=wrong")):
+    assert is_admitted(request(Cookie="cagemap_studio_8765=right"), token)
+    both = "cagemap_studio_8766=other; cagemap_studio_8765=right"  # a browser sends those of every port
+    assert is_admitted(request(Cookie=both), token)
+    wrong = (request(Cookie=f"cagemap_studio_{cookie}") for cookie in ("8765=wrong", "8766=right"))
+    for refused in (request(), request("/?token="), request("/?token=wrong"), *wrong):
         assert not is_admitted(refused, token)
 
 
@@ -113,8 +116,12 @@ def test_web_sockets_of_other_machines_need_the_token() -> None:
 
     async def all_of_them() -> list[object]:
         served = await asyncio.to_thread(server, "0.0.0.0", "right")
-        address, cookie = f"ws://127.0.0.1:{served.port}/socket", {"Cookie": f"{COOKIE_NAME}=right"}
-        strangers = ({}, {"Cookie": f"{COOKIE_NAME}=wrong"}, cookie | {"Origin": "http://elsewhere.example"})
+        address, cookie = f"ws://127.0.0.1:{served.port}/socket", {"Cookie": f"cagemap_studio_{served.port}=right"}
+        strangers = (
+            {},
+            {"Cookie": f"cagemap_studio_{served.port}=wrong"},
+            cookie | {"Origin": "http://elsewhere.example"},
+        )
         found = [await said_back(address, **headers) for headers in (cookie, *strangers)]
         found.append(await said_back(address.replace("socket", "other"), **cookie))
         await asyncio.to_thread(served.close)

@@ -7,6 +7,7 @@ import queue
 import threading
 import time
 import types
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +16,10 @@ import pytest
 from examples.shapes import cube
 
 from cagemap.errors import ParameterError
+from cagemap.files.images.image import write_image
 from cagemap.files.result.manifest import note_transfer
 from cagemap.pictures import Z_UP
-from cagemap.studio.compute import FindMap, MapUpdate, OpenModels, ShowPosed, Task
+from cagemap.studio.compute import FindMap, MapUpdate, OpenModels, ShowImage, ShowPosed, Task
 from cagemap.studio.finish import Command, FinishOptions
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.places import vertex_place
@@ -25,7 +27,7 @@ from cagemap.studio.preview import Preview
 from cagemap.studio.scene import map_point
 from cagemap.studio.session import Session
 from cagemap.studio.skins import PreviewMap
-from cagemap.studio.state import Files, MapState, Output, RunningJob, StudioState
+from cagemap.studio.state import Files, MapState, Message, Output, RunningJob, StudioState
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.surface.closest_points import build_tree, closest_points
 
@@ -115,7 +117,7 @@ def slow_preview(patch: pytest.MonkeyPatch) -> tuple[Preview, queue.Queue[Task],
             goes_on.set()
 
     patch.setattr("cagemap.studio.preview.Worker", Slow)
-    made = Preview(100, Path(), lambda: (LandmarkList(), None), lambda _: None, lambda *_: None)
+    made = Preview(100, Path(), lambda: (LandmarkList(), None, 0), lambda _: None, lambda *_: None)
     return made, begun, dropped, goes_on
 
 
@@ -225,7 +227,7 @@ def test_a_fault_of_ours_is_a_message_and_the_next_click_works(
 
     revision = opened.state.map.revision
     with monkeypatch.context() as patch:
-        for module in ("session", "landmark_edits"):
+        for module in ("preview_results", "landmark_edits"):
             patch.setattr(f"cagemap.studio.{module}.propose_place", broken)
         click(opened, "target", 2)  # here, and where the answer of the computation is taken in
         opened.match_again()
@@ -246,7 +248,7 @@ def test_until_a_first_map_is_compiled_titles_say_so(monkeypatch: pytest.MonkeyP
         if job is not None:
             titles.append(job.title)
 
-    preview = Preview(100, Path(), lambda: (LandmarkList(), None), on_job, lambda *_: None)
+    preview = Preview(100, Path(), lambda: (LandmarkList(), None, 0), on_job, lambda *_: None)
     preview.open(Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT")))
     end = time.monotonic() + 10
     while len(titles) < 2 and time.monotonic() < end:
@@ -484,3 +486,131 @@ def test_a_probe_points_at_both_models(opened: Session) -> None:
     assert probe.source[0] > 2  # on the other box
     opened.probe("target", np.array([9.0, 9.0, 9.0]), np.array([1.0, 0.0, 0.0]))
     assert opened.state.probe is None
+
+
+def test_cancelling_the_first_map_does_not_say_that_a_map_stays(opened: Session) -> None:
+    shown = opened.state.map
+    opened._change(map=MapState())
+    opened._cancelled = True
+    opened._receive(FindMap(opened._preview.pair_files, LandmarkList()), Failure(STOPPED_KIND, "killed"))
+    opened._change(map=shown)
+    assert opened.state.messages[-1].text == "cancelled"
+
+
+def test_a_request_carries_the_chosen_answer(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    tasks = queue.Queue[Task]()
+    monkeypatch.setattr(opened._preview._worker, "run", lambda task: tasks.put(task) or Failure(CANCELLED_KIND, ""))
+    shown = opened.state.map
+    opened._change(map=replace(shown, chosen_answer=1))
+    opened.match_again()
+    assert tasks.get(timeout=10).chosen_answer == 1
+    opened._change(map=shown)
+
+
+@pytest.fixture
+def held_tasks(opened: Session, monkeypatch: pytest.MonkeyPatch) -> Iterator[queue.Queue[Task]]:
+    """Tasks of the preview as they begin; each runs until it is cancelled."""
+    begun, killed, shown = queue.Queue[Task](), threading.Event(), opened.state.map
+
+    def run(task: Task) -> Failure:
+        begun.put(task)
+        killed.wait(10)
+        killed.clear()
+        return Failure(STOPPED_KIND, "killed")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(opened._preview._worker, "run", run)
+        patch.setattr(opened._preview._worker, "kill", killed.set)
+        yield begun
+        opened._preview._requests.clear()
+        killed.set()
+        until(lambda: at_rest(opened), opened)
+    opened._change(map=shown)
+
+
+def test_cancel_drops_the_map_that_waits_too(opened: Session, held_tasks: queue.Queue[Task]) -> None:
+    opened.match_again()
+    held_tasks.get(timeout=10)
+    click(opened, "target", 2)
+    opened.accept()
+    opened.cancel()
+    until(lambda: opened.state.preview_job is None and at_rest(opened), opened)
+    assert held_tasks.empty()
+    assert (opened.state.map.unchecked, opened.state.map.from_start) == (True, False)
+    assert opened.state.messages[-1].text == "cancelled"
+
+
+def test_no_bake_starts_while_a_chosen_alignment_is_computed(
+    opened: Session, held_tasks: queue.Queue[Task], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started = list[object]()
+    monkeypatch.setattr(opened._runner, "start", started.append)
+    opened._change(map=replace(opened.state.map, answers=("as filed", "turned")))
+    opened.choose_answer(1)
+    held_tasks.get(timeout=10)
+    opened.finish(FinishOptions())
+    assert started == []
+    assert "the chosen alignment is being computed" in opened.state.messages[-1].text
+
+
+def test_earlier_outputs_stay_until_a_bake_replaces_them(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(opened._runner, "start", lambda _: None)
+    earlier = (Output(Path("a.png"), "texture"), Output(Path("b.obj"), "wrap"), Output(Path("R"), "the map"))
+    opened._change(outputs=earlier)
+    opened.finish(FinishOptions())
+    opened._on_end(Message("note", "Bake: cancelled"))
+    assert opened.state.outputs == earlier
+    opened.finish(FinishOptions())
+    opened._on_output(Output(Path("R"), "the map"))
+    opened._on_output(Output(Path("c.png"), "texture"))
+    opened._on_output(Output(Path("R"), "texture"))  # its record of the bake
+    assert opened.state.outputs == (Output(Path("R"), "the map"), Output(Path("c.png"), "texture"), earlier[1])
+    assert opened.state.view.baked == Path("c.png")
+    opened._on_end(Message("note", "Bake: done"))  # what it did not make shows an earlier map
+    assert opened.state.outputs == (Output(Path("R"), "the map"), Output(Path("c.png"), "texture"))
+
+
+def test_a_probe_ends_with_the_map_and_the_landmarks_that_it_was_made_of(opened: Session) -> None:
+    def probe() -> None:
+        point = opened.scene.target.to_view(opened.scene.target.positions[1])
+        opened.probe("target", 3 * point, -point / np.linalg.norm(point))
+        assert opened.state.probe is not None
+
+    probe()
+    click(opened, "target", 2)
+    assert opened.state.probe is None
+    probe()
+    revision = opened.state.map.revision
+    opened.accept()
+    until(lambda: opened.state.map.revision > revision, opened)
+    assert opened.state.probe is None
+    probe()
+    opened.show(replace(opened.state.view, pose="nod"))
+    assert opened.state.probe is None
+
+
+def test_another_image_of_the_open_models_is_drawn_and_nothing_else_changes(
+    opened: Session, boxes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_image(boxes / "other.png", np.full((8, 8, 3), 10, dtype=np.uint8))
+    (boxes / "broken.png").write_bytes(b"no image")
+    opened._change(outputs=(Output(boxes / "a.png", "texture"),))
+    click(opened, "target", 2)
+    before, skins, first = opened.state, opened.scene.skins, opened.state.files
+    tasks = list[Task]()
+    run = opened._preview._worker.run
+    monkeypatch.setattr(opened._preview._worker, "run", lambda task: tasks.append(task) or run(task))
+    opened.open(replace(first, texture=boxes / "other.png"))
+    until(lambda: opened.state.files.texture == boxes.resolve() / "other.png" and at_rest(opened), opened)
+    assert replace(opened.state, files=first) == before
+    assert opened.scene.skins[1] != skins[1]
+    assert {type(task) for task in tasks} == {ShowImage}
+    opened.open(replace(opened.state.files, texture=boxes / "broken.png"))
+    until(lambda: opened.state.messages and at_rest(opened), opened)
+    assert "broken.png" in opened.state.messages[-1].text
+    assert opened.state.files.texture == boxes.resolve() / "other.png"
+    opened.open(replace(opened.state.files, texture=first.texture))
+    until(lambda: opened.state.files == first and at_rest(opened), opened)
+    assert opened.scene.skins == skins
+    for name in ("other.png", "broken.png"):
+        (boxes / name).unlink()

@@ -9,7 +9,7 @@ const ARRAYS = (() => {
     return new Uint8Array(await new Response(stream).arrayBuffer());
   }
 
-  // One entry of the description as numbers; see _Blob of models.py.
+  // One entry of the description as numbers; see _ArrayPacker of models.py.
   const reader = bytes => entry => {
     const {at, kind, count} = entry, columns = entry.columns ?? 1;
     if (kind === 'uint8') return bytes.subarray(at, at + count);

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from cagemap.maps.regions import local_size
@@ -26,15 +24,8 @@ SOURCE_TEXTURE_ID, TARGET_TEXTURE_ID = "source-texture", "target-texture"
 _FAR_UVS = 2.0
 # Shapes of a page, without the one at rest.
 MAX_SHAPES = 12
-
-
-@dataclass(frozen=True, eq=False)
-class _SourceLook:
-    """The source's texture or material colours, with corner keys by side as in `Models`."""
-
-    look: Look
-    keys: dict[str, IndexArray]
-    values: dict[str, FloatArray]
+# A look with corner keys and their values by side, as in `Models`.
+_KeyedLook = tuple[Look, dict[str, IndexArray], dict[str, FloatArray]]
 
 
 def report_models(
@@ -60,9 +51,9 @@ def report_models(
     """
     target, source = display_surfaces(result, viewpoints, max_vertices)
     source_reached = reached_vertices(result, source)
-    source_look = _source_look(result, target, source, texture, baked)
+    source_look, keys, values = _source_look(result, target, source, texture, baked) or (None, {}, {})
     looks = [
-        *([] if source_look is None else [source_look.look]),
+        *([] if source_look is None else [source_look]),
         Look(
             "Checker", "The source's checker on both. Squares stay squares where the map keeps shape.", kind="checker"
         ),
@@ -86,18 +77,21 @@ def report_models(
         looks.append(
             Look("Other answer", "As Places, of the next best answer: is it the right one?", on_source, on_target)
         )
+
+    def share_look(name: str, legend: str, of_source: FloatArray, of_target: FloatArray) -> Look:
+        on_source, on_target = of_source[source.vertices], of_target[target.vertices]
+        return Look(name, legend, scalar_colors(on_source, 0.0, 1.0), scalar_colors(on_target, 0.0, 1.0))
+
+    n_target, n_source = len(result.target.vertices), len(result.source.vertices)
     if result.masks.any:
-        source_mask = result.masks.of_source(len(result.source.vertices))[source.vertices]
-        on_source = scalar_colors(source_mask, 0.0, 1.0)
-        on_target = scalar_colors(result.masks.joint(result.point_map)[target.vertices], 0.0, 1.0)
-        looks.append(Look("Masks", "Dark parts were masked: neither matched nor transferred.", on_source, on_target))
+        legend = "Dark parts were masked: neither matched nor transferred."
+        masked = result.masks.of_source(n_source), result.masks.joint(result.point_map)
+        looks.append(share_look("Masks", legend, *masked))
     shared = result.shared
     if shared is not None:
         lacking = [1 - share for share in result.shared_shares]
         legend = f"Dark parts have no counterpart: {lacking[0]:.0%} of the target, {lacking[1]:.0%} of the source."
-        on_source = scalar_colors(shared.of_source(len(result.source.vertices))[source.vertices], 0.0, 1.0)
-        on_target = scalar_colors(shared.of_target(len(result.target.vertices))[target.vertices], 0.0, 1.0)
-        looks.append(Look("Shared", legend, on_source, on_target))
+        looks.append(share_look("Shared", legend, shared.of_source(n_source), shared.of_target(n_target)))
     if carried.weights is not None:
         on_source = _prolong(source, joint_colors(carried.weights.source))
         on_target = _prolong(target, joint_colors(carried.weights.target))
@@ -110,14 +104,14 @@ def report_models(
         {TARGET: result.trust[target.vertices], SOURCE: source_reached.astype(np.float64)},
         find_marks(result, target, source, source_reached),
         _shapes(result, target, source, carried),
-        {} if source_look is None else source_look.keys,
-        {} if source_look is None else source_look.values,
+        keys,
+        values,
     )
 
 
 def _source_look(
     result: MatchResult, target: DisplaySurface, source: DisplaySurface, texture: Pixels | None, baked: Pixels | None
-) -> _SourceLook | None:
+) -> _KeyedLook | None:
     """The texture or the material colours; None if the source has neither."""
     map_triangles, barycentric = result.triangle[target.vertices], result.barycentric[target.vertices]
     finest = result.source.refinement.finest
@@ -138,7 +132,7 @@ def _source_look(
         else:
             uvs = np.einsum("nc,ncd->nd", barycentric, corner_uvs[map_triangles])
             colors[TARGET] = sample_texture(pixels, uvs)[:, :3]
-        return _SourceLook(Look("Texture", legend, colors[SOURCE], colors[TARGET]), keys, values)
+        return Look("Texture", legend, colors[SOURCE], colors[TARGET]), keys, values
     control = result.source.control
     if control.face_colors is None or source.control_faces is None:
         return None
@@ -150,7 +144,7 @@ def _source_look(
     per_face = len(result.source_triangles) // len(result.source.faces)
     received = source_colors[finest.face_parents[map_triangles // per_face]]
     look = Look("Materials", "Left the source's materials, right the same on the target.", None, received)
-    return _SourceLook(look, {SOURCE: corners}, {SOURCE: palette})
+    return look, {SOURCE: corners}, {SOURCE: palette}
 
 
 def _vertex_texture(display: DisplaySurface, corner_uvs: FloatArray, texture: FloatArray) -> FloatArray:

@@ -220,7 +220,7 @@ def _wrap_panel(result: MatchResult, cage: ControlMesh, viewpoints: Viewpoints, 
     for view in (FRONT, BACK):
         jobs.append((source_model, Skin(), view, None, f"{source.control.name} (source), {view.name}"))
         jobs.append((wrapped_model, clay, view, wrapped_edges, f"{caption}, {view.name}"))
-    scale = f"distance to the source: dark 0, yellow {100 * max_distance:.2g} % of sqrt(area)"
+    scale = f"distance to the source: dark 0, yellow {100 * max_distance:.2g} % of the model's size"
     jobs += [
         (wrapped_model, distance_skin, FRONT, None, scale),
         (target_model, _clay_skin(target_model), FRONT, target_edges, f"{target.control.name} (target) as it was"),
@@ -357,7 +357,7 @@ def _finest_model(refinement: Refinement, turn: FloatArray, offsets: FloatArray 
 
 def refined_wrap(target: Refinement, cage: ControlMesh) -> Refinement:
     """The wrapped cage refined to the target's finest level."""
-    level = next(level for level in range(target.finest_level) if target.levels[level].n_vertices == cage.n_vertices)
+    level = [level.n_vertices for level in target.levels].index(cage.n_vertices)
     return refine(cage, target.finest_level - level, target.scheme)
 
 

@@ -88,7 +88,7 @@
     world.add(mesh);
     const dots = points(said.landmarks);
     if (dots) world.add(dots);
-    const tints = scene.looks.map(look => Array.isArray(look[name]) || !look[name]?.kind ? null
+    const tints = scene.looks.map(look => !look[name]?.kind ? null
       : all(read(look[name]), 3, true));
     return {name, n, copies, triangles, rest, places, geometry, material, mesh, world, dots, keyed, tints, box: null};
   }
@@ -330,7 +330,6 @@
   root.querySelectorAll('input[name=look]').forEach(input =>
     input.addEventListener('change', () => showLook(Number(input.value))));
 
-  const moved = root.querySelector('select') ?? {value: '0'};
   let shape = 0;
   function showShape(number) {
     shape = number;
@@ -345,7 +344,7 @@
     dotsShown();
     renewed();
   }
-  moved.addEventListener?.('change', () => showShape(Number(moved.value)));
+  root.querySelector('select')?.addEventListener('change', event => showShape(Number(event.target.value)));
 
   const dotted = root.querySelector('input[name=landmarks]');
   function dotsShown() {

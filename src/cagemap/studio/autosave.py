@@ -46,7 +46,7 @@ class FileTracker:
         """Whether a file has content that the session neither read nor wrote."""
         return path.is_file() and file_hash(path) != self._hashes.get(path)
 
-    def autosave(self, landmarks: Path, present: LandmarkList, parts: SideNames) -> tuple[str, ...]:
+    def autosave(self, landmarks: Path, present: LandmarkList, parts: SideNames, models: SideNames) -> tuple[str, ...]:
         """Write unsaved landmarks, under another name if a second studio uses the autosave; return notes."""
         default = autosave_path(landmarks)
         path = self._autosaves.get(default, default)
@@ -54,7 +54,7 @@ class FileTracker:
         if self.is_changed(path):
             path = self._autosaves[default] = _unused_name(default)
             notes = (f"another studio has {landmarks.name} open; unsaved landmarks of this one are in {path.name}",)
-        write_autosave(path, present, parts)
+        write_autosave(path, present, parts, models)
         self.record(path)
         return notes
 
@@ -66,7 +66,9 @@ class FileTracker:
             path.unlink(missing_ok=True)
 
 
-def write_autosave(path: Path, landmarks: LandmarkList, parts: SideNames = (None, None)) -> None:
+def write_autosave(
+    path: Path, landmarks: LandmarkList, parts: SideNames = (None, None), models: SideNames = (None, None)
+) -> None:
     """Write all landmarks, including the incomplete one.
 
     Parameters
@@ -76,6 +78,8 @@ def write_autosave(path: Path, landmarks: LandmarkList, parts: SideNames = (None
         With the files' vertex numbers.
     parts : (str or None, str or None)
         The open parts.
+    models : (str or None, str or None)
+        Names by which `read_autosave` recognises target and source.
     """
     items = [
         {
@@ -91,6 +95,7 @@ def write_autosave(path: Path, landmarks: LandmarkList, parts: SideNames = (None
         "format": _FORMAT,
         "numbers": _NUMBERING,
         "mark": mark(),
+        "models": models,
         "parts": parts,
         "items": items,
         "pairs": list(map(json.loads, format_pairs(unused))),
@@ -109,7 +114,7 @@ def read_autosave_parts(path: Path) -> SideNames:
     return target if isinstance(target, str) else None, source if isinstance(source, str) else None
 
 
-def read_autosave(path: Path, vertices: tuple[int, int]) -> LandmarkList:
+def read_autosave(path: Path, vertices: tuple[int, int], models: SideNames = (None, None)) -> LandmarkList:
     """Read an autosave; an unusable file is renamed, not overwritten later.
 
     Parameters
@@ -117,6 +122,8 @@ def read_autosave(path: Path, vertices: tuple[int, int]) -> LandmarkList:
     path : Path
     vertices : (int, int)
         Vertex counts of the target's and the source's file.
+    models : (str or None, str or None)
+        See `write_autosave`; None: any model.
 
     Returns
     -------
@@ -132,6 +139,9 @@ def read_autosave(path: Path, vertices: tuple[int, int]) -> LandmarkList:
         data = json.loads(read_text(path, "an autosave of the studio"))
         if (data["format"], data["numbers"]) != (_FORMAT, _NUMBERING):
             raise KeyError("format")
+        for name, recorded in zip(models, data.get("models", models), strict=True):
+            if name is not None and recorded not in (None, name):
+                raise ValueError(f"landmarks of {recorded}")
         items = tuple(
             Landmark(
                 int(entry["number"]),

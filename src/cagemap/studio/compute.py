@@ -1,10 +1,9 @@
-"""Tasks of the preview, run in the worker's process: open, map, show a baked image."""
+"""Runs tasks of the preview, in the worker's process: open, map, show an image."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -24,136 +23,30 @@ from cagemap.pipeline import (
     update_match,
 )
 from cagemap.studio.landmark_files import to_landmarks
-from cagemap.studio.landmarks import LandmarkList, SideNames
-from cagemap.studio.models import OpenedModel, converted_model, open_model, with_texture
+from cagemap.studio.models import OpenedModel, converted_model, open_model, textured, with_texture
 from cagemap.studio.poses import animated_character, animation_poses, pose_shapes
-from cagemap.studio.scene import Scene
+from cagemap.studio.preview_tasks import (
+    FindMap,
+    ImageUpdate,
+    MapUpdate,
+    OpenedPair,
+    OpenModels,
+    PairFiles,
+    ShowBaked,
+    ShowImage,
+    ShowPosed,
+    Task,
+    TaskResult,
+)
 from cagemap.studio.shape import refined_shape
 from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_skin
 from cagemap.studio.state import MapState, number_duplicates
-from cagemap.studio.textures import textured
 from cagemap.studio.worker import logged_warnings, without_folders
 from cagemap.subdivision import refine
 from cagemap.tasks.match import ComputedMatch
 from cagemap.tasks.suggest import suggested_vertices
 
 Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class PairFiles:
-    """Files of the open pair, and how the preview opens them.
-
-    Attributes
-    ----------
-    target, source : Path
-    texture : Path or None
-    vertices : int
-        Approximate number of vertices of each previewed surface.
-    folder : Path
-        Receives FBX models as GLB, and an image that is inside the source's file.
-    schemes, ups, parts : (str or None, str or None)
-        See `cagemap.studio.state.Files`.
-    """
-
-    target: Path
-    source: Path
-    texture: Path | None
-    vertices: int
-    folder: Path
-    schemes: SideNames = (None, None)
-    ups: SideNames = (None, None)
-    parts: SideNames = (None, None)
-
-
-@dataclass(frozen=True)
-class OpenModels:
-    """Open both models."""
-
-    pair_files: PairFiles
-
-
-@dataclass(frozen=True)
-class FindMap:
-    """Compute the map: update the last one, or with ``fresh`` and landmarks enough, match from the start.
-
-    ``answer`` chooses one of the alignments that are found without landmarks.
-    """
-
-    pair_files: PairFiles
-    landmarks: LandmarkList
-    fresh: bool = False
-    answer: int | None = None
-
-
-@dataclass(frozen=True)
-class ShowBaked:
-    """Draw a baked image on the target, in a UV set of its own (None: the first) or a file's layout."""
-
-    pair_files: PairFiles
-    image: Path
-    layout: Path | None
-    uv_set: str | None
-    preview_map: PreviewMap | None
-
-
-@dataclass(frozen=True)
-class ShowPosed:
-    """Draw both models in a pose of the source's animations; '': unposed."""
-
-    pair_files: PairFiles
-    pose: str
-    preview_map: PreviewMap | None
-
-
-Task = OpenModels | FindMap | ShowBaked | ShowPosed
-
-
-@dataclass(frozen=True, eq=False)
-class OpenedPair:
-    """Result of `OpenModels`."""
-
-    target: OpenedModel
-    source: OpenedModel
-    skins: tuple[bytes, bytes]
-
-    @property
-    def scene(self) -> Scene:
-        """A scene without a map."""
-        target, source = self.target, self.source
-        return Scene(
-            target.shape,
-            source.shape,
-            (target.mirror, source.mirror),
-            self.skins,
-            part_choices=(target.part_choices, source.part_choices),
-            dense=(target.dense, source.dense),
-            has_colors=source.look.colors is not None,
-        )
-
-
-@dataclass(frozen=True)
-class MapUpdate:
-    """Result of `FindMap`.
-
-    Attributes
-    ----------
-    preview_map : PreviewMap
-    skins : (bytes, bytes or None)
-        Target and source as drawn with the map; None: the source as before.
-    map_state : MapState
-        Without the revision.
-    computed : ComputedMatch or None
-        The map as a match from the start; None after an update.
-    """
-
-    preview_map: PreviewMap
-    skins: tuple[bytes, bytes | None]
-    map_state: MapState
-    computed: ComputedMatch | None = None
-
-
-TaskResult = OpenedPair | MapUpdate | bytes | tuple[bytes, bytes]
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,12 +96,15 @@ def run_task(
     CagemapError
         If files or landmarks are wrong.
     """
-    files = task.pair_files
-    if cache is None or isinstance(task, OpenModels) or replace(cache.pair_files, ups=files.ups) != files:
+    files, notes = task.pair_files, tuple[str, ...]()
+    is_open = cache is not None and replace(cache.pair_files, ups=files.ups, texture=files.texture) == files
+    if cache is None or isinstance(task, OpenModels) or not is_open:
         cache = PreviewCache(files, *open_models(files, progress))
     elif cache.pair_files != files:
         sides = zip((cache.target, cache.source), files.ups, strict=True)
         target, source = (replace(model, shape=model.shape.with_up(up)) for model, up in sides)
+        if cache.pair_files.texture != files.texture:
+            source, notes = _with_image(source, files, progress)
         cache = replace(cache, pair_files=files, target=target, source=source)
     match task:
         case OpenModels():
@@ -217,6 +113,9 @@ def run_task(
             return find_map(cache, task, progress, show)
         case ShowBaked():
             return cache, _baked_skin(cache, task)
+        case ShowImage():
+            skins = _posed_skins(cache, ShowPosed(files, "", task.preview_map))
+            return cache, ImageUpdate(skins, cache.source.texture, notes)
         case ShowPosed():
             return cache, _posed_skins(cache, task)
 
@@ -242,6 +141,18 @@ def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, Open
     return target, replace(source, notes=(*source.notes, *without_folders(logged, folders)))
 
 
+def _with_image(source: OpenedModel, files: PairFiles, progress: Progress) -> tuple[OpenedModel, tuple[str, ...]]:
+    """The source with the image of ``files`` in place of its own, and what was logged about it."""
+    assert source.path is not None
+    refined = refined_shape(refine(source.control, source.level))  # several images in the file have a layout of theirs
+    shape = replace(source.shape, uvs=refined.uvs, uv_triangles=refined.uv_triangles)
+    look = replace(source.look, texture=None, jpeg=None, tiles=(1, 1))
+    image = files.texture or source.path
+    with logged_warnings() as logged:
+        source = textured(replace(source, shape=shape, look=look, texture=None), image, files.folder, progress)
+    return source, without_folders(logged, {files.folder, image.parent})
+
+
 def find_map(
     cache: PreviewCache, task: FindMap, progress: Progress, show: Callable[[MapUpdate], None]
 ) -> tuple[PreviewCache, MapUpdate]:
@@ -260,16 +171,19 @@ def find_map(
 
     landmarks = to_landmarks(task.landmarks, cache.target.control, cache.source.control)
     has_constraints = bool(len(landmarks) + len(landmarks.curves))
+    chosen_answer = task.chosen_answer if cache.result is None else cache.chosen_answer
+    answer = chosen_answer if task.answer is None else task.answer
     is_update = has_constraints
-    if task.answer is not None or not has_constraints:
+    restarts = len(landmarks) < FEWEST_LANDMARKS if task.fresh else cache.result is None
+    if task.answer is not None or not has_constraints or (answer and restarts):
         first_preview = preview if cache.result is None else None
         free_match = cache.free_match or match_pair(prepared_pair, progress=progress, preview=first_preview)
-        answer = cache.chosen_answer if task.answer is None else task.answer
         result = other_answer(free_match, answer, progress=progress) if answer else free_match
         config = MatchConfig(answer=answer)
         cache = replace(cache, free_match=free_match, chosen_answer=answer, result=result, config=config)
-    elif cache.result is None or (task.fresh and len(landmarks) >= FEWEST_LANDMARKS):
-        cache = replace(cache, result=match_pair(prepared_pair, landmarks, progress=progress), config=MatchConfig())
+    elif cache.result is None or task.fresh:
+        result = match_pair(prepared_pair, landmarks, progress=progress)
+        cache = replace(cache, chosen_answer=0, result=result, config=MatchConfig())
         is_update = False
     if is_update:
         assert cache.result is not None

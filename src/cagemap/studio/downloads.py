@@ -21,9 +21,12 @@ from cagemap.files.meshes.colors import read_material_statements
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.meshes.obj import MATERIAL_FILE_LINE, material_files
 from cagemap.files.text import read_text
+from cagemap.studio.scene import Scene
 from cagemap.studio.state import Output, StudioState, layout_mesh
 
 ARCHIVE_NAME = "all.zip"
+# Material of parts that are not open.
+_OTHER_PARTS, _GREY = "other parts", [0.6] * 3
 # Not compressed again.
 _COMPRESSED_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".npz", ".usdz", ".zip")
 
@@ -51,8 +54,8 @@ def textured_model_name(state: StudioState) -> str | None:
     return None if image is None or state.files is None else f"{image.stem}.glb"
 
 
-def textured_model(state: StudioState) -> bytes:
-    """The target with the first baked image, as binary glTF."""
+def textured_model(state: StudioState, scene: Scene | None) -> bytes:
+    """The target with the first baked image, as binary glTF; parts that are not open are grey."""
     image = _first_image(state)
     assert image is not None
     assert state.files is not None
@@ -61,7 +64,11 @@ def textured_model(state: StudioState) -> bytes:
     if layout is None and state.uv_set is not None:
         mesh = replace(mesh.with_uv_set(state.uv_set), uv_name="")  # written first: named sets keep their numbers
     materials = np.zeros(mesh.n_faces, dtype=np.int64)
-    mesh = replace(mesh, face_materials=materials, material_names=(image.stem,), material_colors=np.ones((1, 3)))
+    if scene is not None and mesh.n_vertices == scene.target.file_mesh.n_vertices:
+        is_open = scene.target.to_control_vertices(np.arange(mesh.n_vertices)) >= 0
+        materials[mesh.corner_faces[~is_open[mesh.face_indices]]] = 1
+    names, colors = (image.stem, _OTHER_PARTS)[: 1 + materials.max()], np.array([[1.0] * 3, _GREY])
+    mesh = replace(mesh, face_materials=materials, material_names=names, material_colors=colors[: len(names)])
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "mesh.glb"
         write_glb(file, mesh)

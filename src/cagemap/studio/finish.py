@@ -311,31 +311,36 @@ class _CommandBuilder:
             case "normal_map" | "displacement" | "vector_displacement" if isinstance(value, Path):
                 return self._image_name(value)
             case "material_colors":
-                return "_material_colors", self.finish_options.image_form or ".png"
+                return f"_from_{source.stem}_material_colors", self.finish_options.image_form or ".png"
             case "bake":
                 kinds = _as_names(value)
                 kind = f"_{kinds[0]}" if len(kinds) == 1 else ""
                 detail = self.value("transfer", "detail")
                 origin = detail.stem if isinstance(detail, Path) else source.stem
-                return f"_from_{origin}", f"{kind}{self.finish_options.image_form or '.png'}"
+                return self._origin(origin), f"{kind}{self.finish_options.image_form or '.png'}"
             case "source_uvs":
                 return f"_with_uvs_of_{source.stem}", _mesh_suffix(self.files.target)
             case "blend_shapes":
                 are_meshes = all(path.suffix.lower() in ("", ".obj", ".ply") for path in map(Path, _as_names(value)))
-                return "_blend_shapes", "" if are_meshes else ".npz"
+                return f"_from_{source.stem}_blend_shapes", "" if are_meshes else ".npz"
             case "write_map":
                 return f"_on_{source.stem}", self.finish_options.map_form
             case _:
                 assert isinstance(value, Path)
                 scene_form = ".json" if transfer.data_field == "joints" else ".npz"
                 is_scene = value.suffix.lower() in (*USD_SUFFIXES, *SCENE_SUFFIXES)
-                return f"_from_{value.stem}", scene_form if is_scene else value.suffix
+                return self._origin(value.stem), scene_form if is_scene else value.suffix
 
     def _image_name(self, image: Path) -> tuple[str, str]:
         """Parts of a baked image's name; the transfer adds tile numbers."""
         stem = image.stem.replace(UDIM_MARK, "").rstrip("._-")
         form = image.suffix if image.suffix.lower() in IMAGE_SUFFIXES else ".png"  # a model's file has its images
-        return f"_from_{stem}", self.finish_options.image_form or form
+        return self._origin(stem), self.finish_options.image_form or form
+
+    def _origin(self, stem: str) -> str:
+        """The source's name and a file's in an output's name; once if the file is named after the source."""
+        source = self.files.source.stem
+        return f"_from_{stem}" if stem.startswith(source) else f"_from_{source}_{stem}"
 
     def wrap(self) -> Command:
         """The wrap of the target's cage onto the source."""

@@ -156,11 +156,8 @@ SECTIONS = (
         MATCH,
         _fields(
             "match",
-            ("method", "Method", (), "elastic meets landmarks exactly; hfm and paper are functional maps"),
             ("level", "Level", (), "subdivision level of both, in place of Vertices"),
-            ("k", "Functions", (), "basis functions of each surface; empty: 100"),
             ("trust_landmarks", "Trust landmarks", (), "use every landmark, also those that look wrong"),
-            ("symmetry", "Symmetry", (), "method paper: use mirror symmetry where both meshes have it"),
             ("boundary", "Boundary"),
             ("uv_interpolation", "UVs linear"),
             ("creasing", "Creases"),
@@ -182,13 +179,15 @@ VERTICES_KEY, SIZE_KEY = ("match", "vertices"), ("transfer", "size")
 _SIDE_PREFIXES = ("target_", "source_")
 _UNDER_MODELS = "chosen under Models"
 _BASIS_RESEARCH = "how the spectral basis is computed: for research"
+_METHOD_RESEARCH = "other methods than the elastic one: for research"
 _SAME_FOR_BOTH = "one number is used for both models"
 _BASIS_FIELDS = ("schedule", "laplacian", "accuracy", "literal")
 _PAGE_NAMES_OUTPUT = "the page names what it writes"
 # Options that are not on the page, and the reason.
 OMITTED_OPTIONS: dict[Key, str] = {
     **{("match", f"{side}{name}"): _BASIS_RESEARCH for side in ("", *_SIDE_PREFIXES) for name in _BASIS_FIELDS},
-    **{("match", f"{side}k"): _BASIS_RESEARCH for side in _SIDE_PREFIXES},
+    **{("match", f"{side}k"): _BASIS_RESEARCH for side in ("", *_SIDE_PREFIXES)},
+    **{("match", name): _METHOD_RESEARCH for name in ("method", "symmetry")},
     ("match", "parameter"): _BASIS_RESEARCH,
     **{("match", f"{side}{name}"): _SAME_FOR_BOTH for side in _SIDE_PREFIXES for name in ("level", "vertices")},
     **{(command, "level"): "maps of single levels: for research" for command in ("transfer", "report")},

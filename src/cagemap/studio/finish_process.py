@@ -20,7 +20,7 @@ from cagemap.errors import explain_error, use_option_names
 from cagemap.files.atomic import files_written
 from cagemap.numerics.process import set_up_process
 from cagemap.studio.finish import Command
-from cagemap.studio.worker import END_TIMEOUT, FinalResult, StageReply, logged_warnings
+from cagemap.studio.worker import END_TIMEOUT, RESULT, STAGE, logged_warnings
 from cagemap.tasks import runner_of
 from cagemap.tasks.progress import Stages
 
@@ -31,7 +31,6 @@ class RequestResult:
 
     Attributes
     ----------
-    summary : str
     warnings : tuple of str
     files : tuple of Path
         Written files, also those of a failed request.
@@ -39,7 +38,6 @@ class RequestResult:
         Error message; '' if it succeeded.
     """
 
-    summary: str = ""
     warnings: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
     failure: str = ""
@@ -55,7 +53,7 @@ class _StageSender(Stages):
     def __call__(self, stage: str) -> None:
         """End the running stage, begin the next."""
         super().__call__(stage)
-        self._connection.send(StageReply(stage))
+        self._connection.send((STAGE, stage))
 
 
 def serve(connection: Connection) -> None:
@@ -67,7 +65,7 @@ def serve(connection: Connection) -> None:
     threading.Thread(target=_listen, args=(connection, commands), daemon=True).start()
     try:
         while True:
-            connection.send(FinalResult(run_command(commands.get(), _StageSender(connection))))
+            connection.send((RESULT, run_command(commands.get(), _StageSender(connection))))
             gc.collect()  # the next one needs the memory
     except (KeyboardInterrupt, BrokenPipeError):
         return
@@ -75,18 +73,18 @@ def serve(connection: Connection) -> None:
 
 def run_command(command: Command, stages: Stages) -> RequestResult:
     """Run a command; return also its warnings and error."""
-    summary, failure = "", ""
+    failure = ""
     with logged_warnings() as texts, files_written() as files:
         try:
             # `runner_of` imports the task's libraries: inside this block, so that Cancel can interrupt the import.
             run: Callable[..., tuple[str, Any]] = runner_of(command.request)
             computed = {} if command.computed is None else {"computed": command.computed}
-            summary, warnings = run(command.request, stages, **computed)
+            _, warnings = run(command.request, stages, **computed)
             texts += warnings
         except Exception as error:
             failure = explain_error(error)
     distinct = tuple(dict.fromkeys(map(use_option_names, texts)))  # some files are read several times
-    return RequestResult(summary, distinct, tuple(file.resolve() for file in files), failure)
+    return RequestResult(distinct, tuple(file.resolve() for file in files), failure)
 
 
 def _listen(connection: Connection, commands: queue.SimpleQueue[Command]) -> None:

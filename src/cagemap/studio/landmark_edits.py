@@ -8,7 +8,7 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import FileTracker
-from cagemap.studio.landmark_files import to_file_numbers
+from cagemap.studio.landmark_files import autosave_models, to_file_numbers
 from cagemap.studio.landmarks import History, LandmarkList, Place, Side
 from cagemap.studio.places import hit_place, vertex_place
 from cagemap.studio.scene import add_counterpart, add_mirror_image, propose_place
@@ -112,9 +112,11 @@ class LandmarkEdits(SharedState):
         files, scene = self._state.files, self._scene
         if files is not None and scene is not None:  # before the page shows the edit, so that it cannot be lost
             with self.report_errors():
-                self._say_all(self._tracker.autosave(files.landmarks, to_file_numbers(after, scene), files.parts))
+                landmarks, models = to_file_numbers(after, scene), autosave_models(files, scene)
+                self._say_all(self._tracker.autosave(files.landmarks, landmarks, files.parts, models))
         map_state = self._state.map.rename_landmarks(before, after)
-        self._change(history=history, saved=False, map=map_state, proposal=propose_place(self._scene, after))
+        proposal = propose_place(self._scene, after)
+        self._change(history=history, saved=False, map=map_state, proposal=proposal, probe=None)
         if after.get(self._state.selected) is None:
             self._change(selected=None)
         if after.constraints != before.constraints:

@@ -24,6 +24,7 @@ from cagemap.studio.landmarks import SIDES, Landmark, LandmarkList, Side
 from cagemap.studio.places import cage_places, cage_points
 from cagemap.studio.scene import Scene
 from cagemap.studio.state import Files
+from cagemap.studio.workspace import relative_path
 
 # Titles of the formats that landmarks are saved in, and their file endings.
 SAVE_FORMATS = {"pairs (.json)": ".json"} | {f"{form.title} ({form.ending})": form.ending for form in POINT_FORMS}
@@ -74,8 +75,17 @@ def autosaved_landmarks(files: Files, scene: Scene, tracker: FileTracker) -> tup
         return None
     tracker.record(path)
     counts = scene.target.file_mesh.n_vertices, scene.source.file_mesh.n_vertices
-    landmarks, notes = to_part_numbers(read_autosave(path, counts), scene)
+    landmarks, notes = to_part_numbers(read_autosave(path, counts, autosave_models(files, scene)), scene)
     return landmarks, [*notes, f"recovered unsaved landmarks of {files.landmarks.name}"]
+
+
+def autosave_models(files: Files, scene: Scene) -> tuple[str, str]:
+    """For target and source, path from the landmark file and number of vertices: models may have equal names."""
+    target, source = (
+        f"{relative_path(path, files.landmarks.parent)}, {shape.file_mesh.n_vertices} vertices"
+        for path, shape in ((files.target, scene.target), (files.source, scene.source))
+    )
+    return target, source
 
 
 # Tried in this order for newly opened models; with whether the landmarks count as saved.
@@ -203,7 +213,8 @@ def _is_of_this_pair(path: Path, scene: Scene, files: Files) -> bool:
         check_landmarks(landmarks, scene.target.file_mesh, scene.source.file_mesh)
     except CagemapError:
         return False
-    return not notes
+    names = scene.target.file_mesh.name, scene.source.file_mesh.name  # the notes compare them without their endings
+    return not notes and (landmarks.target_name, landmarks.source_name) == names
 
 
 def to_landmarks(landmarks: LandmarkList, target: ControlMesh, source: ControlMesh) -> Landmarks:

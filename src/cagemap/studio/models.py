@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,8 +11,9 @@ import numpy as np
 
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
 from cagemap.files.fbx.read import fbx_as_glb
-from cagemap.files.gltf.material_images import write_numbered
+from cagemap.files.gltf.material_images import png_bytes, write_numbered
 from cagemap.files.images.image import Pixels, read_image, tile_files, write_image
+from cagemap.files.inner_texture import SUFFIXES, extract_texture, material_document
 from cagemap.files.meshes.formats import read_whole
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
@@ -33,6 +35,7 @@ from cagemap.studio.file_parts import NO_PARTS, PartChoices, SelectedPart, other
 from cagemap.studio.shape import OriginalMesh, refined_shape
 from cagemap.studio.skins import DrawnModel, Look
 from cagemap.subdivision import refine, with_options
+from cagemap.tasks.material_atlas import material_atlas
 from cagemap.transfer import face_colors
 
 # Largest side of the texture in the page; the bake uses the whole image.
@@ -122,6 +125,23 @@ def _resample(pixels: Pixels, height: int, width: int) -> Pixels:
         np.arange(count) * side // count for count, side in zip((height, width), pixels.shape[:2], strict=True)
     )
     return pixels[np.ix_(rows, columns)]
+
+
+def textured(source: OpenedModel, holder: Path, folder: Path, progress: Callable[[str], None]) -> OpenedModel:
+    """The source with an image, or with those in a model's file: several materials' are one image in the page."""
+    atlas = material_atlas(material_document(holder, source.control), source.control)
+    if atlas is not None:
+        progress("reading the textures")
+        image = write_numbered(folder / f"{holder.stem}_texture.png", png_bytes(atlas.image))
+        refined = refined_shape(refine(atlas.control, source.level))
+        shape = replace(source.shape, uvs=refined.uvs, uv_triangles=refined.uv_triangles)
+        return replace(source, shape=shape, look=with_texture(source.look, image), texture=holder)
+    is_model = holder == source.path or holder.suffix.lower() in SUFFIXES
+    image_file = extract_texture(holder, source.control, folder) if is_model else holder
+    if image_file is None:
+        return source
+    progress("reading the texture")
+    return replace(source, look=with_texture(source.look, image_file), texture=image_file)
 
 
 def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, part: str | None = None) -> OpenedModel:

@@ -19,7 +19,7 @@ from cagemap.studio.landmarks import SideNames
 from cagemap.studio.state import Files
 
 BUILT_IN_FOLDER = Path("cagemap-studio")
-PREVIEW_TEXTURE_SIZE = 1024
+BUILT_IN_TEXTURE_SIZE = 1024
 _MAX_SLUG_LENGTH = 40
 
 
@@ -153,7 +153,7 @@ def built_in_files(folder: Path) -> Files:
     names = ("deer.obj", "pony.obj", "pony.png", "landmarks.json")
     target, source, texture, landmarks = (folder.resolve() / name for name in names)
     if not all(path.is_file() for path in (target, source, texture, landmarks)):
-        pair = example_pair(PREVIEW_TEXTURE_SIZE)
+        pair = example_pair(BUILT_IN_TEXTURE_SIZE)
         write_mesh(target, pair.target)
         write_mesh(source, pair.source)
         write_image(texture, pair.texture)

@@ -9,20 +9,26 @@ from pathlib import Path
 from typing import Any
 
 from cagemap.numerics.products import is_compiled
-from cagemap.studio.compute import FindMap, OpenModels, PairFiles, ShowBaked, ShowPosed, Task
 from cagemap.studio.landmarks import LandmarkList, Side
+from cagemap.studio.preview_tasks import FindMap, OpenModels, PairFiles, ShowBaked, ShowImage, ShowPosed, Task
 from cagemap.studio.skins import PreviewMap
 from cagemap.studio.state import Files, RunningJob
-from cagemap.studio.worker import Worker
+from cagemap.studio.worker import Worker, serve_preview
 
 # Titles of computations on the page.
 OPENING_TITLE, MATCHING_TITLE, BAKED_TITLE = "Opening the models", "Matching", "Showing the baked image"
-POSE_TITLE = "Showing a pose"
-_TITLES = {OpenModels: OPENING_TITLE, FindMap: MATCHING_TITLE, ShowBaked: BAKED_TITLE, ShowPosed: POSE_TITLE}
+IMAGE_TITLE, POSE_TITLE = "Showing the image", "Showing a pose"
+_TITLES = {
+    OpenModels: OPENING_TITLE,
+    FindMap: MATCHING_TITLE,
+    ShowBaked: BAKED_TITLE,
+    ShowImage: IMAGE_TITLE,
+    ShowPosed: POSE_TITLE,
+}
 # Follows the titles until a first map has compiled all functions.
 _COMPILE_NOTE = " (about a minute longer the first time after installing)"
 # Kinds of requests, in the order in which they are computed.
-_KINDS = ("models", "pose", "map", "answer", "baked")
+_KINDS = ("models", "image", "pose", "map", "answer", "baked")
 
 
 class Preview:
@@ -35,7 +41,7 @@ class Preview:
     folder : Path
         Receives an image that is inside the source's file.
     current_inputs : callable
-        Gives the current landmarks and map when a task starts.
+        Gives the current landmarks, map and chosen answer when a task starts.
     on_job : callable
         Called at every task and stage.
     on_result : callable
@@ -46,7 +52,7 @@ class Preview:
         self,
         vertices: int,
         folder: Path,
-        current_inputs: Callable[[], tuple[LandmarkList, PreviewMap | None]],
+        current_inputs: Callable[[], tuple[LandmarkList, PreviewMap | None, int]],
         on_job: Callable[[RunningJob], None],
         on_result: Callable[[Task, object], None],
     ) -> None:
@@ -55,11 +61,12 @@ class Preview:
         self._condition = threading.Condition()
         self._pair_files: PairFiles | None = None
         self._requests: dict[str, tuple[Any, ...]] = {}  # those that wait: arguments by kind
+        self._running_kind = ""
         self._closed = False
         self._job = RunningJob("")
         self._task: Task | None = None
         self._worker = Worker(
-            lambda stage: on_job(replace(self._job, stage=stage)), on_early_result=self._on_early_result
+            lambda stage: on_job(replace(self._job, stage=stage)), serve_preview, self._on_early_result
         )
         self._worker.start()
         threading.Thread(target=self._run_tasks, name="studio preview", daemon=True).start()
@@ -92,6 +99,20 @@ class Preview:
                 self._worker.cancel(self._task)
             self._request("pose", pose)
 
+    def show_image(self, image: Path | None) -> None:
+        """Draw the open models with another image of the source; a running map is computed again."""
+        with self._condition:
+            self.set_image(image)
+            if isinstance(self._task, FindMap):
+                self._worker.cancel(self._task)
+            self._request("image")
+
+    def set_image(self, image: Path | None) -> None:
+        """Use an image of the source from the next task on."""
+        with self._condition:
+            assert self._pair_files is not None
+            self._pair_files = replace(self._pair_files, texture=image)
+
     def find(self, *, fresh: bool) -> None:
         """Compute the map, by an update if there is one and ``fresh`` is not set."""
         with self._condition:
@@ -108,6 +129,18 @@ class Preview:
     def show_posed(self, pose: str) -> None:
         """Show both models in a pose; '': unposed."""
         self._request("pose", pose)
+
+    @property
+    def is_choosing(self) -> bool:
+        """Whether another alignment's map waits or is being computed."""
+        with self._condition:
+            return "answer" in (*self._requests, self._running_kind)
+
+    def drop_map_requests(self) -> bool:
+        """Drop maps that wait; return whether there was one."""
+        with self._condition:
+            dropped = [self._requests.pop(kind, None) for kind in ("map", "answer")]
+        return dropped != [None, None]
 
     def kill(self) -> None:
         """Kill the running task; its result is a failure."""
@@ -140,13 +173,15 @@ class Preview:
                 return
             self._repeat_turned(task)
             self._on_result(task, result)
+            self._running_kind = ""
 
     def _repeat_turned(self, task: Task) -> None:
-        """Request a map again if the models were turned meanwhile: its drawings are of the view before."""
+        """Request a map again if the models were turned or got another image: its drawings are of those before."""
         with self._condition:
             files = self._pair_files
             assert files is not None
-            if isinstance(task, FindMap) and task.pair_files != files == replace(task.pair_files, ups=files.ups):
+            drawn_files = replace(task.pair_files, ups=files.ups, texture=files.texture)
+            if isinstance(task, FindMap) and task.pair_files != files == drawn_files:
                 kind, argument = ("map", task.fresh) if task.answer is None else ("answer", task.answer)
                 self._requests.setdefault(kind, (argument,))
 
@@ -157,17 +192,20 @@ class Preview:
             if self._closed:
                 return None
             kind = min(self._requests, key=_KINDS.index)
-            pair_files, arguments = self._pair_files, self._requests.pop(kind)
+            pair_files, arguments, self._running_kind = self._pair_files, self._requests.pop(kind), kind
         # Outside the lock: the callee has its own lock, and may be waiting for this one.
-        landmarks, preview_map = self._current_inputs()
+        landmarks, preview_map, chosen_answer = self._current_inputs()
         assert pair_files is not None  # the first request is to open
         match kind:
             case "models":
                 return OpenModels(pair_files)
             case "map":
-                return FindMap(pair_files, landmarks, *arguments)
+                (fresh,) = arguments
+                return FindMap(pair_files, landmarks, fresh, chosen_answer=chosen_answer)
             case "answer":
                 return FindMap(pair_files, landmarks, False, *arguments)
+            case "image":
+                return ShowImage(pair_files, preview_map)
             case "pose":
                 (pose,) = arguments
                 return ShowPosed(pair_files, pose, preview_map)

@@ -14,6 +14,8 @@ from cagemap.studio.worker import Failure, Worker
 
 # Share of a command's remaining progress that each stage counts for; the number of stages is unknown.
 _STAGE_SHARE = 0.15
+# Summary of a finish without failures.
+DONE_TEXT = "Bake: done"
 
 
 class Runner:
@@ -74,7 +76,7 @@ class Runner:
         elif failures:
             summary = Message("error", f"Bake: not everything could be made: {', '.join(failures)}")
         else:
-            summary = Message("note", "Bake: done")
+            summary = Message("note", DONE_TEXT)
         self._on_job(None)  # from here on another run can start
         self._on_end(summary)
 

@@ -2,53 +2,40 @@
 
 from __future__ import annotations
 
-import logging
 import threading
-import time
 from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
-from cagemap.studio.agreement import map_difference_notes
 from cagemap.studio.autosave import autosave_path, move_aside, read_autosave_parts
-from cagemap.studio.compute import FindMap, MapUpdate, OpenedPair, OpenModels, ShowBaked, ShowPosed, Task
 from cagemap.studio.finish import Command, FinishOptions, made_of, plan_commands
+from cagemap.studio.finish_defaults import with_defaults
 from cagemap.studio.finish_layout import explain_flags, in_page_words
-from cagemap.studio.landmark_edits import LandmarkEdits
-from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, load_landmarks, save_landmarks
-from cagemap.studio.landmarks import History, LandmarkList, Side, SideNames
-from cagemap.studio.models import NO_SCHEME
-from cagemap.studio.opening import result_folder, with_parts
-from cagemap.studio.preview import Preview
-from cagemap.studio.runner import Runner
-from cagemap.studio.scene import probe_map, propose_place
+from cagemap.studio.finish_map import WrittenMap, map_difference_notes
+from cagemap.studio.landmark_files import load_landmarks, save_landmarks
+from cagemap.studio.landmarks import Side
+from cagemap.studio.opening import result_folder
+from cagemap.studio.preview_results import PreviewResults
+from cagemap.studio.runner import DONE_TEXT, Runner
+from cagemap.studio.scene import probe_map
 from cagemap.studio.shape import pick
-from cagemap.studio.skins import PreviewMap
 from cagemap.studio.state import (
-    INITIAL_FIELDS,
     Files,
     Message,
     Output,
-    View,
+    baked_images,
     baked_view,
     layout_mesh,
     map_view,
     update_view,
 )
-from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.studio.workspace import Workspace
-from cagemap.studio.written_map import WrittenMap
-from cagemap.tasks.match import ComputedMatch
 from cagemap.tasks.requests.catalogue import Options
 
-log = logging.getLogger(__name__)
 
-
-class Session(LandmarkEdits):
+class Session(PreviewResults):
     """State and actions of a running studio; may be called from any thread.
 
     Parameters
@@ -61,32 +48,30 @@ class Session(LandmarkEdits):
     """
 
     def __init__(self, workspace: Workspace, vertices: int, options: Options) -> None:
-        super().__init__()
+        super().__init__(vertices, workspace.folders[0])
         self.workspace, self.vertices, self.options = workspace, vertices, options
-        self._cancelled = False
         self._upload_lock = threading.Lock()
-        self._requested_parts: SideNames = (None, None)
+        self._added_names: dict[str, str] = {}
         self._finish_inputs: tuple[object, ...] = ()
+        self._earlier_outputs: tuple[Output, ...] = ()  # of earlier finishes, until the last one replaces them
+        self._has_new_map = False  # whether the last finish computes a map
         self._written_map = WrittenMap()
-        self._computed: ComputedMatch | None = None
         self._runner = Runner(lambda job: self._change(finish_job=job), self._on_output, self._on_message, self._on_end)
-        self._preview = Preview(
-            vertices,
-            workspace.folders[0],
-            self._preview_inputs,
-            lambda job: self._change(preview_job=job),
-            self._receive,
-        )
 
     # Files
 
     def open(self, files: Files) -> None:
         """Open two models with their unsaved landmarks, or else those of their file.
 
-        Parts that are not named are those of the autosave.
+        Parts that are not named are those of the autosave. Another image of the open models is only drawn.
         """
-        with self.report_errors():
-            files = self.workspace.resolve_paths(files)
+        with self.report_errors(), self._lock:
+            files, opened = self.workspace.resolve_paths(files), self._state.files
+            if opened is not None and self._scene is not None and files.texture != opened.texture:
+                if replace(files, texture=opened.texture) == opened:
+                    self.show(map_view(self._state.view))
+                    self._preview.show_image(files.texture)
+                    return
             (target, source), autosaved = files.parts, read_autosave_parts(autosave_path(files.landmarks))
             self._open_pair(replace(files, parts=(target or autosaved[0], source or autosaved[1])), files.parts)
 
@@ -136,7 +121,8 @@ class Session(LandmarkEdits):
     def add_file(self, name: str, content: bytes) -> Path | None:
         """Add a file to the first folder; None if it is refused."""
         with self.report_errors(), self._upload_lock:
-            path = self.workspace.add(name, content)
+            path = self.workspace.add(name, content, self._added_names)
+            self._added_names[Path(name).name] = path.name
             self._say("note", f"added {path.name}")
             return path
         return None
@@ -149,16 +135,6 @@ class Session(LandmarkEdits):
             scene = self._scene
             hit = None if scene is None else pick(scene.shape(side), origin, direction)
             self._change(probe=None if scene is None or hit is None else probe_map(scene, side, hit))
-
-    def show(self, view: View) -> None:
-        """Set the view."""
-        with self._lock:
-            before = self._state.view
-            self._change(view=view)
-            if view.pose != before.pose and self._scene is not None:
-                self._preview.show_posed(view.pose)
-            if view.baked is not None and view.baked != before.baked and self._scene is not None:
-                self._preview.show_baked(view.baked, layout_mesh(self._state, view.baked), self._state.uv_set)
 
     def change_view(self, **fields: object) -> None:
         """Change fields of the view; mode "baked" shows the last baked image by default."""
@@ -187,6 +163,9 @@ class Session(LandmarkEdits):
         with self._lock:
             is_finishing = self._state.finish_job is not None
             self._cancelled = is_running = self._state.preview_job is not None and not is_finishing
+            is_dropped = is_running and self._preview.drop_map_requests()
+            if is_dropped and self._scene is not None and self._scene.preview_map is not None:
+                self._change(map=self._state.map.as_unchecked())
         if is_finishing:
             self._runner.cancel()
         elif is_running:
@@ -195,10 +174,7 @@ class Session(LandmarkEdits):
     # Finish
 
     def plan(self, options: FinishOptions) -> tuple[Command, ...]:
-        """Commands of a finish, by default with as many vertices as the map shown.
-
-        Without an image the source's material or vertex colours are baked, or else its ambient occlusion, and a cage is
-        wrapped.
+        """Commands of a finish; see `with_defaults` for what it makes by default.
 
         Raises
         ------
@@ -206,29 +182,9 @@ class Session(LandmarkEdits):
             If the target cannot be wrapped, or a value is refused.
         """
         files, scene = self._require_open()
-        is_plain = files.schemes[0] == NO_SCHEME
         has_constraints = self._state.history.present.has_constraints
         answer = 0 if has_constraints else self._state.map.chosen_answer
-        unwrap = not scene.target.control.has_layout
-        values = options.option_values
-        has_level = values.get(("match", "level")) is not None
-        vertices = None if has_level else values.get(("match", "vertices")) or self.vertices
-        options = options.with_values(
-            {("transfer", "unwrap"): unwrap, ("match", "answer"): answer, ("match", "vertices"): vertices}
-        )
-        if options.texture and files.texture is None and scene.has_colors:
-            options = options.with_values({("transfer", "material_colors"): True})
-        elif options.texture and files.texture is None:
-            colors = None if values.get(("transfer", "detail")) else scene.source.control.vertex_colors
-            default = ("ao",) if colors is None or np.isnan(colors).all() else ("colors",)
-            kinds = values.get(("transfer", "bake")) or default
-            wrap = options.wrap or not (is_plain or kinds == ("colors",))
-            options = replace(options, wrap=wrap).with_values({("transfer", "bake"): kinds})
-        if is_plain and options.wrap:
-            raise ParameterError(
-                f"{files.target.name} is open as a plain mesh, which cannot be wrapped. Press Open… and choose how the "
-                "target is subdivided (Options). Or choose something else to make below."
-            )
+        options = with_defaults(options, files, scene, self.vertices, answer)
         return plan_commands(self.options, self.workspace, files, options, use_landmarks=has_constraints)
 
     def finish(self, options: FinishOptions) -> None:
@@ -236,6 +192,8 @@ class Session(LandmarkEdits):
         with self.report_errors(), self._lock:
             if self._state.finish_job is not None:
                 raise ParameterError("a bake is running; cancel it or wait for its end")
+            if self._preview.is_choosing and not self._state.history.present.has_constraints:
+                raise ParameterError("the chosen alignment is being computed; press Bake again when its map is shown")
             files, _ = self._require_open()
             commands = self.plan(options)
             if self._state.history.present.has_constraints:
@@ -243,8 +201,11 @@ class Session(LandmarkEdits):
             self.show(map_view(self._state.view))
             commands = (replace(commands[0], computed=self._computed), *commands[1:])
             remaining = self._written_map.remaining_commands(commands, self._state)
-            reused = () if remaining == commands else (Output(commands[0].output, commands[0].output_title),)
-            self._change(outputs=reused, uv_set=options.option_values.get(("match", "target_uv_set")) or None)
+            self._has_new_map = remaining == commands
+            reused = () if self._has_new_map else (Output(commands[0].output, commands[0].output_title),)
+            self._earlier_outputs = tuple(output for output in self._state.outputs if output not in reused)
+            uv_set = options.option_values.get(("match", "target_uv_set")) or None
+            self._change(outputs=(*reused, *self._earlier_outputs), uv_set=uv_set)
             self._finish_inputs = self._state.map_inputs
             if options.texture and files.texture is None:
                 self._say("note", f"the source has no image; made instead: {', '.join(made_of(commands))}")
@@ -256,13 +217,6 @@ class Session(LandmarkEdits):
         self._preview.close()
 
     # Private
-
-    def _open_pair(self, files: Files, requested_parts: SideNames) -> None:
-        """Open models; if that fails, `_apply_result` tries again with the requested parts."""
-        with self._lock:
-            self._scene, self._computed, self._requested_parts = None, None, requested_parts
-            self._change(files=files, view=map_view(self._state.view), **INITIAL_FIELDS)
-            self._preview.open(files)
 
     def _save(self, path: Path | None = None) -> None:
         files, scene = self._require_open()
@@ -281,11 +235,19 @@ class Session(LandmarkEdits):
             self._written_map.record(output)
             if self._finish_inputs[:1] != self._state.map_inputs[:1]:
                 self._say("note", f"{output.path.name} was made of the models that were open before")
-            elif output.path not in [other.path for other in self._state.outputs]:
-                has_image = bool(self._state.baked_images)
-                self._change(outputs=(*self._state.outputs, output))
-                if self._state.baked_images and not has_image and self._finish_inputs == self._state.map_inputs:
-                    self.show_baked_image(self._state.baked_images[0])
+            elif output.path not in [other.path for other in self._finish_outputs]:
+                before, earlier = self._finish_outputs, self._earlier_outputs
+                others = (other for other in earlier if output.path != other.path and output.title != other.title)
+                self._earlier_outputs = tuple(others)
+                self._change(outputs=(*before, output, *self._earlier_outputs))
+                images = baked_images((*before, output))
+                if images and not baked_images(before) and self._finish_inputs == self._state.map_inputs:
+                    self.show_baked_image(images[0])
+
+    @property
+    def _finish_outputs(self) -> tuple[Output, ...]:
+        """Outputs of the last finish."""
+        return tuple(output for output in self._state.outputs if output not in self._earlier_outputs)
 
     def _on_message(self, message: Message) -> None:
         self._say(message.kind, explain_flags(self.options, in_page_words(message.text)))
@@ -294,107 +256,11 @@ class Session(LandmarkEdits):
         differences: tuple[str, ...] = ()
         with self.report_errors():  # no lock: this takes longer than a click
             if self._finish_inputs == self._state.map_inputs:
-                differences = tuple(map_difference_notes(self._scene, self._state.outputs))
+                differences = tuple(map_difference_notes(self._scene, self._finish_outputs))
         with self._lock:
+            if message.text == DONE_TEXT and self._has_new_map:  # the others are of an earlier map
+                self._change(outputs=self._finish_outputs)
             self._say(message.kind, message.text)
             self._say_all(differences, "error")  # last: the status line shows it
             if self._state.baked_images and self._finish_inputs != self._state.map_inputs:
                 self._say("note", "the baked images show the map before the last changes; press Bake for the new map")
-
-    def _preview_inputs(self) -> tuple[LandmarkList, PreviewMap | None]:
-        state, scene = self._state, self._scene
-        return state.history.present, None if scene is None else scene.preview_map
-
-    def _receive(self, task: Task, result: object) -> None:
-        is_unchecked = isinstance(result, MapUpdate) and result.map_state.unchecked
-        with self._lock:
-            with self.report_errors():
-                self._apply_result(task, result, is_unchecked=is_unchecked)
-            # Under the lock: nobody cancels a finished task. After the result: no page shows the old map as finished.
-            if not is_unchecked:
-                self._change(preview_job=None)
-
-    def _apply_result(self, task: Task, result: object, *, is_unchecked: bool) -> None:
-        cancelled, self._cancelled = self._cancelled, self._cancelled and is_unchecked
-        if task.pair_files != self._preview.pair_files or (is_unchecked and cancelled):  # other models are open by now
-            return
-        files, ups = self._state.files, task.pair_files.ups
-        if files is not None and self._scene is not None and files.ups != ups and not isinstance(result, Failure):
-            self._scene = self._scene.turned(ups)
-            self._change(files=replace(files, ups=ups))
-        if isinstance(result, Failure) and self._state.map.unchecked:  # the map shown will not be checked
-            self._change(map=self._state.map.without_findings())
-        match result:
-            case Failure() if result.kind == CANCELLED_KIND:  # the same models were opened again
-                pass
-            case Failure() if cancelled and result.kind == STOPPED_KIND:
-                self._say("note", "cancelled" + ("" if self._state.map.unchecked else "; the map stays as it was"))
-            case Failure():
-                self._say_all(result.notes)
-                is_ours = result.kind.isidentifier()  # the text of an internal error names its class
-                self._say("error", result.message if is_ours else f"{result.kind}: {result.message}")
-                if isinstance(task, OpenModels) and files is not None and files.parts != self._requested_parts:
-                    # The parts of the autosave do not exist any more.
-                    self._open_pair(replace(files, parts=self._requested_parts), self._requested_parts)
-            case OpenedPair():
-                self._apply_models(result)
-            case MapUpdate() if self._scene is None:  # the same models are being opened again
-                pass
-            case MapUpdate() if self._scene is not None and isinstance(task, FindMap):
-                before, (target, source) = self._scene, result.skins
-                scene = replace(before, preview_map=result.preview_map, skins=(target, source or before.skins[1]))
-                if not result.map_state.unchecked:
-                    scene = replace(scene, source=scene.aligned_source)
-                self._scene = scene
-                self._computed = result.computed
-                if before.preview_map is None or scene.source is not before.source:
-                    scene.warm_up()  # not earlier: the page loads the models first
-                shown, job = self._state.map, self._state.preview_job
-                map_state = result.map_state.rename_landmarks(task.landmarks, self._state.history.present)
-                if map_state.unchecked:
-                    map_state = replace(shown, unchecked=True, from_start=False)
-                seconds = 0.0 if job is None or map_state.unchecked else time.monotonic() - job.begun
-                first = shown.first_seconds or seconds
-                revision = shown.revision + (not map_state.unchecked)
-                map_state = replace(map_state, revision=revision, first_seconds=first)
-                self._change(map=map_state, proposal=propose_place(scene, self._state.history.present))
-            case bytes() if self._scene is not None and isinstance(task, ShowBaked):
-                if task.image == self._state.view.baked:
-                    self._scene = replace(self._scene, skins=(result, self._scene.skins[1]))
-                    self._change()
-            case (bytes() as target, bytes() as source) if self._scene is not None and isinstance(task, ShowPosed):
-                if task.pose == self._state.view.pose:
-                    self._scene = replace(self._scene, skins=(target, source))
-                    self._change()
-            case _:
-                log.warning("unexpected result %r of %r", type(result), type(task))
-
-    def _apply_models(self, opened: OpenedPair) -> None:
-        """Show opened models, and record how they were opened for the finish."""
-        target, source = opened.target, opened.source
-        self._scene = opened.scene
-        if self._state.files is not None:
-            files = with_parts(self._state.files, (target.part_choices.opened, source.part_choices.opened))
-            schemes, welds = (target.scheme, source.scheme), (target.weld, source.weld)
-            files = replace(files, target=target.path or files.target, source=source.path or files.source)
-            self._change(files=replace(files, schemes=schemes, welds=welds, texture=source.texture))
-        self._say_all(tuple(map(in_page_words, target.notes + source.notes)))
-        self._load_initial_landmarks()
-
-    def _load_initial_landmarks(self) -> None:
-        """Load unsaved landmarks, or else those of the file, and request the map."""
-        files, scene = self._require_open()
-        for read, saved in INITIAL_LANDMARK_READERS:
-            with self.report_errors():
-                loaded = read(files, scene, self._tracker)
-                if loaded is not None:
-                    landmarks, notes = loaded
-                    self._change(history=History(landmarks), saved=saved)
-                    self._say_all(notes)
-                    break
-        self._request_map(fresh=True)
-
-    def _request_map(self, *, fresh: bool) -> None:
-        if self._scene is not None:
-            self.show(map_view(self._state.view))  # a baked image shows an earlier map
-            self._preview.find(fresh=fresh)

@@ -43,10 +43,6 @@ class SharedState:
             self._listeners.append(listener)
             listener(self._state, self._scene)
 
-    def report(self, error: CagemapError) -> None:
-        """Show an error."""
-        self._say("error", str(error))
-
     def note(self, text: str) -> None:
         """Show a note."""
         self._say("note", text)
@@ -77,7 +73,7 @@ class SharedState:
         try:
             yield
         except CagemapError as error:
-            self.report(error)
+            self._say("error", str(error))
         except OSError as error:
             self._say("error", f"{error.filename or 'file'}: {error.strerror or error}")
         except Exception as error:  # a bug must not end the studio

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -21,7 +21,7 @@ _TILE_NUMBER = re.compile(r"\.1\d{3}$")
 # Ends the name of a copy of the target with a new UV layout.
 _UNWRAPPED_ENDING = "_unwrapped.obj"
 # Older messages disappear from the page.
-MAX_MESSAGES = 5
+MAX_MESSAGES = 100
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Files:
     schemes : (str or None, str or None)
         Subdivision scheme of target and source, "none" for a plain mesh; None: as stated in the file.
     ups : (str or None, str or None)
-        Up axis of target and source, "y" or "z"; None: as stated in a USD file, else y.
+        Up axis of target and source, "y" or "z"; None: as stated in the file, else by the shape or format.
     parts : (str or None, str or None)
         Part of each file, as `cagemap match --part` takes it; None: the whole file. Opening a file of several pieces
         without a part sets this to its largest piece.
@@ -143,6 +143,16 @@ class MapState:
     poor: str = ""
     poses: tuple[str, ...] = ()
     first_seconds: float = 0.0
+
+    def as_unchecked(self) -> MapState:
+        """Return the state for a map that is not checked, with what is known of the last checked one."""
+        return replace(self, unchecked=True, from_start=False)
+
+    def following(self, shown: MapState, seconds: float) -> MapState:
+        """Return the state as the one after ``shown``; ``seconds``: since the computation began."""
+        if self.unchecked:
+            return shown.as_unchecked()
+        return replace(self, revision=shown.revision + 1, first_seconds=shown.first_seconds or seconds)
 
     def without_findings(self) -> MapState:
         """Return the state without what was found about the last checked map; answers, suggestion and poses stay."""
@@ -280,15 +290,20 @@ class StudioState:
 
     @property
     def baked_images(self) -> tuple[Path, ...]:
-        """Written images in the target's layout, tiles as one; without those of the wrapped cage."""
-        paths = (output.path for output in self.outputs if output.title != "wrap")
-        images = (path for path in paths if path.suffix.lower() in IMAGE_SUFFIXES)
-        return tuple(dict.fromkeys(path.with_stem(_TILE_NUMBER.sub(f".{UDIM_MARK}", path.stem)) for path in images))
+        """Written images in the target's layout."""
+        return baked_images(self.outputs)
 
 
 _PAIR_FIELDS = ("history", "selected", "proposal", "map", "probe", "outputs", "uv_set", "saved")
 # Values of the fields that depend on the open pair, for a newly opened one.
 INITIAL_FIELDS: dict[str, object] = {name: getattr(StudioState(), name) for name in _PAIR_FIELDS}
+
+
+def baked_images(outputs: Iterable[Output]) -> tuple[Path, ...]:
+    """Images in the target's layout, tiles as one; without those of the wrapped cage."""
+    paths = (output.path for output in outputs if output.title != "wrap")
+    images = (path for path in paths if path.suffix.lower() in IMAGE_SUFFIXES)
+    return tuple(dict.fromkeys(path.with_stem(_TILE_NUMBER.sub(f".{UDIM_MARK}", path.stem)) for path in images))
 
 
 def map_view(view: View) -> View:

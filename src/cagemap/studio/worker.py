@@ -23,6 +23,8 @@ CANCELLED_KIND = "Cancelled"
 NICENESS = 5
 # Seconds until a process that was asked to end is killed.
 END_TIMEOUT = 20.0
+# Messages of a worker's process are (kind, value): a stage's name, a result before the task is done, or the result.
+STAGE, EARLY_RESULT, RESULT = "stage", "early result", "result"
 # Sent in place of a task: cancel the running one.
 _CANCEL_MESSAGE = "cancel"
 
@@ -43,27 +45,6 @@ class Failure:
     kind: str
     message: str
     notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class StageReply:
-    """Message of a worker's process: the current stage."""
-
-    name: str
-
-
-@dataclass(frozen=True)
-class EarlyResult:
-    """Message of a worker's process: a result before the task is done."""
-
-    result: Any
-
-
-@dataclass(frozen=True)
-class FinalResult:
-    """Message of a worker's process: the result of a task."""
-
-    result: Any
 
 
 class _CancelledError(Exception):
@@ -106,9 +87,9 @@ class Worker:
     ----------
     on_stage : callable
         Called with the name of each stage.
-    serve : callable, optional
-        Loop of the process: receives tasks, and sends `StageReply` and then `FinalResult` or `Failure`; None in place
-        of a task ends it. That of the preview by default.
+    serve : callable
+        Loop of the process: receives tasks, and sends stages and then the result, which may be a `Failure`; None in
+        place of a task ends it.
     on_early_result : callable
         Called with results before the task is done.
     """
@@ -116,11 +97,10 @@ class Worker:
     def __init__(
         self,
         on_stage: Callable[[str], None],
-        serve: Callable[[Connection], None] | None = None,
+        serve: Callable[[Connection], None],
         on_early_result: Callable[[Any], None] = lambda _: None,
     ) -> None:
-        self._on_stage, self._on_early_result = on_stage, on_early_result
-        self._serve = _serve_preview if serve is None else serve
+        self._on_stage, self._serve, self._on_early_result = on_stage, serve, on_early_result
         self._lock = threading.Lock()
         self._process: multiprocessing.process.BaseProcess | None = None
         self._connection: Connection | None = None
@@ -154,13 +134,11 @@ class Worker:
                     self._task = task
                     connection = self._send(task)
                 while True:
-                    reply = connection.recv()
-                    if isinstance(reply, StageReply):
-                        self._on_stage(reply.name)
-                    elif isinstance(reply, EarlyResult):
-                        self._on_early_result(reply.result)
-                    else:
-                        return reply.result if isinstance(reply, FinalResult) else reply
+                    kind, value = connection.recv()
+                    if kind == RESULT:
+                        return value
+                    receive = self._on_stage if kind == STAGE else self._on_early_result
+                    receive(value)
             except (EOFError, OSError):
                 return self._collect_process()
 
@@ -224,14 +202,15 @@ class Worker:
         return Failure(STOPPED_KIND, f"the computation's process ended (exit code {code})")
 
 
-def _serve_preview(connection: Connection) -> None:
+def serve_preview(connection: Connection) -> None:
     """Loop of the preview's process: receives tasks, sends stages and results."""
-    from cagemap.studio.compute import OpenModels, run_task
+    from cagemap.studio.compute import run_task
+    from cagemap.studio.preview_tasks import OpenModels
 
     cache = None
 
     def send_stage(stage: str) -> None:
-        connection.send(StageReply(stage))
+        connection.send((STAGE, stage))
         if connection.poll():  # during a task the only possible message is to cancel it
             connection.recv()
             raise _CancelledError
@@ -244,14 +223,14 @@ def _serve_preview(connection: Connection) -> None:
             if not isinstance(task, OpenModels):  # opening comes first: until then the page has nothing to do
                 _lower_priority()
             try:
-                cache, result = run_task(cache, task, send_stage, lambda early: connection.send(EarlyResult(early)))
-                connection.send(FinalResult(result))
+                cache, result = run_task(cache, task, send_stage, lambda early: connection.send((EARLY_RESULT, early)))
+                connection.send((RESULT, result))
             except _CancelledError:
-                connection.send(Failure(CANCELLED_KIND, "the computation was cancelled"))
+                connection.send((RESULT, Failure(CANCELLED_KIND, "the computation was cancelled")))
             except (EOFError, BrokenPipeError, KeyboardInterrupt):
                 raise
             except Exception as error:  # a bug must not end the studio
-                connection.send(_failure_of(error))
+                connection.send((RESULT, _failure_of(error)))
 
 
 def _failure_of(error: Exception) -> Failure:

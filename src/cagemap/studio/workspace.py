@@ -7,8 +7,10 @@ import itertools
 import os
 import re
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TypeVar
 
 from cagemap.errors import ParameterError
@@ -16,7 +18,7 @@ from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.atomic import write_whole
 from cagemap.files.images.image import UDIM_MARK, texture_files
 from cagemap.files.meshes.formats import MESH_SUFFIXES
-from cagemap.files.meshes.obj import named_material_files
+from cagemap.files.meshes.obj import MATERIAL_FILE_LINE, named_material_files
 from cagemap.files.usd.stages import USD_SUFFIXES, asset_paths
 
 LANDMARK_SUFFIXES = (".json", ".pp", ".fcsv", ".csv", ".txt")
@@ -117,8 +119,15 @@ class Workspace:
                 paths.setdefault(path)
         return tuple(map(self.display_name, itertools.islice(_merge_tiles(list(paths)), _MAX_LISTED_FILES)))
 
-    def add(self, name: str, content: bytes) -> Path:
-        """Write a new file into the first folder, numbered if the name is used.
+    def add(self, name: str, content: bytes, added_names: Mapping[str, str] = MappingProxyType({})) -> Path:
+        """Write a new file into the first folder, numbered if a file of other content has the name.
+
+        Parameters
+        ----------
+        name : str
+        content : bytes
+        added_names : mapping of str to str
+            Names under which earlier files were added, by the given ones: an OBJ then names these material files.
 
         Raises
         ------
@@ -135,13 +144,15 @@ class Workspace:
         if path.suffix.lower() == ".obj":
             for file in named_material_files(path.name, content):
                 self.resolve(file)
+            content = _with_added_names(content, added_names)
         if path.suffix.lower() in USD_SUFFIXES:
             for file in asset_paths(path.name, content):
                 self._require_layer(path.name, file)
         names = itertools.chain([path], (path.with_stem(f"{path.stem} ({k})") for k in itertools.count(2)))
-        free = next(path for path in names if not path.exists())
-        write_whole(free, content)
-        return free
+        chosen = next(path for path in names if not path.exists() or _has_content(path, content))
+        if not chosen.exists():
+            write_whole(chosen, content)
+        return chosen
 
     def _require_layer(self, name: str, file: str) -> None:
         """Refuse an asset path that USD may resolve to a file outside the folders."""
@@ -158,10 +169,30 @@ class Workspace:
 
     def display_name(self, path: Path) -> str:
         """Path relative to the first folder, as `list_files` gives it."""
-        try:
-            return os.path.relpath(path, self.folders[0])
-        except ValueError:  # another drive
-            return str(path)
+        return relative_path(path, self.folders[0])
+
+
+def relative_path(path: Path, folder: Path) -> str:
+    """Path relative to a folder; the absolute one on another drive."""
+    try:
+        return os.path.relpath(path, folder)
+    except ValueError:
+        return str(path)
+
+
+def _has_content(path: Path, content: bytes) -> bool:
+    return path.is_file() and path.stat().st_size == len(content) and path.read_bytes() == content
+
+
+def _with_added_names(content: bytes, added_names: Mapping[str, str]) -> bytes:
+    """An OBJ whose ``mtllib`` lines name material files as they were added."""
+
+    def renamed(line: re.Match[str]) -> str:
+        given = line[1].strip()
+        written = added_names.get(given.encode("latin-1").decode(errors="replace"))
+        return line[0] if written is None else line[0].replace(given, written.encode().decode("latin-1"))
+
+    return MATERIAL_FILE_LINE.sub(renamed, content.decode("latin-1")).encode("latin-1")  # keeps all bytes
 
 
 def _has_text_name(path: Path) -> bool:

@@ -23,8 +23,8 @@ from cagemap.studio.state import Files
 from cagemap.studio.workspace import LANDMARK_SUFFIXES
 
 _FILES = ("target", "source", "texture")
-# Messages that pages send on their own.
-_UNASKED = ("list", "probe")
+# A message that pages send on their own.
+_UNASKED = "list"
 Entries = Mapping[str, Any]
 
 
@@ -58,7 +58,7 @@ class Actions:
             "again": lambda _: session.match_again(),
             "answer": lambda sent: session.choose_answer(int(sent["index"])),
             "cancel": lambda _: session.cancel(),
-            "bake": lambda sent: session.finish(read_form(session.options, sent["options"], session.workspace.resolve)),
+            "bake": lambda sent: session.finish(read_form(session.options, sent["options"])),
         }
 
     def handle(self, message: str | bytes) -> None:
@@ -72,7 +72,7 @@ class Actions:
                     return
                 sent = json.loads(message)
                 self._handlers[sent["do"]](sent)
-                if sent["do"] not in _UNASKED:
+                if sent["do"] != _UNASKED:
                     self._session.answer_error(error)
             except CagemapError:  # also a ValueError
                 raise
@@ -122,7 +122,7 @@ class Actions:
         opened = self._session.state.files
         if opened is not None and (opened.target, opened.source) == (target, source):
             return replace(opened, texture=texture)
-        return default_files(self._session.workspace.folders[0], target, source, texture)
+        return default_files(target.parent, target, source, texture)
 
     def _show_baked(self, sent: Entries) -> None:
         images = self._session.state.baked_images

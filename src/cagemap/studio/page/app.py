@@ -134,7 +134,7 @@ class StudioApp:
     def _download(self, name: str) -> tuple[bytes, str] | None:
         state = self.session.state
         if name == textured_model_name(state):
-            return textured_model(state), "model/gltf-binary"
+            return textured_model(state, self.session.scene), "model/gltf-binary"
         return output_content(state.outputs, name)
 
     def _first_messages(self) -> Iterator[str]:

@@ -93,15 +93,16 @@ function field({kind, label, value, choices, usual, suffixes, least, most, step}
   }
 }
 
-// Build the form; returns a function that gives what is asked for, by the fields' keys.
+// Build the form; returns functions that give what is asked for, by the fields' keys, and that clear names of files.
 export function buildForm({first, folds}, above, below) {
-  const asked = {}, usual = {};
+  const asked = {}, usual = {}, ofPair = [];
   const line = one => {
     const [made, value] = field(one);
     asked[one.key] = value;
     usual[one.key] = JSON.stringify(value());
     const name = element('span', {textContent: one.label});
     const several = one.kind === 'several', holder = element(several ? 'div' : 'label', {title: one.hint}, name, made);
+    if (one.kind.includes('file') || one.key === 'name') ofPair.push(...made.matches('input, select') ? [made] : made.querySelectorAll('input, select'));
     for (const input of made.matches('input, select') ? [made] : made.querySelectorAll('input:not([type=checkbox])'))
       input.setAttribute('aria-label', one.label);
     holder.dataset.key = one.key;
@@ -111,6 +112,9 @@ export function buildForm({first, folds}, above, below) {
   above.replaceChildren(...first.map(line));
   below.replaceChildren(...folds.map(({title, fields}) =>
     element('details', {}, element('summary', {textContent: title}), ...fields.map(line))));
-  return () => Object.fromEntries(Object.entries(asked).map(([key, value]) => [key, value()])
-    .filter(([key, value]) => JSON.stringify(value) !== usual[key] || key === 'match.vertices'));
+  return {
+    values: () => Object.fromEntries(Object.entries(asked).map(([key, value]) => [key, value()])
+      .filter(([key, value]) => JSON.stringify(value) !== usual[key] || key === 'match.vertices')),
+    clearFiles: () => { for (const input of ofPair) input.value = ''; },
+  };
 }

@@ -60,7 +60,7 @@ def form_fields(options: Options, vertices: int) -> dict[str, Any]:
     return {"form": {"first": first, "folds": folds}}
 
 
-def read_form(options: Options, sent: Mapping[str, Any], resolve: Any) -> FinishOptions:
+def read_form(options: Options, sent: Mapping[str, Any]) -> FinishOptions:
     """Read the values that a page sent.
 
     Parameters
@@ -68,13 +68,11 @@ def read_form(options: Options, sent: Mapping[str, Any], resolve: Any) -> Finish
     options : mapping
     sent : mapping of str to value
         By the keys of `form_fields`; missing ones have the default.
-    resolve : callable
-        Returns a path inside the workspace.
 
     Raises
     ------
     ParameterError
-        If a value is of the wrong kind, or a file lies outside the workspace.
+        If a value is of the wrong kind.
     """
     labels = {field.key: field.label for section in sections(options) for field in section.fields}
     labels |= {VERTICES_KEY: "Vertices", SIZE_KEY: "Image size"}
@@ -84,7 +82,7 @@ def read_form(options: Options, sent: Mapping[str, Any], resolve: Any) -> Finish
         command, dot, option = name.partition(".")
         if dot and (command, option) in labels:
             key = (command, option)
-            value = _read_value(options[key], labels[key], sent_value, resolve)
+            value = _read_value(options[key], labels[key], sent_value)
             if value != options[key].default:
                 option_values[key] = value
         elif name in {field.name for field in fields(FinishOptions)} - {"option_values"}:
@@ -117,7 +115,7 @@ def _option_entry(options: Options, field: Field, **other: Any) -> dict[str, Any
     return entry | other
 
 
-def _read_value(option: CommandOption, label: str, sent: Any, resolve: Any) -> Value:
+def _read_value(option: CommandOption, label: str, sent: Any) -> Value:
     value = sent.strip() if isinstance(sent, str) else sent
     match option.kind:
         case "flag" | "output":
@@ -132,7 +130,7 @@ def _read_value(option: CommandOption, label: str, sent: Any, resolve: Any) -> V
                 expected = "a whole number" if option.kind == "whole" else "a number"
                 raise ParameterError(f"{label}: expected {expected} or nothing, got {value!r}. Correct it.") from None
         case "file":
-            return resolve(value) if value else None
+            return Path(value) if value else None
         case "files":
             return tuple(map(Path, _split_list(str(value))))
         case "named files":

@@ -3,8 +3,9 @@ import {buildForm, element, fileOption, fill, matching, showFiles} from './form.
 import {Views} from './view.js';
 
 const $ = id => document.getElementById(id);
-const SIDES = ['target', 'source'], AGAIN = 500, AS_FILED = [['', 'as the file says']];
-let socket = null, state = null, fixed = null, listing = [], options = () => ({}), shownFiles = '', picked = false, typed = null, received = 0;
+const SIDES = ['target', 'source'], BOXES = ['doubts', 'cages', 'linked', 'other_parts', 'symmetric'], AGAIN = 500, AS_FILED = [['', 'as the file says']];
+let socket = null, state = null, fixed = null, listing = [], shownFiles = '', shownPair = '', picked = false, typed = null, received = 0;
+let bakeForm = {values: () => ({}), clearFiles: () => {}};
 
 const hint = (...texts) => $('empty').replaceChildren(...texts.map(words => element('p', {textContent: words})));
 hint('This browser draws no 3D. Turn WebGL on, or open the page in another browser.');
@@ -23,7 +24,7 @@ function connect() {
   one.onopen = () => { views.forget(); };
   one.onmessage = ({data}) => {
     const said = JSON.parse(data);
-    if (said.fixed && !fixed) options = buildForm(said.form, $('first'), $('folds'));  // what is typed stays on a reconnect
+    if (said.fixed && !fixed) bakeForm = buildForm(said.form, $('first'), $('folds'));  // what is typed stays on a reconnect
     fixed = said.fixed ?? fixed;
     if (said.listing) showFiles(listing = said.listing);
     if (said.status) [state, received] = [said, performance.now()];
@@ -64,7 +65,7 @@ function show() {
   showLandmarks();
   showBake();
   showModels();
-  for (const name of ['doubts', 'cages', 'linked', 'other_parts', 'symmetric']) $(name).checked = view[name];
+  for (const name of BOXES) $(name).checked = view[name];
   $('other-parts-line').hidden = !SIDES.some(side => views.sides[side].parts.other_parts);
   $('symmetric').disabled = !state.symmetric;
   $('symmetric').parentElement.title = state.symmetric || !models ? 'Also place the mirror image of each new landmark'
@@ -76,6 +77,13 @@ function showSeconds() {  // beside the status, which screen readers say
 }
 setInterval(showSeconds, 1000);
 function text(id, words) { if ($(id).textContent !== words) $(id).textContent = words; }
+// Whether what an element is made of has changed since the last time: an element that is made anew loses clicks and focus.
+const made = {};
+function changed(id, value) {
+  const before = made[id];
+  made[id] = JSON.stringify(value);
+  return made[id] !== before;
+}
 
 function showMessages() {
   const lines = [...state.messages].reverse().map(one => element('li', {className: one.kind, textContent: one.text}));
@@ -88,8 +96,11 @@ function showViews() {
   const {drawn, models, view} = state;
   $('empty').hidden = !!models || state.status.kind === 'busy';
   const modes = fixed.modes.filter(one => one !== 'baked' || state.images.length);
-  fill($('mode'), modes.map(one => [one, one[0].toUpperCase() + one.slice(1)]), view.mode);
-  fill($('other'), [['', '–'], ...modes.map(one => [one, one[0].toUpperCase() + one.slice(1)])], $('other').value);
+  const entries = names => names.map(one => [one, one[0].toUpperCase() + one.slice(1)]);
+  fill($('mode'), entries(modes), view.mode);
+  const compared = modes.filter(one => one !== 'baked' || state.baked);  // the model is drawn with that image
+  if ($('other').value && !compared.includes($('other').value)) compare('');
+  fill($('other'), [['', '–'], ...entries(compared)], $('other').value);
   for (const side of SIDES) {
     const head = $(side).querySelector('h2'), {name = '', opened, parts = []} = models?.[side] ?? {};
     const part = opened ? `, ${opened} (1 of ${parts.length} parts)` : '';
@@ -110,16 +121,26 @@ function showViews() {
   fill($('pose'), [['', 'at rest'], ...state.poses], view.pose);
   $('pose-line').hidden = !state.poses.length;
   $('wrapAmount').disabled = $('overlay').disabled = !state.revision;
+  if (!state.revision) setWrap(0);
+}
+function compare(mode) {
+  $('other').value = mode;
+  $('split').hidden = !mode;
+  views.set({other: mode});
+}
+function setWrap(amount) {
+  $('wrapAmount').value = amount;
+  views.set({wrapAmount: amount});
 }
 
 function showMap() {
   const {answers, chosen} = state;
-  const heading = answers.length ? [element('h2', {textContent: 'Possible alignments'})] : [];
-  $('answers').replaceChildren(...heading, ...answers.map((name, index) => {
-    const button = element('button', {textContent: `${index + 1} · ${name}`, onclick: () => send('answer', {index})});
-    button.setAttribute('aria-pressed', index === chosen);
-    return button;
-  }));
+  if (changed('answers', answers)) {
+    const heading = answers.length ? [element('h2', {textContent: 'Possible alignments'})] : [];
+    $('answers').replaceChildren(...heading, ...answers.map((name, index) =>
+      element('button', {textContent: `${index + 1} · ${name}`, onclick: () => send('answer', {index})})));
+  }
+  $('answers').querySelectorAll('button').forEach((button, index) => button.setAttribute('aria-pressed', index === chosen));
   $('said').replaceChildren(...state.said.map(line => element('p', {textContent: line})));
   $('why').hidden = !state.said.length;
   $('again').disabled = !state.models;
@@ -130,19 +151,12 @@ function showLandmarks() {
   $('list').hidden = !landmarks.length;
   text('count', !state.models ? '' : !landmarks.length ? 'No landmarks. Where the map is wrong, click that place on one model, then on the other.'
     : `${count} landmark${count === 1 ? '' : 's'}${curves ? `, ${curves} curves` : ''}${saved ? '' : ' · not saved yet'}`);
-  const rows = [...landmarks].reverse().sort((a, b) => !!b.wrong - !!a.wrong).map(one => {
-    const off = !one.complete ? '…' : one.strain === null ? '' : `${(100 * one.strain).toFixed(1)} %`;
-    const dot = element('i');
-    dot.style.background = one.color;
-    const row = element('tr', {className: one.wrong ? 'wrong' : '', title: one.wrong},
-      element('td', {}, dot, String(one.number)), element('td', {textContent: one.name + (one.wrong ? ' ⚠' : '')}),
-      element('td', {textContent: off}));
-    row.setAttribute('aria-selected', one.number === selected);
-    row.dataset.number = one.number;
-    row.onclick = () => send('select', {number: one.number});
-    return row;
-  });
-  $('list').querySelector('tbody').replaceChildren(...rows);
+  showRows([...landmarks].reverse().sort((a, b) => !!b.wrong - !!a.wrong));
+  for (const row of $('list').querySelectorAll('tbody tr')) {
+    const isSelected = Number(row.dataset.number) === selected;
+    row.setAttribute('aria-selected', isSelected);
+    row.querySelector('button').setAttribute('aria-pressed', isSelected);
+  }
   const item = landmarks.find(one => one.number === selected);
   $('selected').hidden = !item;
   if (item && (document.activeElement !== $('name') || typed?.number !== item.number)) $('name').value = item.name;
@@ -151,6 +165,23 @@ function showLandmarks() {
   $('accept').disabled = !state.proposal;
   $('next').disabled = !state.suggests;
   $('mirror').disabled = !item?.complete || !state.symmetric;
+}
+
+function showRows(landmarks) {
+  if (!changed('rows', landmarks.map(({number, name, color, complete, strain, wrong}) => [number, name, color, complete, strain, wrong])))
+    return;
+  const body = $('list').querySelector('tbody'), focused = document.activeElement.closest('#list tr')?.dataset.number;
+  body.replaceChildren(...landmarks.map(one => {
+    const off = !one.complete ? '…' : one.strain === null ? '' : `${(100 * one.strain).toFixed(1)} %`;
+    const dot = element('i');
+    dot.style.background = one.color;
+    const row = element('tr', {className: one.wrong ? 'wrong' : '', title: one.wrong, onclick: () => send('select', {number: one.number})},
+      element('td', {}, dot, String(one.number)), element('td', {}, element('button', {textContent: one.name + (one.wrong ? ' ⚠' : '')})),
+      element('td', {textContent: off}));
+    row.dataset.number = one.number;
+    return row;
+  }));
+  if (focused) body.querySelector(`[data-number="${focused}"] button`)?.focus();
 }
 
 function showBake() {
@@ -162,9 +193,8 @@ function showBake() {
     if (page) Object.assign(link, {target: '_blank', rel: 'noopener'});
     return element('div', {}, `${what}: `, link);
   });
-  if ($('outputs').dataset.names !== JSON.stringify(state.outputs)) {
+  if (changed('outputs', state.outputs)) {
     $('outputs').replaceChildren(...links);
-    $('outputs').dataset.names = JSON.stringify(state.outputs);
     if (state.outputs.length) send('list');
   }
   $('baked-line').hidden = !state.images.length;
@@ -172,7 +202,9 @@ function showBake() {
 }
 
 function showModels() {
-  const {files, models} = state, dialog = $('models').querySelector('form');
+  const {files, models} = state, dialog = $('models').querySelector('form'), pair = files ? `${files.target}\n${files.source}` : shownPair;
+  if (shownPair && pair !== shownPair) bakeForm.clearFiles();  // those of the bake belong to the models before
+  shownPair = pair;
   for (const side of SIDES) {
     const model = models?.[side], parts = model?.parts ?? [];
     fill($(`part-${side}`), [...(model?.whole ? [['', 'the whole file']] : []), ...parts.map(([name, faces]) => [name, `${name} (${faces.toLocaleString('en')} faces)`])], model?.opened ?? '');
@@ -200,13 +232,14 @@ function showModels() {
 
 const on = (id, what, done) => $(id).addEventListener(what, done);
 for (const name of ['undo', 'redo', 'accept', 'again', 'cancel', 'next']) on(name, 'click', () => send(name));
-for (const name of ['doubts', 'cages', 'linked', 'other_parts', 'symmetric'])
+on('next', 'click', () => $('target').focus({preventScroll: true}));  // Enter then accepts the proposed place
+for (const name of BOXES)
   on(name, 'change', () => send('view', {fields: {[name]: $(name).checked}}));
 on('mode', 'change', () => send('view', {fields: {mode: $('mode').value}}));
 on('pose', 'change', () => send('view', {fields: {pose: $('pose').value}}));
-on('other', 'change', () => { $('split').hidden = !$('other').value; views.set({other: $('other').value}); });
+on('other', 'change', () => compare($('other').value));
 on('split', 'input', () => views.set({split: Number($('split').value)}));
-on('wrapAmount', 'input', () => views.set({wrapAmount: Number($('wrapAmount').value)}));
+on('wrapAmount', 'input', () => setWrap(Number($('wrapAmount').value)));
 on('overlay', 'change', () => views.set({overlay: $('overlay').checked}));
 on('numbers', 'change', () => { views.set({numbers: $('numbers').checked}); showViews(); });
 on('frame', 'click', () => views.frame());
@@ -234,7 +267,7 @@ on('file-form', 'change', () => {
   const old = ends.find(end => name.toLowerCase().endsWith(end)) ?? '';
   $('file').value = name.slice(0, name.length - old.length) + $('file-form').value;
 });
-on('start', 'click', () => send('bake', {options: options()}));
+on('start', 'click', () => send('bake', {options: bakeForm.values()}));
 on('baked', 'change', () => send('baked', {name: $('baked').value}));
 
 for (const tab of document.querySelectorAll('[role=tab]')) {

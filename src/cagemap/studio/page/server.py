@@ -28,7 +28,6 @@ from websockets.http11 import Request, Response
 
 from cagemap.errors import ParameterError
 
-COOKIE_NAME = "cagemap_studio"
 WILDCARD_ADDRESSES = ("0.0.0.0", "::")
 LOOPBACK_ADDRESSES = ("127.0.0.1", "localhost", "::1")
 _POLICY = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; frame-ancestors 'none'"
@@ -62,8 +61,14 @@ def is_admitted(request: Request, token: str | None) -> bool:
         # Another name that resolves to this machine belongs to another site (DNS rebinding).
         return (urlsplit(f"//{host}").hostname or "") in LOOPBACK_ADDRESSES
     query = parse_qs(urlsplit(request.path).query).get("token", [""])[0]
-    cookie = SimpleCookie(request.headers.get("Cookie", "")).get(COOKIE_NAME)
+    cookie = SimpleCookie(request.headers.get("Cookie", "")).get(_cookie_name(request))
     return any(hmac.compare_digest(word.encode(), token.encode()) for word in (query, cookie.value if cookie else ""))
+
+
+def _cookie_name(request: Request) -> str:
+    """Name of the cookie with the token: browsers keep those of all ports of a host together."""
+    host = request.headers.get("Host", "")
+    return f"cagemap_studio_{urlsplit(f'//{host}').port or 80}"
 
 
 class Server:
@@ -179,7 +184,9 @@ class Server:
         elif path in self._files:
             response = _response(*self._files[path])
             if self._token:
-                response.headers["Set-Cookie"] = f"{COOKIE_NAME}={self._token}; Path=/; HttpOnly; SameSite=Strict"
+                response.headers["Set-Cookie"] = (
+                    f"{_cookie_name(request)}={self._token}; Path=/; HttpOnly; SameSite=Strict"
+                )
         return response or _response(b"not found", status=http.HTTPStatus.NOT_FOUND)
 
     async def _serve_socket(self, page: ServerConnection) -> None:

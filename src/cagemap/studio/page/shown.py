@@ -49,7 +49,7 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
     """Everything that a page shows; ``keys`` are those of its drawings."""
     map_state, present, view = state.map, state.history.present, state.view
     return {
-        "status": status_entries(state),
+        "status": status_entries(state, scene),
         "verdict": verdict(state, scene),
         "messages": [{"kind": message.kind, "text": confidence_text(message.text)} for message in state.messages],
         "files": None if state.files is None else _file_entries(state.files, workspace),

@@ -20,15 +20,14 @@ export class Views {
     const renderer = String(gl?.getParameter(named ? named.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
     gl?.getExtension('WEBGL_lose_context')?.loseContext();
     // Without a graphics card the processor draws, beside the computation: smooth edges would double its work.
-    const slow = /swiftshader|llvmpipe|softpipe|software|basic render/i.test(renderer);
-    this.renderer = new THREE.WebGLRenderer({canvas: this.canvas, antialias: !slow, alpha: true, preserveDrawingBuffer: true});
+    this.slow = /swiftshader|llvmpipe|softpipe|software|basic render/i.test(renderer);
+    this.renderer = new THREE.WebGLRenderer({canvas: this.canvas, antialias: !this.slow, alpha: true, preserveDrawingBuffer: true});
     this.renderer.autoClear = false;
-    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, slow ? 1 : 2));
     this.shown = {look: 'plain', other: '', split: 0.5, wrapAmount: 0, overlay: false, doubts: true, cages: false, numbers: true,
       linked: true, other_parts: true, pose: ''};
     this.fit = Math.hypot(...FIRST);
     this.blank = texture(new ImageData(1, 1), true);
-    [this.samples, this.anisotropy] = slow ? [0, 1] : [4, 8];
+    [this.samples, this.anisotropy] = this.slow ? [0, 1] : [4, 8];
     this.sides = Object.fromEntries(SIDES.map(name => [name, this.side(name, root.querySelector(`#${name}`))]));
     new ResizeObserver(() => this.resize()).observe(root);
     this.canvas.addEventListener('webglcontextrestored', () => {
@@ -109,7 +108,8 @@ export class Views {
       delete side.parts[old];
     }
     if (kind === 'skin') {
-      this.measure(side, meshes.find(one => one.name === 'model').geometry.getAttribute('position').array);
+      const own = meshes.filter(one => ['model', 'seams'].includes(one.name));  // one of them may have no triangle
+      this.measure(side, own.map(one => one.geometry.getAttribute('position').array));
       for (const image of Object.values(side.images)) image.dispose();
       side.images = Object.fromEntries(Object.entries(images).map(([id, image]) => [id, texture(image, id === 'seams', this.anisotropy)]));
       side.drawn += 1;
@@ -139,11 +139,12 @@ export class Views {
   // Landmarks of a side and the asked place: {number, name, color, at, place, solid, selected, wrong}; `at` and `place`
   // are position and normal here and on the other model.
   setMarks(name, marks) {
-    const side = this.sides[name], drawn = JSON.stringify([marks, this.shown.numbers]);
+    const side = this.sides[name], ratio = this.renderer.getPixelRatio();
+    const drawn = JSON.stringify([marks, this.shown.numbers, ratio]);
     if (side.dragged || side.drawnMarks === drawn) return;
     side.drawnMarks = drawn;
     side.marks = marks;
-    const ratio = this.renderer.getPixelRatio(), cell = MARK * ratio, cells = Math.ceil(Math.sqrt(marks.length)) || 1;
+    const cell = MARK * ratio, cells = Math.ceil(Math.sqrt(marks.length)) || 1;
     const paper = document.createElement('canvas');
     paper.width = paper.height = cells * cell;
     const pen = paper.getContext('2d');
@@ -226,9 +227,9 @@ export class Views {
   }
 
   // How far away both models fit into their panes while they turn about the vertical.
-  measure(side, positions) {
+  measure(side, lists) {
     side.tall = side.wide = 0.1;
-    for (let i = 0; i < positions.length; i += 3) {
+    for (const positions of lists) for (let i = 0; i < positions.length; i += 3) {
       side.tall = Math.max(side.tall, Math.abs(positions[i + 1]));
       side.wide = Math.max(side.wide, Math.hypot(positions[i], positions[i + 2]));
     }
@@ -267,6 +268,7 @@ export class Views {
   resize() {
     const {clientWidth: width, clientHeight: height} = this.canvas;
     if (!width || !height) return;
+    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, this.slow ? 1 : 2));  // other on another screen
     this.renderer.setSize(width, height, false);
     for (const side of Object.values(this.sides)) {
       side.camera.aspect = side.pane.clientWidth / side.pane.clientHeight;

@@ -10,7 +10,6 @@ import numpy as np
 
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO
 from cagemap.mesh.mesh_report import VERTEX, count_noun
-from cagemap.studio.preview import OPENING_TITLE
 from cagemap.studio.scene import Scene
 from cagemap.studio.skins import DOUBTFUL_TRUST
 from cagemap.studio.state import RunningJob, StudioState
@@ -97,7 +96,7 @@ def bake_hint(state: StudioState, scene: Scene | None) -> str:
     return f"A bake computes the map {seconds}; the next bake of the same landmarks uses it again."
 
 
-def status_entries(state: StudioState) -> dict[str, Any]:
+def status_entries(state: StudioState, scene: Scene | None) -> dict[str, Any]:
     """Text, kind ("busy", "error", "ask", "ready"), fraction done or None, and whether it can be cancelled.
 
     If busy, also the seconds since the beginning.
@@ -106,7 +105,7 @@ def status_entries(state: StudioState) -> dict[str, Any]:
     if job is not None:
         progress = _preview_progress(job) if state.finish_job is None else _finish_progress(job)
         return {"kind": "busy", "cancel": True, "seconds": time.monotonic() - job.begun} | progress
-    text, kind = _next_step(state), "ready"
+    text, kind = _next_step(state, scene), "ready"
     if state.error is not None:
         text, kind = state.error.text, "error"
     elif state.history.present.open_landmark is not None:
@@ -129,13 +128,13 @@ def _stage_text(stage: str) -> tuple[str, float | None]:
     return next(((text, fraction) for start, text, fraction in STAGES if stage.startswith(start)), (stage, None))
 
 
-def _next_step(state: StudioState) -> str:
+def _next_step(state: StudioState, scene: Scene | None) -> str:
     if state.files is None:
         return state.messages[-1].text if state.messages else "Open two models, or drop their files here."
     if state.map.unchecked:  # cancelled
         return "This map is not checked. Press Match again for the checked one."
     if state.map.revision == 0:
-        return OPENING_TITLE
+        return "These models are not open. Press Open…" if scene is None else "No map yet. Press Match again."
     if state.probe is not None and state.probe.text:
         return state.probe.text
     if state.history.present.open_landmark is not None:

@@ -1,14 +1,19 @@
-"""Decides whether the RESULT of the last finish can be used again."""
+"""The map of a finish: whether it can be used again, and how it differs from the map on the page."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
+
+from cagemap.deform.config import SearchConfig
+from cagemap.errors import CagemapError
 from cagemap.files.meshes.formats import is_in_several_files
-from cagemap.files.result.folder import ARRAYS
+from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST
 from cagemap.studio.finish import MAP_TITLE, Command
+from cagemap.studio.scene import Scene
 from cagemap.studio.state import Output, StudioState
 
 # Options that name files whose changes are not tracked.
@@ -64,3 +69,34 @@ def _file_stamps(files: Iterable[Path]) -> tuple[FileStamp, ...]:
         except OSError:
             stamps.append(None)
     return tuple(stamps)
+
+
+def map_difference_notes(scene: Scene | None, outputs: tuple[Output, ...]) -> tuple[str, ...]:
+    """Warn if a finish has another map than the page.
+
+    Parameters
+    ----------
+    scene : Scene or None
+        With the map on the page.
+    outputs : tuple of Output
+        Of the finish.
+    """
+    result = next((output.path for output in outputs if output.title == MAP_TITLE), None)
+    if scene is None or scene.preview_map is None or result is None:
+        return ()
+    try:
+        match = read_result(result)
+    except CagemapError:  # reported where the result is used
+        return ()
+    n = scene.target.n_control
+    preview_images = scene.preview_map.pull_back(scene.source.triangles, scene.source.positions)[:n]
+    images = match.point_map.images.positions  # at unit area
+    if len(images) < n:
+        return ()
+    difference = np.linalg.norm(images[:n] - match.source.scale * preview_images, axis=1).mean()
+    if difference < SearchConfig.min_answer_distance:  # as for two answers of one search
+        return ()
+    return (
+        f"the baked map differs from the map on the page by {100 * difference:.0f} % of the source's size on average. "
+        "Match again shows what a match from the start finds; or set a landmark where they differ, then Bake again",
+    )
