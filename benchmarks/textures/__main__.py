@@ -13,6 +13,7 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from examples.shapes import torus
@@ -39,7 +40,7 @@ from cagemap.tasks.transfer import run_transfer
 from cagemap.transfer import BakeOptions, unwrap
 from cagemap.transfer.baking import make_layout
 from cagemap.transfer.texels import rasterize_band
-from cagemap.transfer.texture import FILTERS, Filter
+from cagemap.transfer.texture import Filter
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 
@@ -278,7 +279,7 @@ def main() -> None:
     parser.add_argument("--name", default="spot")
     parser.add_argument("--kind", default="refined", choices=("refined", "turned"))
     parser.add_argument("--grain", type=float, default=0.0)
-    parser.add_argument("--filter", default="smooth", choices=FILTERS)
+    parser.add_argument("--filter", default="smooth", choices=get_args(Filter))
     parser.add_argument("--between", type=int, default=0)
     parser.add_argument("--data", type=Path, default=DATA)
     given = parser.parse_args()

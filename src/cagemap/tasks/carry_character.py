@@ -18,7 +18,6 @@ from cagemap.character.roles import find_body
 from cagemap.character.skeleton import carry_rig
 from cagemap.character.values import Character, Part
 from cagemap.errors import ParameterError
-from cagemap.files.result.manifest import doubt_message, landmark_messages
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
@@ -122,7 +121,7 @@ class Bodies:
     given: tuple[Part, Part]
     ready: tuple[RepairedMesh, RepairedMesh]
     result: MatchResult
-    notes: tuple[str, ...] = ()  # on landmarks and the map
+    notes: tuple[str, ...] = ()  # on landmarks that are not on the matched pieces
 
     def rows(self, side: int) -> IndexArray:
         """For every vertex of a matched mesh (0: target, 1: source), a vertex of the given mesh."""
@@ -156,10 +155,7 @@ def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stage
     levels = choose_level(ready[0].mesh, BODY_VERTICES), choose_level(ready[1].mesh, BODY_VERTICES)
     surfaces = prepare_surfaces(ready[0].mesh, ready[1].mesh, levels)
     result = match(*surfaces, kept, progress=stages)
-    doubt = doubt_message(result.manifest)  # it names options of `cagemap match`
-    messages = [message for message in landmark_messages(result.manifest) if message != doubt]
-    notes = *lost_landmark_notes(landmarks, kept), *messages, *result.quality.warnings
-    return Bodies((target, source), ready, result, notes)
+    return Bodies((target, source), ready, result, tuple(lost_landmark_notes(landmarks, kept)))
 
 
 def _ready_body(part: Part) -> RepairedMesh:

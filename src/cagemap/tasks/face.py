@@ -26,6 +26,7 @@ from cagemap.pictures.camera import View, frame
 from cagemap.pictures.render import Image, Model, Skin, render
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import Bodies, body_shapes, match_bodies, with_part
+from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.face import FaceRequest
 from cagemap.tasks.requests.options import comma_words, files_read
@@ -67,7 +68,7 @@ def run_face(request: FaceRequest, stages: Stages) -> SummaryAndWarnings:
     stages("shapes")
     shapes = _on_body(face_shapes(bodies), head, body)
     character = with_part(file_character, body, replace(body, shapes={**body.shapes, **shapes}))
-    notes += bodies.notes
+    notes += [*bodies.notes, *body_warnings(bodies.result)]
     notes += [f"{', '.join(kept)}: {request.head.name} has its own and keeps them"] if kept else []
     stages.record({"part": body.name, "shapes": list(shapes), "trusted_area": trusted})
     stages("write")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.files.gltf.document import GLTF_SUFFIXES
-from cagemap.files.result.manifest import landmark_messages, sure_message
+from cagemap.files.result.manifest import doubt_message, landmark_messages, sure_message
 from cagemap.files.result.verdicts import map_verdict
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
@@ -99,3 +99,10 @@ def warnings(result: MatchResult) -> list[str]:
     verdict, sentence = map_verdict({**manifest, "confidence": None})  # the summary says why it is doubtful
     poor = [sentence] if verdict == "poor" else []
     return [*manifest["notes"], *landmark_messages(manifest), *manifest["quality"]["warnings"], *poor]
+
+
+def body_warnings(result: MatchResult) -> list[str]:
+    """Warnings about landmarks and the map of two bodies; not the doubt, which names options of `cagemap match`."""
+    manifest = result.manifest
+    doubt = doubt_message(manifest)
+    return [*(text for text in landmark_messages(manifest) if text != doubt), *manifest["quality"]["warnings"]]

@@ -39,6 +39,7 @@ from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.report import CarriedData, CarriedItem, Weights, check_page_path, write_report
 from cagemap.tasks.carry_character import CarriedCharacter, carry_character, with_part
+from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import comma_words, files_read
 from cagemap.tasks.requests.rig import RigRequest
@@ -106,7 +107,8 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     confidence = carried.result.confidence
     doubt = [] if confidence is None or confidence.verdict == SURE else [_DOUBT]
     stages.record(_figures(dressed) | {"trusted_area": carried.result.quality.trusted_area})
-    return _summary(request, dressed), [*split, *landmark_notes, *carried.notes, *notes, *doubt]
+    warnings = body_warnings(carried.result)
+    return _summary(request, dressed), [*split, *landmark_notes, *carried.notes, *warnings, *notes, *doubt]
 
 
 def _require_paths(request: RigRequest) -> None:

@@ -30,6 +30,7 @@ from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.subdivision import with_options
 from cagemap.tasks.carry_character import _set_aside, carry_character, match_bodies
+from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
 from cagemap.tasks.rig_character import _kinds, _landmarks, _split_body, character_body, read_body
@@ -360,10 +361,12 @@ def test_landmarks_that_are_left_out_and_warnings_of_the_map_are_said(
     whole = join_meshes([replace(one, face_objects=None, object_names=()) for one in pieces])
     part = Part("body", replace(whole, name="body.obj", scheme=Plain()))
     check = {"suspects": [{"message": "nose: left out"}], "notes": []}
-    result = SimpleNamespace(manifest={"landmark_check": check}, quality=SimpleNamespace(warnings=["5 % is folded"]))
+    manifest = {"landmark_check": check, "quality": {"warnings": ["5 % is folded"]}}
+    result = SimpleNamespace(manifest=manifest)
     monkeypatch.setattr("cagemap.tasks.carry_character.prepare_surfaces", lambda *given: (None, None))
     monkeypatch.setattr("cagemap.tasks.carry_character.match", lambda *given, progress: result)
     spots = np.array([3, whole.n_vertices - 1])
     bodies = match_bodies(part, part, Landmarks(("nose", "button"), spots, spots, "a", "b"), Stages())
     lost = "1 of 2 landmarks lie on pieces that are set aside and are left out"
-    assert bodies.notes == (lost, "nose: left out", "5 % is folded")
+    assert bodies.notes == (lost,)
+    assert body_warnings(bodies.result) == ["nose: left out", "5 % is folded"]
