@@ -1,4 +1,7 @@
-"""Pieces of a carried mesh where the target has the same part: as a piece of its own, or in its matched surface."""
+"""Pieces that need not be carried: the target has the part, as a separate piece or in its matched surface.
+
+Used by `cagemap.tasks.carry_character`.
+"""
 
 from __future__ import annotations
 
@@ -15,28 +18,32 @@ from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import triangle_areas, triangle_centres
 
+# Least diagonal of a piece, of sqrt(area).
+_SMALLEST = 1e-12
 # Two pieces are at one place if at least this share of the area of each piece is close to the other piece.
 _MIN_CLOSE_SHARE = 0.75
 # Largest distance that is close, divided by the larger diagonal of the bounding boxes of the two pieces. Ears of two
 # elephants have 0.21 (docs/lab/characters.md).
 _MAX_PIECE_DISTANCE = 0.25
-# Least ratio of the two diagonals; ears of two elephants have 0.51. A ball inside a much larger ball is close to it.
+# Least ratio of the two diagonals; ears of two elephants have 0.51. Every point of a small ball
+# inside a much larger one is close to it, so sizes are compared too.
 _MIN_SIZE_RATIO = 0.4
 # Largest distance that is close to the surface, divided by the diagonal of the piece's bounding box.
 _MAX_SURFACE_DISTANCE = 0.4
-# The image of a close point is away from the piece if it is farther from it than the point is, by this share of the
-# diagonal.
+# A triangle of the piece is away from its part of the target if its distance, on the source, from the image of the
+# closest point of the target exceeds its distance from that point on the target by this much, each divided by the
+# diagonal of the bounding box of the piece there.
 _MIN_EXTRA_DISTANCE = 0.1
-# The target's surface has a piece itself if at least this share of the piece's area has such images. Feet, legs, hands
-# and heads have 0.71 or more, trousers over deleted legs 0.59, shoes over deleted feet 0.54, other clothes 0
-# (docs/lab/characters.md).
+# The target's surface has a piece itself if at least this share of the piece's area is away. Pieces to leave out (feet,
+# legs, hands, heads) have 0.71 or more; pieces to carry have less: trousers over deleted legs 0.59, shoes over deleted
+# feet 0.54, other clothes 0 (docs/lab/characters.md).
 _MIN_AWAY_SHARE = 0.65
 
 
 def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[IndexArray]:
-    """Faces of every connected piece of ``carried`` that is at the place of a piece of ``own``.
+    """Faces of every connected piece of ``carried`` that is at the place of a piece of ``own``, the target's.
 
-    Each piece of ``own`` counts for one piece of ``carried`` only: the one with the nearest bounding box.
+    Two pieces are compared only if each has the other's nearest bounding box.
     """
     labels, own_labels = face_components(carried), face_components(own)
     pieces, own_pieces = members_of(labels), members_of(own_labels)
@@ -54,21 +61,23 @@ def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[IndexArray]:
 def pieces_in_surface(pieces: ControlMesh, carried: ControlMesh, point_map: PointMap) -> list[IndexArray]:
     """Faces of every connected piece, carried from the source, that the target's matched surface has itself.
 
-    The matched source lacks such a part (ears, feet), so the map takes the target's part to where it is cut off, away
-    from the piece. ``carried`` has the faces of ``pieces``. Pieces named as passengers are not among them: shoes,
-    whose feet are deleted.
+    The source has the part (ears, feet) only as a loose piece, so the map takes the target's part to the stump on the
+    source's surface, far from the piece. ``carried`` has the faces of ``pieces``, which are at their places on the
+    source. Pieces with a passenger's name (shoes) are never among them: the feet under them may have been deleted.
     """
     target, source = point_map.target, point_map.source
     labels, places = face_components(carried), target.scale * carried.positions
     triangles, faces = cage_triangles(carried)
     piece, areas = labels[faces], triangle_areas(places, triangles)
-    boxes, own_boxes = target.scale * _boxes(carried, labels), source.scale * _boxes(pieces, labels)
-    diagonals, own_diagonals = (np.linalg.norm(box[:, 3:] - box[:, :3], axis=1)[piece] for box in (boxes, own_boxes))
+    boxes, source_boxes = target.scale * _boxes(carried, labels), source.scale * _boxes(pieces, labels)
+    diagonals, source_diagonals = (
+        np.maximum(np.linalg.norm(box[:, 3:] - box[:, :3], axis=1), _SMALLEST)[piece] for box in (boxes, source_boxes)
+    )
     nearest, barycentric, distances = closest_points(target.tree, triangle_centres(places, triangles))
     images = np.einsum("mk,mkd->md", barycentric, point_map.images.positions[target.triangles[nearest]])
     to_images = np.linalg.norm(images - triangle_centres(source.scale * pieces.positions, triangles), axis=1)
     close = distances / diagonals
-    is_away = (close <= _MAX_SURFACE_DISTANCE) & (to_images / own_diagonals - close >= _MIN_EXTRA_DISTANCE)
+    is_away = (close <= _MAX_SURFACE_DISTANCE) & (to_images / source_diagonals - close >= _MIN_EXTRA_DISTANCE)
     away, whole = (np.bincount(piece, area, len(boxes)) for area in (areas * is_away, areas))
     is_found = (away > 0) & (away >= _MIN_AWAY_SHARE * whole) & ~passenger_pieces(carried, labels, face_areas(carried))
     return [faces for number, faces in enumerate(members_of(labels)) if is_found[number]]
