@@ -443,6 +443,22 @@ def an_armature_that_is_disabled_or_hidden_is_copied():
 
 
 @check
+def a_group_made_during_rig_like_leaves_no_armature():
+    source, target = pair()
+    rig(source)
+    window = Window()
+    button, _ = window.press(operators.CAGEMAP_OT_rig)
+    while button._stage != "carry weights":
+        time.sleep(0.02)
+        assert window.step(button) == "PASS_THROUGH"
+    target.vertex_groups.new(name="tip")
+    assert window.finish(button) == "CANCELLED"
+    assert "vertex groups of its own called tip" in window.reports[-1][1]
+    assert [one.name for one in bpy.data.objects if one.type == "ARMATURE"] == ["skeleton"]
+    assert not target.modifiers
+
+
+@check
 def what_a_rig_refers_to_is_redirected_to_its_copy():
     source, target = pair()
     armature = rig(source)
