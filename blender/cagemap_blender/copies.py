@@ -10,7 +10,7 @@ import numpy as np
 from .reading import armature_of, from_frame, world
 from .writing import require_rows, short_name
 
-# Modifiers that keep the place of every vertex from when they were bound, and how to tell that they are.
+# Modifiers that keep every vertex's place from when they were bound, and the property that says whether they are bound.
 _BOUND = {
     "SURFACE_DEFORM": "is_bound",
     "MESH_DEFORM": "is_bound",

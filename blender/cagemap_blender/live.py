@@ -62,8 +62,8 @@ def _step(context):
 def _end(message):
     """Forget the request that runs, and show why."""
     global _moved, _requests
-    if _requests is not None and WORKER.busy:  # nobody would take the reply
-        WORKER.stop()
+    if _requests is not None and WORKER.busy:
+        WORKER.stop()  # its reply would be read by the next request
     _moved, _requests = False, None
     bpy.context.scene.cagemap.message = message
 

@@ -181,12 +181,19 @@ def set_materials(target, source, faces, images):
     kept = numbers(target.data.polygons, "material_index", kind=np.int32)
     choice = [slots.get(number, int(before)) for number, before in zip(faces.tolist(), kept, strict=True)]
     target.data.polygons.foreach_set("material_index", np.array(choice, dtype=np.int32))
-    for collection in (bpy.data.node_groups, bpy.data.images):  # of the materials that were replaced
-        for one in [one for one in collection if one.get("cagemap_made") and not one.users]:
-            collection.remove(one)
-    for one in (*groups, *images.values()):
+    made = [*groups, *images.values()]
+    while unused := _unused_copies():  # removing a group may leave its images and inner groups unused
+        made = [one for one in made if one not in unused]
+        bpy.data.batch_remove(unused)
+    for one in made:
         one.name = one["cagemap_made"]
     target.data.update()
+
+
+def _unused_copies():
+    """Node groups and images of this file that this or an earlier run made and that nothing uses."""
+    values = (*bpy.data.node_groups, *bpy.data.images)
+    return [one for one in values if one.get("cagemap_made") and not one.users and not one.library]
 
 
 def _copy_groups(tree, suffix):

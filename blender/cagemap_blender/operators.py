@@ -95,14 +95,17 @@ class CAGEMAP_OT_rig(Work, bpy.types.Operator):
                 "tails": reading.in_frame(armature, np.array([bone.tail_local for bone in bones]), source),
             },
         )
-        writers = [(yield from transfers.transfer_weights(context))]
+        write_weights = yield from transfers.transfer_weights(context)
+        write_clothes = None
         if transfers.selected_garments(context):
-            writers.append((yield from transfers.transfer_clothes(context)))
+            write_clothes = yield from transfers.transfer_clothes(context)
         target, source = sides(context)
         armature = writing.require_existing(bpy.data.objects, name)
+        messages = [write_weights(context)]  # may be refused: before the armature is copied
         rig = copies.copy_armature(context, armature, target, source, reply["matrices"], reply["tails"])
         copies.bind(target, rig)
-        messages = [write(context) for write in writers]
+        if write_clothes is not None:
+            messages.append(write_clothes(context))
         return f"{target.name} is rigged by {rig.name}: {', '.join(messages)}"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import count
 from typing import Any, NamedTuple
 
 import bpy
@@ -24,32 +25,33 @@ def transfer_textures(context):
     target, source = sides(context)
     if not any(slot.material for slot in source.material_slots):
         raise RefusedError(f"{source.name} has no materials.")
-    size, images, names = context.scene.cagemap.size, {}, {}
+    last = max(len(source.material_slots) - 1, 0)  # as Blender shows faces of slots that are gone
+    numbers = np.minimum(reading.numbers(source.data.polygons, "material_index", kind=np.int32), last)
+    faces = (yield "materials", {"materials": numbers.astype(np.int64)})["materials"]
+    target, source = sides(context)
+    slots = [slot for number, slot in enumerate(source.material_slots) if number in faces]
+    uses = {use.key: use for slot in slots for use in image_uses(source, slot.material)}
+    names, size, images = _image_names(uses), context.scene.cagemap.size, []
     uvs = reading.uv_layers(source)
-    for use in (use for slot in source.material_slots for use in image_uses(source, slot.material)):
-        if use.key in names:
-            continue
-        pixels, number = reading.pixels_of(use.image), sum(key[0] == use.image.name for key in names) + 1
+    for key, use in uses.items():
+        pixels = reading.pixels_of(use.image)
         first = next(iter(pixels.values())) if isinstance(pixels, dict) else pixels
-        names[use.key] = f"{use.image.name} {number}" if number > 1 else use.image.name
-        images[names[use.key]] = {
-            "name": names[use.key],
-            "pixels": pixels,
-            "size": (size, size) if size else first.shape[:2],
-            "uvs": use.mapped(uvs[use.layer]),
-            "normals": use.normals,
-        }
+        images.append(
+            {
+                "name": names[key],
+                "pixels": pixels,
+                "size": (size, size) if size else first.shape[:2],
+                "uvs": use.mapped(uvs[use.layer]),
+                "normals": use.normals,
+            }
+        )
     baked = {}
     if images:
         layer = next((layer for layer in target.data.uv_layers if layer.active_render), None)
         if layer is None:
             raise RefusedError(f"{target.name} has no UV map to bake into. Unwrap it, or transfer UV Maps instead.")
         uvs = reading.uv_layers(target)[layer.name]
-        baked = (yield "bake", {"images": list(images.values()), "target_uvs": uvs})["images"]
-        target, source = sides(context)
-    last = max(len(source.material_slots) - 1, 0)  # as Blender shows faces of slots that are gone
-    numbers = np.minimum(reading.numbers(source.data.polygons, "material_index", kind=np.int32), last)
-    reply = yield "materials", {"materials": numbers.astype(np.int64)}
+        baked = (yield "bake", {"images": images, "target_uvs": uvs})["images"]
 
     def write(context):
         target, source = sides(context)
@@ -59,13 +61,24 @@ def transfer_textures(context):
             )
             for key, name in names.items()
         }
-        set_materials(target, source, reply["materials"], bakes)
+        set_materials(target, source, faces, bakes)
         for object_ in (target, source):
             writing.hide_map(object_)
         writing.show_in_views(context, "TEXTURE")
         return count_phrase(bakes, "image")
 
     return write
+
+
+def _image_names(uses):
+    """Names of baked images by key: of an image's first use its own, of its other uses with a free number."""
+    first_keys = {use.image.name: key for key, use in reversed(uses.items())}
+    names = {key: name for name, key in first_keys.items()}
+    for key, use in uses.items():
+        if key not in names:
+            numbered = (f"{use.image.name} {number}" for number in count(2))
+            names[key] = next(name for name in numbered if name not in names.values())
+    return names
 
 
 def transfer_weights(context):

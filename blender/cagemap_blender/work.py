@@ -200,8 +200,8 @@ class Work:
         return {"FINISHED"}
 
     def _end(self, context):
-        if WORKER.busy and self._requests is not None:  # nobody would take the reply
-            WORKER.stop()
+        if WORKER.busy and self._requests is not None:
+            WORKER.stop()  # its reply would be read by the next request
         Work.running = False
         context.window_manager.event_timer_remove(self._timer)
         with suppress(ReferenceError):  # the workspace was deleted

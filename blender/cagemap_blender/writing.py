@@ -76,7 +76,7 @@ def taken_names(object_, kind):
 
 
 def _named_values(object_):
-    """What has names that may be taken, by kind."""
+    """Groups, shape keys, UV maps and colour attributes of an object, by kind."""
     keys = object_.data.shape_keys
     return {
         "vertex group": object_.vertex_groups,

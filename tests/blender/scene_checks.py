@@ -272,19 +272,29 @@ def layouts_that_cannot_be_baked_are_refused_by_name():
     assert "coat, node Image Texture" in refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
 
 
+def color_group(name):
+    """A node group that takes a Vector and gives a Color, with its input and output nodes."""
+    group = bpy.data.node_groups.new(name, "ShaderNodeTree")
+    group.interface.new_socket("Vector", in_out="INPUT", socket_type="NodeSocketVector")
+    group.interface.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor")
+    return group, group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+
+
 @check
 def images_in_node_groups_are_baked_into_copies_of_the_groups():
     source, target = pair()
     tree = shader_nodes(source)
-    group = bpy.data.node_groups.new("fur", "ShaderNodeTree")
-    group.interface.new_socket("Vector", in_out="INPUT", socket_type="NodeSocketVector")
-    group.interface.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor")
-    begin, end = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+    group, begin, end = color_group("hair")
     texture = image_node(group, gradient())
     group.links.new(begin.outputs[0], texture.inputs["Vector"])
     group.links.new(texture.outputs["Color"], end.inputs[0])
-    node, coordinates = tree.nodes.new("ShaderNodeGroup"), tree.nodes.new("ShaderNodeTexCoord")
+    outer_group, begin, end = color_group("fur")
+    node = outer_group.nodes.new("ShaderNodeGroup")
     node.node_tree = group
+    outer_group.links.new(begin.outputs[0], node.inputs[0])
+    outer_group.links.new(node.outputs[0], end.inputs[0])
+    node, coordinates = tree.nodes.new("ShaderNodeGroup"), tree.nodes.new("ShaderNodeTexCoord")
+    node.node_tree = outer_group
     tree.links.new(coordinates.outputs["UV"], node.inputs[0])
     tree.links.new(node.outputs[0], principled(tree).inputs["Base Color"])
     for _ in range(2):
@@ -292,9 +302,61 @@ def images_in_node_groups_are_baked_into_copies_of_the_groups():
         (image,) = baked_images(target.material_slots[0].material.node_tree)
         assert image.name == "gradient on target"
         assert texture.image.name == "gradient"
-        assert len(bpy.data.node_groups) == 2, list(bpy.data.node_groups)
+        assert sorted(bpy.data.node_groups.keys()) == ["fur", "fur on target", "hair", "hair on target"]
+        assert len(bpy.data.images) == 2, list(bpy.data.images)
     uvs = face_middles(target)
     assert np.median(np.abs(texels(image, uvs) - texels(texture.image, uvs)).max(axis=1)) < 0.02
+
+
+@check
+def images_of_slots_without_faces_are_not_baked():
+    source, target = pair()
+    for name in ("used", "unused"):
+        tree = shader_nodes(source, name)
+        tree.links.new(image_node(tree, gradient(name)).outputs["Color"], principled(tree).inputs["Base Color"])
+    assert not refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
+    assert [slot.material.name for slot in target.material_slots] == ["used on target"]
+    assert sorted(bpy.data.images.keys()) == ["unused", "used", "used on target"]
+    assert SETTINGS.message == "1 image transferred"
+
+
+@check
+def a_material_replaced_during_a_bake_leaves_no_baked_image():
+    source, target = pair()
+    tree = shader_nodes(source)
+    tree.links.new(image_node(tree, gradient()).outputs["Color"], principled(tree).inputs["Base Color"])
+    window = Window()
+    button, _ = window.press(operators.CAGEMAP_OT_transfer, what={"TEXTURES"})
+    while not button._stage.startswith("bake"):
+        time.sleep(0.02)
+        assert window.step(button) == "PASS_THROUGH"
+    source.material_slots[0].material = bpy.data.materials.new("plain")
+    assert window.finish(button) == "FINISHED"
+    assert target.material_slots[0].material.name == "plain on target"
+    assert bpy.data.images.keys() == ["gradient"]
+
+
+@check
+def an_image_named_like_a_second_layout_is_baked_as_well():
+    source, target = pair()
+    tree = shader_nodes(source)
+    first = gradient("coat")
+    other = bpy.data.images.new("coat 2", 64, 64)
+    other.generated_color = (1.0, 0.0, 1.0, 1.0)
+    nodes = [image_node(tree, image) for image in (first, first, other)]
+    mapping = tree.nodes.new("ShaderNodeMapping")
+    mapping.inputs["Scale"].default_value = (2.0, 2.0, 1.0)
+    coordinates = tree.nodes.new("ShaderNodeTexCoord")
+    tree.links.new(coordinates.outputs["UV"], mapping.inputs["Vector"])
+    tree.links.new(mapping.outputs["Vector"], nodes[1].inputs["Vector"])
+    for node, name in zip(nodes, ("Base Color", "Roughness", "Metallic"), strict=True):
+        tree.links.new(node.outputs["Color"], principled(tree).inputs[name])
+    bpy.ops.cagemap.transfer(what={"TEXTURES"})
+    made = baked_images(target.material_slots[0].material.node_tree)
+    assert [image.name for image in made] == ["coat on target", "coat 3 on target", "coat 2 on target"]
+    uvs = face_middles(target)
+    for image, given, scale in zip(made, (first, first, other), (1.0, 2.0, 1.0), strict=True):
+        assert np.median(np.abs(texels(image, uvs) - texels(given, scale * uvs)).max(axis=1)) < 0.02, image.name
 
 
 @check
@@ -378,6 +440,22 @@ def an_armature_that_is_disabled_or_hidden_is_copied():
     assert [collection.name for collection in made.users_collection] == ["hidden"]
     assert sorted(group.name for group in target.vertex_groups) == ["root", "tip"]
     assert made.data.bones["tip"].length > 0.1
+
+
+@check
+def a_group_made_during_rig_like_leaves_no_armature():
+    source, target = pair()
+    rig(source)
+    window = Window()
+    button, _ = window.press(operators.CAGEMAP_OT_rig)
+    while button._stage != "carry weights":
+        time.sleep(0.02)
+        assert window.step(button) == "PASS_THROUGH"
+    target.vertex_groups.new(name="tip")
+    assert window.finish(button) == "CANCELLED"
+    assert "vertex groups of its own called tip" in window.reports[-1][1]
+    assert [one.name for one in bpy.data.objects if one.type == "ARMATURE"] == ["skeleton"]
+    assert not target.modifiers
 
 
 @check
