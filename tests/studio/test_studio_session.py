@@ -553,6 +553,26 @@ def test_no_bake_starts_while_a_chosen_alignment_is_computed(
     assert "the chosen alignment is being computed" in opened.state.messages[-1].text
 
 
+def test_no_bake_starts_while_another_image_is_drawn_and_the_former_one_can_be_chosen_again(
+    opened: Session, boxes: Path, held_tasks: queue.Queue[Task], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started, files = list[object](), opened.state.files
+    monkeypatch.setattr(opened._runner, "start", started.append)
+    click(opened, "target", 2)
+    history = opened.state.history
+    opened.open(replace(files, texture=boxes / "other.png"))
+    assert isinstance(held_tasks.get(timeout=10), ShowImage)
+    opened.finish(FinishOptions())
+    assert started == []
+    assert "the chosen image is being drawn" in opened.state.messages[-1].text
+    opened.open(files)
+    opened._preview.kill()
+    again = held_tasks.get(timeout=10)
+    assert isinstance(again, ShowImage)
+    assert again.pair_files.texture == files.texture
+    assert opened.state.history == history
+
+
 def test_earlier_outputs_stay_until_a_bake_replaces_them(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(opened._runner, "start", lambda _: None)
     earlier = (Output(Path("a.png"), "texture"), Output(Path("b.obj"), "wrap"), Output(Path("R"), "the map"))

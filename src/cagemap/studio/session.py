@@ -67,8 +67,9 @@ class Session(PreviewResults):
         """
         with self.report_errors(), self._lock:
             files, opened = self.workspace.resolve_paths(files), self._state.files
-            if opened is not None and self._scene is not None and files.texture != opened.texture:
-                if replace(files, texture=opened.texture) == opened:
+            if opened is not None and self._scene is not None and replace(files, texture=opened.texture) == opened:
+                # One that is being drawn is not in `opened` yet.
+                if files.texture != opened.texture or self._preview.is_requested("image"):
                     self.show(map_view(self._state.view))
                     self._preview.show_image(files.texture)
                     return
@@ -192,7 +193,9 @@ class Session(PreviewResults):
         with self.report_errors(), self._lock:
             if self._state.finish_job is not None:
                 raise ParameterError("a bake is running; cancel it or wait for its end")
-            if self._preview.is_choosing and not self._state.history.present.has_constraints:
+            if self._preview.is_requested("image"):
+                raise ParameterError("the chosen image is being drawn; press Bake again when it is shown")
+            if self._preview.is_requested("answer") and not self._state.history.present.has_constraints:
                 raise ParameterError("the chosen alignment is being computed; press Bake again when its map is shown")
             files, _ = self._require_open()
             commands = self.plan(options)
