@@ -55,7 +55,7 @@ def baked(session: Session, boxes: Path) -> Path:
         session._finish_inputs = session.state.map_inputs
         session._on_output(Output(image, "texture"))
         assert (session.state.view.mode, session.state.view.baked) == ("baked", image)  # while the report is written
-        session._on_end(Message("note", "Bake: done"))
+        session._on_end(Message("note", "Bake: done"), False)
     assert (session.state.view.mode, session.state.view.baked) == ("baked", image)
     return image
 
@@ -86,7 +86,7 @@ def test_a_bake_of_an_earlier_map_is_not_shown_as_that_of_now(opened: Session, b
     with opened._lock:
         opened._finish_inputs = opened.state.map_inputs
         opened.redo()
-        opened._on_end(Message("note", "Bake: done"))
+        opened._on_end(Message("note", "Bake: done"), False)
     assert opened.state.view.mode == "texture"
     assert "before the last changes" in opened.state.messages[-1].text
     # Nor on other models, nor while the next one is made of other options.

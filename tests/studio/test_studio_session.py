@@ -578,7 +578,7 @@ def test_earlier_outputs_stay_until_a_bake_replaces_them(opened: Session, monkey
     earlier = (Output(Path("a.png"), "texture"), Output(Path("b.obj"), "wrap"), Output(Path("R"), "the map"))
     opened._change(outputs=earlier)
     opened.finish(FinishOptions())
-    opened._on_end(Message("note", "Bake: cancelled"))
+    opened._on_end(Message("note", "Bake: cancelled"), True)
     assert opened.state.outputs == earlier
     opened.finish(FinishOptions())
     opened._on_output(Output(Path("R"), "the map"))
@@ -586,8 +586,28 @@ def test_earlier_outputs_stay_until_a_bake_replaces_them(opened: Session, monkey
     opened._on_output(Output(Path("R"), "texture"))  # its record of the bake
     assert opened.state.outputs == (Output(Path("R"), "the map"), Output(Path("c.png"), "texture"), earlier[1])
     assert opened.state.view.baked == Path("c.png")
-    opened._on_end(Message("note", "Bake: done"))  # what it did not make shows an earlier map
+    opened._on_end(Message("note", "Bake: done"), False)  # what it did not make shows an earlier map
     assert opened.state.outputs == (Output(Path("R"), "the map"), Output(Path("c.png"), "texture"))
+
+
+def test_a_partly_failed_bake_of_a_new_map_leaves_no_outputs_of_the_map_before(
+    opened: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(opened._runner, "start", lambda _: None)
+    monkeypatch.setattr(opened._written_map, "remaining_commands", lambda commands, _: commands)
+    earlier = (Output(Path("b.obj"), "wrap"), Output(Path("R"), "the map"))
+    ends = {"Bake: cancelled": True, "Bake: not everything could be made: wrap": False}
+    for text, is_cancelled in ends.items():
+        opened._change(outputs=earlier)
+        opened.finish(FinishOptions())
+        opened._on_end(Message("error", text), is_cancelled)  # before its map
+        assert opened.state.outputs == earlier
+        opened.finish(FinishOptions())
+        opened._on_output(Output(Path("R"), "the map"))
+        opened._on_output(Output(Path("c.png"), "texture"))
+        opened._on_end(Message("error", text), is_cancelled)
+        made = (Output(Path("R"), "the map"), Output(Path("c.png"), "texture"))
+        assert opened.state.outputs == ((*made, earlier[0]) if is_cancelled else made)
 
 
 def test_a_probe_ends_with_the_map_and_the_landmarks_that_it_was_made_of(opened: Session) -> None:

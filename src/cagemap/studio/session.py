@@ -10,7 +10,7 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, move_aside, read_autosave_parts
-from cagemap.studio.finish import Command, FinishOptions, made_of, plan_commands
+from cagemap.studio.finish import MAP_TITLE, Command, FinishOptions, made_of, plan_commands
 from cagemap.studio.finish_defaults import with_defaults
 from cagemap.studio.finish_layout import explain_flags, in_page_words
 from cagemap.studio.finish_map import WrittenMap, map_difference_notes
@@ -18,7 +18,7 @@ from cagemap.studio.landmark_files import load_landmarks, save_landmarks
 from cagemap.studio.landmarks import Side
 from cagemap.studio.opening import result_folder
 from cagemap.studio.preview_results import PreviewResults
-from cagemap.studio.runner import DONE_TEXT, Runner
+from cagemap.studio.runner import Runner
 from cagemap.studio.scene import probe_map
 from cagemap.studio.shape import pick
 from cagemap.studio.state import (
@@ -255,13 +255,14 @@ class Session(PreviewResults):
     def _on_message(self, message: Message) -> None:
         self._say(message.kind, explain_flags(self.options, in_page_words(message.text)))
 
-    def _on_end(self, message: Message) -> None:
+    def _on_end(self, message: Message, is_cancelled: bool) -> None:
         differences: tuple[str, ...] = ()
         with self.report_errors():  # no lock: this takes longer than a click
             if self._finish_inputs == self._state.map_inputs:
                 differences = tuple(map_difference_notes(self._scene, self._finish_outputs))
         with self._lock:
-            if message.text == DONE_TEXT and self._has_new_map:  # the others are of an earlier map
+            is_map_written = any(output.title == MAP_TITLE for output in self._finish_outputs)
+            if self._has_new_map and is_map_written and not is_cancelled:  # the others are of an earlier map
                 self._change(outputs=self._finish_outputs)
             self._say(message.kind, message.text)
             self._say_all(differences, "error")  # last: the status line shows it
