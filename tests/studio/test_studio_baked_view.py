@@ -11,7 +11,7 @@ import pytest
 from cagemap.files.images.image import write_image
 from cagemap.studio.finish import FinishOptions
 from cagemap.studio.session import Session
-from cagemap.studio.state import Message, Output, View
+from cagemap.studio.state import Message, Output, View, image_uv_set
 
 from studio_boxes import at_rest, click, until
 
@@ -125,3 +125,20 @@ def test_what_a_bake_of_other_models_wrote_is_no_output_of_the_open_ones(opened:
         opened._finish_inputs = opened.state.map_inputs
         opened._on_output(image)
         assert opened.state.outputs == (image,)
+
+
+def test_an_image_of_an_earlier_bake_is_drawn_and_downloaded_in_its_own_uv_set(
+    opened: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = list[tuple[Path, str | None]]()
+    monkeypatch.setattr(opened._preview, "show_baked", lambda image, _, uv_set: drawn.append((image, uv_set)))
+    monkeypatch.setattr(opened._runner, "start", lambda _: None)
+    images = {name: Path(f"{name}.png") for name in ("first", "second")}
+    for name, uv_set in (("first", None), ("second", "UVMap2")):
+        opened.finish(FinishOptions(option_values={("match", "target_uv_set"): uv_set}))
+        opened._on_output(Output(images[name], name))
+    opened._on_end(Message("note", "Bake: cancelled"), True)
+    opened.show_baked_image(images["first"])
+    assert drawn == [(images["first"], None), (images["second"], "UVMap2"), (images["first"], None)]
+    assert [image_uv_set(opened.state, image) for image in images.values()] == [None, "UVMap2"]
+    opened.show_baked_image(None)

@@ -26,7 +26,7 @@ from cagemap.studio.preview_tasks import (
 )
 from cagemap.studio.scene import Scene, propose_place
 from cagemap.studio.skins import PreviewMap
-from cagemap.studio.state import INITIAL_FIELDS, Files, RunningJob, View, layout_mesh, map_view
+from cagemap.studio.state import INITIAL_FIELDS, Files, RunningJob, View, image_uv_set, layout_mesh, map_view
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.tasks.match import ComputedMatch
 
@@ -62,7 +62,12 @@ class PreviewResults(LandmarkEdits):
             if view.pose != before.pose and self._scene is not None:
                 self._preview.show_posed(view.pose)
             if view.baked is not None and view.baked != before.baked and self._scene is not None:
-                self._preview.show_baked(view.baked, layout_mesh(self._state, view.baked), self._state.uv_set)
+                self._draw_baked(view.baked)
+
+    def _draw_baked(self, image: Path) -> None:
+        """Request a drawing of the target with a baked image."""
+        state = self._state
+        self._preview.show_baked(image, layout_mesh(state, image), image_uv_set(state, image))
 
     def _open_pair(self, files: Files, requested_parts: SideNames) -> None:
         """Open models; if that fails, `_apply_failure` tries again with the requested parts."""

@@ -27,7 +27,6 @@ from cagemap.studio.state import (
     Output,
     baked_images,
     baked_view,
-    layout_mesh,
     map_view,
     update_view,
 )
@@ -54,6 +53,7 @@ class Session(PreviewResults):
         self._added_names: dict[str, str] = {}
         self._finish_inputs: tuple[object, ...] = ()
         self._earlier_outputs: tuple[Output, ...] = ()  # of earlier finishes, until the last one replaces them
+        self._finish_uv_set: str | None = None  # the target's, of the last finish
         self._has_new_map = False  # whether the last finish computes a map
         self._written_map = WrittenMap()
         self._runner = Runner(lambda job: self._change(finish_job=job), self._on_output, self._on_message, self._on_end)
@@ -99,7 +99,7 @@ class Session(PreviewResults):
             up = "y" if abs(scene.shape(side).rotation[2, 1]) > 0.5 else "z"
             self._preview.turn(side, up, view.pose)
             if view.baked is not None:
-                self._preview.show_baked(view.baked, layout_mesh(self._state, view.baked), self._state.uv_set)
+                self._draw_baked(view.baked)
 
     def save(self, name: str | Path = "") -> None:
         """Save the complete landmarks, by default to their file."""
@@ -205,10 +205,12 @@ class Session(PreviewResults):
             commands = (replace(commands[0], computed=self._computed), *commands[1:])
             remaining = self._written_map.remaining_commands(commands, self._state)
             self._has_new_map = remaining == commands
-            reused = () if self._has_new_map else (Output(commands[0].output, commands[0].output_title),)
+            uv_set = options.option_values.get(("match", "target_uv_set"))
+            self._finish_uv_set = str(uv_set) if uv_set else None
+            reused_map = Output(commands[0].output, commands[0].output_title, self._finish_uv_set)
+            reused = () if self._has_new_map else (reused_map,)
             self._earlier_outputs = tuple(output for output in self._state.outputs if output not in reused)
-            uv_set = options.option_values.get(("match", "target_uv_set")) or None
-            self._change(outputs=(*reused, *self._earlier_outputs), uv_set=uv_set)
+            self._change(outputs=(*reused, *self._earlier_outputs))
             self._finish_inputs = self._state.map_inputs
             if options.texture and files.texture is None:
                 self._say("note", f"the source has no image; made instead: {', '.join(made_of(commands))}")
@@ -235,6 +237,7 @@ class Session(PreviewResults):
 
     def _on_output(self, output: Output) -> None:
         with self._lock:
+            output = replace(output, uv_set=self._finish_uv_set)
             self._written_map.record(output)
             if self._finish_inputs[:1] != self._state.map_inputs[:1]:
                 self._say("note", f"{output.path.name} was made of the models that were open before")
