@@ -540,6 +540,23 @@ def test_cancel_drops_the_map_that_waits_too(opened: Session, held_tasks: queue.
     assert opened.state.messages[-1].text == "cancelled"
 
 
+def test_cancelling_a_drawing_leaves_a_map_of_the_same_landmarks_checked(
+    opened: Session, boxes: Path, held_tasks: queue.Queue[Task]
+) -> None:
+    before, texture = opened.state.map, opened.state.files.texture
+    opened.match_again()
+    held_tasks.get(timeout=10)
+    opened.open(replace(opened.state.files, texture=boxes / "other.png"))
+    opened._preview.kill()  # as another image does with the match, which then waits again
+    assert isinstance(held_tasks.get(timeout=10), ShowImage)
+    opened.cancel()
+    until(lambda: opened.state.preview_job is None and at_rest(opened), opened)
+    assert held_tasks.empty()
+    assert opened.state.map == before
+    assert opened.state.files.texture == texture
+    assert opened.state.messages[-1].text == "cancelled; the map stays as it was"
+
+
 def test_no_bake_starts_while_a_chosen_alignment_is_computed(
     opened: Session, held_tasks: queue.Queue[Task], monkeypatch: pytest.MonkeyPatch
 ) -> None:

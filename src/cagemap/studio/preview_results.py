@@ -49,6 +49,7 @@ class PreviewResults(LandmarkEdits):
         self._cancelled = False
         self._requested_parts: SideNames = (None, None)
         self._computed: ComputedMatch | None = None
+        self._checked_constraints: tuple[object, ...] = ()  # of the last checked map
         self._preview = Preview(
             vertices, folder, self._preview_inputs, lambda job: self._change(preview_job=job), self._receive
         )
@@ -145,6 +146,7 @@ class PreviewResults(LandmarkEdits):
         scene = replace(before, preview_map=update.preview_map, skins=(target, source or before.skins[1]))
         if not update.map_state.unchecked:
             scene = replace(scene, source=scene.aligned_source)
+            self._checked_constraints = task.landmarks.constraints
         self._scene, self._computed = scene, update.computed
         if before.preview_map is None or scene.source is not before.source:
             scene.warm_up()  # not earlier: the page loads the models first

@@ -165,7 +165,8 @@ class Session(PreviewResults):
             is_finishing = self._state.finish_job is not None
             self._cancelled = is_running = self._state.preview_job is not None and not is_finishing
             is_dropped = is_running and self._preview.drop_map_requests()
-            if is_dropped and self._scene is not None and self._scene.preview_map is not None:
+            is_outdated = is_dropped and self._state.history.present.constraints != self._checked_constraints
+            if is_outdated and self._scene is not None and self._scene.preview_map is not None:
                 self._change(map=self._state.map.as_unchecked())
         if is_finishing:
             self._runner.cancel()
