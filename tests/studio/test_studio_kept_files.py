@@ -16,9 +16,12 @@ from cagemap.files.landmarks.point_formats import POINT_FORMS
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.studio.autosave import FileTracker, autosave_path, read_autosave, write_autosave
 from cagemap.studio.finish import FinishOptions
-from cagemap.studio.landmark_files import autosaved_landmarks, side_file
+from cagemap.studio.landmark_files import autosaved_landmarks, earlier_landmarks, side_file
 from cagemap.studio.landmarks import LandmarkList
+from cagemap.studio.opening import default_files
+from cagemap.studio.page.actions import Actions
 from cagemap.studio.session import Session
+from cagemap.studio.state import Files
 from cagemap.tasks.requests.catalogue import Value
 
 from studio_boxes import click, click_between, session_of, until
@@ -322,6 +325,53 @@ def test_a_loaded_landmark_file_of_a_model_with_another_ending_is_kept(opened: S
     opened.load(landmarks)
     opened.save()
     assert landmarks.with_name(f"{landmarks.name}.before-studio").read_text() == theirs
+
+
+def test_landmarks_in_the_first_folder_are_read_where_there_are_none_beside_the_target(
+    opened: Session, boxes: Path, tmp_path: Path
+) -> None:
+    """Earlier versions saved them there, also for pairs of other folders."""
+    name, folder, scene = "b__a.json", tmp_path / "anna", opened.scene
+    folder.mkdir()
+    files = default_files(folder, folder / "a.obj", boxes / "b.obj", None)
+    earlier = tmp_path / name
+
+    def read(files: Files = files) -> tuple[LandmarkList, list[str]] | None:
+        return earlier_landmarks(files, scene, FileTracker(), tmp_path)
+
+    assert read() is None
+    for vertex, other in ((1, "b.glb"), (9, "b.obj")):  # other models
+        write_landmarks(earlier, Landmarks(("nose",), np.array([vertex]), np.array([1]), "a.obj", other), force=True)
+        assert read() is None
+    write_landmarks(earlier, Landmarks(("nose",), np.array([1]), np.array([1]), "a.obj", "b.obj"), force=True)
+    landmarks, notes = read()
+    assert [item.name for item in landmarks.items] == ["nose"]
+    assert "saved beside the target" in notes[-1]
+    assert read(replace(files, landmarks=folder / "own.json")) is None
+    files.landmarks.write_text("{}")
+    assert read() is None
+    files.landmarks.unlink()
+    earlier.rename(tmp_path / "else.json")
+    earlier.symlink_to(tmp_path / "else.json")
+    assert read() is None
+
+
+def test_a_pair_that_is_opened_on_the_page_has_its_landmarks_of_earlier_versions(boxes: Path, tmp_path: Path) -> None:
+    session = session_of(tmp_path)
+    try:
+        (tmp_path / "anna").mkdir()
+        for name in ("anna/a.obj", "b.obj"):
+            (tmp_path / name).write_bytes((boxes / Path(name).name).read_bytes())
+        write_landmarks(tmp_path / "b__a.json", Landmarks(("nose",), np.array([1]), np.array([1]), "a.obj", "b.obj"))
+        sent = {"do": "open", "target": "anna/a.obj", "source": "b.obj", "schemes": ["", ""]}
+        Actions(session).handle(json.dumps(sent))
+        until(lambda: session.state.map.revision >= 1, session)
+        assert [item.name for item in session.state.history.present.items] == ["nose"]
+        assert not session.state.saved
+        session.save()
+        assert (tmp_path / "anna" / "b__a.json").is_file()
+    finally:
+        session.close()
 
 
 def test_files_that_are_dropped_again_are_used_again_and_an_obj_names_the_new_material_file(tmp_path: Path) -> None:

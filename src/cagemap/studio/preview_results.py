@@ -5,11 +5,12 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from cagemap.studio.finish_layout import in_page_words
 from cagemap.studio.landmark_edits import LandmarkEdits
-from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS
+from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, earlier_landmarks
 from cagemap.studio.landmarks import History, LandmarkList, SideNames
 from cagemap.studio.opening import with_parts
 from cagemap.studio.preview import OPENING_TITLE, Preview
@@ -41,11 +42,12 @@ class PreviewResults(LandmarkEdits):
     vertices : int
         Approximate number of vertices of each previewed surface.
     folder : Path
-        Receives an image that is inside the source's file.
+        Receives an image that is inside the source's file; earlier versions saved landmarks there.
     """
 
     def __init__(self, vertices: int, folder: Path) -> None:
         super().__init__()
+        self._folder = folder
         self._cancelled = False
         self._requested_parts: SideNames = (None, None)
         self._computed: ComputedMatch | None = None
@@ -173,9 +175,9 @@ class PreviewResults(LandmarkEdits):
         self._load_initial_landmarks()
 
     def _load_initial_landmarks(self) -> None:
-        """Load unsaved landmarks, or else those of the file, and request the map."""
+        """Load unsaved landmarks, or else those of the pair's file or of earlier versions, and request the map."""
         files, scene = self._require_open()
-        for read, saved in INITIAL_LANDMARK_READERS:
+        for read, saved in (*INITIAL_LANDMARK_READERS, (partial(earlier_landmarks, folder=self._folder), False)):
             with self.report_errors():
                 loaded = read(files, scene, self._tracker)
                 if loaded is not None:
