@@ -385,3 +385,22 @@ def test_files_that_are_dropped_again_are_used_again_and_an_obj_names_the_new_ma
         assert (again.name, again.read_bytes()) == ("x (2).obj", b"mtllib x (2).mtl\nv 0 0 0\n")
     finally:
         session.close()
+
+
+def test_an_obj_that_is_dropped_alone_keeps_its_material_file(tmp_path: Path) -> None:
+    """The material file of another drop had the name that its model's has."""
+    session = session_of(tmp_path)
+    try:
+        actions, added = Actions(session), list[list[str]]()
+        first, second = b"mtllib a.mtl\nv 0 0 0\n", b"mtllib a.mtl\nv 1 0 0\n"
+        drops = ((b"newmtl a\n", first), (b"newmtl b\n", second), (None, first))
+        for drop, contents in enumerate(drops):
+            for name, content in zip(("a.mtl", "a.obj"), contents, strict=True):
+                if content is not None:
+                    head = json.dumps({"name": name, "role": None, "drop": str(drop)}).encode()
+                    actions.handle(head + b"\n" + content)
+            added.append(sorted(path.name for path in tmp_path.iterdir()))
+        assert added == [["a.mtl", "a.obj"], *[["a (2).mtl", "a (2).obj", "a.mtl", "a.obj"]] * 2]
+        assert (tmp_path / "a (2).obj").read_bytes() == b"mtllib a (2).mtl\nv 1 0 0\n"
+    finally:
+        session.close()

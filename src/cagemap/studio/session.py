@@ -50,7 +50,7 @@ class Session(PreviewResults):
         super().__init__(vertices, workspace.folders[0])
         self.workspace, self.vertices, self.options = workspace, vertices, options
         self._upload_lock = threading.Lock()
-        self._added_names: dict[str, str] = {}
+        self._added_names: dict[str, dict[str, str]] = {}  # by drop, then by the given name
         self._finish_inputs: tuple[object, ...] = ()
         self._earlier_outputs: tuple[Output, ...] = ()  # of earlier finishes, until the last one replaces them
         self._finish_uv_set: str | None = None  # the target's, of the last finish
@@ -119,11 +119,12 @@ class Session(PreviewResults):
             self._edit(lambda present: edit.keep_unused_landmarks(landmarks, present))
             self._say_all(notes)
 
-    def add_file(self, name: str, content: bytes) -> Path | None:
-        """Add a file to the first folder; None if it is refused."""
+    def add_file(self, name: str, content: bytes, drop: str = "") -> Path | None:
+        """Add a file to the first folder; None if it is refused. An OBJ names material files of the same drop."""
         with self.report_errors(), self._upload_lock:
-            path = self.workspace.add(name, content, self._added_names)
-            self._added_names[Path(name).name] = path.name
+            added_names = self._added_names.setdefault(drop, {})
+            path = self.workspace.add(name, content, added_names)
+            added_names[Path(name).name] = path.name
             self._say("note", f"added {path.name}")
             return path
         return None
