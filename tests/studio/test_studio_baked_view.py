@@ -11,7 +11,7 @@ import pytest
 from cagemap.files.images.image import write_image
 from cagemap.studio.finish import FinishOptions
 from cagemap.studio.session import Session
-from cagemap.studio.state import Message, Output, View
+from cagemap.studio.state import Message, Output, View, image_uv_set
 
 from studio_boxes import at_rest, click, until
 
@@ -55,7 +55,7 @@ def baked(session: Session, boxes: Path) -> Path:
         session._finish_inputs = session.state.map_inputs
         session._on_output(Output(image, "texture"))
         assert (session.state.view.mode, session.state.view.baked) == ("baked", image)  # while the report is written
-        session._on_end(Message("note", "Bake: done"))
+        session._on_end(Message("note", "Bake: done"), False)
     assert (session.state.view.mode, session.state.view.baked) == ("baked", image)
     return image
 
@@ -86,7 +86,7 @@ def test_a_bake_of_an_earlier_map_is_not_shown_as_that_of_now(opened: Session, b
     with opened._lock:
         opened._finish_inputs = opened.state.map_inputs
         opened.redo()
-        opened._on_end(Message("note", "Bake: done"))
+        opened._on_end(Message("note", "Bake: done"), False)
     assert opened.state.view.mode == "texture"
     assert "before the last changes" in opened.state.messages[-1].text
     # Nor on other models, nor while the next one is made of other options.
@@ -125,3 +125,20 @@ def test_what_a_bake_of_other_models_wrote_is_no_output_of_the_open_ones(opened:
         opened._finish_inputs = opened.state.map_inputs
         opened._on_output(image)
         assert opened.state.outputs == (image,)
+
+
+def test_an_image_of_an_earlier_bake_is_drawn_and_downloaded_in_its_own_uv_set(
+    opened: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = list[tuple[Path, str | None]]()
+    monkeypatch.setattr(opened._preview, "show_baked", lambda image, _, uv_set: drawn.append((image, uv_set)))
+    monkeypatch.setattr(opened._runner, "start", lambda _: None)
+    images = {name: Path(f"{name}.png") for name in ("first", "second")}
+    for name, uv_set in (("first", None), ("second", "UVMap2")):
+        opened.finish(FinishOptions(option_values={("match", "target_uv_set"): uv_set}))
+        opened._on_output(Output(images[name], name))
+    opened._on_end(Message("note", "Bake: cancelled"), True)
+    opened.show_baked_image(images["first"])
+    assert drawn == [(images["first"], None), (images["second"], "UVMap2"), (images["first"], None)]
+    assert [image_uv_set(opened.state, image) for image in images.values()] == [None, "UVMap2"]
+    opened.show_baked_image(None)

@@ -307,7 +307,7 @@ def test_a_failing_command_gives_its_own_words_and_the_others_go_on(tmp_path: Pa
     files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", None)
     told: list[Message] = []
     ended: queue.Queue[Message] = queue.Queue()
-    runner = Runner(lambda _: None, lambda _: None, told.append, ended.put)
+    runner = Runner(lambda _: None, lambda _: None, told.append, lambda message, _: ended.put(message))
     todo = finish_commands(OPTIONS, files, FinishOptions(), use_landmarks=True)
     runner.start(todo)
     assert ended.get(timeout=60).kind == "error"
@@ -332,7 +332,7 @@ def test_a_command_that_takes_its_process_along_leaves_the_others_theirs(
     monkeypatch.setattr("cagemap.studio.runner.serve", die)
     told: list[Message] = []
     ended: queue.Queue[Message] = queue.Queue()
-    Runner(lambda _: None, lambda _: None, told.append, ended.put).start(runs(tmp_path))
+    Runner(lambda _: None, lambda _: None, told.append, lambda message, _: ended.put(message)).start(runs(tmp_path))
     assert ended.get(timeout=60).text.endswith(": normals, heights")
     assert [message.text for message in told] == [
         f"{title}: the computation's process ended (exit code 9)" for title in ("normals", "heights")
@@ -353,7 +353,7 @@ def test_a_process_that_ends_after_its_command_leaves_the_next_one_another(
         if process is not None:
             process.join(1 if serve is hang_up else 30)
 
-    runner = Runner(wait, lambda _: None, lambda _: None, ended.put)
+    runner = Runner(wait, lambda _: None, lambda _: None, lambda message, _: ended.put(message))
     runner.start(runs(tmp_path))
     assert ended.get(timeout=60).text == "Bake: done"
 
@@ -365,7 +365,7 @@ def test_a_cancelled_run_says_so_whatever_begins_after_it(tmp_path: Path) -> Non
         if job is None:  # the next one begins
             runner._cancelled = False
 
-    runner = Runner(on_job, lambda _: None, lambda _: None, ended.put)
+    runner = Runner(on_job, lambda _: None, lambda _: None, lambda message, _: ended.put(message))
     runner._cancelled = True
     runner._run_commands(())
     assert ended.get(timeout=10).text == "Bake: cancelled"

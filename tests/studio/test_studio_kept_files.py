@@ -16,9 +16,12 @@ from cagemap.files.landmarks.point_formats import POINT_FORMS
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.studio.autosave import FileTracker, autosave_path, read_autosave, write_autosave
 from cagemap.studio.finish import FinishOptions
-from cagemap.studio.landmark_files import autosaved_landmarks, side_file
+from cagemap.studio.landmark_files import autosaved_landmarks, earlier_landmarks, side_file
 from cagemap.studio.landmarks import LandmarkList
+from cagemap.studio.opening import default_files
+from cagemap.studio.page.actions import Actions
 from cagemap.studio.session import Session
+from cagemap.studio.state import Files
 from cagemap.tasks.requests.catalogue import Value
 
 from studio_boxes import click, click_between, session_of, until
@@ -324,6 +327,53 @@ def test_a_loaded_landmark_file_of_a_model_with_another_ending_is_kept(opened: S
     assert landmarks.with_name(f"{landmarks.name}.before-studio").read_text() == theirs
 
 
+def test_landmarks_in_the_first_folder_are_read_where_there_are_none_beside_the_target(
+    opened: Session, boxes: Path, tmp_path: Path
+) -> None:
+    """Earlier versions saved them there, also for pairs of other folders."""
+    name, folder, scene = "b__a.json", tmp_path / "anna", opened.scene
+    folder.mkdir()
+    files = default_files(folder, folder / "a.obj", boxes / "b.obj", None)
+    earlier = tmp_path / name
+
+    def read(files: Files = files) -> tuple[LandmarkList, list[str]] | None:
+        return earlier_landmarks(files, scene, FileTracker(), tmp_path)
+
+    assert read() is None
+    for vertex, other in ((1, "b.glb"), (9, "b.obj")):  # other models
+        write_landmarks(earlier, Landmarks(("nose",), np.array([vertex]), np.array([1]), "a.obj", other), force=True)
+        assert read() is None
+    write_landmarks(earlier, Landmarks(("nose",), np.array([1]), np.array([1]), "a.obj", "b.obj"), force=True)
+    landmarks, notes = read()
+    assert [item.name for item in landmarks.items] == ["nose"]
+    assert "saved beside the target" in notes[-1]
+    assert read(replace(files, landmarks=folder / "own.json")) is None
+    files.landmarks.write_text("{}")
+    assert read() is None
+    files.landmarks.unlink()
+    earlier.rename(tmp_path / "else.json")
+    earlier.symlink_to(tmp_path / "else.json")
+    assert read() is None
+
+
+def test_a_pair_that_is_opened_on_the_page_has_its_landmarks_of_earlier_versions(boxes: Path, tmp_path: Path) -> None:
+    session = session_of(tmp_path)
+    try:
+        (tmp_path / "anna").mkdir()
+        for name in ("anna/a.obj", "b.obj"):
+            (tmp_path / name).write_bytes((boxes / Path(name).name).read_bytes())
+        write_landmarks(tmp_path / "b__a.json", Landmarks(("nose",), np.array([1]), np.array([1]), "a.obj", "b.obj"))
+        sent = {"do": "open", "target": "anna/a.obj", "source": "b.obj", "schemes": ["", ""]}
+        Actions(session).handle(json.dumps(sent))
+        until(lambda: session.state.map.revision >= 1, session)
+        assert [item.name for item in session.state.history.present.items] == ["nose"]
+        assert not session.state.saved
+        session.save()
+        assert (tmp_path / "anna" / "b__a.json").is_file()
+    finally:
+        session.close()
+
+
 def test_files_that_are_dropped_again_are_used_again_and_an_obj_names_the_new_material_file(tmp_path: Path) -> None:
     session = session_of(tmp_path)
     try:
@@ -333,5 +383,24 @@ def test_files_that_are_dropped_again_are_used_again_and_an_obj_names_the_new_ma
         assert session.add_file("x.mtl", b"newmtl b\n").name == "x (2).mtl"
         again = session.add_file("x.obj", mesh)
         assert (again.name, again.read_bytes()) == ("x (2).obj", b"mtllib x (2).mtl\nv 0 0 0\n")
+    finally:
+        session.close()
+
+
+def test_an_obj_that_is_dropped_alone_keeps_its_material_file(tmp_path: Path) -> None:
+    """The material file of another drop had the name that its model's has."""
+    session = session_of(tmp_path)
+    try:
+        actions, added = Actions(session), list[list[str]]()
+        first, second = b"mtllib a.mtl\nv 0 0 0\n", b"mtllib a.mtl\nv 1 0 0\n"
+        drops = ((b"newmtl a\n", first), (b"newmtl b\n", second), (None, first))
+        for drop, contents in enumerate(drops):
+            for name, content in zip(("a.mtl", "a.obj"), contents, strict=True):
+                if content is not None:
+                    head = json.dumps({"name": name, "role": None, "drop": str(drop)}).encode()
+                    actions.handle(head + b"\n" + content)
+            added.append(sorted(path.name for path in tmp_path.iterdir()))
+        assert added == [["a.mtl", "a.obj"], *[["a (2).mtl", "a (2).obj", "a.mtl", "a.obj"]] * 2]
+        assert (tmp_path / "a (2).obj").read_bytes() == b"mtllib a (2).mtl\nv 1 0 0\n"
     finally:
         session.close()

@@ -348,14 +348,12 @@ def test_a_bake_in_the_second_uv_set_is_shown_in_it(tmp_path: Path) -> None:
     write_image(tmp_path / "t.png", np.full((8, 8, 3), 90, dtype=np.uint8))
     files = default_files(tmp_path, tmp_path / "box.glb", tmp_path / "box.glb", None)
     opening, cache, _ = opened_pair(tmp_path / "box.glb", tmp_path / "box.glb")
-    outputs = (Output(tmp_path / "t.png", "texture"),)
     for uv_set, factor in ((None, 1.0), ("TEXCOORD_1", 0.5)):
         largest = factor * mesh.uvs[:, 0].max()
         _, skin = run_task(cache, ShowBaked(opening, tmp_path / "t.png", None, uv_set, None), lambda _: None)
         assert 0.9 * largest < attributes_of(skin, "model")["TEXCOORD_1"][:, 0].max() < 1.01 * largest
-        (tmp_path / "out.glb").write_bytes(
-            textured_model(StudioState(files=files, outputs=outputs, uv_set=uv_set), None)
-        )
+        outputs = (Output(tmp_path / "t.png", "texture", uv_set),)
+        (tmp_path / "out.glb").write_bytes(textured_model(StudioState(files=files, outputs=outputs), None))
         assert read_mesh(tmp_path / "out.glb").uvs[:, 0].max() == pytest.approx(largest, abs=1e-6)
 
 

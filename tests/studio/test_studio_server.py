@@ -105,6 +105,16 @@ def test_the_server_gives_out_only_what_is_offered() -> None:
         served.close()
 
 
+def test_a_host_without_a_valid_port_is_refused() -> None:
+    served = server(token="right")
+    try:
+        for path in ("/", "/?token=right"):
+            assert answer(served.port, path, Host="localhost:99999").status == 403
+            assert answer(served.port, path, Host="localhost:99999", Cookie="cagemap_studio_80=right").status == 403
+    finally:
+        served.close()
+
+
 def test_web_sockets_of_other_machines_need_the_token() -> None:
     async def said_back(address: str, **headers: str) -> object:
         try:

@@ -540,6 +540,23 @@ def test_cancel_drops_the_map_that_waits_too(opened: Session, held_tasks: queue.
     assert opened.state.messages[-1].text == "cancelled"
 
 
+def test_cancelling_a_drawing_leaves_a_map_of_the_same_landmarks_checked(
+    opened: Session, boxes: Path, held_tasks: queue.Queue[Task]
+) -> None:
+    before, texture = opened.state.map, opened.state.files.texture
+    opened.match_again()
+    held_tasks.get(timeout=10)
+    opened.open(replace(opened.state.files, texture=boxes / "other.png"))
+    opened._preview.kill()  # as another image does with the match, which then waits again
+    assert isinstance(held_tasks.get(timeout=10), ShowImage)
+    opened.cancel()
+    until(lambda: opened.state.preview_job is None and at_rest(opened), opened)
+    assert held_tasks.empty()
+    assert opened.state.map == before
+    assert opened.state.files.texture == texture
+    assert opened.state.messages[-1].text == "cancelled; the map stays as it was"
+
+
 def test_no_bake_starts_while_a_chosen_alignment_is_computed(
     opened: Session, held_tasks: queue.Queue[Task], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -553,12 +570,32 @@ def test_no_bake_starts_while_a_chosen_alignment_is_computed(
     assert "the chosen alignment is being computed" in opened.state.messages[-1].text
 
 
+def test_no_bake_starts_while_another_image_is_drawn_and_the_former_one_can_be_chosen_again(
+    opened: Session, boxes: Path, held_tasks: queue.Queue[Task], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started, files = list[object](), opened.state.files
+    monkeypatch.setattr(opened._runner, "start", started.append)
+    click(opened, "target", 2)
+    history = opened.state.history
+    opened.open(replace(files, texture=boxes / "other.png"))
+    assert isinstance(held_tasks.get(timeout=10), ShowImage)
+    opened.finish(FinishOptions())
+    assert started == []
+    assert "the chosen image is being drawn" in opened.state.messages[-1].text
+    opened.open(files)
+    opened._preview.kill()
+    again = held_tasks.get(timeout=10)
+    assert isinstance(again, ShowImage)
+    assert again.pair_files.texture == files.texture
+    assert opened.state.history == history
+
+
 def test_earlier_outputs_stay_until_a_bake_replaces_them(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(opened._runner, "start", lambda _: None)
     earlier = (Output(Path("a.png"), "texture"), Output(Path("b.obj"), "wrap"), Output(Path("R"), "the map"))
     opened._change(outputs=earlier)
     opened.finish(FinishOptions())
-    opened._on_end(Message("note", "Bake: cancelled"))
+    opened._on_end(Message("note", "Bake: cancelled"), True)
     assert opened.state.outputs == earlier
     opened.finish(FinishOptions())
     opened._on_output(Output(Path("R"), "the map"))
@@ -566,8 +603,28 @@ def test_earlier_outputs_stay_until_a_bake_replaces_them(opened: Session, monkey
     opened._on_output(Output(Path("R"), "texture"))  # its record of the bake
     assert opened.state.outputs == (Output(Path("R"), "the map"), Output(Path("c.png"), "texture"), earlier[1])
     assert opened.state.view.baked == Path("c.png")
-    opened._on_end(Message("note", "Bake: done"))  # what it did not make shows an earlier map
+    opened._on_end(Message("note", "Bake: done"), False)  # what it did not make shows an earlier map
     assert opened.state.outputs == (Output(Path("R"), "the map"), Output(Path("c.png"), "texture"))
+
+
+def test_a_partly_failed_bake_of_a_new_map_leaves_no_outputs_of_the_map_before(
+    opened: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(opened._runner, "start", lambda _: None)
+    monkeypatch.setattr(opened._written_map, "remaining_commands", lambda commands, _: commands)
+    earlier = (Output(Path("b.obj"), "wrap"), Output(Path("R"), "the map"))
+    ends = {"Bake: cancelled": True, "Bake: not everything could be made: wrap": False}
+    for text, is_cancelled in ends.items():
+        opened._change(outputs=earlier)
+        opened.finish(FinishOptions())
+        opened._on_end(Message("error", text), is_cancelled)  # before its map
+        assert opened.state.outputs == earlier
+        opened.finish(FinishOptions())
+        opened._on_output(Output(Path("R"), "the map"))
+        opened._on_output(Output(Path("c.png"), "texture"))
+        opened._on_end(Message("error", text), is_cancelled)
+        made = (Output(Path("R"), "the map"), Output(Path("c.png"), "texture"))
+        assert opened.state.outputs == ((*made, earlier[0]) if is_cancelled else made)
 
 
 def test_a_probe_ends_with_the_map_and_the_landmarks_that_it_was_made_of(opened: Session) -> None:

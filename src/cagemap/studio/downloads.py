@@ -22,7 +22,7 @@ from cagemap.files.meshes.formats import read_whole
 from cagemap.files.meshes.obj import MATERIAL_FILE_LINE, material_files
 from cagemap.files.text import read_text
 from cagemap.studio.scene import Scene
-from cagemap.studio.state import Output, StudioState, layout_mesh
+from cagemap.studio.state import Output, StudioState, image_uv_set, layout_mesh
 
 ARCHIVE_NAME = "all.zip"
 # Material of parts that are not open.
@@ -61,8 +61,9 @@ def textured_model(state: StudioState, scene: Scene | None) -> bytes:
     assert state.files is not None
     layout = layout_mesh(state, image)
     mesh = read_whole(layout or state.files.target)
-    if layout is None and state.uv_set is not None:
-        mesh = replace(mesh.with_uv_set(state.uv_set), uv_name="")  # written first: named sets keep their numbers
+    uv_set = image_uv_set(state, image)
+    if layout is None and uv_set is not None:
+        mesh = replace(mesh.with_uv_set(uv_set), uv_name="")  # written first: named sets keep their numbers
     materials = np.zeros(mesh.n_faces, dtype=np.int64)
     if scene is not None and mesh.n_vertices == scene.target.file_mesh.n_vertices:
         is_open = scene.target.to_control_vertices(np.arange(mesh.n_vertices)) >= 0

@@ -1,4 +1,4 @@
-"""What a finish of the open pair makes where the form says nothing."""
+"""Default options of a finish."""
 
 from __future__ import annotations
 

@@ -21,6 +21,7 @@ from cagemap.mesh.curves import Curve
 from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, Renumbering, check_landmarks, pair_by_name
 from cagemap.studio.autosave import FileTracker, autosave_path, read_autosave
 from cagemap.studio.landmarks import SIDES, Landmark, LandmarkList, Side
+from cagemap.studio.opening import default_files
 from cagemap.studio.places import cage_places, cage_points
 from cagemap.studio.scene import Scene
 from cagemap.studio.state import Files
@@ -66,6 +67,23 @@ def load_landmarks(
 def file_landmarks(files: Files, scene: Scene, tracker: FileTracker) -> tuple[LandmarkList, list[str]] | None:
     """Landmarks of the pair's file, and notes; None without a file."""
     return load_landmarks(files.landmarks, None, scene, files, tracker) if files.landmarks.is_file() else None
+
+
+def earlier_landmarks(
+    files: Files, scene: Scene, tracker: FileTracker, folder: Path
+) -> tuple[LandmarkList, list[str]] | None:
+    """Landmarks of the pair in the first folder, where earlier versions saved them, and notes.
+
+    None if the pair has a landmark file or another name for it, or if the one in the folder is of other models.
+    """
+    default = default_files(files.target.parent, files.target, files.source, None).landmarks
+    path = folder / default.name
+    if files.landmarks != default or default.is_file() or path.is_symlink() or not path.is_file():
+        return None
+    if not _names_these_models(path, scene, files):
+        return None
+    landmarks, notes = load_landmarks(path, None, scene, files, tracker)
+    return landmarks, [*notes, f"the landmarks are from {path}; from now on they are saved beside the target"]
 
 
 def autosaved_landmarks(files: Files, scene: Scene, tracker: FileTracker) -> tuple[LandmarkList, list[str]] | None:
@@ -206,8 +224,11 @@ def side_file(path: Path, side: Side) -> Path:
 
 def _is_of_this_pair(path: Path, scene: Scene, files: Files) -> bool:
     """Whether cagemap wrote a file of pairs for these models."""
-    if not is_own(path):
-        return False
+    return is_own(path) and _names_these_models(path, scene, files)
+
+
+def _names_these_models(path: Path, scene: Scene, files: Files) -> bool:
+    """Whether a file of pairs names these models and vertices that they have."""
     try:
         landmarks, notes = read_landmarks(path, files.target, files.source)
         check_landmarks(landmarks, scene.target.file_mesh, scene.source.file_mesh)

@@ -130,11 +130,10 @@ class Preview:
         """Show both models in a pose; '': unposed."""
         self._request("pose", pose)
 
-    @property
-    def is_choosing(self) -> bool:
-        """Whether another alignment's map waits or is being computed."""
+    def is_requested(self, kind: str) -> bool:
+        """Whether a request of a kind, one of `_KINDS`, waits or is being computed."""
         with self._condition:
-            return "answer" in (*self._requests, self._running_kind)
+            return kind in (*self._requests, self._running_kind)
 
     def drop_map_requests(self) -> bool:
         """Drop maps that wait; return whether there was one."""

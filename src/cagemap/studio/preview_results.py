@@ -5,11 +5,12 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from cagemap.studio.finish_layout import in_page_words
 from cagemap.studio.landmark_edits import LandmarkEdits
-from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS
+from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, earlier_landmarks
 from cagemap.studio.landmarks import History, LandmarkList, SideNames
 from cagemap.studio.opening import with_parts
 from cagemap.studio.preview import OPENING_TITLE, Preview
@@ -26,7 +27,7 @@ from cagemap.studio.preview_tasks import (
 )
 from cagemap.studio.scene import Scene, propose_place
 from cagemap.studio.skins import PreviewMap
-from cagemap.studio.state import INITIAL_FIELDS, Files, RunningJob, View, layout_mesh, map_view
+from cagemap.studio.state import INITIAL_FIELDS, Files, RunningJob, View, image_uv_set, layout_mesh, map_view
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.tasks.match import ComputedMatch
 
@@ -41,14 +42,16 @@ class PreviewResults(LandmarkEdits):
     vertices : int
         Approximate number of vertices of each previewed surface.
     folder : Path
-        Receives an image that is inside the source's file.
+        Receives an image that is inside the source's file; earlier versions saved landmarks there.
     """
 
     def __init__(self, vertices: int, folder: Path) -> None:
         super().__init__()
+        self._folder = folder
         self._cancelled = False
         self._requested_parts: SideNames = (None, None)
         self._computed: ComputedMatch | None = None
+        self._checked_constraints: tuple[object, ...] = ()  # of the last checked map
         self._preview = Preview(
             vertices, folder, self._preview_inputs, lambda job: self._change(preview_job=job), self._receive
         )
@@ -62,7 +65,12 @@ class PreviewResults(LandmarkEdits):
             if view.pose != before.pose and self._scene is not None:
                 self._preview.show_posed(view.pose)
             if view.baked is not None and view.baked != before.baked and self._scene is not None:
-                self._preview.show_baked(view.baked, layout_mesh(self._state, view.baked), self._state.uv_set)
+                self._draw_baked(view.baked)
+
+    def _draw_baked(self, image: Path) -> None:
+        """Request a drawing of the target with a baked image."""
+        state = self._state
+        self._preview.show_baked(image, layout_mesh(state, image), image_uv_set(state, image))
 
     def _open_pair(self, files: Files, requested_parts: SideNames) -> None:
         """Open models; if that fails, `_apply_failure` tries again with the requested parts."""
@@ -140,6 +148,7 @@ class PreviewResults(LandmarkEdits):
         scene = replace(before, preview_map=update.preview_map, skins=(target, source or before.skins[1]))
         if not update.map_state.unchecked:
             scene = replace(scene, source=scene.aligned_source)
+            self._checked_constraints = task.landmarks.constraints
         self._scene, self._computed = scene, update.computed
         if before.preview_map is None or scene.source is not before.source:
             scene.warm_up()  # not earlier: the page loads the models first
@@ -166,9 +175,9 @@ class PreviewResults(LandmarkEdits):
         self._load_initial_landmarks()
 
     def _load_initial_landmarks(self) -> None:
-        """Load unsaved landmarks, or else those of the file, and request the map."""
+        """Load unsaved landmarks, or else those of the pair's file or of earlier versions, and request the map."""
         files, scene = self._require_open()
-        for read, saved in INITIAL_LANDMARK_READERS:
+        for read, saved in (*INITIAL_LANDMARK_READERS, (partial(earlier_landmarks, folder=self._folder), False)):
             with self.report_errors():
                 loaded = read(files, scene, self._tracker)
                 if loaded is not None:

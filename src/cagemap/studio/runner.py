@@ -14,8 +14,6 @@ from cagemap.studio.worker import Failure, Worker
 
 # Share of a command's remaining progress that each stage counts for; the number of stages is unknown.
 _STAGE_SHARE = 0.15
-# Summary of a finish without failures.
-DONE_TEXT = "Bake: done"
 
 
 class Runner:
@@ -30,7 +28,7 @@ class Runner:
     on_message : callable
         Called with warnings and errors of commands.
     on_end : callable
-        Called with a summary.
+        Called with a summary, and whether the run was cancelled.
     """
 
     def __init__(
@@ -38,7 +36,7 @@ class Runner:
         on_job: Callable[[RunningJob | None], None],
         on_output: Callable[[Output], None],
         on_message: Callable[[Message], None],
-        on_end: Callable[[Message], None],
+        on_end: Callable[[Message, bool], None],
     ) -> None:
         self._on_job, self._on_output, self._on_message, self._on_end = on_job, on_output, on_message, on_end
         self._worker = Worker(self._on_stage, serve)
@@ -71,14 +69,15 @@ class Runner:
         except Exception as error:  # also after a bug, the page must show an end
             failures.append(f"{type(error).__name__}: {error}")
         self._worker.end()
-        if self._cancelled:
+        is_cancelled = self._cancelled
+        if is_cancelled:
             summary = Message("note", "Bake: cancelled")
         elif failures:
             summary = Message("error", f"Bake: not everything could be made: {', '.join(failures)}")
         else:
-            summary = Message("note", DONE_TEXT)
+            summary = Message("note", "Bake: done")
         self._on_job(None)  # from here on another run can start
-        self._on_end(summary)
+        self._on_end(summary, is_cancelled)
 
     def _run_command(self, command: Command) -> bool:
         """Run a command; return whether it succeeded."""

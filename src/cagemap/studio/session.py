@@ -10,7 +10,7 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, move_aside, read_autosave_parts
-from cagemap.studio.finish import Command, FinishOptions, made_of, plan_commands
+from cagemap.studio.finish import MAP_TITLE, Command, FinishOptions, made_of, plan_commands
 from cagemap.studio.finish_defaults import with_defaults
 from cagemap.studio.finish_layout import explain_flags, in_page_words
 from cagemap.studio.finish_map import WrittenMap, map_difference_notes
@@ -18,7 +18,7 @@ from cagemap.studio.landmark_files import load_landmarks, save_landmarks
 from cagemap.studio.landmarks import Side
 from cagemap.studio.opening import result_folder
 from cagemap.studio.preview_results import PreviewResults
-from cagemap.studio.runner import DONE_TEXT, Runner
+from cagemap.studio.runner import Runner
 from cagemap.studio.scene import probe_map
 from cagemap.studio.shape import pick
 from cagemap.studio.state import (
@@ -27,7 +27,6 @@ from cagemap.studio.state import (
     Output,
     baked_images,
     baked_view,
-    layout_mesh,
     map_view,
     update_view,
 )
@@ -51,9 +50,10 @@ class Session(PreviewResults):
         super().__init__(vertices, workspace.folders[0])
         self.workspace, self.vertices, self.options = workspace, vertices, options
         self._upload_lock = threading.Lock()
-        self._added_names: dict[str, str] = {}
+        self._added_names: dict[str, dict[str, str]] = {}  # by drop, then by the given name
         self._finish_inputs: tuple[object, ...] = ()
         self._earlier_outputs: tuple[Output, ...] = ()  # of earlier finishes, until the last one replaces them
+        self._finish_uv_set: str | None = None  # the target's, of the last finish
         self._has_new_map = False  # whether the last finish computes a map
         self._written_map = WrittenMap()
         self._runner = Runner(lambda job: self._change(finish_job=job), self._on_output, self._on_message, self._on_end)
@@ -67,8 +67,9 @@ class Session(PreviewResults):
         """
         with self.report_errors(), self._lock:
             files, opened = self.workspace.resolve_paths(files), self._state.files
-            if opened is not None and self._scene is not None and files.texture != opened.texture:
-                if replace(files, texture=opened.texture) == opened:
+            if opened is not None and self._scene is not None and replace(files, texture=opened.texture) == opened:
+                # One that is being drawn is not in `opened` yet.
+                if files.texture != opened.texture or self._preview.is_requested("image"):
                     self.show(map_view(self._state.view))
                     self._preview.show_image(files.texture)
                     return
@@ -98,7 +99,7 @@ class Session(PreviewResults):
             up = "y" if abs(scene.shape(side).rotation[2, 1]) > 0.5 else "z"
             self._preview.turn(side, up, view.pose)
             if view.baked is not None:
-                self._preview.show_baked(view.baked, layout_mesh(self._state, view.baked), self._state.uv_set)
+                self._draw_baked(view.baked)
 
     def save(self, name: str | Path = "") -> None:
         """Save the complete landmarks, by default to their file."""
@@ -118,11 +119,12 @@ class Session(PreviewResults):
             self._edit(lambda present: edit.keep_unused_landmarks(landmarks, present))
             self._say_all(notes)
 
-    def add_file(self, name: str, content: bytes) -> Path | None:
-        """Add a file to the first folder; None if it is refused."""
+    def add_file(self, name: str, content: bytes, drop: str = "") -> Path | None:
+        """Add a file to the first folder; None if it is refused. An OBJ names material files of the same drop."""
         with self.report_errors(), self._upload_lock:
-            path = self.workspace.add(name, content, self._added_names)
-            self._added_names[Path(name).name] = path.name
+            added_names = self._added_names.setdefault(drop, {})
+            path = self.workspace.add(name, content, added_names)
+            added_names[Path(name).name] = path.name
             self._say("note", f"added {path.name}")
             return path
         return None
@@ -164,7 +166,8 @@ class Session(PreviewResults):
             is_finishing = self._state.finish_job is not None
             self._cancelled = is_running = self._state.preview_job is not None and not is_finishing
             is_dropped = is_running and self._preview.drop_map_requests()
-            if is_dropped and self._scene is not None and self._scene.preview_map is not None:
+            is_outdated = is_dropped and self._state.history.present.constraints != self._checked_constraints
+            if is_outdated and self._scene is not None and self._scene.preview_map is not None:
                 self._change(map=self._state.map.as_unchecked())
         if is_finishing:
             self._runner.cancel()
@@ -192,7 +195,9 @@ class Session(PreviewResults):
         with self.report_errors(), self._lock:
             if self._state.finish_job is not None:
                 raise ParameterError("a bake is running; cancel it or wait for its end")
-            if self._preview.is_choosing and not self._state.history.present.has_constraints:
+            if self._preview.is_requested("image"):
+                raise ParameterError("the chosen image is being drawn; press Bake again when it is shown")
+            if self._preview.is_requested("answer") and not self._state.history.present.has_constraints:
                 raise ParameterError("the chosen alignment is being computed; press Bake again when its map is shown")
             files, _ = self._require_open()
             commands = self.plan(options)
@@ -202,10 +207,12 @@ class Session(PreviewResults):
             commands = (replace(commands[0], computed=self._computed), *commands[1:])
             remaining = self._written_map.remaining_commands(commands, self._state)
             self._has_new_map = remaining == commands
-            reused = () if self._has_new_map else (Output(commands[0].output, commands[0].output_title),)
+            uv_set = options.option_values.get(("match", "target_uv_set"))
+            self._finish_uv_set = str(uv_set) if uv_set else None
+            reused_map = Output(commands[0].output, commands[0].output_title, self._finish_uv_set)
+            reused = () if self._has_new_map else (reused_map,)
             self._earlier_outputs = tuple(output for output in self._state.outputs if output not in reused)
-            uv_set = options.option_values.get(("match", "target_uv_set")) or None
-            self._change(outputs=(*reused, *self._earlier_outputs), uv_set=uv_set)
+            self._change(outputs=(*reused, *self._earlier_outputs))
             self._finish_inputs = self._state.map_inputs
             if options.texture and files.texture is None:
                 self._say("note", f"the source has no image; made instead: {', '.join(made_of(commands))}")
@@ -232,6 +239,7 @@ class Session(PreviewResults):
 
     def _on_output(self, output: Output) -> None:
         with self._lock:
+            output = replace(output, uv_set=self._finish_uv_set)
             self._written_map.record(output)
             if self._finish_inputs[:1] != self._state.map_inputs[:1]:
                 self._say("note", f"{output.path.name} was made of the models that were open before")
@@ -252,13 +260,14 @@ class Session(PreviewResults):
     def _on_message(self, message: Message) -> None:
         self._say(message.kind, explain_flags(self.options, in_page_words(message.text)))
 
-    def _on_end(self, message: Message) -> None:
+    def _on_end(self, message: Message, is_cancelled: bool) -> None:
         differences: tuple[str, ...] = ()
         with self.report_errors():  # no lock: this takes longer than a click
             if self._finish_inputs == self._state.map_inputs:
                 differences = tuple(map_difference_notes(self._scene, self._finish_outputs))
         with self._lock:
-            if message.text == DONE_TEXT and self._has_new_map:  # the others are of an earlier map
+            is_map_written = any(output.title == MAP_TITLE for output in self._finish_outputs)
+            if self._has_new_map and is_map_written and not is_cancelled:  # the others are of an earlier map
                 self._change(outputs=self._finish_outputs)
             self._say(message.kind, message.text)
             self._say_all(differences, "error")  # last: the status line shows it

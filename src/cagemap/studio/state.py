@@ -225,10 +225,14 @@ class Message:
 
 @dataclass(frozen=True)
 class Output:
-    """A file or folder that a finish wrote, with the command's title."""
+    """A file or folder that a finish wrote, with the command's title.
+
+    ``uv_set`` is the target's UV set that its images are in; None: the first.
+    """
 
     path: Path
     title: str
+    uv_set: str | None = None
 
 
 @dataclass(frozen=True)
@@ -253,8 +257,6 @@ class StudioState:
     answered_error : Message or None
         The last error, if the user has done something else since: the status line no longer shows it.
     outputs : tuple of Output
-    uv_set : str or None
-        The target's UV set that the images of ``outputs`` are in; None: the first.
     saved : bool
         Whether the landmark file holds the current landmarks.
     """
@@ -271,7 +273,6 @@ class StudioState:
     messages: tuple[Message, ...] = ()
     answered_error: Message | None = None
     outputs: tuple[Output, ...] = ()
-    uv_set: str | None = None
     saved: bool = True
 
     @property
@@ -294,7 +295,7 @@ class StudioState:
         return baked_images(self.outputs)
 
 
-_PAIR_FIELDS = ("history", "selected", "proposal", "map", "probe", "outputs", "uv_set", "saved")
+_PAIR_FIELDS = ("history", "selected", "proposal", "map", "probe", "outputs", "saved")
 # Values of the fields that depend on the open pair, for a newly opened one.
 INITIAL_FIELDS: dict[str, object] = {name: getattr(StudioState(), name) for name in _PAIR_FIELDS}
 
@@ -320,6 +321,11 @@ def layout_mesh(state: StudioState, image: Path) -> Path | None:
     """The mesh written with the UV layout of a baked image, if there is one."""
     meshes = (output.path for output in state.outputs if output.path.name.endswith(_UNWRAPPED_ENDING))
     return next((path for path in meshes if image.stem.startswith(path.name.removesuffix(_UNWRAPPED_ENDING))), None)
+
+
+def image_uv_set(state: StudioState, image: Path) -> str | None:
+    """The target's UV set of a baked image; None: the first."""
+    return next((output.uv_set for output in state.outputs if baked_images((output,)) == (image,)), None)
 
 
 def update_view(state: StudioState, **fields: object) -> View:

@@ -127,7 +127,7 @@ class Workspace:
         name : str
         content : bytes
         added_names : mapping of str to str
-            Names under which earlier files were added, by the given ones: an OBJ then names these material files.
+            Names under which files of the same drop were added, by the given ones: an OBJ names these material files.
 
         Raises
         ------

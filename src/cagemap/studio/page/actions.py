@@ -91,7 +91,7 @@ class Actions:
         """Add a file to the workspace; with a role, also open it."""
         head, content = message.split(b"\n", 1)
         sent = json.loads(head)
-        path, role = self._session.add_file(str(sent["name"]), content), sent.get("role")
+        path, role = self._session.add_file(str(sent["name"]), content, str(sent.get("drop", ""))), sent.get("role")
         if path is None or role is None:
             return
         suffix = path.suffix.lower()

@@ -42,8 +42,8 @@ function connect() {
 function send(what, fields = {}) {
   if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify({do: what, ...fields}));
 }
-async function add(file, role) {
-  const head = new TextEncoder().encode(`${JSON.stringify({name: file.name, role})}\n`);
+async function add(file, role, drop) {
+  const head = new TextEncoder().encode(`${JSON.stringify({name: file.name, role, drop})}\n`);
   socket.send(new Blob([head, file]));
 }
 
@@ -303,7 +303,12 @@ on('models', 'close', () => {
   [picked, shownFiles] = [false, ''];
   if (state) showModels();
 });
-on('add', 'change', () => { for (const file of $('add').files) add(file, null); $('add').value = ''; });
+const newDrop = () => `${Math.random()}`;  // a mesh is added with the material files of its own drop
+on('add', 'change', () => {
+  const added = newDrop();
+  for (const file of $('add').files) add(file, null, added);
+  $('add').value = '';
+});
 
 const drop = $('views'), half = event => event.clientX < $('source').getBoundingClientRect().left ? 'target' : 'source';
 drop.addEventListener('dragover', event => {
@@ -320,7 +325,8 @@ drop.addEventListener('drop', event => {
   // Images beside a mesh belong to its materials, but a single one is the source's texture. What meshes name comes first.
   const named = files.some(file => is(file, meshes)) && (side === 'target' || files.filter(file => is(file, images)).length > 1);
   const rank = file => is(file, meshes) ? 1 : is(file, images) && !named ? 2 : 0;
-  for (const file of files.sort((a, b) => rank(a) - rank(b))) add(file, named && is(file, images) ? null : side);
+  const dropped = newDrop();
+  for (const file of files.sort((a, b) => rank(a) - rank(b))) add(file, named && is(file, images) ? null : side, dropped);
 });
 
 document.addEventListener('keydown', event => {
