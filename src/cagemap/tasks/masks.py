@@ -41,6 +41,8 @@ from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.tasks.requests.wrap import WrapRequest
 
 _log = logging.getLogger(__name__)
+# Warning about values whose rows fit control vertices and control faces.
+ASSUMED_AT_VERTICES = "as many rows as control vertices and as control faces: assumed to be at vertices"
 # Default width of the soft edge of a set of faces, in units of sqrt(area).
 DEFAULT_EDGE = 0.02
 
@@ -198,7 +200,7 @@ def _of_values(array: FloatArray, where: str, control: ControlMesh, inverted: bo
             f"one a control face, got shape {values.shape} from {values.min():g} to {values.max():g}"
         )
     if control.n_vertices == control.n_faces:
-        _log.warning("%s: as many rows as control vertices and as control faces: assumed to be at vertices", where)
+        _log.warning("%s: %s", where, ASSUMED_AT_VERTICES)
     if kind == "vertices":
         return GivenMask(vertices=values, inverted=inverted, edge=edge or 0.0)
     return GivenMask(faces=values, inverted=inverted, edge=DEFAULT_EDGE if edge is None else edge)
