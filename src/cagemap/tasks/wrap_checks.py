@@ -28,7 +28,7 @@ from cagemap.tasks.requests.catalogue import WRAP_IMAGES_OF, WRITTEN
 from cagemap.tasks.requests.options import field_values, files_read, refuse_unread
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.wrap import WrapConfig
-from cagemap.wrap.wrapping import NO_CAGE
+from cagemap.wrap.wrapping import NO_CAGE, require_fit_level
 
 
 def check_wrap(request: WrapRequest) -> None:
@@ -100,11 +100,7 @@ def require_inputs(
     ``level``: finest level of the target in the match.
     """
     require_wrappable(request, target, source)
-    if request.fit_level >= level:
-        raise ParameterError(
-            f"--fit-level: expected a level below the map's own, 0 to {level - 1}, got {request.fit_level}. Match at a "
-            "higher level (`cagemap match --level`) to fit a finer net."
-        )
+    require_fit_level(request.fit_level, level, "--fit-level")
     if request.symmetric:
         mirror_image(target)
     if request.weights is not None:
