@@ -11,7 +11,7 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
-from cagemap.files.images.image import check_writable, read_image_form, texture_files
+from cagemap.files.images.image import check_writable, read_image_form, texture_files, tile_files
 from cagemap.files.meshes.formats import check_mesh_path, read_whole
 from cagemap.files.meshes.mhclo import check_mhclo_path
 from cagemap.files.result.folder import ARRAYS
@@ -75,7 +75,8 @@ def check_wrap(request: WrapRequest) -> None:
         check_mhclo_path(request.mhclo)
     texture = request.texture or request.detail_texture
     if texture is not None and request.baked is not None:
-        dtype, channels = read_image_form(texture)
+        forms = [read_image_form(file) for file in tile_files(texture).values()]
+        dtype, channels, _ = forms[0]
         check_writable(request.baked, dtype, channels)
 
 
