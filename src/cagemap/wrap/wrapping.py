@@ -72,8 +72,8 @@ def require_fit_level(level: int, finest: int, name: str = "fit level") -> None:
     """Refuse a net that is as fine as the map; ``name`` is used in the message."""
     if level >= finest:
         raise ParameterError(
-            f"{name}: expected a level below the map's own, 0 to {finest - 1}, got {level}. Match at a higher level "
-            "(`cagemap match --level`) to fit a finer net."
+            f"{name}: expected a level below the map's own, 0 to {finest - 1}, got {level}. Match at a higher level to "
+            "fit a finer net."
         )
 
 
