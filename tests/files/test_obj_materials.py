@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from dataclasses import replace
 from pathlib import Path
 
@@ -134,3 +135,13 @@ def test_images_that_are_links_to_other_folders_are_found_and_names_outside_are_
     for name in ("maps/skin.png", ".\\maps\\skin.png", "x/../maps/skin.png", str(folder / "maps" / "skin.png")):
         assert find_image(folder / "a.mtl", name) == folder / "maps" / "skin.png"
     assert [find_image(folder / "a.mtl", name) for name in ("../store/abc", str(store / "abc"), "..")] == [None] * 3
+
+
+@pytest.mark.parametrize("form", ["NFC", "NFD"])
+def test_images_are_found_whatever_the_unicode_forms_of_folder_and_name(form: str, tmp_path: Path) -> None:
+    folder = tmp_path / unicodedata.normalize("NFC" if form == "NFD" else "NFD", "josé") / "modèle"
+    folder.mkdir(parents=True)
+    image = folder / unicodedata.normalize(form, "été.png")
+    image.write_bytes(b"image")
+    for stated in ("NFC", "NFD"):
+        assert find_image(folder / "a.mtl", unicodedata.normalize(stated, "été.png")) == image

@@ -468,3 +468,5 @@ def test_grey_images_of_roughness_and_metalness_become_one(tmp_path: Path, only:
     np.testing.assert_array_equal(packed[:, :, 1], pixels["roughness"][:, :, 0])
     metallic = pixels["metallic"][:, :, 0].repeat(2, axis=0).repeat(2, axis=1) if "metallic" in only else 255
     np.testing.assert_array_equal(packed[:, :, 2], np.broadcast_to(metallic, (4, 4)))
+    used = {entry["source"] for entry in found.json["textures"]}
+    assert used == set(range(len(found.json["images"])))  # without those that were packed

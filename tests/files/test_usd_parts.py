@@ -485,6 +485,17 @@ def test_a_face_in_several_groups_is_written_into_each_and_names_are_kept_as_dis
     assert read.material_names == material_names(usd_document(tmp_path / "box.usda")) == ("Skin.001", "eye")
 
 
+def test_groups_come_back_by_the_names_that_were_written(tmp_path: Path) -> None:
+    """`arm.L` is no name of a prim; a name with blanks would be two groups."""
+    mesh = replace(cube(), face_groups=np.array([0, 0, 1, 1, 1, 1]), group_names=("arm.L", "leg"))
+    write_usd(tmp_path / "box.usda", mesh)
+    assert read_usd(tmp_path / "box.usda").group_names == ("arm.L", "leg")
+    stage = Usd.Stage.Open(str(tmp_path / "box.usda"))
+    stage.GetPrimAtPath("/Asset/mesh/leg").SetDisplayName("left leg")
+    stage.GetRootLayer().Save()
+    assert read_usd(tmp_path / "box.usda").group_names == ("arm.L", "leg")
+
+
 def test_subsets_of_faces_that_are_not_there_are_left_out_aloud(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

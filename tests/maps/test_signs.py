@@ -222,6 +222,10 @@ def test_parts_of_one_result_keep_their_shared_area() -> None:
     lacking = f"{50 * (1 - half.shared_shares[0]):.1f} % of the target has no counterpart on the source"
     assert any(text.startswith(lacking) for text in merged.quality.warnings)
     assert merge_results([part, part], {}).shared is None
+    for mask in (lower, ~lower):
+        masked = replace(half, masks=Masks(mask.astype(np.float64)))
+        warnings = merge_results([masked, masked], {}).quality.warnings
+        assert (NOTHING_SHARED in warnings) == (mask is not lower)
 
 
 def test_what_has_no_counterpart_says_nothing_about_a_map(surface: Surface, prepared: PreparedPair) -> None:

@@ -18,6 +18,7 @@ from cagemap.files.gltf.document import read_document
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
+from cagemap.files.result.manifest import MANIFEST
 from cagemap.files.usd.write import UsdResults, write_usd
 from cagemap.maps.masks import Masks
 from cagemap.mesh import ControlMesh
@@ -325,5 +326,18 @@ def test_a_report_shows_the_only_image_of_a_model_file(tmp_path: Path, monkeypat
     np.testing.assert_array_equal(shown["texture"], read_image(tmp_path / "skin.png").pixels)
     np.testing.assert_array_equal(shown["baked"], read_image(tmp_path / "out.png").pixels)
     (tmp_path / "box.gltf").write_text('{"asset": {"version": "2.0"}, "materials": [{"name": "red"}]}')
-    with pytest.raises(ParameterError, match=r"box\.gltf: expected a colour image on most of small\.obj"):
+    with pytest.raises(ParameterError, match=r"^--texture .*box\.gltf: expected a colour image on most of small\.obj"):
         run_report(ReportRequest(tmp_path / "RESULT", tmp_path / "r.html", texture=tmp_path / "box.gltf"), Stages())
+    manifest = tmp_path / "RESULT" / MANIFEST
+    manifest.write_text(manifest.read_text().replace("box_texture.png", "../box.gltf"))
+    with pytest.raises(ParameterError, match=r"^(?!--texture).*box\.gltf: expected a colour image"):
+        run_report(ReportRequest(tmp_path / "RESULT", tmp_path / "r.html"), Stages())
+
+
+def test_a_report_writes_no_image_of_a_model_file(tmp_path: Path) -> None:
+    result = tmp_path / "RESULT"
+    write_result(result, identity_result())
+    write_textured_scene(tmp_path)
+    before = {file.name for file in result.iterdir()}
+    run_report(ReportRequest(result, tmp_path / "r.html", texture=tmp_path / "box.gltf"), Stages())
+    assert {file.name for file in result.iterdir()} - before <= {"job.toml"}

@@ -16,7 +16,7 @@ from PIL import Image as PillowImage
 from PIL import ImageCms
 
 from cagemap.errors import FormatError
-from cagemap.files.images.image import Image, read_image, write_image
+from cagemap.files.images.image import Image, read_image, read_image_form, write_image
 from cagemap.files.result.folder import write_result
 from cagemap.maps.masks import Masks
 from cagemap.tasks.progress import Stages
@@ -114,8 +114,8 @@ def test_the_display_window_of_an_exr_is_the_image(x: int, y: int, width: int, h
     with TemporaryDirectory() as folder:
         path = Path(folder) / "cut.exr"
         _exr(path, pixels, (x + 3, y + 2), (3, 2, width, height))
-        read = read_image(path).pixels
-    assert read.shape == (height, width, 3)
+        read, form = read_image(path).pixels, read_image_form(path)
+    assert read.shape == (*form[2], form[1]) == (height, width, 3)
     for row, column in np.ndindex(height, width):
         inside = 0 <= row - y < 6 and 0 <= column - x < 7
         np.testing.assert_array_equal(read[row, column], pixels[row - y, column - x] if inside else 0)
@@ -237,4 +237,5 @@ def test_an_image_is_turned_as_its_file_says(tmp_path: Path, suffix: str, orient
     expected = oiio.ImageBufAlgo.reorient(source).get_pixels(oiio.UINT8)
     found = read_image(file).pixels
     assert found.shape == expected.shape
+    assert read_image_form(file) == (np.dtype(np.uint8), 3, found.shape[:2])
     np.testing.assert_allclose(found.astype(int), expected, atol=4)  # JPEG

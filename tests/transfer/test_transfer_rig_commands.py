@@ -150,3 +150,8 @@ def test_weights_of_a_base_are_paired_by_the_names_of_its_joints(
     run.refused(
         f"transfer R --weights {weights} --base less.usda {words} -o never.npz", says="expected weights of the joints b"
     )
+    np.savez(place / "values.npz", **{name: np.ones(8) for name in ("heat", "cold", "wet")})
+    run.refused(
+        "transfer R --attribute values.npz --base base.usda --target-mask half.npy -o never.npz",
+        says="expected values of heat, cold, wet, as what is carried, got",
+    )

@@ -80,6 +80,6 @@ def test_both_spellings_of_a_set(tmp_path: Path) -> None:
     for name in ("skin.<UDIM>.png", "skin.%(UDIM)d.png"):
         assert list(read_texture(tmp_path / name)) == [1001, 1012]
         assert len(texture_files(tmp_path / name)) == 2
-        assert read_image_form(tmp_path / name) == (np.dtype(np.uint8), 3)
+        assert read_image_form(tmp_path / name) == (np.dtype(np.uint8), 3, (8, 8))
         assert tile_pattern(tmp_path / name).name == "skin.<UDIM>.png"
     assert tile_pattern("skin.png").name == "skin.<UDIM>.png"

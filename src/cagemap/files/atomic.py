@@ -22,7 +22,7 @@ from pathlib import Path
 from cagemap.errors import FormatError
 from cagemap.files.ownership import is_own, seal
 
-# Errors of a full disk: those of a block that are told of the output. Others may concern another file of the block.
+# Errors of a full disk. Errors in the caller's block that are reported for this output.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _STORAGE = (*_FULL, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENAMETOOLONG)
 # Seconds after which a temporary file must be locked: it is locked just after it is created.
@@ -121,9 +121,9 @@ def atomic_path(
         temporary = _reserve(target)
         removed.callback(temporary.unlink, missing_ok=True)
         removed.enter_context(_hold_lock(temporary))
-        with _storage_told(target, _FULL):
+        with _name_output_in_disk_errors(target, _FULL):
             yield temporary
-        with _storage_told(target):
+        with _name_output_in_disk_errors(target):
             removed.enter_context(_hold_lock(temporary))  # libraries may have put another file in its place
             if not verify(temporary):
                 raise FormatError(
@@ -134,7 +134,7 @@ def atomic_path(
 
         def move() -> None:
             check()  # another program may have created the file meanwhile
-            with _storage_told(target):
+            with _name_output_in_disk_errors(target):
                 if target.exists():
                     shutil.copymode(target, temporary)
                 os.replace(temporary, target)
@@ -169,15 +169,15 @@ def atomic_folder(
     require_own_folder(final, names, force=force, owned=owned)
     target = _resolve_links(final)
     _remove_abandoned(target)
-    with _storage_told(target):
+    with _name_output_in_disk_errors(target):
         temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
     with ExitStack() as removed:
         removed.callback(shutil.rmtree, temporary, ignore_errors=True)
         removed.enter_context(_hold_lock(temporary))
         temporary.chmod(0o777 & ~_UMASK)
-        with _storage_told(target, _FULL):
+        with _name_output_in_disk_errors(target, _FULL):
             yield temporary
-        with _storage_told(target):
+        with _name_output_in_disk_errors(target):
             for name in names:
                 seal(temporary / name)
                 _flush(temporary / name)
@@ -296,7 +296,7 @@ def _resolve_links(path: str | Path) -> Path:
 def _reserve(target: Path) -> Path:
     """Create an empty temporary file beside ``target``, with the permissions of a plain open."""
     _remove_abandoned(target)
-    with _storage_told(target):
+    with _name_output_in_disk_errors(target):
         handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=f".part{target.suffix}", dir=target.parent)
     os.close(handle)
     temporary = Path(name)
@@ -354,7 +354,7 @@ def _flush(path: Path) -> None:
 
 
 @contextmanager
-def _storage_told(target: Path, kinds: Collection[int] = _STORAGE) -> Iterator[None]:
+def _name_output_in_disk_errors(target: Path, kinds: Collection[int] = _STORAGE) -> Iterator[None]:
     """Turn an error of the disk, of these kinds, into a FormatError that names the output."""
     try:
         yield

@@ -77,17 +77,21 @@ def tinted_materials(document: Document, control: ControlMesh) -> list[str]:
 
 
 def extract_texture(path: Path, control: ControlMesh, folder: Path) -> Path | None:
-    """Write the image of a mesh's `color_texture`; None if repeating it over the UVs does not show the texture.
+    """Write the image of a mesh's `repeated_texture`; None without one.
 
     The image that a PLY file names is not written again.
     """
     if control.uvs is not None and (image := ply_image(path)) != path:
         return image
     document = material_document(path, control)
+    found = repeated_texture(document, control)
+    return None if document is None or found is None else write_texture(path, document, found, folder)
+
+
+def repeated_texture(document: Document | None, control: ControlMesh) -> MaterialImage | None:
+    """A mesh's `color_texture`; None if repeating its image over the UVs does not show the texture."""
     found = color_texture(document, control)
-    if document is None or found is None or control.uvs is None or not found.is_repeated_over(control.uvs):
-        return None
-    return write_texture(path, document, found, folder)
+    return found if found is not None and control.uvs is not None and found.is_repeated_over(control.uvs) else None
 
 
 def write_texture(path: Path, document: Document, texture: MaterialImage, folder: Path) -> Path:

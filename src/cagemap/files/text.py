@@ -116,10 +116,11 @@ def find_image(path: Path, stated: str) -> Path | None:
     name = PurePosixPath(stated.replace("\\", "/").replace("\0", ""))
     folder = Path(os.path.abspath(path.parent))
     for place in (name, name.name, f"textures/{name.name}", f"{path.stem}.fbm/{name.name}"):
-        file = file_in(folder, os.path.normpath(folder / place))
-        inside = file.is_relative_to(folder) or file.is_relative_to(folder.resolve())
-        if name.name and inside and os.path.isfile(file):
-            return file
+        full = Path(os.path.normpath(folder / place))
+        for parent in (folder, folder.resolve()):
+            file = file_in(parent, str(full.relative_to(parent))) if full.is_relative_to(parent) else parent
+            if name.name and os.path.isfile(file):
+                return file
     return None
 
 

@@ -244,6 +244,14 @@ class MatchResult:
         }
 
 
+def shared_area_warnings(shared: Masks | None, masks: Masks, point_map: PointMap) -> tuple[str, ...]:
+    """Warnings about area without a counterpart, and about masks that leave only such area."""
+    if shared is None:
+        return ()
+    unshared = unshared_warnings(*shared.shares(point_map.target, point_map.source))
+    return (NOTHING_SHARED, *unshared) if masks.any and masks.within(shared) is masks else unshared
+
+
 def result_of_fit(
     problem: Problem,
     point_map: PointMap,
@@ -267,9 +275,7 @@ def result_of_fit(
         jumping = jump_warnings(prepared, jumps)
         counted = masks.within(shared)
         quality = judge(target, point_map, points, counted)
-        unshared = () if shared is None else unshared_warnings(*shared.shares(point_map.target, point_map.source))
-        if shared is not None and masks.any and counted is masks:
-            unshared = (NOTHING_SHARED, *unshared)
+        unshared = shared_area_warnings(shared, masks, point_map)
         foreign = foreign_warnings(quality.flipped_area, len(landmarks), len(check.suspects))
         quality = replace(
             quality,

@@ -9,13 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.errors import ParameterError
-from cagemap.files.images.image import Image, read_image, texture_files, udim_path, unpremultiply
+from cagemap.files.images.image import Image, read_image, read_image_form, texture_files, udim_path, unpremultiply
 from cagemap.maps.result import MatchResult
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.transfer import BakeOptions, Transfer
 from cagemap.transfer.baking import convert_dtype
-from cagemap.transfer.masks import bake_mask, blend, with_alpha
+from cagemap.transfer.masks import bake_mask, blend, require_base_form, with_alpha
 
 _log = logging.getLogger(__name__)
 ImageSize = int | tuple[int, int]  # width and height, or height and width
@@ -60,10 +59,9 @@ def written_channels(request: TransferRequest, result: MatchResult, channels: in
 def base_size(request: TransferRequest, name: str = "") -> ImageSize | None:
     """Size of the base image; None without one."""
     base = base_of(request, name)
-    files = [] if base is None else texture_files(base)
-    if not files:
+    if base is None or not texture_files(base):
         return None
-    height, width = read_image(files[0]).size
+    height, width = read_image_form(base)[2]
     return height if height == width else (height, width)
 
 
@@ -74,11 +72,6 @@ def require_base(
     base = base_of(request, name)
     if base is None or not result.masks.any:
         return
-    files = texture_files(base)
-    image = read_image(files[0] if files else base)
-    (height, width), found = np.broadcast_to(size, 2), np.atleast_3d(image.pixels).shape[2]
-    if image.size != (height, width) or found not in channels:
-        raise ParameterError(
-            f"--base {base}: expected {width} x {height} texels of {' or '.join(map(str, channels))} channels, as what "
-            f"is baked, got {image.size[1]} x {image.size[0]} of {found}. Give the target's own image."
-        )
+    _, found, found_size = read_image_form(base)
+    height, width = np.broadcast_to(size, 2).tolist()
+    require_base_form(f"--base {base}", ((height, width), channels), (found_size, found))

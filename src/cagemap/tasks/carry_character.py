@@ -75,7 +75,8 @@ def carry_character(
     stages = Stages() if stages is None else stages
     target_body, source_body = find_body(target.parts, bodies[0]), find_body(source.parts, bodies[1])
     chosen, notes = _select_passengers(source, source_body, target, target_body, passengers)
-    _require_passengers(kinds or (), [*(part.name for part in chosen), _name_of_pieces(source_body)])
+    declined = [part.name for part in source.parts if part not in (*chosen, source_body)]
+    _require_passengers(kinds or (), [*(part.name for part in chosen), _name_of_pieces(source_body)], declined)
     matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages)
     result = matched.result
     notes += matched.notes
@@ -291,8 +292,13 @@ def _select_passengers(
     return [part for part in candidates if part.name not in declined], notes if declined else []
 
 
-def _require_passengers(names: Iterable[str], known: Sequence[str]) -> None:
+def _require_passengers(names: Iterable[str], known: Sequence[str], declined: Collection[str]) -> None:
     """Refuse a kind for a passenger that is not carried, before the match."""
     for name in names:
+        if name in declined:
+            raise ParameterError(
+                f"{name}: has a kind but is not carried, since the body has its own or it is not among the passengers. "
+                "Name it as a passenger too (rig: --passengers)."
+            )
         if name not in known:
             raise ParameterError(f"{name}: expected one of the passengers, {', '.join(known)} (rig: --rigid, --cloth)")

@@ -75,7 +75,7 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
     maps = [(name, *_image_file(path, request, result, document if path == given else None)) for name, path in images]
     outputs = [map_path(request.output, name) for name, *_ in maps]
     for output, (name, path, _) in zip(outputs, maps, strict=True):
-        dtype, channels = read_image_form(path)
+        dtype, channels, _ = read_image_form(path)
         kept = dtype if request.bits is None else pixel_type(request.bits, output.suffix)
         check_writable(output, kept, written_channels(request, result, channels, name))
         size = request.size or base_size(request, name)

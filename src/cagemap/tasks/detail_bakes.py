@@ -18,7 +18,6 @@ from cagemap.files.images.image import (
     check_writable,
     first_image,
     pixel_type,
-    read_image_form,
     read_texture,
     texture_files,
     texture_pixels,
@@ -270,8 +269,6 @@ def require_wrappable(request: WrapRequest, target: ControlMesh, source: Control
         require_source_uvs(source)
     if "colors" in images and request.detail is None:
         vertex_colors(source)
-    for texture in textures_read(request):
-        read_image_form(texture)
     if request.detail is None:
         return None
     detail = read_mesh(request.detail)

@@ -41,6 +41,8 @@ from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.tasks.requests.wrap import WrapRequest
 
 _log = logging.getLogger(__name__)
+# Warning about values whose rows fit control vertices and control faces.
+ASSUMED_AT_VERTICES = "as many rows as control vertices and as control faces: assumed to be at vertices"
 # Default width of the soft edge of a set of faces, in units of sqrt(area).
 DEFAULT_EDGE = 0.02
 
@@ -198,7 +200,7 @@ def _of_values(array: FloatArray, where: str, control: ControlMesh, inverted: bo
             f"one a control face, got shape {values.shape} from {values.min():g} to {values.max():g}"
         )
     if control.n_vertices == control.n_faces:
-        _log.warning("%s: as many rows as control vertices and as control faces: assumed to be at vertices", where)
+        _log.warning("%s: %s", where, ASSUMED_AT_VERTICES)
     if kind == "vertices":
         return GivenMask(vertices=values, inverted=inverted, edge=edge or 0.0)
     return GivenMask(faces=values, inverted=inverted, edge=DEFAULT_EDGE if edge is None else edge)
@@ -224,7 +226,7 @@ def keep_base(
         return carried, [
             "outside the masks values are carried as well; --base with the target's own values keeps those"
         ]
-    own = own_values(base, result.target.control, rows, carried)
+    own = own_values(base, result.target.control, rows, carried, of_weights=request.weights is not None)
     weight = result.masks.joint(result.point_map)
     kept: Attributes = {}
     for name, values in carried.items():
@@ -245,18 +247,26 @@ def keep_base(
 def to_file_values(request: TransferRequest, carried: Attributes, rows: FileRows | None) -> Attributes:
     """Values of a part in the file's numbering, with ``--base``'s values or 0 elsewhere."""
     base = None if rows is None else base_of(request)
-    below = {} if base is None or rows is None else own_values(base, rows.whole, None, carried)
+    if base is None or rows is None:
+        return to_file(carried, rows, {})
+    below = own_values(base, rows.whole, None, carried, of_weights=request.weights is not None)
     return to_file(carried, rows, below)
 
 
-def own_values(base: Path, control: ControlMesh, rows: FileRows | None, names: Collection[str]) -> Attributes:
+def own_values(
+    base: Path, control: ControlMesh, rows: FileRows | None, names: Collection[str], *, of_weights: bool
+) -> Attributes:
     """The target's own values by the names of what is carried.
 
     Weights of a scene have the names of its joints. The only table of another file has the order of ``names``.
+
+    ``of_weights``: whether joint weights are carried; other values are not taken from those of the base.
     """
     given = read_attributes(base, control, rows)
     if all(name in given for name in names):
         return given
+    if not of_weights and JOINT_WEIGHTS in given:
+        _require_names(base, "values of", [*given], names)
     joints = _joint_names(base, control if rows is None else rows.whole) if JOINT_WEIGHTS in given else ()
     if joints:
         weights = dict(zip(joints, given[JOINT_WEIGHTS].T, strict=True))

@@ -12,8 +12,10 @@ import numpy as np
 
 from cagemap.errors import CagemapError, FormatError, ParameterError
 from cagemap.files.atomic import check_outputs, require_no_input
+from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.material_images import read_material_image
 from cagemap.files.images.image import UDIM_MARK, Image, Pixels, read_image, read_texture
-from cagemap.files.inner_texture import extract_texture, material_document
+from cagemap.files.inner_texture import material_document, repeated_texture
 from cagemap.files.meshes.formats import MESH_SUFFIXES, read_mesh
 from cagemap.files.meshes.ply import ply_image
 from cagemap.files.result.folder import ARRAYS, read_result
@@ -33,7 +35,7 @@ from cagemap.report import (
     write_report,
 )
 from cagemap.tasks.job_file import note_output
-from cagemap.tasks.material_atlas import material_atlas
+from cagemap.tasks.material_atlas import MaterialAtlas, material_atlas
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.tasks.rig import read_weights, weight_table
@@ -59,23 +61,15 @@ def run_report(request: ReportRequest, stages: Stages) -> SummaryAndWarnings:
         texture = ply_image(texture)
         check_outputs([output], [texture], force=force)
     source = result.source.control
-    atlas = None if texture is None else material_atlas(material_document(texture, source), source)
+    document = None if texture is None else material_document(texture, source)
+    atlas = material_atlas(document, source)
     if atlas is not None:
         result = replace(result, source=result.source.with_control(atlas.control))
-    elif texture is not None and texture.suffix.lower() in MESH_SUFFIXES:  # the only image of a model file
-        inner = extract_texture(texture, source, folder)
-        if inner is None:
-            raise ParameterError(
-                f"--texture {texture}: expected a colour image on most of {source.name} for its UV set in use, found "
-                "none. Give an image."
-            )
-        texture = inner
-    shown_texture = None if texture is None else read_texture(texture) if atlas is None else atlas.image
-    pixels = shown_texture.pixels if isinstance(shown_texture, Image) else None  # tiles are not shown
+    pixels = None if texture is None else _texture_pixels(texture, source, document, atlas, given=request.texture)
     baked, baked_entry = None, None
     for entry in known:
         shown = entry.get("level", whole.target.refinement.finest_level) == result.target.refinement.finest_level
-        if shown and texture is not None and _is_same_file(folder / entry["image"], texture):
+        if shown and texture is not None and _is_shown(folder / entry["image"], texture, pixels):
             try:
                 result, baked = _read_bake(folder, result, entry)
                 baked_entry = entry if baked is not None else baked_entry
@@ -104,6 +98,28 @@ def run_report(request: ReportRequest, stages: Stages) -> SummaryAndWarnings:
     )
     note_output("report", folder, request)
     return f"Open {output} in a browser.", []
+
+
+def _texture_pixels(
+    texture: Path, source: ControlMesh, document: Document | None, atlas: MaterialAtlas | None, *, given: Path | None
+) -> Pixels | None:
+    """The pixels of an image, or of a model's; None for tiles, which are not shown.
+
+    ``given``: the path of ``--texture``; None if the manifest names the texture.
+    """
+    if atlas is not None:
+        return atlas.image.pixels
+    if texture.suffix.lower() not in MESH_SUFFIXES:
+        image = read_texture(texture)
+        return image.pixels if isinstance(image, Image) else None
+    found = repeated_texture(document, source)
+    if document is None or found is None:
+        option = "" if given is None else "--texture "
+        raise ParameterError(
+            f"{option}{texture}: expected a colour image on most of {source.name} for its UV set in use, found none. "
+            "Give an image (--texture)."
+        )
+    return read_material_image(document, found).pixels
 
 
 def carried_data(folder: Path, result: MatchResult) -> CarriedData:
@@ -192,8 +208,16 @@ def _with_shapes(carried: CarriedData, folder: Path, entry: dict[str, Any], resu
     return replace(carried, shapes=tuple(CarriedItem(name, given[name], received[name]) for name in both))
 
 
-def _is_same_file(a: Path, b: Path) -> bool:
-    return os.path.realpath(a) == os.path.realpath(b)
+def _is_shown(image: Path, texture: Path, pixels: Pixels | None) -> bool:
+    """Whether a baked image is the texture; images of model files are compared by their pixels."""
+    if os.path.realpath(image) == os.path.realpath(texture):
+        return True
+    if texture.suffix.lower() not in MESH_SUFFIXES or pixels is None or not image.is_file():
+        return False
+    try:
+        return np.array_equal(read_image(image).pixels, pixels)
+    except CagemapError:
+        return False
 
 
 def _read_bake(folder: Path, result: MatchResult, entry: dict[str, Any]) -> tuple[MatchResult, Pixels | None]:

@@ -294,7 +294,7 @@ def _with_chosen_joints(
     if base is None:
         raise ParameterError("--only: expected the target's own weights of the other joints. Give them as --base.")
     columns = np.array([names.index(word) for word in words])
-    own = own_values(base, control, rows, names)
+    own = own_values(base, control, rows, names, of_weights=True)
     if any(own[name].shape != (control.n_vertices,) for name in names):
         raise ParameterError(f"--base {base}: expected weights of {', '.join(names)} for each vertex of {control.name}")
     kept = np.column_stack([own[name] for name in names]).astype(np.float64)

@@ -38,7 +38,7 @@ from cagemap.tasks.carry_images import (
 )
 from cagemap.tasks.detail_bakes import require_green
 from cagemap.tasks.job_file import note_output
-from cagemap.tasks.masks import keep_base, to_file_values, with_masks
+from cagemap.tasks.masks import ASSUMED_AT_VERTICES, keep_base, to_file_values, with_masks
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import refuse_unread
 from cagemap.tasks.requests.transfer import TransferRequest, require_map_names
@@ -172,7 +172,7 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
         ) from None
     assert isinstance(carried, dict)
     warnings = [
-        f"{name}: as many rows as control vertices and as control faces: assumed to be at vertices"
+        f"{name}: {ASSUMED_AT_VERTICES}"
         for name, array in values.items()
         if len(array) == source.n_vertices == source.n_faces
     ]

@@ -11,7 +11,7 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
-from cagemap.files.images.image import check_writable, read_image_form, texture_files
+from cagemap.files.images.image import check_writable, read_image_form, texture_files, tile_files
 from cagemap.files.meshes.formats import check_mesh_path, read_whole
 from cagemap.files.meshes.mhclo import check_mhclo_path
 from cagemap.files.result.folder import ARRAYS
@@ -28,7 +28,7 @@ from cagemap.tasks.requests.catalogue import WRAP_IMAGES_OF, WRITTEN
 from cagemap.tasks.requests.options import field_values, files_read, refuse_unread
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.wrap import WrapConfig
-from cagemap.wrap.wrapping import NO_CAGE
+from cagemap.wrap.wrapping import NO_CAGE, require_fit_level
 
 
 def check_wrap(request: WrapRequest) -> None:
@@ -75,7 +75,8 @@ def check_wrap(request: WrapRequest) -> None:
         check_mhclo_path(request.mhclo)
     texture = request.texture or request.detail_texture
     if texture is not None and request.baked is not None:
-        dtype, channels = read_image_form(texture)
+        forms = [read_image_form(file) for file in tile_files(texture).values()]
+        dtype, channels, _ = forms[0]
         check_writable(request.baked, dtype, channels)
 
 
@@ -100,11 +101,7 @@ def require_inputs(
     ``level``: finest level of the target in the match.
     """
     require_wrappable(request, target, source)
-    if request.fit_level >= level:
-        raise ParameterError(
-            f"--fit-level: expected a level below the map's own, 0 to {level - 1}, got {request.fit_level}. Match at a "
-            "higher level (`cagemap match --level`) to fit a finer net."
-        )
+    require_fit_level(request.fit_level, level, "--fit-level")
     if request.symmetric:
         mirror_image(target)
     if request.weights is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -96,17 +96,31 @@ def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
     """
     baked, weight = _image_and_weight(baked, weight)
     base = as_pixels(base)
-    if baked.shape != base.shape or baked.dtype != base.dtype:
-        raise ParameterError(
-            f"base image: expected {baked.shape[0]} x {baked.shape[1]} texels of {baked.shape[2]} channels, "
-            f"{baked.dtype}, as what is baked, got {base.shape[0]} x {base.shape[1]} of {base.shape[2]}, {base.dtype}"
-        )
+    require_base_form("base image", (baked.shape[:2], baked.shape[2:]), (base.shape[:2], base.shape[2]))
+    if baked.dtype != base.dtype:
+        raise ParameterError(f"base image: expected {baked.dtype}, as what is baked, got {base.dtype}. Convert it.")
     result = base.copy()
     for rows in row_slices(len(base), _ROWS):
         below = base[rows].astype(np.float64)
         mixed = to_dtype(below + weight[rows] * (baked[rows].astype(np.float64) - below), baked.dtype)
         result[rows] = np.where(weight[rows] > 0, mixed, base[rows])
     return result
+
+
+def require_base_form(
+    name: str, baked: tuple[tuple[int, ...], Sequence[int]], base: tuple[tuple[int, ...], int]
+) -> None:
+    """Refuse a base image of another size or of other channels than what is baked.
+
+    ``baked``: its (height, width), and the numbers of channels that a base may have.
+    ``base``: (height, width) and channels.
+    """
+    ((height, width), channels), (size, found) = baked, base
+    if size != (height, width) or found not in channels:
+        raise ParameterError(
+            f"{name}: expected {width} x {height} texels of {' or '.join(map(str, channels))} channels, as what is "
+            f"baked, got {size[1]} x {size[0]} of {found}. Give the target's own image."
+        )
 
 
 def with_alpha(baked: Pixels, weight: Pixels) -> Pixels:

@@ -68,6 +68,15 @@ class Wrapped:
     aspect: float  #: 99th percentile of faces' longest by shortest edge, divided by that at rest
 
 
+def require_fit_level(level: int, finest: int, name: str = "fit level") -> None:
+    """Refuse a net that is as fine as the map; ``name`` is used in the message."""
+    if level >= finest:
+        raise ParameterError(
+            f"{name}: expected a level below the map's own, 0 to {finest - 1}, got {level}. Match at a higher level to "
+            "fit a finer net."
+        )
+
+
 def wrap(
     target: Refinement,
     point_map: PointMap,
@@ -87,11 +96,7 @@ def wrap(
     finest = target.finest_level
     if target.is_plain:
         raise ParameterError(f"{target.control.name}: {NO_CAGE}")
-    if config.level >= finest:
-        raise ParameterError(
-            f"fit level: expected a level below the map's own, 0 to {finest - 1}, got {config.level}; "
-            "match at a higher level to fit a finer net"
-        )
+    require_fit_level(config.level, finest)
     if point_map.target.n != target.finest.n_vertices:
         raise ParameterError(
             f"expected a map of the target's {target.finest.n_vertices} vertices of level {finest}, got one of "

@@ -264,6 +264,16 @@ def test_a_kind_of_an_unknown_passenger_is_refused_before_the_match(
         tasks.run(request)
 
 
+def test_a_kind_of_a_part_that_the_body_has_itself_names_the_option_that_carries_it(
+    body: ControlMesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cagemap.tasks.carry_character.match_bodies", lambda *_: pytest.fail("matched"))
+    hat = Part("Hat", ball("Hat", np.zeros(3), 0.1))
+    character = Character((Part("body", body), hat))
+    with pytest.raises(ParameterError, match=r"^Hat: .* the body has its own .* passenger too \(rig: --passengers\)"):
+        carry_character(character, character, kinds={"Hat": "rigid"})
+
+
 @pytest.mark.parametrize("own_part", [False, True])
 def test_a_piece_that_the_body_has_itself_is_not_carried(body: ControlMesh, own_part: bool) -> None:
     """The source's button and ring, onto a body with a button, or beside a part that is a button."""

@@ -180,15 +180,22 @@ class AddedTextures:
         return holder
 
     def _add_image(self, data: bytes, suffix: str) -> int | None:
-        stored = image_suffix(data)
-        if stored not in (".png", ".jpg"):
-            from cagemap.files.gltf.material_images import png_bytes
-            from cagemap.files.images.image import image_of_bytes
-
-            try:
-                data, stored = png_bytes(image_of_bytes(data, suffix, "texture")), ".png"
-            except FormatError:
-                return None
+        stored = png_or_jpeg(data, suffix)
+        if stored is None:
+            return None
         images: list[Any] = self._top.setdefault("images", [])
-        images.append({"bufferView": self._binary.view(data), "mimeType": image_type(stored)})
+        images.append({"bufferView": self._binary.view(stored), "mimeType": image_type(image_suffix(stored) or ".png")})
         return len(images) - 1
+
+
+def png_or_jpeg(data: bytes, suffix: str) -> bytes | None:
+    """An image file's content, of other formats as PNG; None if it cannot be read."""
+    if image_suffix(data) in (".png", ".jpg"):
+        return data
+    from cagemap.files.gltf.material_images import png_bytes
+    from cagemap.files.images.image import image_of_bytes
+
+    try:
+        return png_bytes(image_of_bytes(data, suffix, "texture"))
+    except FormatError:
+        return None

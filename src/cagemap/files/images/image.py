@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
-from cagemap.files.images.parts import apply_orientation, fit_to_display_window, require_one_picture
+from cagemap.files.images.parts import apply_orientation, fit_to_display_window, require_one_picture, shown_size
 from cagemap.files.ownership import mark
 from cagemap.files.text import require_file, text_name
 from cagemap.mesh.udim import FIRST_TILE
@@ -172,12 +172,12 @@ def _open(file: Path) -> tuple[Any, str]:
     return opened, known[kind]
 
 
-def read_image_form(path: str | Path) -> tuple[np.dtype[Any], int]:
-    """Number type and number of channels of an image, or of a set's first tile, from its header."""
+def read_image_form(path: str | Path) -> tuple[np.dtype[Any], int, tuple[int, int]]:
+    """Number type, number of channels and (height, width) of an image, or of a set's first tile, from its header."""
     opened, kind = _open(next(iter(tile_files(path).values())))
-    channels = int(opened.spec().nchannels)
+    channels, size = int(opened.spec().nchannels), shown_size(opened.spec(), opened.format_name())
     opened.close()
-    return np.dtype(kind), channels
+    return np.dtype(kind), channels, size
 
 
 @kinds_checked

@@ -74,3 +74,9 @@ def apply_orientation(pixels: Pixels, orientation: int) -> Pixels:
     rows = -1 if orientation in (3, 4, 7, 8) else 1
     columns = -1 if orientation in (2, 3, 6, 7) else 1
     return np.ascontiguousarray(pixels[::rows, ::columns])
+
+
+def shown_size(spec: Any, form: str) -> tuple[int, int]:
+    """(height, width) of an image after `fit_to_display_window` and `apply_orientation`; ``form``: its format."""
+    size = (spec.full_height, spec.full_width) if form == "openexr" else (spec.height, spec.width)
+    return size[::-1] if int(spec.getattribute("Orientation") or 1) in (5, 6, 7, 8) else size

@@ -16,8 +16,8 @@ from cagemap.maps.landmarks.check import LandmarkCheck
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import point_pairs
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.quality import measure_quality, unshared_warnings
-from cagemap.maps.result import MatchResult, SpectralMap
+from cagemap.maps.quality import measure_quality
+from cagemap.maps.result import MatchResult, SpectralMap, shared_area_warnings
 from cagemap.mesh import ControlMesh, Loop
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
@@ -67,7 +67,7 @@ def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> M
     shared = _merged_shared(parts, (target_numbers, source_numbers))
     trusted = point_pairs(target, source, check.trusted(landmarks))
     quality = measure_quality(point_map, trusted, masks=masks.within(shared))
-    apart = () if shared is None else unshared_warnings(*shared.shares(target_surface, source_surface))
+    apart = shared_area_warnings(shared, masks, point_map)
     kept = [text for part in parts for text in part.quality.match_warnings]
     trust = np.empty(target_surface.n)
     for part, target_rows in zip(parts, target_numbers, strict=True):

@@ -294,7 +294,7 @@ def face_sets(where: str, prim: Any, n_faces: int, labels: Mapping[str, str]) ->
         if material_of_subset and (not bound or material_of_subset.GetPath() != bound.GetPath()):
             materials[faces] = number(material_of_subset)
         elif subset.GetFamilyNameAttr().Get() != "materialBind":
-            groups.append((subset.GetPrim().GetName(), faces))
+            groups.append((_group_name(subset.GetPrim()), faces))
     result: dict[str, Any] = {}
     if names:
         unbound = materials < 0
@@ -312,6 +312,12 @@ def _bound_material(prim: Any) -> Any:
     """The material of a prim in previews, else in final renderings; also one of a prim above it or of a collection."""
     api = usd_modules().UsdShade.MaterialBindingAPI(prim)
     return api.ComputeBoundMaterial("preview")[0] or api.ComputeBoundMaterial("full")[0]
+
+
+def _group_name(subset: Any) -> str:
+    """Display name of a subset; one with blanks would be several groups, so its identifier is taken."""
+    shown = str(subset.GetDisplayName())
+    return shown if shown.split() == [shown] else str(subset.GetName())
 
 
 def _make_groups_disjoint(groups: list[tuple[str, IndexArray]], n_faces: int) -> dict[str, Any]:

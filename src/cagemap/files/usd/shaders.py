@@ -17,7 +17,7 @@ from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import png_bytes
 from cagemap.files.gltf.primitives import material_names
-from cagemap.files.gltf.textures import REPEAT, WITHOUT_IMAGE, AddedTextures
+from cagemap.files.gltf.textures import REPEAT, WITHOUT_IMAGE, AddedTextures, png_or_jpeg
 from cagemap.files.images.image import Image, Pixels, image_of_bytes
 from cagemap.files.usd.materials import STRENGTH, WRAP_WORDS
 from cagemap.files.usd.read import material_labels
@@ -103,7 +103,7 @@ class _Materials:
     def __init__(self, document: Document) -> None:
         self.binary, self.top = Binary(document), json.loads(json.dumps(document.json))
         self._file, self._textures = document.file, AddedTextures(self.binary, self.top)
-        self._image_of: dict[str, int | None] = {}  # by path
+        self._image_of: dict[str, bytes | None] = {}  # PNG or JPEG by path
 
     def fill(self, entry: dict[str, Any], surface: Any, sets: tuple[str, ...]) -> None:
         """Set an entry by the inputs of a surface."""
@@ -149,8 +149,8 @@ class _Materials:
 
     def _find_image(
         self, material: str, surface: Any, slot: str, pairs: dict[str, Any]
-    ) -> tuple[int, tuple[int, int]] | None:
-        """Number and wrap modes of the image of a slot; None, with a warning, if glTF has no place for it.
+    ) -> tuple[bytes, tuple[int, int]] | None:
+        """Image of a slot and its wrap modes; None, with a warning, if glTF has no place for it.
 
         ``pairs``: texture shaders by input.
         """
@@ -184,7 +184,7 @@ class _Materials:
         if slot == "emissiveTexture":
             entry.pop("extensions", None)
 
-    def _pack_channels(self, surface: Any, pairs: dict[str, Any]) -> tuple[int, tuple[int, int]] | None:
+    def _pack_channels(self, surface: Any, pairs: dict[str, Any]) -> tuple[bytes, tuple[int, int]] | None:
         """An image with roughness in green and metallic in blue, of channels of other images; None if they differ.
 
         They differ if one cannot be read, or if they are repeated or placed in different ways.
@@ -211,24 +211,24 @@ class _Materials:
         for name, one in texels.items():
             rows, columns = np.arange(height) * len(one) // height, np.arange(width) * one.shape[1] // width
             packed[:, :, 1 if name == "roughness" else 2] = one[np.ix_(rows, columns)]
-        number = self._textures.image(png_bytes(Image(packed)), ".png")
-        return None if number is None else (number, places[0][0])
+        return png_bytes(Image(packed)), places[0][0]
 
-    def _image_and_wraps(self, texture: Any) -> tuple[int | None, tuple[int, int]]:
-        """Number of a texture shader's image, None if it cannot be read, and its wrap modes in glTF."""
+    def _image_and_wraps(self, texture: Any) -> tuple[bytes | None, tuple[int, int]]:
+        """A texture shader's image as PNG or JPEG, None if it cannot be read, and its wrap modes in glTF."""
         file = None if texture is None else setting_of(texture, "file", None)
         path = "" if file is None else str(file.resolvedPath)
         if path not in self._image_of:
             data = _content(path)
-            self._image_of[path] = None if data is None else self._textures.image(data, Path(path.rstrip("]")).suffix)
+            self._image_of[path] = None if data is None else png_or_jpeg(data, Path(path.rstrip("]")).suffix)
         if texture is None:
             return self._image_of[path], (REPEAT, REPEAT)
         words = (str(setting_of(texture, name, "repeat")) for name in ("wrapS", "wrapT"))
         across, up = (_WRAP_MODES.get(word, REPEAT) for word in words)
         return self._image_of[path], (across, up)
 
-    def _holder(self, image: int, wraps: tuple[int, int], texture: Any, sets: tuple[str, ...]) -> dict[str, Any]:
-        """What refers to a texture shader's image in glTF."""
-        name = uv_name(texture)
-        holder = self._textures.texture(image, wraps, _transform_of(texture))
+    def _holder(self, image: bytes, wraps: tuple[int, int], texture: Any, sets: tuple[str, ...]) -> dict[str, Any]:
+        """What refers to a texture shader's image in glTF; adds the image."""
+        name, number = uv_name(texture), self._textures.image(image, "")
+        assert number is not None
+        holder = self._textures.texture(number, wraps, _transform_of(texture))
         return holder | ({"texCoord": sets.index(name)} if name in sets[1:] else {})
