@@ -12,7 +12,7 @@ from examples.shapes import torus
 from cagemap import pipeline
 from cagemap.deform.config import RefitConfig
 from cagemap.deform.problem import PreparedPair
-from cagemap.errors import CagemapError, ParameterError
+from cagemap.errors import CagemapError, FormatError, ParameterError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
@@ -91,6 +91,15 @@ def test_a_map_that_folds_is_matched_afresh(monkeypatch: pytest.MonkeyPatch) -> 
     assert asked == [still, moving, 0, config]
 
 
+def test_a_frame_is_not_overwritten_by_its_wrap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cagemap.tasks.wrap.match_files", lambda *_, **__: pytest.fail("was matched"))
+    cage, moving = tmp_path / "cage.obj", tmp_path / "frame.obj"
+    for path in (cage, moving):
+        write_mesh(path, torus(12, 8))
+    with pytest.raises(FormatError, match=r"frame\.obj"):
+        run_wrap(WrapRequest((moving,), moving, target=cage, force=True), Stages())
+
+
 @pytest.mark.slow
 def test_wrap_writes_the_cage_in_the_shape_of_every_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cagemap.tasks.method.DEFAULT_VERTICES", 1000)
@@ -104,7 +113,7 @@ def test_wrap_writes_the_cage_in_the_shape_of_every_frame(tmp_path: Path, monkey
         run_wrap(WrapRequest(frames, tmp_path / "one.obj", target=cage), Stages())
     with pytest.raises(ParameterError, match="frames of a motion"):
         run_wrap(WrapRequest(frames, output, target=cage, source=frames[0], blend_shapes=True), Stages())
-    with pytest.raises(ParameterError, match="got frames"):
+    with pytest.raises(ParameterError, match="got several frames"):
         run_wrap(WrapRequest(frames, output, target=cage, map=tmp_path / "m.npz", blend_shapes=True), Stages())
     (tmp_path / "again").mkdir()
     write_mesh(tmp_path / "again" / "frame0.obj", frame(ANGLES[0], 0)[0])

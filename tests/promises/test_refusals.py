@@ -23,10 +23,10 @@ JOINT = {"name": "hip", "parent": None, "head": [0, 0, 0], "tail": [0, 1, 0]}
 WRAP, SHAPES, MATCH = "wrap R -o n.obj", "transfer R -o o.npz --blend-shapes", "match -t box.obj -s box.obj -o Q"
 DETAIL = "transfer R --bake texture --detail-texture t.png -o o.png"
 REFUSED: dict[str | tuple[str, ...], str] = {
-    f"{WRAP} --texture t.png": "expected an image and the one to write, got one of them",
+    f"{WRAP} --texture t.png": "expected both or neither, an image and the one to write",
     f"{WRAP} --scheme loop": "expected with --target only",
     f"{WRAP} --amount 2": "--amount",
-    f"{WRAP} --amount 0.5 --displacement d.exr": "whole --amount",
+    f"{WRAP} --amount 0.5 --displacement d.exr": "--amount 1",
     f"{WRAP} --weights five.npy": "8 control vertices of large.obj, the target, got 5",
     f"{WRAP} --fit-level 3": "level below",
     f"{WRAP} --target t.obj": "--target and --source",
@@ -124,7 +124,7 @@ REFUSED: dict[str | tuple[str, ...], str] = {
     "report gone": "cagemap match",
     "report R -o r.pdf": "ending in .html, got '.pdf'",
     "match --target . --source box.obj -o Q": "got a folder",
-    "wrap box.obj box.obj -o n.obj": "meshes are given by --target and --source",
+    "wrap box.obj box.obj -o n.obj": "Meshes are given by --target and --source",
     "run .": "got a folder",
     "run box.obj/inside.toml": "there is no such file",
     "demo -o box.obj": "box.obj",

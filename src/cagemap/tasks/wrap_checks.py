@@ -37,12 +37,14 @@ def check_wrap(request: WrapRequest) -> None:
     if not 0.0 <= request.amount <= 1.0:
         raise ParameterError(f"--amount: expected 0 (the target) to 1 (the source's shape), got {request.amount}")
     if request.detail_texture is not None and (request.detail is None or request.texture is not None):
-        raise ParameterError("--detail-texture: expected --detail, and no --texture: --baked is one of them")
+        raise ParameterError(
+            "--detail-texture: expected --detail, and no --texture, since --baked holds only one of them"
+        )
     if (request.texture is None and request.detail_texture is None) != (request.baked is None):
         raise ParameterError(
-            "--texture (or --detail-texture) and --baked: expected an image and the one to write, got one of them"
+            "--texture (or --detail-texture) and --baked: expected both or neither, an image and the one to write"
         )
-    # A RESULT folder records the schemes and the welded meshes of its match.
+    # Only with --target: a RESULT folder records the schemes and the welded meshes of its match.
     matched = dict.fromkeys(side_options(request, "scheme", "weld"), ("target",))
     refuse_unread(request, matched, () if request.target is None else ("target",))
     if (request.target_scheme or request.scheme) == "none":
@@ -50,22 +52,22 @@ def check_wrap(request: WrapRequest) -> None:
     if request.map is not None and (request.landmarks is not None or any(side_options(request, "scheme").values())):
         raise ParameterError("--map: expected no --landmarks and no --scheme, since nothing is matched")
     if request.map is not None and len(request.results) > 1:
-        raise ParameterError("--map: expected one --source, got frames. Wrap each frame with a map of its own.")
+        raise ParameterError("--map: expected one --source, got several frames. Wrap each frame with a map of its own.")
     if request.symmetric and request.fit_level:
-        raise ParameterError("--symmetric: expected --fit-level 0, since symmetry is that of the control mesh")
+        raise ParameterError(
+            "--symmetric: expected --fit-level 0, since only the symmetry of the control mesh is known"
+        )
     require_green(request)
     bakes, images = wrap_bakes(request), outputs_beside(request)
     bakes.check()
     many = len(request.results) > 1
     if many and not request.blend_shapes:
         raise ParameterError(
-            f"expected one RESULT, got {len(request.results)}. Several need --blend-shapes and a folder as --output; "
-            "meshes are given by --target and --source, or the frames of a motion by --target alone."
+            f"expected one RESULT, got {len(request.results)}. Several RESULTs need --blend-shapes and a folder as "
+            "--output. Meshes are given by --target and --source, the frames of a motion by --target and their names."
         )
     if images and (many or request.blend_shapes or request.amount != 1.0):
-        raise ParameterError(
-            "images that are baked and --mhclo: expected one RESULT, the whole --amount and no --blend-shapes"
-        )
+        raise ParameterError("images that are baked and --mhclo: expected one RESULT, --amount 1 and no --blend-shapes")
     if request.detail is not None and not bakes.images:
         raise ParameterError("--detail: expected an image to bake from it, such as --normal-map")
     refuse_unread(request, WRAP_IMAGES_OF, [name for name in WRITTEN["wrap"] if getattr(request, name) is not None])
@@ -81,8 +83,9 @@ def check_wrap(request: WrapRequest) -> None:
 
 
 def check_files(request: WrapRequest) -> None:
-    """Refuse outputs that would replace inputs or files of others."""
-    inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]
+    """Refuse outputs that would replace inputs, or files that cagemap did not write."""
+    # Results are RESULT folders or, with --target, the files of frames.
+    inputs = [file for result in request.results for file in (result, result / MANIFEST, result / ARRAYS)]
     given = files_read(request, *WRITTEN["wrap"])
     inputs += [*(file for path in given for file in texture_files(path)), *mask_inputs(request).values()]
     if request.blend_shapes:
@@ -97,7 +100,7 @@ def require_inputs(
 ) -> None:
     """Refuse meshes that cannot be wrapped as requested, before they are matched.
 
-    ``files``: of both meshes, which may be welded.
+    ``files``: paths of both meshes, which may be welded versions of them.
     ``level``: finest level of the target in the match.
     """
     require_wrappable(request, target, source)
@@ -115,7 +118,7 @@ def require_inputs(
 
 
 def read_follow(path: Path, control: ControlMesh, rows: FileRows | None, finest: int) -> FloatArray:
-    """Weights with which the target's control vertices, or its ``finest`` vertices, follow the source."""
+    """Weights with which the target's vertices follow the source: control vertices, or all ``finest`` finest ones."""
     values = read_attributes(path, control, rows)
     if len(values) != 1:
         raise ParameterError(f"{path}: expected one column of weights from 0 to 1, got {', '.join(values)}")
@@ -145,5 +148,5 @@ def shape_files(request: WrapRequest, target: Path, sources: Sequence[Path]) -> 
 
 
 def side_options(request: WrapRequest, *names: str) -> dict[str, Any]:
-    """Options for both meshes and for each of them."""
+    """Values of the options --NAME, --target-NAME and --source-NAME."""
     return field_values(request, *(f"{side}{name}" for name in names for side in ("", "target_", "source_")))
