@@ -184,6 +184,12 @@ def test_links_that_lead_out_of_the_folders_are_neither_read_nor_written(tmp_pat
     for path in ("../out/secret.obj", str(outside / "secret.obj"), "link.obj"):
         with pytest.raises(ParameterError, match="outside"):
             workspace.resolve(path)
+    (inside / "a.obj").write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl skin\nf 1 2 3\n")
+    (inside / "a.mtl").write_text("newmtl skin\nmap_Kd named.png\n")
+    assert workspace.resolve("a.obj") == inside / "a.obj"
+    (inside / "named.png").symlink_to(outside / "secret.png")
+    with pytest.raises(ParameterError, match="outside"):  # an image that a model names
+        workspace.resolve("a.obj")
     files = default_files(inside, inside / "cow.obj", inside / "spot.obj", inside / "spot.png")
 
     def refused(asked: FinishOptions) -> None:
@@ -207,10 +213,10 @@ def test_links_that_lead_out_of_the_folders_are_neither_read_nor_written(tmp_pat
 
 
 def test_tiles_are_listed_as_one_image_and_folders_where_they_may_be_chosen(tmp_path: Path) -> None:
-    for name in ("skin.1001.png", "skin.1002.png", "photo_1024.png", "faces/smile.obj"):
+    for name in ("skin.1001.png", "skin.1002.png", "single.1001.png", "photo_1024.png", "faces/smile.obj"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
-    assert Workspace.of(tmp_path).list_files((".png",)) == ("photo_1024.png", "skin.<UDIM>.png")
+    assert Workspace.of(tmp_path).list_files((".png",)) == ("photo_1024.png", "single.1001.png", "skin.<UDIM>.png")
     assert Workspace.of(tmp_path).list_files((".obj", "/")) == ("faces", "faces/smile.obj")
     assert Workspace.of(tmp_path).resolve("faces/smile.obj") == (tmp_path / "faces/smile.obj").resolve()
 
