@@ -17,7 +17,7 @@ from cagemap.errors import ParameterError
 from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.atomic import write_whole
 from cagemap.files.images.image import UDIM_MARK, texture_files
-from cagemap.files.meshes.formats import MESH_SUFFIXES, referred_files
+from cagemap.files.meshes.formats import MESH_SUFFIXES
 from cagemap.files.meshes.obj import MATERIAL_FILE_LINE, named_material_files
 from cagemap.files.usd.stages import USD_SUFFIXES, asset_paths
 
@@ -56,12 +56,12 @@ class Workspace:
         Raises
         ------
         ParameterError
-            If it, a tile of an image, or a file that a model names lies outside the folders, also through links.
+            If it, or a tile of an image, lies outside the folders, also through links. Files that a model names are
+            not looked at: who may place links in the folders may read them.
         """
         resolved = self._resolve_one(path)
-        tiles = texture_files(resolved) if resolved.suffix.lower() in IMAGE_SUFFIXES else ()
-        for file in (*tiles, *referred_files(resolved)):
-            self._resolve_one(file)
+        for tile in texture_files(resolved) if resolved.suffix.lower() in IMAGE_SUFFIXES else ():
+            self._resolve_one(tile)
         return resolved
 
     def _resolve_one(self, path: str | Path) -> Path:

@@ -77,6 +77,7 @@ def check_wrap(request: WrapRequest) -> None:
         check_mhclo_path(request.mhclo)
     texture = request.texture or request.detail_texture
     if texture is not None and request.baked is not None:
+        # Every tile must be readable.
         forms = [read_image_form(file) for file in tile_files(texture).values()]
         dtype, channels, _ = forms[0]
         check_writable(request.baked, dtype, channels)
