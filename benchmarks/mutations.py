@@ -135,6 +135,10 @@ class _Stripped(ast.NodeTransformer):
         node.returns, node.decorator_list = None, []
         return self.generic_visit(node)
 
+    def visit_ClassDef(self, node: ast.ClassDef) -> ast.AST:
+        node.decorator_list = []
+        return self.generic_visit(node)
+
     def visit_keyword(self, node: ast.keyword) -> ast.AST:
         if node.arg == "strict":
             node.value = ast.Constant(True)
