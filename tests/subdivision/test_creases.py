@@ -133,6 +133,17 @@ def test_holes_shape_the_surface_and_are_no_part_of_it() -> None:
     assert (~opened.holes(0)).sum() == 1  # all but the middle face touch the boundary
 
 
+@pytest.mark.parametrize(("sharpness", "shown"), [(10.0, [4, 8]), (9.9, [4])])
+def test_a_boundary_face_is_no_hole_if_all_boundary_edges_at_it_are_infinitely_sharp(
+    sharpness: float, shown: list[int]
+) -> None:
+    """As in OpenSubdiv: the last face of nine, of which four boundary edges are creases."""
+    mesh = grid(3, 3)
+    boundary = np.array([[11, 15], [7, 11], [14, 15], [13, 14]])
+    opened = refine(mesh.with_creases(boundary, sharpness), 1, CatmullClark("none"))
+    np.testing.assert_array_equal(np.flatnonzero(~opened.holes(0)), shown)
+
+
 def test_smooth_triangles_weigh_more_in_edge_points() -> None:
     # 0.47 for each of the two face points, 0.03 for each end: face points are a third of each corner.
     row = refine(tetrahedron(), 1, CatmullClark(triangles="smooth")).matrices[0][[4]].toarray()[0]

@@ -15,10 +15,10 @@ from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import cage_triangles, faces_of_one_size, keep_faces, labels_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.mesh_report import first_few
-from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
+from cagemap.mesh.schemes import INFINITE_SHARPNESS, SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import BoolArray, mesh_topology
-from cagemap.numerics.arrays import FloatArray, IndexArray, places_of
+from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys, places_of
 from cagemap.numerics.threads import kept
 from cagemap.subdivision.face_varying import Layout, refined_layout
 from cagemap.subdivision.matrices import subdivision_matrix
@@ -285,13 +285,22 @@ def state_of(refinement: Refinement, level: int) -> MeshState:
 
 
 def control_holes(control: ControlMesh, scheme: Scheme) -> BoolArray:
-    """(m,) whether a control face is a hole: in the file, or at the boundary under boundary ``none``."""
+    """(m,) whether a control face is a hole: in the file, or at the boundary under boundary ``none``.
+
+    As in OpenSubdiv, a face at the boundary is no hole if all boundary edges at its vertices are infinitely sharp.
+    """
     holes = np.zeros(control.n_faces, dtype=bool)
     if control.hole_faces is not None:
         holes[control.hole_faces] = True
     if scheme.boundary == "none" and not isinstance(scheme, Bilinear):
-        boundary = control_topology(control).boundary
-        holes[control.corner_faces[boundary[control.face_indices]]] = True
+        topology, n = control_topology(control), control.n_vertices
+        outer = topology.edge_ends[topology.outer_edges].astype(np.int64)
+        if control.crease_edges is not None and control.crease_sharpness is not None:
+            infinite = control.crease_edges[control.crease_sharpness >= INFINITE_SHARPNESS]
+            outer = outer[~np.isin(pair_keys(outer, n), pair_keys(infinite, n))]
+        not_sharp = np.zeros(n, dtype=bool)
+        not_sharp[outer] = True
+        holes[control.corner_faces[not_sharp[control.face_indices]]] = True
     return holes
 
 
