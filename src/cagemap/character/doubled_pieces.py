@@ -25,14 +25,14 @@ _MIN_CLOSE_SHARE = 0.75
 # Largest distance that is close, divided by the larger diagonal of the bounding boxes of the two pieces. Ears of two
 # elephants have 0.21 (docs/lab/characters.md).
 _MAX_PIECE_DISTANCE = 0.25
-# Least ratio of the two diagonals; ears of two elephants have 0.51. Every point of a small ball
-# inside a much larger one is close to it, so sizes are compared too.
+# Least ratio of the two diagonals; ears of two elephants have 0.51. Every point of a small ball inside a much larger
+# one is close to it, so sizes are compared too.
 _MIN_SIZE_RATIO = 0.4
 # Largest distance that is close to the surface, divided by the diagonal of the piece's bounding box.
 _MAX_SURFACE_DISTANCE = 0.4
-# A triangle of the piece is away from its part of the target if its distance, on the source, from the image of the
-# closest point of the target exceeds its distance from that point on the target by this much, each divided by the
-# diagonal of the bounding box of the piece there.
+# A triangle of the piece is carried to the target, its closest point there is found, and this point is mapped to the
+# source. The triangle is away if its distance from the mapped point exceeds its distance from the closest point by this
+# much. Distances are divided by the diagonal of the piece's bounding box, on the source and on the target.
 _MIN_EXTRA_DISTANCE = 0.1
 # The target's surface has a piece itself if at least this share of the piece's area is away. Pieces to leave out (feet,
 # legs, hands, heads) have 0.71 or more; pieces to carry have less: trousers over deleted legs 0.59, shoes over deleted

@@ -35,7 +35,7 @@ _CONFIG = CollisionConfig()
 
 @dataclass(frozen=True, eq=False)
 class Collisions:
-    """Vertices inside another part of the surface."""
+    """Vertices that lie inside another part of the same surface."""
 
     vertices: IndexArray  # (k,)
     exits: FloatArray  # (k, 3) vectors to the nearest point of the surface whose normal opposes the vertex's own

@@ -36,7 +36,7 @@ LANDMARK_STEPS = 4
 INVERSE_STEPS = 8
 # Curves are sampled on the first level with so many vertices: finer than the deformed level.
 CURVE_VERTICES = 15_000
-# Pieces of a straight line between two points of a curve that no edge joins.
+# Number of segments into which a curve is divided between two of its points that no edge joins.
 STRAIGHT_PIECES = 8
 
 LevelPair = tuple[int, int]

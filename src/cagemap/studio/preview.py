@@ -136,7 +136,7 @@ class Preview:
             return kind in (*self._requests, self._running_kind)
 
     def drop_map_requests(self) -> bool:
-        """Drop maps that wait; return whether there was one."""
+        """Remove requests for a map that have not begun; return whether there was one."""
         with self._condition:
             dropped = [self._requests.pop(kind, None) for kind in ("map", "answer")]
         return dropped != [None, None]

@@ -35,7 +35,7 @@ log = logging.getLogger(__name__)
 
 
 class PreviewResults(LandmarkEdits):
-    """The state with the preview, whose results it shows.
+    """Starts tasks of the preview process, and changes the state by their results.
 
     Parameters
     ----------

@@ -68,7 +68,7 @@ class Session(PreviewResults):
         with self.report_errors(), self._lock:
             files, opened = self.workspace.resolve_paths(files), self._state.files
             if opened is not None and self._scene is not None and replace(files, texture=opened.texture) == opened:
-                # One that is being drawn is not in `opened` yet.
+                # `opened` has the image that is shown; another one may be requested.
                 if files.texture != opened.texture or self._preview.is_requested("image"):
                     self.show(map_view(self._state.view))
                     self._preview.show_image(files.texture)
@@ -177,7 +177,7 @@ class Session(PreviewResults):
     # Finish
 
     def plan(self, options: FinishOptions) -> tuple[Command, ...]:
-        """Commands of a finish; see `with_defaults` for what it makes by default.
+        """Commands that a press of *Bake* runs, with the default options of `with_defaults`.
 
         Raises
         ------

@@ -127,13 +127,12 @@ def _image_file(
         return image_file, None
     document = document or material_document(path, result.source.control)
     found = color_texture(document, result.source.control)
-    image = None if document is None or found is None else write_texture(path, document, found, request.result)
-    if found is None or image is None:
+    if document is None or found is None:
         raise ParameterError(
             f"{path}: expected a colour image on most of {result.source.control.name} for its UV set in use, found "
             "none. Match with another --source-uv-set, give an image made for these UVs, or bake --material-colors."
         )
-    return image, found
+    return write_texture(path, document, found, request.result), found
 
 
 def _bake_map(

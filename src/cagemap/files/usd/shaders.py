@@ -68,7 +68,7 @@ def _is_plain(texture: Any, slot: str) -> bool:
 
 
 def _transform_of(texture: Any) -> dict[str, Any] | None:
-    """The transform of a texture shader as KHR_texture_transform; the inverse of `cagemap.files.usd.materials`."""
+    """A texture shader's transform as glTF's KHR_texture_transform; `usd.materials` converts the other way."""
     transform = uv_transform(texture)
     if not transform:
         return None

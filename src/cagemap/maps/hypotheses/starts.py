@@ -61,14 +61,14 @@ def axis_rotation(areas: FloatArray, maps: FloatArray) -> FloatArray:
 
 
 def up_rotations(prepared: PreparedPair) -> tuple[FloatArray, FloatArray]:
-    """Rotations (3, 3) for rows of target and source to +Y up, to the nearest axes; the identity if it is unknown."""
+    """Rotations (3, 3) of target and source to +Y up, about axes; the identity if the up axis is unknown."""
     given = (side.control.upright for side in (prepared.target, prepared.source))
     target, source = (Y_UP if upright is None else nearest_axis_rotation(upright) for upright in given)
     return target, source
 
 
 def usual_rotations(prepared: PreparedPair) -> list[FloatArray]:
-    """Rotations (3, 3) without a penalty: the identity, and the one from the target's up axis to the source's."""
+    """Rotations (3, 3) that have no penalty: the identity, and that from the target's up axis to the source's."""
     target, source = up_rotations(prepared)
     onto_source = source @ target.T
     return [np.eye(3)] if np.array_equal(onto_source, np.eye(3)) else [np.eye(3), onto_source]

@@ -93,7 +93,7 @@ function field({kind, label, value, choices, usual, suffixes, least, most, step}
   }
 }
 
-// Build the form; returns functions that give what is asked for, by the fields' keys, and that clear names of files.
+// Build the form; returns `values`, which gives changed options by key, and `clearFiles`, which empties names of files.
 export function buildForm({first, folds}, above, below) {
   const asked = {}, usual = {}, ofPair = [];
   const line = one => {

@@ -77,7 +77,7 @@ function showSeconds() {  // beside the status, which screen readers say
 }
 setInterval(showSeconds, 1000);
 function text(id, words) { if ($(id).textContent !== words) $(id).textContent = words; }
-// Whether what an element is made of has changed since the last time: an element that is made anew loses clicks and focus.
+// Whether the content of an element has changed since it was built: rebuilding an element loses clicks and focus.
 const made = {};
 function changed(id, value) {
   const before = made[id];
