@@ -202,6 +202,17 @@ def test_files_beside_an_output_go_to_the_pair_and_a_report_comes_last(folder: P
         real_plan(folder, text.replace("{target}.exr", "../b.exr"))
 
 
+def test_outputs_of_a_pair_may_add_to_one_layer(folder: Path) -> None:
+    text = HEAD + ASSETS + '[[pairs]]\nsource = "a"\ntarget = "b"\n'
+    for output in ("color", "height"):
+        text += f'[[outputs]]\ncommand = "transfer"\noutput = "{output}.png"\nusd = "layers/{{target}}.usda"\n'
+    tasks = [task for task in real_plan(folder, text).tasks if task.kind == "transfer"]
+    assert [task.outputs[1] for task in tasks] == 2 * ["a__b/layers/b.usda"]
+    assert [task.added_to for task in tasks] == ["a__b/layers/b.usda", ""]
+    with pytest.raises(FormatError, match=r"two outputs of a -> b write a__b/layers/b\.usda"):
+        real_plan(folder, text + '[[outputs]]\ncommand = "wrap"\noutput = "layers/b.usda"\n')
+
+
 def refusal(folder: Path, text: str) -> str:
     """What is said of a job file with the commands' real options."""
     with pytest.raises(FormatError) as caught:

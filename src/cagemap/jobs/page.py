@@ -86,7 +86,7 @@ def pair_rows(
                 sum(o.seconds for _, o in tasks_of_pair if o is not None),
                 quality,
                 None if cycle_errors is None else cycle_errors.get((pair[1], pair[0])),
-                tuple(name for name in files if not name.endswith(PICTURE_FILE)),
+                tuple(name for name in dict.fromkeys(files) if not name.endswith(PICTURE_FILE)),
                 picture.read_bytes() if picture.is_file() else b"",
                 next((outcome.failure for outcome in (*failed, *causes) if outcome.code), {}),
             )

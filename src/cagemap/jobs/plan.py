@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from cagemap.files.images.image import texture_files
 from cagemap.files.meshes.formats import referred_files
 from cagemap.files.result.folder import ARRAYS
 from cagemap.files.result.manifest import file_hash
+from cagemap.jobs import LAYER_OPTION
 from cagemap.jobs.job import Job
 from cagemap.jobs.job_checks import resolve_files
 from cagemap.jobs.job_schema import MAP_OPTIONS, Asset, OutputRule, asset_names, fill_placeholders
@@ -52,6 +53,7 @@ class Task:
     predecessors: tuple[str, ...] = ()  # names of tasks that must have ended before, in success or failure
     # `content_hash` of the input files at planning
     input_hashes: dict[str, str] = field(default_factory=dict, repr=False)
+    added_to: str = ""  # the layer among its outputs if later tasks add to it
 
     @property
     def slug(self) -> str:
@@ -101,7 +103,10 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
             if isinstance(task, str):
                 omitted_outputs.append(task)
                 continue
-            overlap = {path for task in earlier for path in task.outputs} & set(task.outputs)
+            layer = _layer(task, job.output)
+            sharing = [other for other in earlier if layer and _layer(other, job.output) == layer]
+            overlap = {path for other in earlier for path in other.outputs if other not in sharing or path != layer}
+            overlap &= set(task.outputs)
             if overlap or task.name in tasks:
                 raise FormatError(
                     f"{job.path}: two outputs of {pair[0]} -> {pair[1]} write {(overlap or {task.outputs[0]}).pop()}. "
@@ -112,9 +117,14 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
                     f"{job.path}: an output of {pair[0]} -> {pair[1]} is called {PICTURE_FILE}, as the job's own "
                     "picture of each pair is. Rename it."
                 )
-            earlier.append(task)
-            tasks[task.name] = task
+            earlier = [replace(other, added_to=layer) if other in sharing else other for other in earlier] + [task]
+            tasks |= {one.name: one for one in earlier}
     return Plan(job.output, tuple(tasks.values()), tuple(pairs), tuple(omitted_outputs))
+
+
+def _layer(task: Task, root: Path) -> str:
+    """The layer among a task's outputs; empty if it writes none."""
+    return next((path for path in task.outputs if task.request.get(LAYER_OPTION) == str(root / path)), "")
 
 
 def _rule_pairs(
