@@ -271,7 +271,7 @@ def run_task(task: Task) -> dict[str, Any]:
 def _map_figures(manifest: dict[str, Any]) -> dict[str, Any]:
     """Figures, notes and warnings of a map, from its manifest."""
     warnings = [*landmark_messages(manifest), *manifest["quality"]["warnings"]]
-    known = {name: manifest[name] for name in ("quality", "timings", "notes") if name in manifest}
+    known: dict[str, Any] = {name: manifest[name] for name in ("quality", "timings", "notes") if name in manifest}
     return {**known, "warnings": warnings}
 
 
