@@ -293,6 +293,23 @@ def test_the_same_pair_with_two_choices_is_refused(folder: Path) -> None:
         plan_of(folder, HEAD + ASSETS + twice)
 
 
+@pytest.mark.parametrize(
+    ("names", "pairs"),
+    [
+        (("man", "man__a", "a__b", "b"), (("man", "a__b"), ("man__a", "b"))),
+        (("man", "Man", "b"), (("man", "b"), ("Man", "b"))),
+    ],
+)
+def test_pairs_that_would_share_a_folder_are_refused(
+    names: tuple[str, ...], pairs: tuple[tuple[str, str], ...], folder: Path
+) -> None:
+    text = HEAD + "".join(f'[[assets]]\nname = "{name}"\nfile = "a.obj"\n' for name in names)
+    text += "".join(f'[[pairs]]\nsource = "{source}"\ntarget = "{target}"\n' for source, target in pairs)
+    shown = [f"{source} -> {target}" for source, target in pairs]
+    with pytest.raises(FormatError, match=f"{shown[0]} and {shown[1]} would be written to one folder"):
+        plan_of(folder, text)
+
+
 def test_a_tree_joins_all_along_shapes_that_are_alike(folder: Path) -> None:
     write_mesh(folder / "d.obj", cube())
     text = HEAD + ASSETS + '[[assets]]\nname = "d"\nfile = "d.obj"\n[[pairs]]\ntree = "all"\n'

@@ -11,7 +11,7 @@ import numpy as np
 
 from cagemap.files.result.folder import ARRAYS
 from cagemap.jobs.consistency import MapKey
-from cagemap.jobs.plan import DETOUR_FOLDER, PairNames, Plan, Task, task_key
+from cagemap.jobs.plan import DETOUR_FOLDER, PairNames, Plan, Task, pair_folder, task_key
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality
@@ -82,7 +82,7 @@ def add_detours(plan: Plan, detours: Mapping[MapKey, Sequence[str]], version: st
     composed: dict[PairNames, Task] = {}
     for (target, source), names in detours.items():
         steps = [matches[end, start] for start, end in itertools.pairwise(names)]
-        folder = f"{source}__{target}/{DETOUR_FOLDER}"
+        folder = f"{pair_folder((source, target))}/{DETOUR_FOLDER}"
         request = {
             "way": [step.request["output"] for step in steps],
             "names": list(names),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -86,6 +86,7 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
                 raise FormatError(
                     f"{job.path}: {pair[0]} -> {pair[1]} is asked for twice with different options. Keep one of them."
                 )
+    _require_own_folders(job, pairs)
     for pair, options in pairs.items():
         source, target = (job.assets[name] for name in pair)
         sides = [("target", target), ("source", source)]
@@ -120,6 +121,24 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
             earlier = [replace(other, added_to=layer) if other in sharing else other for other in earlier] + [task]
             tasks |= {one.name: one for one in earlier}
     return Plan(job.output, tuple(tasks.values()), tuple(pairs), tuple(omitted_outputs))
+
+
+def pair_folder(pair: PairNames) -> str:
+    """Folder of a pair's files, in the job's output folder."""
+    source, target = pair
+    return f"{source}__{target}"
+
+
+def _require_own_folders(job: Job, pairs: Iterable[PairNames]) -> None:
+    """Refuse pairs with one folder, on disks too that do not tell capitals from small letters."""
+    pair_of: dict[str, PairNames] = {}
+    for pair in pairs:
+        other = pair_of.setdefault(pair_folder(pair).casefold(), pair)
+        if other != pair:
+            raise FormatError(
+                f"{job.path}: {other[0]} -> {other[1]} and {pair[0]} -> {pair[1]} would be written to one folder, "
+                f"{pair_folder(pair)}. Rename one of these assets."
+            )
 
 
 def _layer(task: Task, root: Path) -> str:
@@ -213,7 +232,7 @@ class _Planner:
 
     def match(self, source: Asset, target: Asset, options: dict[str, Any], needs: list[Task]) -> Task:
         """The task of a pair's map."""
-        folder = f"{source.name}__{target.name}/{RESULT_FOLDER}"
+        folder = f"{pair_folder((source.name, target.name))}/{RESULT_FOLDER}"
         sides = ("target", target), ("source", source)
         inputs: dict[str, Any] = {"target": str(target.file), "source": str(source.file)}
         inputs |= {f"{side}_scheme": asset.scheme for side, asset in sides if asset.scheme is not None}
@@ -239,7 +258,7 @@ class _Planner:
         folder = match.request["output"]
         request = {"result": folder, "output": str(Path(folder).parent / PICTURE_FILE)}
         key = task_key(self.version, "picture", match.key)
-        file = f"{source}__{target}/{PICTURE_FILE}"
+        file = f"{pair_folder(match.pair)}/{PICTURE_FILE}"
         return Task("picture", f"picture {source} -> {target}", key, (match.name,), request, (file,), match.pair)
 
     def output(self, rule: OutputRule, source: Asset, target: Asset, match: Task, earlier: list[Task]) -> Task | str:
@@ -259,7 +278,7 @@ class _Planner:
             in_pair = option in ("output", *command.written)
             options[option] = filled if in_pair else resolve_files(filled, command.kinds[option], self.job.path.parent)
         files = {
-            option: Path(f"{source.name}__{target.name}", options.pop(option)).as_posix()
+            option: Path(pair_folder((source.name, target.name)), options.pop(option)).as_posix()
             for option in ("output", *command.written)
             if option in options
         }
