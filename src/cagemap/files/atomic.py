@@ -27,6 +27,8 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _STORAGE = (*_FULL, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENAMETOOLONG)
 # Seconds after which a temporary file must be locked: it is locked just after it is created.
 _SETTLED = 10.0
+# Files of one `all_or_nothing` that are locked until its end: a lock is an open file, of which some systems allow 256.
+_MAX_LOCKED = 64
 # The process's umask, read once: reading sets it for a moment, also for other threads.
 _UMASK = os.umask(0o077)
 os.umask(_UMASK)
@@ -120,11 +122,12 @@ def atomic_path(
     with ExitStack() as removed:
         temporary = _reserve(target)
         removed.callback(temporary.unlink, missing_ok=True)
-        removed.enter_context(_hold_lock(temporary))
-        with _name_output_in_disk_errors(target, _FULL):
-            yield temporary
+        with _hold_lock(temporary):
+            with _name_output_in_disk_errors(target, _FULL):
+                yield temporary
+            if together is None or len(together[0]) < _MAX_LOCKED:
+                removed.enter_context(_hold_lock(temporary))  # libraries may have put another file in its place
         with _name_output_in_disk_errors(target):
-            removed.enter_context(_hold_lock(temporary))  # libraries may have put another file in its place
             if not verify(temporary):
                 raise FormatError(
                     f"{target}: could not be written whole; what was there before is kept. Check the room on the disk."
