@@ -339,7 +339,10 @@ def _allow_replacing(root: Path, task: Task, note: dict[str, Any]) -> Task:
 
 
 def _remove_leftovers(root: Path, task: Task) -> None:
-    """Remove temporary files of a killed run of this task; the task's lock is held."""
+    """Remove temporary files of a killed run of this task; the task's lock is held.
+
+    `cagemap.files.atomic` removes them only after some seconds, and never on systems or disks without file locks.
+    """
     for output in task.outputs:
         for folder in (root / output, (root / output).parent):
             for leftover in leftovers(folder):
