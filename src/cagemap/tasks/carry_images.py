@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cagemap.errors import ParameterError
+from cagemap.files.atomic import all_or_nothing
 from cagemap.files.gltf.document import GLTF_SUFFIXES
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import MaterialImage, png_bytes, write_numbered
@@ -84,11 +85,15 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
     prepared = prepare_bake(
         request, result, stages, dict(zip((name or "texture" for name, *_ in maps), outputs, strict=True))
     )
-    for (name, path, texture), output in zip(maps, outputs, strict=True):
-        map_request = replace(request, output=output)
-        image = _bake_map(map_request, result, prepared, name, path, stages, texture)
-        entry = _entry("texture", path if atlas is None or given is None else given, image)
-        summary, warnings = record_bake(map_request, prepared, entry | ({"map": name} if name else {}), stages)
+    requests = [replace(request, output=output) for output in outputs]
+    entries: list[dict[str, Any]] = []
+    with all_or_nothing():
+        for (name, path, texture), map_request in zip(maps, requests, strict=True):
+            image = _bake_map(map_request, result, prepared, name, path, stages, texture)
+            entry = _entry("texture", path if atlas is None or given is None else given, image)
+            entries.append(entry | ({"map": name} if name else {}))
+    for map_request, entry in zip(requests, entries, strict=True):
+        summary, warnings = record_bake(map_request, prepared, entry, stages)
     is_gltf = given is not None and given.suffix.lower() in GLTF_SUFFIXES
     if is_gltf and document is not None and (tinted := tinted_materials(document, source)):
         colors = f"the colours that multiply the images of {first_few(tinted)} are not baked"
@@ -281,6 +286,7 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
         stages,
         "the target's",
         partial(mask_function, request, prepared.transfer),
+        prepared.write_mesh,
     )
     for kind, path in images.items():
         entry = {"kind": f"bake-{kind}", "output": udim_path(path, prepared.tiles[0]), "tiles": prepared.tiles}

@@ -12,7 +12,7 @@ from typing import Any, get_args
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.files.atomic import check_outputs
+from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.images.image import (
     Image,
     check_writable,
@@ -166,12 +166,14 @@ def bake_detail(
     stages: Stages,
     units: str,
     finished: Callable[[BakeKind], Callable[[Image, BakeOptions], Image]] = lambda _: lambda image, _: image,
+    write_mesh: Callable[[], None] = lambda: None,
 ) -> list[str]:
-    """Bake and write all images; returns one line about each.
+    """Bake and write all images together; returns one line about each.
 
     ``colors``: (n, 3) at the detail's vertices, or None if colours are not requested.
     ``units``: owner of the units of lengths, for the lines.
     ``finished``: kind -> function from a baked image to the image to write.
+    ``write_mesh``: writes the mesh that belongs to the images.
     """
     lines, request, image = [], bakes.request, bakes.texture
     space, green = request.space, request.green
@@ -193,28 +195,30 @@ def bake_detail(
         assert values is not None
         return bake_detail_values(transfer, detail, values, **given)
 
-    for kind, path in bakes.images.items():
-        dtype, scale, values = bakes.dtype(kind), 1.0, colors
-        if kind == "ao":
-            stages("ambient occlusion")
-            values = ambient_occlusion(detail.surface, request.rays)
-        elif kind == "colors" and colors is not None and dtype.kind == "f":  # images of floats are linear
-            values = decode_srgb(colors)
-        elif kind in ("displacement", "vector-displacement") and dtype.kind == "u":
-            stages(f"range of {kind}")
-            scale = _range(partial(bake, kind, None, np.dtype(np.float32), 1.0), tiles)
-        bake_kind = partial(bake, kind, values, dtype, scale)
-        write_tiles(path, tiles, bake_kind, stages, finished(kind), force=request.force, name=kind)
-        meaning = f"(value - {0.5 if dtype.kind == 'u' else 0.0:g}) * {scale:.6g} in {units} units"
-        descriptions: dict[BakeKind, str] = {
-            "normal": f"normals in {request.space} space, green {request.green}",
-            "displacement": f"height along the normal = {meaning}",
-            "vector-displacement": f"offset in {request.space} space = {meaning}",
-            "ao": "ambient occlusion",
-            "colors": "colours",
-            "texture": "the detailed mesh's texture",
-        }
-        lines.append(f"wrote {path}: {descriptions[kind]}")
+    with all_or_nothing():
+        write_mesh()
+        for kind, path in bakes.images.items():
+            dtype, scale, values = bakes.dtype(kind), 1.0, colors
+            if kind == "ao":
+                stages("ambient occlusion")
+                values = ambient_occlusion(detail.surface, request.rays)
+            elif kind == "colors" and colors is not None and dtype.kind == "f":  # images of floats are linear
+                values = decode_srgb(colors)
+            elif kind in ("displacement", "vector-displacement") and dtype.kind == "u":
+                stages(f"range of {kind}")
+                scale = _range(partial(bake, kind, None, np.dtype(np.float32), 1.0), tiles)
+            bake_kind = partial(bake, kind, values, dtype, scale)
+            write_tiles(path, tiles, bake_kind, stages, finished(kind), force=request.force, name=kind)
+            meaning = f"(value - {0.5 if dtype.kind == 'u' else 0.0:g}) * {scale:.6g} in {units} units"
+            descriptions: dict[BakeKind, str] = {
+                "normal": f"normals in {request.space} space, green {request.green}",
+                "displacement": f"height along the normal = {meaning}",
+                "vector-displacement": f"offset in {request.space} space = {meaning}",
+                "ao": "ambient occlusion",
+                "colors": "colours",
+                "texture": "the detailed mesh's texture",
+            }
+            lines.append(f"wrote {path}: {descriptions[kind]}")
     return lines
 
 

@@ -44,11 +44,11 @@ def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> M
     """Merge results of parts: their meshes become pieces of one mesh.
 
     ``parts``: results with one level and scheme for each side.
-    ``provenance``: entries in addition to those of the first part.
+    ``provenance``: entries in addition to those of the last part, whose timings and peak memory count all parts.
     """
-    first, provenance = parts[0], parts[0].provenance | provenance
+    last, provenance = parts[-1], parts[-1].provenance | provenance
     if len(parts) == 1:
-        return replace(first, provenance=provenance)
+        return replace(last, provenance=provenance)
     target, target_numbers = _merge_sides([part.target for part in parts])
     source, source_numbers = _merge_sides([part.source for part in parts])
     target_surface, source_surface = target.finest_triangles, source.finest_triangles
@@ -78,7 +78,7 @@ def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> M
         landmarks,
         point_map,
         replace(quality, trust=trust, warnings=(*kept, *quality.warnings, *apart), match_warnings=tuple(kept)),
-        first.timings,
+        last.timings,
         check,
         confidence=_least_confidence(parts),
         masks=masks,
