@@ -21,6 +21,8 @@ from cagemap.files.meshes.colors import read_material_statements
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.meshes.obj import MATERIAL_FILE_LINE, material_files
 from cagemap.files.text import read_text
+from cagemap.files.usd.space import to_standard
+from cagemap.files.usd.stages import is_usd
 from cagemap.studio.scene import Scene
 from cagemap.studio.state import Output, StudioState, image_uv_set, layout_mesh
 
@@ -55,12 +57,16 @@ def textured_model_name(state: StudioState) -> str | None:
 
 
 def textured_model(state: StudioState, scene: Scene | None) -> bytes:
-    """The target with the first baked image, as binary glTF; parts that are not open are grey."""
+    """The target with the first baked image, as binary glTF; parts that are not open are grey.
+
+    A USD target is in metres with Y up. Vertex colours are left out: glTF multiplies them with the image.
+    """
     image = _first_image(state)
     assert image is not None
     assert state.files is not None
     layout = layout_mesh(state, image)
-    mesh = read_whole(layout or state.files.target)
+    target = state.files.target
+    mesh = replace(read_whole(layout or target), vertex_colors=None)
     uv_set = image_uv_set(state, image)
     if layout is None and uv_set is not None:
         mesh = replace(mesh.with_uv_set(uv_set), uv_name="")  # written first: named sets keep their numbers
@@ -72,7 +78,7 @@ def textured_model(state: StudioState, scene: Scene | None) -> bytes:
     mesh = replace(mesh, face_materials=materials, material_names=names, material_colors=colors[: len(names)])
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "mesh.glb"
-        write_glb(file, mesh)
+        write_glb(file, mesh, to_metres=to_standard(target) if is_usd(target) else None)
         slots = {(image.stem, "baseColorTexture"): png_bytes(read_image(image))}
         return glb_bytes(with_images(read_document(file), slots))
 
