@@ -19,7 +19,6 @@ from cagemap.errors import FormatError
 from cagemap.files.usd.prims import (
     BLEND_SHAPE,
     blend_shapes,
-    corner_primvars,
     corner_values,
     display_colors,
     face_sets,
@@ -67,8 +66,6 @@ class UsdMesh:
     attributes: dict[str, Any]
     to_world: FloatArray  # (4, 4) from local to world space, for positions as rows with 1 appended
     world_upright: FloatArray  # (3, 3) rotation of rows from world space to +Y up
-    # names of attributes with rows for face corners; if no faces share vertices, the number of rows does not show it
-    of_corners: frozenset[str] = frozenset()
     shape_normals: dict[str, FloatArray] = field(default_factory=dict)  # offsets (n, 3) of normals by blend shape
     colors: FloatArray | None = None  # (c, 4) linear with opacity, of face corners; None if ``control`` has them all
 
@@ -261,8 +258,7 @@ def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
         control = replace(control, vertex_colors=_mean_colors(where, control, encode_srgb(colors[:, :3])))
     path = str(prim.GetPath())
     upright = Z_UP if str(pxr.UsdGeom.GetStageUpAxis(prim.GetStage())) == "Z" else Y_UP
-    to_world, of_corners = local_to_world(prim), corner_primvars(prim)
-    read = UsdMesh(path, control, attributes, to_world, upright, of_corners, shape_normals, colors)
+    read = UsdMesh(path, control, attributes, local_to_world(prim), upright, shape_normals, colors)
     return _reverse_orientation(read) if mesh.GetOrientationAttr().Get() == "leftHanded" else read
 
 
@@ -328,7 +324,7 @@ def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
 
 
 def _reverse_orientation(mesh: UsdMesh) -> UsdMesh:
-    """A mesh and its values with reversed face orientation, for left-handed meshes."""
+    """A mesh and its values with reversed face orientation, for left-handed meshes; see `primvar_arrays`."""
     control, attributes = mesh.control, mesh.attributes
     mirrored = reversed_corners(control.face_offsets)
     turned = replace(
@@ -337,7 +333,8 @@ def _reverse_orientation(mesh: UsdMesh) -> UsdMesh:
         uv_indices=None if control.uv_indices is None else control.uv_indices[mirrored],
         uv_sets=tuple(replace(uv_set, uv_indices=uv_set.uv_indices[mirrored]) for uv_set in control.uv_sets),
     )
-    attributes = attributes | {name: attributes[name][mirrored] for name in mesh.of_corners & set(attributes)}
+    if len(mirrored) != control.n_vertices:
+        attributes = {name: rows[mirrored] if len(rows) == len(mirrored) else rows for name, rows in attributes.items()}
     colors = None if mesh.colors is None else mesh.colors[mirrored]
     return replace(mesh, control=turned, attributes=attributes, colors=colors)
 
