@@ -413,6 +413,25 @@ def test_values_of_corners_that_would_be_taken_for_vertices_are_left_out(
     assert "primvar heat of corners is left out: there are as many vertices" in caplog.text
 
 
+def test_a_part_has_the_uv_set_of_its_mesh_in_use(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The other mesh's set holds nothing for it."""
+    places = cube().positions[:, :2]
+    for name in ("st", "UVMap"):
+        mesh = cube().with_uvs(places, cube().face_indices)
+        write_usd(tmp_path / f"{name}.usda", replace(mesh, uv_name=name))
+    with stage_at(tmp_path / "pair.usda") as stage:
+        for name in ("st", "UVMap"):
+            given = Sdf.Layer.FindOrOpen(str(tmp_path / f"{name}.usda"))
+            Sdf.CopySpec(given, "/Asset/mesh", stage.GetRootLayer(), f"/{name}_mesh")
+    pair = read_usd(tmp_path / "pair.usda")
+    assert "pair.usda: /UVMap_mesh has no UV set st" in caplog.text
+    assert "/st_mesh has" not in caplog.text
+    for name in ("st", "UVMap"):
+        part = extract_faces(pair, find_part(pair, f"{name}_mesh").faces)
+        assert part.uv_name == name
+        assert part.has_layout
+
+
 def test_large_whole_numbers_are_written_unchanged(tmp_path: Path) -> None:
     ids = {
         "int64": 2**40 + np.arange(8),

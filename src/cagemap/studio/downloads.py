@@ -67,12 +67,13 @@ def textured_model(state: StudioState, scene: Scene | None) -> bytes:
     layout = layout_mesh(state, image)
     target = state.files.target
     mesh = replace(read_whole(layout or target), vertex_colors=None)
-    uv_set = image_uv_set(state, image)
+    opened = None if scene is None or mesh.n_vertices != scene.target.file_mesh.n_vertices else scene.target
+    uv_set = image_uv_set(state, image) or (None if opened is None else opened.control.uv_name)
     if layout is None and uv_set is not None:
         mesh = replace(mesh.with_uv_set(uv_set), uv_name="")  # written first: named sets keep their numbers
     materials = np.zeros(mesh.n_faces, dtype=np.int64)
-    if scene is not None and mesh.n_vertices == scene.target.file_mesh.n_vertices:
-        is_open = scene.target.to_control_vertices(np.arange(mesh.n_vertices)) >= 0
+    if opened is not None:
+        is_open = opened.to_control_vertices(np.arange(mesh.n_vertices)) >= 0
         materials[mesh.corner_faces[~is_open[mesh.face_indices]]] = 1
     names, colors = (image.stem, _OTHER_PARTS)[: 1 + materials.max()], np.array([[1.0] * 3, _GREY])
     mesh = replace(mesh, face_materials=materials, material_names=names, material_colors=colors[: len(names)])
