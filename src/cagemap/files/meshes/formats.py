@@ -65,7 +65,7 @@ def read_mesh(path: str | Path) -> ControlMesh:
         If the extension is unknown, or the file cannot be read.
     """
     mesh = _READERS[_extension(path)](path)
-    for value in vars(mesh).values():
+    for value in (value for of in (mesh, *mesh.uv_sets) for value in vars(of).values()):
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
     return mesh
