@@ -57,16 +57,13 @@ def textured_model_name(state: StudioState) -> str | None:
 
 
 def textured_model(state: StudioState, scene: Scene | None) -> bytes:
-    """The target with the first baked image, as binary glTF; parts that are not open are grey.
-
-    A USD target is in metres with Y up. Vertex colours are left out: glTF multiplies them with the image.
-    """
+    """The target with the first baked image, as binary glTF; parts that are not open are grey."""
     image = _first_image(state)
     assert image is not None
     assert state.files is not None
     layout = layout_mesh(state, image)
     target = state.files.target
-    mesh = replace(read_whole(layout or target), vertex_colors=None)
+    mesh = replace(read_whole(layout or target), vertex_colors=None)  # glTF multiplies them with the image
     opened = None if scene is None or mesh.n_vertices != scene.target.file_mesh.n_vertices else scene.target
     uv_set = image_uv_set(state, image) or (None if opened is None else opened.control.uv_name)
     if layout is None and uv_set is not None:
