@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 from cagemap.character.passengers import carry_passenger, unit_factor
 from cagemap.errors import ParameterError
@@ -238,12 +239,14 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     target, source = (input_file(request.result, result.manifest, side) for side in ("target", "source"))
     worn = mesh.with_positions(transform_points(mesh.positions, between_spaces(source, request.passenger)))
     carried = carry_passenger(result, worn, kind=request.kind)
-    places, like = carried.positions, request.passenger
+    placed, like = mesh.with_positions(carried.positions), request.passenger
     if states_units(request.passenger) and states_units(request.output):  # in the passenger's own units and axes
-        places = transform_points(places, between_spaces(request.passenger, target))
-    elif states_units(request.output) and target is not None and is_usd(target):
-        like = target
-    write_mesh(request.output, mesh.with_positions(places), like=like, force=request.force)
+        placed = mesh.with_positions(transform_points(placed.positions, between_spaces(request.passenger, target)))
+    else:
+        placed = replace(placed, upright=result.target.control.upright)
+        if states_units(request.output) and target is not None and is_usd(target):
+            like = target
+    write_mesh(request.output, placed, like=like, force=request.force)
     note_transfer(request.result, {"kind": "passenger", "file": request.passenger, "output": request.output})
     factor = unit_factor(result.point_map.source, worn.positions)
     figures = {"vertices": mesh.n_vertices, "distance": carried.distance, "unit_factor": factor}

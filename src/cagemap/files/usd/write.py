@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cagemap.character.joints import Skeleton
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.gltf.geometry import is_z_up
 from cagemap.files.ownership import mark
 from cagemap.files.text import text_name
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, transform_points
@@ -36,7 +37,6 @@ from cagemap.files.usd.write_mesh import (
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import reversed_corners
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.surface.alignment import Z_UP, nearest_axis_rotation
 
 _log = logging.getLogger(__name__)
 
@@ -92,9 +92,8 @@ def write_usd(
     file = Path(path)
     check_usd_path(file)
     pxr = usd_modules()
-    is_z_up = mesh.upright is not None and np.array_equal(nearest_axis_rotation(mesh.upright), Z_UP)
     stage = new_stage(
-        space or StageSpace("Z" if is_z_up else "Y", 1.0), "SkelRoot" if _needs_skeleton(results) else "Xform"
+        space or StageSpace("Z" if is_z_up(mesh) else "Y", 1.0), "SkelRoot" if _needs_skeleton(results) else "Xform"
     )
     prim = pxr.UsdGeom.Mesh.Define(stage, "/Asset/mesh")
     if mesh.scheme is not None and mesh.scheme.creasing != "uniform":

@@ -122,8 +122,13 @@ class FileRows:
         return self._spread(np.array(self.whole.positions), positions)
 
     def laid_out(self, uvs: FloatArray, uv_indices: IndexArray) -> ControlMesh:
-        """The file's mesh with texture coordinates of the part; its other faces keep theirs, or have (0, 0)."""
-        whole = self.whole
+        """The file's mesh with texture coordinates of the part; its other faces keep theirs, or have (0, 0).
+
+        They are in the part's UV set, if the file's mesh has UVs.
+        """
+        whole, name = self.whole, self.part.uv_name
+        if whole.uvs is not None and name in {one.name for one in whole.uv_sets}:
+            whole = whole.with_uv_set(name)
         others = np.zeros((1, 2)) if whole.uvs is None else whole.uvs
         every = np.zeros(len(whole.face_indices), dtype=np.int64) if whole.uv_indices is None else whole.uv_indices
         every = every + len(uvs)
