@@ -16,10 +16,13 @@ from cagemap.files.images.image import Image, check_writable, pixel_type, read_i
 from cagemap.files.inner_texture import color_texture, material_document, tinted_materials, write_texture
 from cagemap.files.meshes.formats import MESH_SUFFIXES, read_mesh
 from cagemap.files.meshes.ply import ply_image
-from cagemap.files.result.manifest import note_transfer
+from cagemap.files.result.manifest import input_file, note_transfer
+from cagemap.files.usd.prims import transform_points
 from cagemap.files.usd.results import preview_inputs, unbound_maps
+from cagemap.files.usd.space import between_spaces
 from cagemap.files.usd.write import UsdResults
 from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.tasks.bake_tiles import (
     DEFAULT_SIZE,
@@ -253,7 +256,7 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     kinds = _kinds(request)
     images = {kind: map_path(request.output, kind if len(kinds) > 1 else "") for kind in kinds}
     bakes = DetailBakes(images, request.size or base_size(request, kinds[0]) or DEFAULT_SIZE, request.bits, request)
-    mesh = None if request.detail is None else read_mesh(request.detail)
+    mesh = None if request.detail is None else _read_detail(request.detail, request, result)
     if mesh is not None and request.detail_texture is not None:
         bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture, request.filter))
     channels = {kind: bakes.channels(kind) for kind in kinds}
@@ -290,6 +293,13 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     if prepared.mesh is not None:
         lines.append(f"wrote {prepared.mesh}")
     return "\n".join(lines), warnings
+
+
+def _read_detail(file: Path, request: TransferRequest, result: MatchResult) -> ControlMesh:
+    """The detailed mesh in the units and axes of the source's file."""
+    mesh = read_mesh(file)
+    to_source = between_spaces(input_file(request.result, result.manifest, "source"), file)
+    return mesh.with_positions(transform_points(mesh.positions, to_source))
 
 
 def _kinds(request: TransferRequest) -> list[BakeKind]:

@@ -42,7 +42,7 @@ from cagemap.tasks.masks import ASSUMED_AT_VERTICES, keep_base, to_file_values, 
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import refuse_unread
 from cagemap.tasks.requests.transfer import TransferRequest, require_map_names
-from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
+from cagemap.tasks.rig import FAR, transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
 from cagemap.tasks.usd_output import missing_file_warnings, texture_reference, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 
@@ -225,11 +225,6 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     return line, warnings
 
 
-# Mean distance of a passenger (clothes, hair, props) from the body, in sqrt(body area), above which its units or
-# position are doubtful.
-_FAR_PASSENGER = 0.5
-
-
 def transfer_passenger(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry clothes, eyes, hair or a prop; UVs and materials do not change."""
     assert request.passenger is not None
@@ -251,7 +246,7 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     figures = {"vertices": mesh.n_vertices, "distance": carried.distance, "unit_factor": factor}
     stages.record(figures)
     warnings = []
-    if carried.distance > _FAR_PASSENGER or factor != 1.0:
+    if carried.distance > FAR or factor != 1.0:
         scaled = f" ({factor:g} times as large it would lie on it)" if factor != 1.0 else ""
         warnings.append(
             f"{request.passenger} is {carried.distance:.1f} body sizes away from "

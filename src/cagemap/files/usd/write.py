@@ -70,11 +70,7 @@ class UsdResults:
         """The results with positions and directions transformed by a (4, 4) matrix of USD."""
         turn = matrix[:3, :3]
         attributes = {n: v @ turn if n.startswith(BLEND_SHAPE) else v for n, v in self.attributes.items()}
-        skeleton = self.skeleton
-        if skeleton is not None:
-            axes = None if skeleton.axes is None else skeleton.axes @ turn
-            heads, tails = (transform_points(ends, matrix) for ends in (skeleton.heads, skeleton.tails))
-            skeleton = replace(skeleton, heads=heads, tails=tails, axes=axes)
+        skeleton = None if self.skeleton is None else self.skeleton.transformed(matrix)
         points = None if self.points is None else transform_points(self.points, matrix)
         return replace(self, attributes=attributes, points=points, skeleton=skeleton)
 
