@@ -43,6 +43,7 @@ from cagemap.tasks.detail_bakes import (
     DetailBakes,
     bake_detail,
     detail_texture,
+    grey_vertex_notes,
     mesh_detail,
     vertex_colors,
 )
@@ -269,12 +270,15 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
         stages("detail")
         detail, more = mesh_detail(mesh, prepared.transfer)
         warnings += more
-        colors = vertex_colors(mesh) if "colors" in kinds else None
     else:
-        detail, colors = Detail(prepared.transfer.point_map.source), None
-        if "colors" in kinds:
-            refinement = result.source.refinement
-            colors = refinement.prolong(vertex_colors(refinement.control), 0, refinement.finest_level).clip(0.0, 1.0)
+        detail = Detail(prepared.transfer.point_map.source)
+    colors = None
+    if "colors" in kinds:
+        refinement = result.source.refinement
+        colored = refinement.control if mesh is None else mesh
+        colors, warnings = vertex_colors(colored), warnings + grey_vertex_notes(colored)
+        if mesh is None:
+            colors = refinement.prolong(colors, 0, refinement.finest_level).clip(0.0, 1.0)
     lines = bake_detail(
         bakes,
         prepared.transfer,
