@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cagemap.files.images.image import read_image
+from cagemap.errors import ParameterError
+from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.mesh import ControlMesh
@@ -58,3 +59,52 @@ def test_vertices_without_a_colour_are_baked_grey(place: Path, output: str, own:
     if not own:  # subdivision mixes the colours of a cube's vertices
         np.testing.assert_allclose(grey, 0.8 if output == "o.exr" else 0.906, atol=0.01)
     assert any("4 of 8 vertices have no colour and are baked in grey" in text for text in warnings)
+
+
+def waves(size: int = 32) -> np.ndarray:
+    """(size, size, 3) directions of a wavy surface in tangent space."""
+    x, y = np.meshgrid(np.linspace(0, 9, size), np.linspace(0, 7, size))
+    slopes = np.stack([np.sin(x + y), np.cos(2 * y - x), np.full_like(x, 2.0)], axis=2)
+    return slopes / np.linalg.norm(slopes, axis=2, keepdims=True)
+
+
+def test_signed_normals_are_directions_by_name_too(place: Path) -> None:
+    write_image(place / "n.exr", waves().astype(np.float32))
+    by_option, _, warnings = transfer("option.exr", normal_map=place / "n.exr")
+    assert warnings == []
+    _, _, warnings = transfer("out.exr", maps=(("normal", place / "n.exr"),))
+    assert any("is turned with the map" in text for text in warnings)
+    np.testing.assert_array_equal(read_image(place / "out_normal.exr").pixels, by_option)
+    with pytest.raises(ParameterError, match="looks like a normal map"):
+        transfer("never.exr", texture=place / "n.exr")
+
+
+def test_one_texel_below_zero_does_not_change_the_meaning_of_all(place: Path) -> None:
+    encoded = (0.5 * waves() + 0.5).astype(np.float32)
+    write_image(place / "n.exr", encoded)
+    clean, *_ = transfer("clean.exr", normal_map=place / "n.exr")
+    encoded[5, 5, 0] = -1e-4
+    write_image(place / "n.exr", encoded)
+    ringing, *_ = transfer("ringing.exr", normal_map=place / "n.exr")
+    assert np.median(np.abs(ringing - clean)) < 1e-6
+
+
+def test_a_map_named_normal_that_is_carried_as_colours_is_named(place: Path) -> None:
+    directions = np.random.default_rng(3).normal(size=(32, 32, 3))
+    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    write_image(place / "object.png", np.rint(127.5 * directions + 127.5).astype(np.uint8))
+    maps = (("normal", place / "object.png"),)
+    _, _, warnings = transfer("o.png", maps=maps)
+    assert any("object.png is carried as colours: it does not look like a normal map" in text for text in warnings)
+    assert transfer("c.png", maps=maps, as_color=True)[2] == []
+
+
+@pytest.mark.parametrize("name", ["height", "Displacement"])
+def test_a_map_named_height_is_carried_unscaled_with_a_warning(place: Path, name: str) -> None:
+    write_image(place / "h.png", np.full((8, 8, 1), 140, dtype=np.uint8))
+    _, _, warnings = transfer("o.png", maps=((name, place / "h.png"),))
+    assert any("the target is 2 times as large as the source" in text and "--displacement" in text for text in warnings)
+    assert transfer("c.png", maps=((name, place / "h.png"),), as_color=True)[2] == []
+    cubes = textured_cube("large.obj"), textured_cube("small.obj")
+    write_result(place / "RESULT", identity_result(3, cubes), force=True)
+    assert transfer("s.png", maps=((name, place / "h.png"),))[2] == []

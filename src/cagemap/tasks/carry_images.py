@@ -53,7 +53,7 @@ from cagemap.tasks.requests.transfer import BakeKind, TransferRequest
 from cagemap.tasks.usd_output import texture_reference, write_usd_results
 from cagemap.transfer import BakeOptions, bake_displacement, bake_face_colors, bake_texture, face_colors
 from cagemap.transfer.detail import Detail
-from cagemap.transfer.displacement import Displacement
+from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.texture import Pixels
 from cagemap.transfer.vectors import (
     bake_normal_map,
@@ -64,6 +64,8 @@ from cagemap.transfer.vectors import (
 
 # Least share of a normal map's colours that are unit vectors; JPEG compression keeps more.
 FEWEST_NORMALS = 0.3
+# Largest difference of the surfaces' ratio of lengths from 1 with which heights need no scale.
+_MAX_UNSCALED = 0.01
 
 
 def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
@@ -163,8 +165,21 @@ def _bake_map(
         )
     if is_normal_map:
         prepared.warnings.append(f"{path} looks like a normal map and is turned with the map, not carried as colours")
-    is_color = preview_inputs([name or "texture"]).get(name or "texture") in ("diffuseColor", "emissiveColor")
-    if is_color and (source_image.first.pixels.dtype.kind == "f") != (source_image.dtype.kind == "f"):
+    use = preview_inputs([name or "texture"]).get(name or "texture")
+    if use == "normal" and not is_normal_map and not request.as_color:
+        prepared.warnings.append(
+            f"{path} is carried as colours: it does not look like a normal map in tangent space. Carry it with "
+            "--normal-map if it is one (with --space object, if its directions are in object space)"
+        )
+    ratio = scale_ratio(transfer)
+    if use == "displacement" and not request.as_color and abs(ratio - 1.0) > _MAX_UNSCALED:
+        prepared.warnings.append(
+            f"{path} is carried unscaled: the target is {ratio:.4g} times as large as the source, so that its heights "
+            "mean others there. Carry it with --displacement, which scales them"
+        )
+    if use in ("diffuseColor", "emissiveColor") and (source_image.first.pixels.dtype.kind == "f") != (
+        source_image.dtype.kind == "f"
+    ):
         prepared.warnings.append(
             f"{request.output} has the numbers of {path}, and programs read colours of integers as sRGB, of floats as "
             f"linear: choose the colour space of {path.name} for it there"
