@@ -108,3 +108,39 @@ def test_a_map_named_height_is_carried_unscaled_with_a_warning(place: Path, name
     cubes = textured_cube("large.obj"), textured_cube("small.obj")
     write_result(place / "RESULT", identity_result(3, cubes), force=True)
     assert transfer("s.png", maps=((name, place / "h.png"),))[2] == []
+
+
+@pytest.mark.parametrize(
+    ("given", "base", "output", "is_right"),
+    [
+        (np.uint16, np.uint16, "o.png", False),
+        (np.float32, np.float32, "o.exr", True),
+        (np.float32, np.uint16, "o.exr", False),
+        (np.uint16, np.uint16, "o.exr", True),
+    ],
+)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_heights_over_a_base_of_another_scale_are_reported(
+    place: Path, given: type, base: type, output: str, is_right: bool, channels: int
+) -> None:
+    names = [f"{name}.{'png' if dtype == np.uint16 else 'exr'}" for name, dtype in (("given", given), ("own", base))]
+    for name, dtype in zip(names, (given, base), strict=True):
+        write_image(place / name, np.zeros((8, 8, channels), dtype=dtype))
+    option = "displacement" if channels == 1 else "vector_displacement"
+    bits = 32 if output.endswith("exr") else None
+    options = {option: place / names[0], "bases": (("", place / names[1]),), "target_mask": "red", "bits": bits}
+    _, _, warnings = transfer(output, **options)
+    said = [text for text in warnings if "--base" in text and "keeps its values" in text]
+    assert bool(said) != is_right
+
+
+def test_baked_heights_over_a_base_of_another_scale_are_reported(place: Path) -> None:
+    write_mesh(place / "detail.obj", textured_cube("detail.obj"))
+    kinds = {"displacement": 1, "vector-displacement": 3}
+    for kind, channels in kinds.items():
+        write_image(place / f"{kind}.png", np.zeros((8, 8, channels), dtype=np.uint16))
+        write_image(place / f"{kind}.exr", np.zeros((8, 8, channels), dtype=np.float32))
+        options = {"bake": (kind,), "detail": place / "detail.obj", "target_mask": "red"}
+        for suffix in (".png", ".exr"):
+            *_, warnings = transfer(f"o_{kind}{suffix}", bases=(("", place / f"{kind}{suffix}"),), **options)
+            assert any("keeps its values" in text for text in warnings) == (suffix == ".png")

@@ -36,7 +36,7 @@ from cagemap.tasks.bake_tiles import (
     record_bake,
     require_source_uvs,
 )
-from cagemap.tasks.base_images import base_size, mask_function, require_base, written_channels
+from cagemap.tasks.base_images import base_scale_warnings, base_size, mask_function, require_base, written_channels
 from cagemap.tasks.detail_bakes import (
     KINDS,
     OFFSETS,
@@ -237,6 +237,10 @@ def _carry(
             f"{path}: only {100 * share:.0f} % of its colours are directions; is it a normal map? "
             "Colours go through --texture."
         )
+    if kind != "normal-map":
+        usual = 0.5 if source_image.first.pixels.dtype.kind == "u" else 0.0
+        midlevel = usual if request.midlevel is None else request.midlevel
+        prepared.warnings.extend(base_scale_warnings(request, result, source_image.dtype, midlevel))
     bound = partial(bake, prepared.transfer, source_image.texture, size=source_image.size, dtype=source_image.dtype)
     baked = bake_tiles(request, prepared, bound, stages)
     entry = _entry(kind, path, source_image) | more
@@ -281,6 +285,10 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     bakes.check({kind: written_channels(request, result, channels[kind], kind) - channels[kind] for kind in kinds})
     prepared = prepare_bake(request, result, stages, {kind.removesuffix("s"): path for kind, path in images.items()})
     warnings = prepared.warnings
+    for kind in kinds:
+        if kind in ("displacement", "vector-displacement"):
+            dtype = bakes.dtype(kind)
+            warnings += base_scale_warnings(request, result, dtype, 0.5 if dtype.kind == "u" else 0.0, kind)
     if mesh is not None:
         stages("detail")
         detail, more = mesh_detail(mesh, prepared.transfer)
