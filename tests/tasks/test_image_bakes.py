@@ -144,3 +144,12 @@ def test_baked_heights_over_a_base_of_another_scale_are_reported(place: Path) ->
         for suffix in (".png", ".exr"):
             *_, warnings = transfer(f"o_{kind}{suffix}", bases=(("", place / f"{kind}{suffix}"),), **options)
             assert any("keeps its values" in text for text in warnings) == (suffix == ".png")
+
+
+def test_nearest_says_what_it_does_not_sample(place: Path) -> None:
+    for kind, warned in (("nearest", True), ("linear", False)):
+        *_, warnings = transfer(f"{kind}.png", bake=("ao",), filter=kind, size=8, rays=1)
+        assert any("--filter nearest is not used for ao" in text for text in warnings) == warned
+    pixels, *_ = transfer("o.png", material_colors=True, filter="nearest", size=64)
+    assert pixels is not None
+    assert len(np.unique(pixels.reshape(-1, 3), axis=0)) == 2

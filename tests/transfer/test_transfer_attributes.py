@@ -181,6 +181,17 @@ def test_face_colors_are_averaged_in_linear_light(supersample: int) -> None:
     np.testing.assert_array_equal(baked[:, 4], 188)  # the boundary runs through the middle of column 4
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_nearest_does_not_mix_face_colors(dtype: type) -> None:
+    control = unwrap(crossed_cube())
+    target = refine(control, 3).finest
+    colors = np.random.default_rng(47).random((6, 3))
+    options = BakeOptions(filter="nearest")
+    transfer = prepare_transfer(target, target, identity_map(target))
+    baked = bake_face_colors(transfer, colors, size=64, dtype=dtype, options=options)
+    assert len(np.unique(baked.reshape(-1, 3), axis=0)) == 6
+
+
 def test_antialiasing_everywhere_changes_nothing_away_from_boundaries() -> None:
     control = unwrap(crossed_cube())
     target = refine(control, 3).finest

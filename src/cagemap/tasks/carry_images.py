@@ -285,6 +285,12 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     bakes.check({kind: written_channels(request, result, channels[kind], kind) - channels[kind] for kind in kinds})
     prepared = prepare_bake(request, result, stages, {kind.removesuffix("s"): path for kind, path in images.items()})
     warnings = prepared.warnings
+    interpolated = [kind for kind in kinds if kind != "texture"]
+    if request.filter == "nearest" and interpolated:
+        warnings.append(
+            f"--filter nearest is not used for {', '.join(interpolated)}, which are interpolated between vertices; it "
+            "is for the labels of --bake texture"
+        )
     for kind in kinds:
         if kind in ("displacement", "vector-displacement"):
             dtype = bakes.dtype(kind)
