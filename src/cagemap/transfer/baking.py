@@ -184,7 +184,7 @@ def bake_texture(
     laid = lay_texture(texture, *transfer.source.layout(), wrap=options.wrap)
     kept = output_dtype(dtype, laid.dtype)
     layout = make_layout(transfer, size, options)
-    lookups = plan_lookups(transfer.mapped, transfer.source, layout, laid, kind=options.filter)
+    lookups = plan_lookups(transfer.mapped, layout, laid, kind=options.filter)
     scale = unit(kept) / unit(laid.dtype)
 
     def shade(samples: TexelSamples) -> FloatArray:

@@ -93,7 +93,7 @@ def bake_displacement(
     constant = bool(np.all(factors == factors[0]))
 
     layout = make_layout(transfer, size, options)
-    lookups = plan_lookups(transfer.mapped, transfer.source, layout, laid, kind=options.filter)
+    lookups = plan_lookups(transfer.mapped, layout, laid, kind=options.filter)
 
     def shade(samples: TexelSamples) -> FloatArray:
         values = lookups.mips.look_up(samples) / unit(laid.dtype)

@@ -167,7 +167,7 @@ def _bake_texture_vectors(
     layout = make_layout(transfer, size, options)
     frames = None if space == "object" else tangent_frames(transfer.source)
     # Mean directions are shorter than 1 on rough surfaces: they are not rounded, and normalised once, at the end.
-    lookups = plan_lookups(transfer.mapped, transfer.source, layout, laid, exact=True, kind=options.filter)
+    lookups = plan_lookups(transfer.mapped, layout, laid, exact=True, kind=options.filter)
 
     def vectors_at(samples: TexelSamples) -> FloatArray:
         vectors = decode(lookups.mips.look_up(samples))
