@@ -144,9 +144,14 @@ def prepare_transfer(
 
 def target_tiles(target: TexturedSurface) -> list[int]:
     """UDIM numbers of the target layout's tiles, ascending; [0] for the unit square alone."""
-    corners, laid = target.corner_uvs(), _is_laid_out(target)
-    cells = tile_cells(corners[laid] if laid.any() else corners)
+    cells = layout_cells(target)
     return [int(tile) for tile in np.unique(udim_of(cells))] if cells.any() else [0]
+
+
+def layout_cells(target: TexturedSurface) -> FloatArray:
+    """(k, 2) lower left corners of the tiles of all triangles that are laid out; of all triangles if none is."""
+    corners, laid = target.corner_uvs(), _is_laid_out(target)
+    return tile_cells(corners[laid] if laid.any() else corners)
 
 
 @kinds_checked
