@@ -17,6 +17,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
+from cagemap.tasks.wrap import WrapRequest, run_wrap
 
 from example_result import identity_result, textured_cube
 
@@ -153,3 +154,21 @@ def test_nearest_says_what_it_does_not_sample(place: Path) -> None:
     pixels, *_ = transfer("o.png", material_colors=True, filter="nearest", size=64)
     assert pixels is not None
     assert len(np.unique(pixels.reshape(-1, 3), axis=0)) == 2
+
+
+def test_a_bake_has_the_size_of_the_detail_s_image_or_of_any_base(place: Path) -> None:
+    painted = replace(textured_cube("scan.obj"), vertex_colors=np.full((8, 3), 0.5))
+    write_mesh(place / "scan.obj", painted)
+    write_image(place / "scan.png", np.full((96, 48, 3), 90, dtype=np.uint8))
+    scan = {"detail": place / "scan.obj", "detail_texture": place / "scan.png"}
+    pixels, *_ = transfer("t.png", bake=("texture",), **scan)
+    assert pixels is not None
+    assert pixels.shape == (96, 96, 3)
+    write_image(place / "own.png", np.full((32, 32, 1), 90, dtype=np.uint8))
+    masked = {"target_mask": "red", "bases": (("ao", place / "own.png"),)}
+    transfer("b.png", bake=("colors", "ao"), detail=place / "scan.obj", rays=1, **masked)
+    assert read_image(place / "b_ao.png").pixels.shape[:2] == read_image(place / "b_colors.png").pixels.shape[:2]
+    assert read_image(place / "b_ao.png").pixels.shape[:2] == (32, 32)
+    wrapped = WrapRequest((Path("RESULT"),), Path("w.obj"), baked=Path("w.png"), **scan)
+    run_wrap(wrapped, Stages())
+    assert read_image(place / "w.png").pixels.shape == (96, 96, 3)

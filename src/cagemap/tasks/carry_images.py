@@ -46,6 +46,7 @@ from cagemap.tasks.detail_bakes import (
     grey_vertex_notes,
     mesh_detail,
     vertex_colors,
+    with_texture,
 )
 from cagemap.tasks.material_atlas import material_atlas
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
@@ -275,10 +276,12 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     """Bake normals, displacement, ambient occlusion and colours of a detailed mesh or the source."""
     kinds = _kinds(request)
     images = {kind: map_path(request.output, kind if len(kinds) > 1 else "") for kind in kinds}
-    bakes = DetailBakes(images, request.size or base_size(request, kinds[0]) or DEFAULT_SIZE, request.bits, request)
+    of_bases = (base_size(request, kind) for kind in kinds)
+    size = request.size or next((found for found in of_bases if found is not None), None)
+    bakes = DetailBakes(images, size or DEFAULT_SIZE, request.bits, request)
     mesh = None if request.detail is None else _read_detail(request.detail, request, result)
     if mesh is not None and request.detail_texture is not None:
-        bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture, request.filter))
+        bakes = with_texture(bakes, detail_texture(mesh, request.detail_texture, request.filter), size)
     channels = {kind: bakes.channels(kind) for kind in kinds}
     for kind in kinds:
         require_base(request, result, bakes.size, (channels[kind],), kind)

@@ -257,6 +257,11 @@ def wrap_bakes(request: WrapRequest) -> DetailBakes:
     return DetailBakes(given, request.size or DEFAULT_SIZE, None, request)
 
 
+def with_texture(bakes: DetailBakes, texture: DetailTexture, size: ImageSize | None) -> DetailBakes:
+    """Bakes with a detailed mesh's own image, and of its larger side without a ``size``."""
+    return replace(bakes, texture=texture, size=size or max(texture.first.size))
+
+
 def outputs_beside(request: WrapRequest) -> list[Path]:
     """Further output files: images, or patterns of their tiles, and a file for MakeHuman."""
     return [path for name in WRITTEN["wrap"] if (path := getattr(request, name)) is not None]
@@ -310,7 +315,7 @@ def bake_wrapped(
     else:
         transfer, follow = wrapped_transfer(wrapped, target)
         if request.detail_texture is not None:
-            bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture))
+            bakes = with_texture(bakes, detail_texture(mesh, request.detail_texture), request.size)
             bakes.check()
         detail, warnings = mesh_detail(mesh, transfer)
         detail = replace(detail, follow=follow)
