@@ -302,7 +302,7 @@ def bake_detail_texture(
             f"expected texture coordinates for {len(detail.surface.triangles)} triangles of the detail, got "
             f"{len(uv_triangles)}"
         )
-    laid = lay_texture(texture, uvs, uv_triangles, wrap=options.wrap)
+    laid = lay_texture(texture, uvs, uv_triangles)
     kept = output_dtype(dtype, laid.dtype)
     scale, nearest = unit(kept) / unit(laid.dtype), options.filter == "nearest"
     covered = covered_texels(laid, laid.tiles) if options.filter == "smooth" else {}

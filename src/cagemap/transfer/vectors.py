@@ -65,7 +65,7 @@ def bake_normal_map(
         If the image has fewer than three channels, or as `bake_texture`.
     """
     options = options or BakeOptions()
-    laid = lay_texture(each_tile(texture, _first_three_channels), *transfer.source.layout(), wrap=options.wrap)
+    laid = lay_texture(each_tile(texture, _first_three_channels), *transfer.source.layout())
     kept = output_dtype(dtype, laid.dtype)
     signed = any(map(holds_signed_directions, laid.tiles.values()))
     flip = green_flip(green, space)
@@ -117,7 +117,7 @@ def bake_vector_displacement(
     integers a new scale; a warning counts the texels that the rotation moves outside their range.
     """
     options = options or BakeOptions()
-    laid = lay_texture(each_tile(texture, _first_three_channels), *transfer.source.layout(), wrap=options.wrap)
+    laid = lay_texture(each_tile(texture, _first_three_channels), *transfer.source.layout())
     kept = output_dtype(dtype, laid.dtype)
     require_integer_range(laid, kept)
     middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
