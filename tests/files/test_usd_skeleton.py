@@ -241,6 +241,41 @@ def test_weights_arrive_with_their_skeleton(folder: Path) -> None:
     assert complaints(folder / "shaped.usda") == []
 
 
+def test_rigs_of_a_file_in_other_units_and_axes_are_converted(folder: Path) -> None:
+    """The same rig a hundred times as large in centimetres, Z up: heads, axes and offsets as the source's file."""
+    _write(folder / "cm.usda", "small.usda", 100.0, None, ("Z", 0.01))
+    to_y_up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    given = read_usd_skeleton(folder / "small.usda")
+    weighed = TransferRequest(
+        folder / "RESULT", folder / "weights.npz", weights=folder / "cm.usda", usd=folder / "rig.usda"
+    )
+    run_transfer(weighed, Stages())
+    joints = TransferRequest(folder / "RESULT", folder / "rig.json", joints=folder / "cm.usda")
+    assert run_transfer(joints, Stages())[1] == []
+    for found in (read_usd_skeleton(folder / "rig.usda"), read_skeleton(folder / "rig.json")):
+        np.testing.assert_allclose(found.heads, 2 * given.heads @ to_y_up, atol=1e-5)
+        np.testing.assert_allclose(found.tails, 2 * given.tails @ to_y_up, atol=1e-5)
+        np.testing.assert_allclose(found.axes, given.axes @ to_y_up, atol=1e-5)
+    shapes = TransferRequest(folder / "RESULT", folder / "shapes.npz", blend_shapes=(folder / "cm.usda",))
+    run_transfer(shapes, Stages())
+    with np.load(folder / "shapes.npz") as carried:
+        np.testing.assert_allclose(carried["smile"][2], [0, 2, 0], atol=1e-5)
+    detail = textured_cube("fine.usda", 100.0)
+    write_usd(folder / "fine.usda", detail, space=StageSpace("Z", 0.01))
+    baked = TransferRequest(folder / "RESULT", folder / "n.png", bake=("normal",), detail=folder / "fine.usda", size=8)
+    run_transfer(baked, Stages())
+
+
+@pytest.mark.parametrize("factor", [0.01, 1.0, 100.0])
+def test_joints_in_other_units_than_the_source_are_reported(folder: Path, factor: float) -> None:
+    skeleton = read_usd_skeleton(folder / "small.usda")
+    scaled = replace(skeleton, heads=factor * skeleton.heads, tails=factor * skeleton.tails)
+    write_skeleton(folder / "unitless.json", scaled)
+    request = TransferRequest(folder / "RESULT", folder / "rig.json", joints=folder / "unitless.json")
+    _, warnings = run_transfer(request, Stages())
+    assert any("check that both have the same units and place" in text for text in warnings) == (factor != 1.0)
+
+
 @pytest.mark.parametrize("output", ["table.csv", "arrays.npz"])
 def test_tables_of_weights_name_their_columns_by_joints(folder: Path, output: str) -> None:
     run_transfer(TransferRequest(folder / "RESULT", folder / output, weights=folder / "small.usda"), Stages())

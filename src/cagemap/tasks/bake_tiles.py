@@ -42,7 +42,8 @@ from cagemap.tasks.match_summary import colors_option
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import files_read
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
-from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, transfer_of, unwrap
+from cagemap.transfer import BakeOptions, Transfer, target_tiles, transfer_of, unwrap
+from cagemap.transfer.baking import layout_cells
 from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.overlapping_uvs import overlapping_materials, overlapping_share
 from cagemap.transfer.texture import Pixels
@@ -180,7 +181,7 @@ def prepare_bake(
 
 def layout_tiles(transfer: Transfer) -> tuple[list[int], list[str]]:
     """UDIM numbers of the target layout's tiles, [0] for the unit square; and warnings."""
-    cells = tile_cells(transfer.target.corner_uvs())
+    cells = layout_cells(transfer.target)
     if cells.min() >= 0:  # UDIM has no numbers for others
         return target_tiles(transfer.target), []
     outside = float(np.mean((cells != 0).any(axis=1)))

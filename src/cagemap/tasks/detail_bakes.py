@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
@@ -26,10 +27,11 @@ from cagemap.files.images.image import (
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import UNKNOWN_COLOR
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.srgb import decode_srgb
+from cagemap.numerics.srgb import decode_srgb, encode_srgb
 from cagemap.subdivision import default_scheme
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.bake_tiles import (
@@ -148,13 +150,25 @@ def detail_texture(mesh: ControlMesh, path: Path, kind: Filter = "smooth") -> De
 
 
 def vertex_colors(mesh: ControlMesh) -> FloatArray:
-    """(n, 3) vertex colours of a detailed mesh; refuse meshes without them."""
-    if mesh.vertex_colors is None:
+    """(n, 3) vertex colours of a detailed mesh, grey for vertices without one; refuse meshes without them."""
+    if mesh.vertex_colors is None or not np.isfinite(mesh.vertex_colors).any():
         raise ParameterError(
             f"{mesh.name}: expected colours at its vertices to bake, got none (OBJ: six numbers a `v` line; PLY: red, "
             f"green, blue). {colors_remedy(mesh)}"
         )
-    return mesh.vertex_colors
+    return np.where(_is_colored(mesh)[:, None], mesh.vertex_colors, encode_srgb(np.array(UNKNOWN_COLOR)))
+
+
+def grey_vertex_notes(mesh: ControlMesh) -> list[str]:
+    """A warning if `vertex_colors` is grey for some vertices."""
+    grey = int(np.count_nonzero(~_is_colored(mesh)))
+    return [f"{mesh.name}: {grey} of {mesh.n_vertices} vertices have no colour and are baked in grey"] if grey else []
+
+
+def _is_colored(mesh: ControlMesh) -> NDArray[np.bool_]:
+    """(n,) whether a vertex has a colour."""
+    assert mesh.vertex_colors is not None
+    return np.asarray(np.isfinite(mesh.vertex_colors).all(axis=1))
 
 
 def bake_detail(
@@ -247,6 +261,11 @@ def wrap_bakes(request: WrapRequest) -> DetailBakes:
     return DetailBakes(given, request.size or DEFAULT_SIZE, None, request)
 
 
+def with_texture(bakes: DetailBakes, texture: DetailTexture, size: ImageSize | None) -> DetailBakes:
+    """Bakes with a detailed mesh's own image, and of its larger side without a ``size``."""
+    return replace(bakes, texture=texture, size=size or max(texture.first.size))
+
+
 def outputs_beside(request: WrapRequest) -> list[Path]:
     """Further output files: images, or patterns of their tiles, and a file for MakeHuman."""
     return [path for name in WRITTEN["wrap"] if (path := getattr(request, name)) is not None]
@@ -296,14 +315,17 @@ def bake_wrapped(
         transfer, detail, fine = missing_detail(wrapped, target, source)
         if "colors" in bakes.images:
             colors = fine.prolong(vertex_colors(source.control), 0, fine.finest_level).clip(0.0, 1.0)
+            warnings = grey_vertex_notes(source.control)
     else:
         transfer, follow = wrapped_transfer(wrapped, target)
         if request.detail_texture is not None:
-            bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture))
+            bakes = with_texture(bakes, detail_texture(mesh, request.detail_texture), request.size)
             bakes.check()
         detail, warnings = mesh_detail(mesh, transfer)
         detail = replace(detail, follow=follow)
-        colors = vertex_colors(mesh) if "colors" in bakes.images else None
+        if "colors" in bakes.images:
+            colors = vertex_colors(mesh)
+            warnings = [*warnings, *grey_vertex_notes(mesh)]
     tiles, outside = layout_tiles(transfer)
     images = [udim_path(path, tile) for path in bakes.images.values() for tile in tiles]
     check_outputs(images, textures_read(request), force=request.force)

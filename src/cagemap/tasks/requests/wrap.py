@@ -85,7 +85,8 @@ class WrapRequest:
     green: Green = "up"
     rays: Annotated[int, Option("Occlusion: rays per vertex.", IMAGES, min=1)] = 128
     size: Annotated[
-        int | None, Option("Width and height of the images.  [default: 2048]", IMAGES, min=1, max=32767)
+        int | None,
+        Option("Width and height of the images.  [default: --detail-texture's, or 2048]", IMAGES, min=1, max=32767),
     ] = None
     mhclo: Annotated[Path | None, Option("Clothes file to write for MakeHuman and MPFB: .mhclo, .proxy.", OUTPUT)] = (
         None
