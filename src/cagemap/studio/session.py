@@ -18,6 +18,7 @@ from cagemap.studio.landmark_files import load_landmarks, save_landmarks
 from cagemap.studio.landmarks import Side
 from cagemap.studio.opening import result_folder
 from cagemap.studio.preview_results import PreviewResults
+from cagemap.studio.recorded import LANDMARK_FIELDS
 from cagemap.studio.runner import Runner
 from cagemap.studio.scene import probe_map
 from cagemap.studio.shape import pick
@@ -234,7 +235,8 @@ class Session(PreviewResults):
         if written == (target,):  # after two files of points the open file stays
             if target != files.landmarks and autosave_path(target).is_file():
                 move_aside(autosave_path(target))  # of an earlier session
-            self._change(files=replace(files, landmarks=target), saved=True)
+            recorded = files.recorded and files.recorded.without(*LANDMARK_FIELDS)
+            self._change(files=replace(files, landmarks=target, recorded=recorded), saved=True)
             self._tracker.remove_autosave(files.landmarks)
 
     def _on_output(self, output: Output) -> None:

@@ -13,6 +13,7 @@ from cagemap.errors import ParameterError
 from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.images.image import UDIM_MARK
 from cagemap.studio.landmarks import History, LandmarkList, Proposal, SideNames
+from cagemap.studio.recorded import RecordedMatch
 
 Mode = Literal["texture", "colours", "checker", "plain", "baked"]
 MODES: tuple[Mode, ...] = ("texture", "colours", "checker", "plain", "baked")
@@ -47,6 +48,8 @@ class Files:
         without a part sets this to its largest piece.
     welds : (str or None, str or None)
         Tolerance that each file was welded with when it was opened, as `cagemap match --weld` takes it.
+    recorded : RecordedMatch or None
+        The match of an opened RESULT.
     """
 
     target: Path
@@ -58,6 +61,7 @@ class Files:
     ups: SideNames = (None, None)
     parts: SideNames = (None, None)
     welds: SideNames = (None, None)
+    recorded: RecordedMatch | None = None
 
 
 @dataclass(frozen=True)
