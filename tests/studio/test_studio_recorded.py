@@ -26,7 +26,6 @@ from cagemap.tasks.requests.match import MatchRequest
 from browser_page import PATIENCE, Page, studio
 from studio_boxes import at_rest, session_of, until, write_boxes
 
-
 SIDES = (("target", "a"), ("source", "b"))
 
 
