@@ -144,6 +144,24 @@ def test_a_map_that_is_computed_during_a_turn_is_computed_again(monkeypatch: pyt
     goes_on.set()
 
 
+def test_a_match_from_the_start_is_one_also_after_an_edit_and_a_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    preview, begun, _, goes_on = slow_preview(monkeypatch)
+    preview.open(Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT")))
+    begun.get(timeout=10)
+    goes_on.set()
+    preview.find(fresh=True)
+    begun.get(timeout=10)
+    preview.find(fresh=False)  # a landmark was added
+    preview.turn("target", "z", "")
+    assert isinstance(begun.get(timeout=10), ShowPosed)
+    goes_on.set()
+    again = begun.get(timeout=10)
+    assert isinstance(again, FindMap)
+    assert again.fresh
+    preview.close()
+    goes_on.set()
+
+
 def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
     checked, source = opened.state.map, opened.scene.source
     known = replace(checked, notes=("folded",), strain={"nose": 0.1})

@@ -117,7 +117,8 @@ class Session(PreviewResults):
             file = self.workspace.resolve(path)
             source_file = None if source_points is None else self.workspace.resolve(source_points)
             landmarks, notes = load_landmarks(file, source_file, scene, files, self._tracker)
-            self._edit(lambda present: edit.keep_unused_landmarks(landmarks, present))
+            history = self._state.history
+            self._set_history(history.advance(edit.keep_unused_landmarks(landmarks, history.present)))
             self._say_all(notes)
 
     def add_file(self, name: str, content: bytes, drop: str = "") -> Path | None:
