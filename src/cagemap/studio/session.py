@@ -20,7 +20,7 @@ from cagemap.studio.opening import result_folder
 from cagemap.studio.preview_results import PreviewResults
 from cagemap.studio.recorded import LANDMARK_FIELDS
 from cagemap.studio.runner import Runner
-from cagemap.studio.scene import probe_map
+from cagemap.studio.scene import Scene, probe_map
 from cagemap.studio.shape import pick
 from cagemap.studio.state import (
     Files,
@@ -80,7 +80,7 @@ class Session(PreviewResults):
     def choose_part(self, side: Side, title: str | None) -> None:
         """Open another part of a file; unsaved landmarks are kept in the autosave."""
         with self.report_errors(), self._lock:
-            files, scene = self._require_open()
+            files, scene = self._require_requested()
             target, source = (choices.opened for choices in scene.part_choices)
             parts = (title, source) if side == "target" else (target, title)
             files = replace(files, parts=parts, result=result_folder(files, parts))
@@ -89,7 +89,7 @@ class Session(PreviewResults):
     def open_plain(self, side: Side) -> None:
         """Open a model again without subdividing it."""
         with self.report_errors(), self._lock:
-            files, _ = self._require_open()
+            files, _ = self._require_requested()
             target, source = files.schemes
             self.open(replace(files, schemes=("none", source) if side == "target" else (target, "none")))
 
@@ -226,6 +226,14 @@ class Session(PreviewResults):
         self._preview.close()
 
     # Private
+
+    def _require_requested(self) -> tuple[Files, Scene]:
+        """The open pair with the image and the axes that are chosen, also where they are not drawn yet."""
+        files, scene = self._require_open()
+        requested = self._preview.pair_files
+        if requested is not None and self._preview.is_requested("image"):
+            files = replace(files, texture=requested.texture)
+        return files if requested is None else replace(files, ups=requested.ups), scene
 
     def _save(self, path: Path | None = None) -> None:
         files, scene = self._require_open()
