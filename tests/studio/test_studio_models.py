@@ -326,6 +326,16 @@ def test_an_image_of_floats_is_shown_as_linear(tmp_path: Path) -> None:
     np.testing.assert_array_equal(with_texture(Look(), tmp_path / "skin.exr").texture, 128)
 
 
+def test_colours_at_the_border_of_an_image_are_not_those_of_the_opposite_border() -> None:
+    image = np.zeros((2, 2, 3), dtype=np.uint8)
+    image[..., 0], image[..., 1] = [0, 255], [[0], [255]]
+    look = Look(texture=image)
+    corners = np.array([(0.0, 1.0), (1.0, 1.0), (0.0, 0.0), (1.0, 0.0)])
+    for step in (0.0, 1e-9, -1e-9):
+        np.testing.assert_array_equal(texture_colors(look, corners + step), image.reshape(-1, 3))
+    np.testing.assert_array_equal(texture_colors(look, np.array([(1.25, -0.25), (-0.25, 1.25)])), image[[0, 1], [0, 1]])
+
+
 def test_every_tile_of_an_image_is_shown_on_its_faces(tmp_path: Path) -> None:
     tiles = {1001: (255, 0, 0), 1002: (0, 255, 0), 1011: (0, 0, 255)}
     for number, color in tiles.items():

@@ -24,7 +24,7 @@ from cagemap.files.text import read_text
 from cagemap.files.usd.space import to_standard
 from cagemap.files.usd.stages import is_usd
 from cagemap.studio.scene import Scene
-from cagemap.studio.state import Output, StudioState, image_uv_set, layout_mesh
+from cagemap.studio.state import Output, StudioState, color_images, image_uv_set, layout_mesh
 
 ARCHIVE_NAME = "all.zip"
 # Material of parts that are not open.
@@ -51,13 +51,13 @@ def output_content(outputs: Iterable[Output], name: str) -> tuple[bytes, str] | 
 
 
 def textured_model_name(state: StudioState) -> str | None:
-    """File name of the target with the first baked image; None without an image."""
+    """File name of the target with the first baked image of colours; None without one."""
     image = _first_image(state)
     return None if image is None or state.files is None else f"{image.stem}.glb"
 
 
 def textured_model(state: StudioState, scene: Scene | None) -> bytes:
-    """The target with the first baked image, as binary glTF; parts that are not open are grey."""
+    """The target with the first baked image of colours, as binary glTF; parts that are not open are grey."""
     image = _first_image(state)
     assert image is not None
     assert state.files is not None
@@ -82,8 +82,8 @@ def textured_model(state: StudioState, scene: Scene | None) -> bytes:
 
 
 def _first_image(state: StudioState) -> Path | None:
-    """The first baked image that is not tiled."""
-    return next((image for image in state.baked_images if UDIM_MARK not in image.name), None)
+    """The first baked image of colours that is not tiled."""
+    return next((image for image in color_images(state.outputs) if UDIM_MARK not in image.name), None)
 
 
 def archive_name(folder: Path) -> str:
