@@ -93,6 +93,29 @@ def test_bilinear_on_a_square() -> None:
     np.testing.assert_allclose(linear.matrix @ np.array([0.0, 0, 1, 0]), x * y, rtol=0, atol=1e-12)
 
 
+def stacked(control: ControlMesh, rows: int) -> ControlMesh:
+    """All faces on the same few texture coordinates, as mirrored and stacked halves of OBJ files are."""
+    return control.with_uvs(np.random.default_rng(1).random((rows, 2)), np.arange(len(control.face_indices)) % rows)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_values_that_vertices_share_are_interpolated_on_each_of_their_faces(shape, level: int) -> None:
+    control = stacked(shape(), 5)
+    refined = refine(control, level)
+    assert control.uv_indices is not None
+    linear = interpolate_linearly(control, control.uv_indices, 5, level, refined.scheme)
+    assert linear.matrix.data.min() > 0
+    np.testing.assert_allclose(linear.matrix.sum(axis=1), 1, rtol=0, atol=1e-12)
+    if level:
+        both = refined, refined
+        transfer = prepare_transfer(both[0].finest, both[1].finest, identity_map(both[0].finest))
+        carried = carry_uvs(transfer, *both)
+        assert control.uvs is not None
+        given = control.uvs[control.uv_indices]
+        np.testing.assert_allclose(carried.uvs[carried.uv_indices], given, rtol=0, atol=1e-7)
+
+
 @pytest.mark.slow
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=20)
