@@ -154,8 +154,9 @@ class Refinement:
         return cage_triangles(self.control)[0] if faces is None else faces
 
     def holes(self, level: int) -> BoolArray:
-        """(m_level,) whether a face is a hole, see `control_holes`."""
-        return control_holes(self.control, self.scheme)[self.levels[level].face_parents]
+        """(m_level,) whether a face of `faces` is a hole, see `control_holes`."""
+        mixed, parents = self.levels[level].faces is None, self.levels[level].face_parents
+        return control_holes(self.control, self.scheme)[cage_triangles(self.control)[1] if mixed else parents]
 
     def product(self, fine: int, coarse: int) -> csr_array:
         """Matrix ``S^{fine,coarse} = S^{fine-1} ... S^{coarse}`` (n_fine, n_coarse); the identity for equal levels."""
