@@ -367,10 +367,8 @@ def other_answer(
 @arrays_accepted
 def pair_of(target: Surface, source: Surface, landmarks: LandmarksLike, config: MatchConfig = MatchConfig()) -> Pair:
     """Pair of two surfaces with landmarks, and with symmetries, given or found for "paper" (5.2)."""
-    if config.symmetries and (target.refinement.is_plain or source.refinement.is_plain):
-        raise ParameterError(
-            "symmetries: expected none with a plain mesh (scheme none), whose vertices mirror none. Leave them out."
-        )
+    if config.symmetries:
+        refuse_plain_symmetries(target, source)
     pair = Pair(target, source, point_pairs(target, source, landmarks), config.symmetries)
     if config.method != "paper" or not config.use_symmetry or config.symmetries:
         return pair
@@ -378,6 +376,14 @@ def pair_of(target: Surface, source: Surface, landmarks: LandmarksLike, config: 
     if symmetries:
         logger.info("both surfaces are mirrored in %d planes that landmarks agree with: used", len(symmetries))
     return replace(pair, symmetries=symmetries)
+
+
+def refuse_plain_symmetries(target: Surface, source: Surface) -> None:
+    """Raise ParameterError if one of two surfaces is a plain mesh, which takes no symmetries."""
+    if target.refinement.is_plain or source.refinement.is_plain:
+        raise ParameterError(
+            "symmetries: expected none with a plain mesh (scheme none), whose vertices mirror none. Leave them out."
+        )
 
 
 @contextmanager
