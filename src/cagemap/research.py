@@ -58,8 +58,8 @@ from cagemap.paper.method import (
     search_level,
     search_levels,
 )
-from cagemap.paper.symmetries import check_symmetry
-from cagemap.pipeline import MAP_BASIS, MatchResult, prepare_pair, prepare_surface, refuse_plain_symmetries
+from cagemap.paper.symmetries import check_symmetry, refuse_plain_symmetries
+from cagemap.pipeline import MAP_BASIS, MatchResult, prepare_pair, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule
 from cagemap.surface.surface_points import SurfacePoints
