@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from cagemap import ControlMesh, Landmarks, Surface, match, prepare_surface, read_mesh, refine, update_match
 from cagemap.deform.problem import Problem
-from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps import coincidence
 from cagemap.maps.coincidence import SAME, Coincidence, unit_ratio
 from cagemap.maps.coincident_map import coincident_map, same_surface
@@ -62,19 +61,6 @@ def test_a_surface_on_itself_is_the_identity_with_and_without_landmarks(surface:
     assert found.confidence.verdict == SURE
     more = update_match(found, marked(MARKS, MARKS))
     assert is_identity(more)
-
-
-@pytest.mark.slow
-def test_a_plain_mesh_on_itself_is_the_identity(tmp_path: Path) -> None:
-    scan = prepare_surface(animal(3), 0)
-    found = match(scan, scan)
-    assert found.prepared.mesh.n < len(found.point_map.triangle)
-    assert is_identity(found)
-    np.testing.assert_allclose(
-        found.confidence.answers[0].positions[:5], found.point_map.images.positions[:5], atol=0.05
-    )
-    write_result(tmp_path / "RESULT", found)
-    assert is_identity(read_result(tmp_path / "RESULT"))
 
 
 @pytest.mark.slow

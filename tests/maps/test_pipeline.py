@@ -77,25 +77,21 @@ def test_chosen_level_depends_on_the_scheme():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["hfm", "elastic"])
-def test_a_relabelled_copy_is_found_again(pony, method):
+def test_a_relabelled_copy_is_found_again(pony):
     """The same surface with its vertices in another order: the map is the relabelling.
 
-    The spectral embedding of the two bases agrees up to rounding, so that every vertex maps to its own place; the
-    elastic fit may slide by a fraction of the sampling distance where the surface is flat.
+    The spectral embedding of the two bases agrees up to rounding, so that every vertex maps to its own place.
     """
     copy, new_number = renumbered(pony, 61)
     source = prepare_surface(pony, 2, BASIS)
     target = prepare_surface(copy, 2, BASIS)
-    found = match(target, source, landmarks_of(pony, new_number), MatchConfig(method=method))
+    found = match(target, source, landmarks_of(pony, new_number), MatchConfig(method="hfm"))
     image = found.point_map.pull_back(source.refinement.finest.positions)
     errors = np.linalg.norm(image - target.refinement.finest.positions, axis=1) * source.operators.scale
     spacing = 1.0 / np.sqrt(source.refinement.finest.n_vertices)
     assert errors.mean() < 0.1 * spacing
-    assert found.quality.flipped_area < (0.002 if method == "elastic" else 0.003)  # nearest points are not unfolded
+    assert found.quality.flipped_area < 0.003  # nearest points are not unfolded
     assert found.quality.coverage > 0.99
-    if method == "elastic":
-        assert found.quality.landmark_errors.max() < 1e-12
     np.testing.assert_allclose(found.functional_map[:8, :8].T @ found.functional_map[:8, :8], np.eye(8), atol=0.05)
 
 
