@@ -235,6 +235,11 @@ def test_what_is_no_surface_is_refused_by_name(faces: list[list[int]], message: 
     positions[2] = np.nan
     with pytest.raises(InvalidMeshError, match="finite positions"):
         plain_mesh(ControlMesh.from_faces(positions, [[0, 1, 2]]))
+    line = ControlMesh.from_faces(np.arange(4.0)[:, None] * [1.0, 0.0, 0.0], [(0, 1, 2), (2, 1, 3)], name="scan.obj")
+    with pytest.raises(
+        InvalidMeshError, match=r"scan\.obj: expected a surface with an area, got 2 faces.*Repair it in"
+    ):
+        plain_mesh(line)
 
 
 def test_a_mesh_of_skew_quads_looks_outwards_once_it_is_turned_round() -> None:
