@@ -176,17 +176,21 @@ def test_background_takes_the_nearest_island() -> None:
 
 def test_udim_tiles_of_the_source_and_of_the_target() -> None:
     plain, size = plane(8, 8), 48
-    wide = plane(8, 8, lambda points: points * (2, 1))
-    texture = noise(size, 2 * size, 3, "uint8")
-    tiles = {1001: texture[:, :size], 1002: texture[:, size:]}
+    wide = plane(8, 8, lambda points: points * 2)
+    texture = noise(2 * size, 2 * size, 3, "uint8")
+    upper, lower = np.split(texture, 2)
+    quarters = *np.split(lower, 2, axis=1), *np.split(upper, 2, axis=1)
+    tiles = dict(zip((1001, 1002, 1011, 1012), quarters, strict=True))
     transfer = prepare_transfer(plain, wide, identity_map(plain))
-    expected = bake_texture(prepare_transfer(plain, plain, identity_map(plain)), texture, size=(size, 2 * size))
-    baked = bake_texture(transfer, tiles, size=(size, 2 * size))
+    expected = bake_texture(prepare_transfer(plain, plain, identity_map(plain)), texture, size=2 * size)
+    baked = bake_texture(transfer, tiles, size=2 * size)
     # At the border between two tiles the bilinear filter is cut off.
     np.testing.assert_array_equal(baked, expected)
 
     assert target_tiles(TexturedSurface.from_level(plain)) == [0]
-    assert target_tiles(TexturedSurface.from_level(wide)) == [1001, 1002]
+    assert target_tiles(TexturedSurface.from_level(wide)) == sorted(tiles)
+    holes = (wide.uvs[wide.uv_indices] <= 1).all(axis=(1, 2))
+    assert target_tiles(TexturedSurface.from_level(wide, holes)) == sorted(tiles)[1:]
     back = prepare_transfer(wide, plain, identity_map(plain))
     for tile, pixels in tiles.items():
         part = bake_texture(back, texture, size=size, options=BakeOptions(tile=tile))
