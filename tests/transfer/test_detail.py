@@ -42,6 +42,7 @@ from cagemap.transfer.rays import ambient_occlusion
 from cagemap.transfer.texels import texel_coordinates
 
 from command_line import Run
+from refusals import refuses
 from transfer_scenes import crossed_cube, identity_map, plane
 
 SIZE = 64
@@ -93,8 +94,7 @@ def test_a_height_field_over_a_plane_gives_its_heights_and_its_slopes(flat: Leve
     assert np.einsum("kd,kd->k", normals.reshape(-1, 3), expected).min() > 0.999
     down = bake_detail_normals(transfer, wavy, size=SIZE, green="down", dtype=np.float32, options=PLAIN)
     np.testing.assert_allclose(2.0 * down - 1.0, normals * (1, -1, 1), atol=1e-6)
-    with pytest.raises(ParameterError, match="up or down"):
-        bake_detail_normals(transfer, wavy, size=SIZE, green="left", options=PLAIN)  # type: ignore[arg-type]
+    refuses(ParameterError, "up or down", bake_detail_normals, transfer, wavy, size=SIZE, green="left", options=PLAIN)
 
 
 @pytest.mark.parametrize("space", ["tangent", "object"])
@@ -293,16 +293,14 @@ def test_occlusion_is_the_hidden_part_of_the_sky() -> None:
 def test_without_embreex_occlusion_says_so(monkeypatch: pytest.MonkeyPatch, wavy: Detail) -> None:
     monkeypatch.setitem(sys.modules, "embreex", None)
     monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
-    with pytest.raises(MissingLibraryError, match="ambient occlusion"):
-        ambient_occlusion(wavy.surface)
+    refuses(MissingLibraryError, "ambient occlusion", ambient_occlusion, wavy.surface)
 
 
 def test_detail_elsewhere_is_refused(flat: Level) -> None:
     surface = own_transfer(flat).point_map.source
     fine = plane(20, 20)
     for places in (100.0 * fine.positions + np.array([0, 0, 30]), fine.positions + np.array([5.0, 0, 0])):
-        with pytest.raises(ParameterError, match="lies on the source"):
-            detail_over(surface, places, triangles(np.asarray(fine.faces)))
+        refuses(ParameterError, "lies on the source", detail_over, surface, places, triangles(np.asarray(fine.faces)))
 
 
 @pytest.mark.slow

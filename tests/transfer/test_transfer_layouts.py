@@ -25,6 +25,7 @@ from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.textured_surface import TexturedSurface
 
 from bake_images import BARE, noise, ramps
+from refusals import refuses
 from transfer_reference import look_up_slowly
 from transfer_scenes import crossed_cube, face_texture, identity_map, plane, plane_map
 
@@ -258,18 +259,11 @@ def test_wrong_input_is_refused_with_its_remedy() -> None:
     texture = noise(8, 8, 3, "uint8")
     with pytest.raises(ParameterError, match="`unwrap`"):
         bake_texture(prepare_transfer(naked, level, identity_map(level)), texture, size=8)
-    with pytest.raises(ParameterError, match="target and source exchanged"):
-        prepare_transfer(plane(3, 3), level, identity_map(level))
-    with pytest.raises(ParameterError, match="target and source exchanged"):
-        prepare_transfer(level, plane(1, 1), identity_map(level))
+    refuses(ParameterError, "target and source exchanged", prepare_transfer, plane(3, 3), level, identity_map(level))
+    refuses(ParameterError, "target and source exchanged", prepare_transfer, level, plane(1, 1), identity_map(level))
     transfer = prepare_transfer(level, level, identity_map(level))
-    with pytest.raises(ParameterError, match="size: expected"):
-        bake_texture(transfer, texture, size=0)
-    with pytest.raises(ParameterError, match="image of shape"):
-        bake_texture(transfer, texture[None], size=8)
-    with pytest.raises(ParameterError, match="unsigned integers or floats"):
-        bake_texture(transfer, texture.astype(np.int32), size=8)
-    with pytest.raises(ParameterError, match="supersample"):
-        bake_texture(transfer, texture, size=8, options=BakeOptions(supersample=99))
+    refuses(ParameterError, "size: expected", bake_texture, transfer, texture, size=0)
+    refuses(ParameterError, "image of shape", bake_texture, transfer, texture[None], size=8)
+    refuses(ParameterError, "unsigned integers or floats", bake_texture, transfer, texture.astype(np.int32), size=8)
     with pytest.raises(ParameterError, match="refine it once"):
         prepare_transfer(Level(level.positions, None, level.face_parents), level, identity_map(level))

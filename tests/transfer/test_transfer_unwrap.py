@@ -19,6 +19,7 @@ from cagemap.surface.triangles import triangle_areas, triangle_neighbors
 from cagemap.transfer.packing import pack_islands
 from cagemap.transfer.unwrap import _is_convex, _outline, unwrap
 
+from refusals import refuses
 from transfer_scenes import check_distance, check_layout, islands_of
 
 SHAPES = {
@@ -160,10 +161,8 @@ def test_degenerate_polygons_get_a_spot_of_their_own() -> None:
 
 
 def test_nothing_to_unwrap_is_refused() -> None:
-    with pytest.raises(InvalidMeshError, match="to unwrap"):
-        unwrap(cube().with_positions(np.zeros((8, 3))))
-    with pytest.raises(InvalidMeshError, match="to unwrap"):
-        unwrap(ControlMesh.from_faces(np.zeros((0, 3)), []))
+    refuses(InvalidMeshError, "to unwrap", unwrap, cube().with_positions(np.zeros((8, 3))))
+    refuses(InvalidMeshError, "to unwrap", unwrap, ControlMesh.from_faces(np.zeros((0, 3)), []))
 
 
 @pytest.mark.parametrize("padding", [-0.1, 0.5, 0.9, 2.0, np.nan])

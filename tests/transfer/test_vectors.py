@@ -17,6 +17,7 @@ from cagemap.transfer.vectors import bake_normal_map, bake_vector_displacement
 
 from command_line import Run
 from locations import FIXTURES
+from refusals import refuses
 from transfer_scenes import crossed_cube, identity_map, plane, plane_map, spectrum
 
 SIZE = 48
@@ -196,10 +197,8 @@ def test_frames_are_those_of_the_reference_implementation() -> None:
 
 def test_what_holds_no_directions_is_refused(box: Level) -> None:
     transfer = prepare_transfer(box, box, identity_map(box))
-    with pytest.raises(ParameterError, match="three channels"):
-        bake_normal_map(transfer, np.zeros((8, 8, 1), np.uint8), size=8)
-    with pytest.raises(ParameterError, match="tangent or object"):
-        bake_normal_map(transfer, normal_map(1), size=8, space="world")  # type: ignore[arg-type]
+    refuses(ParameterError, "three channels", bake_normal_map, transfer, np.zeros((8, 8, 1), np.uint8), size=8)
+    refuses(ParameterError, "tangent or object", bake_normal_map, transfer, normal_map(1), size=8, space="world")
 
 
 @pytest.mark.slow
