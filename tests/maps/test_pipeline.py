@@ -38,6 +38,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 from example_once import example_pair
 from plain_meshes import marks_at, renumbered
 from quick_match import QUICK
+from refusals import refuses
 
 BASIS = BasisConfig(count=60)
 
@@ -62,8 +63,7 @@ def test_chosen_level_is_the_first_with_enough_vertices(shape):
         enough = [i for i, level in enumerate(refinement.levels) if i > 0 and level.n_vertices >= 0.75 * wanted]
         if enough:
             assert choose_level(mesh, wanted) == enough[0]
-    with pytest.raises(ParameterError, match="vertices: expected"):
-        choose_level(mesh, 0)
+    refuses(ParameterError, "vertices: expected", choose_level, mesh, 0)
 
 
 def test_chosen_level_depends_on_the_scheme():
@@ -141,8 +141,7 @@ def test_a_prepared_pair_is_matched_as_it_was_prepared_or_not_at_all():
         (masked, replace(own, masks=own.masks.reversed()), "the masks that"),
         (masked, replace(own, elastic=ElasticConfig(coarse_vertices=50)), "the elastic that"),
     ):
-        with pytest.raises(ParameterError, match=fault):
-            match_pair(prepared, marks, config)
+        refuses(ParameterError, fault, match_pair, prepared, marks, config)
     found = match_pair(masked, marks, own)
     for config in (MatchConfig(), replace(own, masks=Masks(target=own.masks.target.copy()))):
         np.testing.assert_array_equal(match_pair(masked, marks, config).image(), found.image())
@@ -174,14 +173,11 @@ def test_levels_without_functions_are_not_searched():
 def test_wrong_input_is_refused_before_anything_expensive(pony):
     with pytest.raises(InvalidMeshError):
         prepare_surface(ControlMesh.from_faces(pony.positions, [[0, 1, 2]] * 3), 2)
-    with pytest.raises(ParameterError, match="level: expected 1 to"):
-        prepare_surface(pony, 0)
-    with pytest.raises(ParameterError, match="method: expected one of elastic, hfm, paper, got 'magic'"):
-        MatchConfig(method="magic")
+    refuses(ParameterError, "level: expected 1 to", prepare_surface, pony, 0)
+    refuses(ParameterError, "method: expected one of elastic, hfm, paper, got 'magic'", MatchConfig, method="magic")
     surface = prepare_surface(shapes.creature(), 1, BasisConfig(count=10))
     outside = Landmarks(("a", "b", "c"), np.array([0, 1, 9999]), np.array([0, 1, 2]), "t.obj", "s.obj")
-    with pytest.raises(InvalidLandmarksError, match="9999"):
-        match(surface, surface, outside)
+    refuses(InvalidLandmarksError, "9999", match, surface, surface, outside)
 
 
 @pytest.mark.slow

@@ -24,6 +24,7 @@ from cagemap.mesh.topology import (
 )
 
 from mesh_faults import SHAPES, elements, faces_of, flip, kinds, moebius_strip, with_faces
+from refusals import refuses
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -316,8 +317,7 @@ def test_faces_without_area_are_named_and_thin_ones_accepted(scale: float) -> No
 )
 def test_arrays_that_do_not_fit_are_refused(change: dict[str, object], message: str) -> None:
     mesh = replace(cube(), **change)  # type: ignore[arg-type]
-    with pytest.raises(InvalidMeshError, match=message):
-        require_valid(mesh)
+    refuses(InvalidMeshError, message, require_valid, mesh)
     assert str(check_mesh(mesh))
 
 
@@ -338,8 +338,7 @@ def test_every_vertex_list_is_plain_python() -> None:
 
 
 def test_a_refusal_names_the_way_round_where_there_is_one() -> None:
-    with pytest.raises(InvalidMeshError, match=r"Or use `plain_mesh`, which repairs the mesh"):
-        require_valid(flip(cube(), 1))
+    refuses(InvalidMeshError, r"Or use `plain_mesh`, which repairs the mesh", require_valid, flip(cube(), 1))
     flat = cube().with_positions(cube().positions * [1.0, 1.0, 0.0])
     with pytest.raises(InvalidMeshError) as refused:
         require_valid(flat)

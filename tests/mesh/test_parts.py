@@ -43,6 +43,7 @@ from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
 from plain_meshes import marks_at
+from refusals import refuses
 
 
 def _named(mesh: ControlMesh, name: str, shift: float = 0.0) -> ControlMesh:
@@ -89,11 +90,9 @@ def test_parts_are_found_by_name() -> None:
     np.testing.assert_array_equal(find_part(scene, "eye_left").faces, np.arange(6, 26))
     np.testing.assert_array_equal(find_part(scene, "material:cloth").faces, [3, 4, 5])
     assert len(find_part(scene, "largest").faces) == 20
-    with pytest.raises(ParameterError, match="there is none\\. It has object:body"):
-        find_part(scene, "nose")
+    refuses(ParameterError, "there is none\\. It has object:body", find_part, scene, "nose")
     both = replace(scene, group_names=("body", "rest"), face_groups=np.repeat([1, 0], [6, 40]))
-    with pytest.raises(ParameterError, match="object:body, group:body"):
-        find_part(both, "body")
+    refuses(ParameterError, "object:body, group:body", find_part, both, "body")
     paths = replace(scene, object_names=("/hero/body", "/hero/eye_left", "/hero/eye_right"))
     for name in ("eye_right", "hero/eye_right"):
         assert find_part(paths, name).name == "/hero/eye_right"
@@ -340,8 +339,7 @@ def _match(folder: Path, name: str, **options: object) -> tuple[str, list[str]]:
 
 
 def test_a_file_of_several_pieces_says_how_to_go_on(folder: Path) -> None:
-    with pytest.raises(InvalidMeshError, match="`find_part` NAME"):
-        _match(folder, "REFUSED")
+    refuses(InvalidMeshError, "`find_part` NAME", _match, folder, "REFUSED")
 
 
 @pytest.mark.slow

@@ -11,6 +11,8 @@ from cagemap.mesh import CatmullClark, ControlMesh, Loop
 from cagemap.subdivision import limit_matrix, limit_normals, limit_positions, refine, triangles
 from cagemap.subdivision.limit import limit_tangents
 
+from refusals import refuses
+
 SHAPES = [
     cube(),
     pyramid(),
@@ -140,9 +142,6 @@ def test_a_collapsed_shape_has_zero_normals_not_nan() -> None:
 
 def test_levels_that_are_not_there_are_refused() -> None:
     refinement = refine(pyramid(), 1)
-    with pytest.raises(ParameterError, match="expected 0 to 1, got 2"):
-        limit_positions(refinement, 2)
-    with pytest.raises(ParameterError, match="use level 1"):
-        limit_matrix(refinement, 0)
-    with pytest.raises(ParameterError, match="refine once"):
-        limit_positions(refine(pyramid(), 0), 0)
+    refuses(ParameterError, "expected 0 to 1, got 2", limit_positions, refinement, 2)
+    refuses(ParameterError, "use level 1", limit_matrix, refinement, 0)
+    refuses(ParameterError, "refine once", limit_positions, refine(pyramid(), 0), 0)

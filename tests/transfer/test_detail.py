@@ -327,23 +327,25 @@ def test_through_the_command_line(run: Run, result_folder: Path) -> None:
     normals = read_image(place / "o_normal.png").pixels / 65535
     assert (2 * normals[:, :, 2] - 1).mean() > 0.7
     assert normals[:, :, 0].std() > 0.01
-    assert run("wrap R -o w.obj --detail high.obj").code
+    run.refused("wrap R -o w.obj --detail high.obj", says="expected an image to bake")
     u, v = np.meshgrid((np.arange(256) + 0.5) / 256, 1 - (np.arange(256) + 0.5) / 256)
     write_image(place / "skin.png", np.rint(255 * np.stack([u, v, u * 0], axis=2)).astype(np.uint8))
     write_mesh(place / "scan.obj", detailed.with_uvs(colors[:, :2], faces.ravel()))
     own = ("--detail", "scan.obj", "--size", "64")
-    assert run("transfer R --bake texture", *own, "-o", "t.png").code
-    assert run("transfer R --bake normal --detail-texture skin.png", *own, "-o", "t.png").code
+    run.refused("transfer R --bake texture", *own, "-o", "t.png", says="expected both or neither")
+    run.refused(
+        "transfer R --bake normal --detail-texture skin.png", *own, "-o", "t.png", says="expected both or neither"
+    )
     run.done("transfer R --bake texture --detail-texture skin.png", *own, "-o", "t.png")
     baked, expected = (read_image(place / name).pixels.astype(float) for name in ("t.png", "o_colors.png"))
     assert np.median(np.abs(baked - expected)[:, :, :2]) < 2
     spots = np.random.default_rng(8).integers(0, 2, (256, 256, 1), dtype=np.uint8) * np.uint8(77)
     write_image(place / "spots.png", spots)
     asked = ("transfer", "R", "--bake", "texture", "--detail-texture", "spots.png", *own, "-o", "s.png", "--filter")
-    assert not run(*asked, "nearest").code
+    run.done(*asked, "nearest")
     assert set(np.unique(read_image(place / "s.png").pixels)) == {0, 77}
     assert "for '--filter'" in run(*asked, "cubic").err
-    assert run("wrap R -o w.obj --detail-texture skin.png --baked b.png").code
+    run.refused("wrap R -o w.obj --detail-texture skin.png --baked b.png", says="expected --detail, and no --texture")
     run.done("wrap R -o w2.obj --detail-texture skin.png --baked b.png", *own)
     assert read_image(place / "b.png").pixels.shape == (64, 64, 3)
     done = run.done("wrap R -o w.obj --normal-map wn.png --vector-displacement wv.exr --size 64")

@@ -265,5 +265,6 @@ def test_wrong_input_is_refused_with_its_remedy() -> None:
     refuses(ParameterError, "size: expected", bake_texture, transfer, texture, size=0)
     refuses(ParameterError, "image of shape", bake_texture, transfer, texture[None], size=8)
     refuses(ParameterError, "unsigned integers or floats", bake_texture, transfer, texture.astype(np.int32), size=8)
+    refuses(ParameterError, "supersample: expected 1 to 16", BakeOptions, supersample=99)
     with pytest.raises(ParameterError, match="refine it once"):
         prepare_transfer(Level(level.positions, None, level.face_parents), level, identity_map(level))
