@@ -83,9 +83,7 @@ def all_of(body: ControlMesh, ball: ControlMesh) -> list[ControlMesh]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_moved_and_scaled_body_moves_its_passengers_along(
-    body: ControlMesh, ball: ControlMesh, kind: str | None
-) -> None:
+def test_a_moved_and_scaled_body_moves_its_passengers_along(body, ball, kind):
     turn, triangles = Rotation.from_euler("xyz", [0.4, 1.1, -2.0]).as_matrix(), cage_triangles(body)[0]
     target = surface(0.1 * body.positions @ turn + [5.0, -2.0, 1.0], triangles)
     point_map = PointMap.from_vertices(target, surface(body.positions, triangles), np.arange(target.n))
@@ -159,9 +157,7 @@ def test_rigid_keeps_the_size_of_the_whole_body(body: ControlMesh, ball: Control
     np.testing.assert_allclose(radii[0], radii[1] * point_map.source.scale / point_map.target.scale, rtol=1e-9)
 
 
-def test_pieces_of_one_mesh_move_on_their_own_and_concentric_ones_together(
-    body: ControlMesh, ball: ControlMesh
-) -> None:
+def test_pieces_of_one_mesh_move_on_their_own_and_concentric_ones_together(body, ball):
     point_map, count = swollen(body), ball.n_vertices
     shells = np.concatenate([ball.positions, 1.1 * ball.positions]) + np.array([2.2, 0.8, 0.0])
     faces = ball.face_indices.reshape(-1, 3)

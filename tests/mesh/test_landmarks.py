@@ -205,7 +205,7 @@ def test_pairs_without_names_are_numbered(tmp_path: Path) -> None:
 )
 def test_landmarks_that_do_not_fit_are_named(change: dict[str, object], message: str) -> None:
     with pytest.raises(InvalidLandmarksError, match=message):
-        check_landmarks(replace(landmarks(), **change), cube(), torus())  # type: ignore[arg-type]
+        check_landmarks(replace(landmarks(), **change), cube(), torus())
 
 
 def test_several_faults_at_once_and_no_number_of_pairs_is_one() -> None:

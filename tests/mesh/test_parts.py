@@ -119,9 +119,7 @@ def test_the_largest_part_has_most_area_among_those_of_about_as_many_faces(scale
     ],
 )
 @pytest.mark.parametrize("kind", ["object", "group", "material"])
-def test_the_largest_part_is_not_named_like_clothes(
-    kind: str, body: str, clothes: str, scheme: str, faces: int
-) -> None:
+def test_the_largest_part_is_not_named_like_clothes(kind, body, clothes, scheme, faces):
     large = triangulated(cube())
     scene = join_meshes([icosahedron(), large.with_positions(2 * large.positions)])
     labels = {f"face_{kind}s": np.repeat([0, 1], [20, 12]), f"{kind}_names": (body, clothes)}
@@ -130,9 +128,7 @@ def test_the_largest_part_is_not_named_like_clothes(
 
 @pytest.mark.parametrize("suffix", ["glb", "obj"])
 @pytest.mark.parametrize("part", [None, "largest"])
-def test_of_a_clothed_file_without_subdivision_the_body_is_matched(
-    tmp_path: Path, suffix: str, part: str | None
-) -> None:
+def test_of_a_clothed_file_without_subdivision_the_body_is_matched(tmp_path, suffix, part):
     body, jeans = _named(triangulated(creature()), "body"), _named(triangulated(cube()), "jeans")
     jeans = jeans.with_positions(0.5 * np.ptp(body.positions, axis=0).max() * jeans.positions)
     path = tmp_path / f"figure.{suffix}"
@@ -385,9 +381,7 @@ def test_one_part_can_be_matched_alone(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("sides", [("triangles", "mixed"), ("mixed", "triangles")])
-def test_plain_parts_of_quads_and_of_triangles_become_one_mesh_of_triangles(
-    tmp_path: Path, sides: tuple[str, str]
-) -> None:
+def test_plain_parts_of_quads_and_of_triangles_become_one_mesh_of_triangles(tmp_path, sides):
     ball = _named(triangulated(poles(6)), "ball", 9.0)
     scenes = {name: join_meshes([_named(body, "body"), ball]) for name, body in _bodies().items()}
     for name, scene in scenes.items():
@@ -399,7 +393,6 @@ def test_plain_parts_of_quads_and_of_triangles_become_one_mesh_of_triangles(
     np.testing.assert_allclose(result.image(), result.target.vertices, rtol=0, atol=1e-6)
     for side in (result.target, result.source):
         assert side.control.is_triangle_mesh
-        assert side.control.file_faces is not None
         assert set(side.control.file_faces) == set(range(scenes[sides[side is result.source]].n_faces))
     request = TransferRequest(tmp_path / "R", tmp_path / "carried.npz", attribute=tmp_path / "numbers.npy")
     run_transfer(request, Stages())

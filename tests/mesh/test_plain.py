@@ -78,9 +78,7 @@ def test_what_scans_have_is_mended_or_set_aside_and_said() -> None:
         ("object", ("suit", "head"), 0.4, 0),  # the body is deleted
     ],
 )
-def test_the_piece_that_is_kept_is_not_named_like_clothes(
-    kind: str, names: tuple[str, str], scale: float, kept: int
-) -> None:
+def test_the_piece_that_is_kept_is_not_named_like_clothes(kind, names, scale, kept):
     small, large = ball(), cube()
     scene = join_meshes([small, large.with_positions(scale * large.positions)])
     labels = {f"face_{kind}s": np.repeat([0, 1], [small.n_faces, 6]), f"{kind}_names": names}
@@ -159,12 +157,12 @@ def test_colours_of_joined_vertices_are_averaged_and_said() -> None:
     first, second = np.flatnonzero(plain.vertex_of == 0)[:2]
     colors[first] = np.nan
     found = plain_mesh(replace(sphere, vertex_colors=colors)).mesh.vertex_colors
-    np.testing.assert_allclose(found, 0.5)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found, 0.5)
     colors[first], colors[second] = 0.5, 1.0
     count = int((plain.vertex_of == 0).sum())
     averaged = plain_mesh(replace(sphere, vertex_colors=colors))
     assert f"{sphere.name}: colours of {count} welded vertices differ and are averaged" in averaged.notes
-    np.testing.assert_allclose(averaged.mesh.vertex_colors[0], 0.5 + 0.5 / count)  # type: ignore[index]
+    np.testing.assert_allclose(averaged.mesh.vertex_colors[0], 0.5 + 0.5 / count)
 
 
 def test_concave_polygons_are_split_inside() -> None:

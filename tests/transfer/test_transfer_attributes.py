@@ -120,7 +120,6 @@ def test_a_face_over_several_takes_the_largest_label_and_the_mean_value() -> Non
 
 def test_a_target_face_without_area_takes_the_value_at_its_image() -> None:
     source = plane(4, 4)
-    assert source.faces is not None
     positions = source.positions.copy()
     positions[source.faces[5]] = positions[source.faces[5, 0]]
     surfaces = (TriangleSurface.from_faces(places, source.faces) for places in (positions, source.positions))

@@ -152,7 +152,7 @@ def test_labels_are_never_mixed() -> None:
                 expected = labels[np.ix_(rows, columns)].transpose(1, 0, 2)
                 assert np.mean(baked == expected) > 0.8  # the map is linear between its vertices
     with pytest.raises(ParameterError, match="filter: expected smooth, linear, nearest"):
-        bake_texture(transfer, labels, size=9, options=BakeOptions(filter="cubic"))  # type: ignore[arg-type]
+        bake_texture(transfer, labels, size=9, options=BakeOptions(filter="cubic"))
     refuses(ParameterError, "supersample: expected 1 with filter nearest", BakeOptions, filter="nearest", supersample=2)
 
 

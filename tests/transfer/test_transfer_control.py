@@ -103,7 +103,6 @@ def stacked(control: ControlMesh, rows: int) -> ControlMesh:
 def test_values_that_vertices_share_are_interpolated_on_each_of_their_faces(shape, level: int) -> None:
     control = stacked(shape(), 5)
     refined = refine(control, level)
-    assert control.uv_indices is not None
     linear = interpolate_linearly(control, control.uv_indices, 5, level, refined.scheme)
     assert linear.matrix.data.min() > 0
     np.testing.assert_allclose(linear.matrix.sum(axis=1), 1, rtol=0, atol=1e-12)
@@ -111,7 +110,6 @@ def test_values_that_vertices_share_are_interpolated_on_each_of_their_faces(shap
         both = refined, refined
         transfer = prepare_transfer(both[0].finest, both[1].finest, identity_map(both[0].finest))
         carried = carry_uvs(transfer, *both)
-        assert control.uvs is not None
         given = control.uvs[control.uv_indices]
         np.testing.assert_allclose(carried.uvs[carried.uv_indices], given, rtol=0, atol=1e-7)
 

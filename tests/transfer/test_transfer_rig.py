@@ -206,9 +206,7 @@ def test_a_map_file_says_which_level_its_triangles_are_of(tmp_path: Path, ring: 
 
 
 @pytest.mark.slow
-def test_dense_matrices_are_read_where_they_are_small(
-    tmp_path: Path, ring: Refinement, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_dense_matrices_are_read_where_they_are_small(tmp_path, ring, monkeypatch):
     surface, file = surface_of(ring), tmp_path / "map.mtx"
     t = np.random.default_rng(3).integers(0, len(surface.triangles), surface.n)
     point_map = PointMap.from_arrays(surface, surface, t, np.tile([0.5, 0.25, 0.25], (surface.n, 1)))

@@ -130,9 +130,7 @@ def test_rows_without_a_chosen_joint_keep_all_their_influences(run: Run, result_
 
 @pytest.mark.parametrize("weights", ["w.csv", "w.usda"])
 @pytest.mark.parametrize("words", ["--only a,b,c --target-mask half.npy", "--target-mask half.npy", "--only c"])
-def test_weights_of_a_base_are_paired_by_the_names_of_its_joints(
-    run: Run, result_folder: Path, weights: str, words: str
-) -> None:
+def test_weights_of_a_base_are_paired_by_the_names_of_its_joints(run, result_folder, weights, words):
     place, names = result_folder.parent, ["a", "b", "c"]
     own, given = np.tile([0.2, 0.3, 0.5], (8, 1)), np.tile([0.25, 0.25, 0.5], (8, 1))
     write_weights(place, names, w=given)

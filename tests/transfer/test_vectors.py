@@ -106,9 +106,7 @@ def test_vector_displacement_comes_back_and_scales(box: Level, space: str) -> No
 
 
 @pytest.mark.parametrize(("dtype", "warned"), [("uint8", True), ("uint16", True), ("float32", False)])
-def test_rotated_vectors_outside_the_range_of_integers_are_reported(
-    box: Level, dtype: str, warned: bool, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_rotated_vectors_outside_the_range_of_integers_are_reported(box, dtype, warned, caplog):
     texture = np.ones((SIZE, SIZE, 3), np.float32)  # the longest vector; rotated by 45 degrees, its x is 0.71
     given = texture if dtype == "float32" else (texture * np.iinfo(dtype).max).astype(dtype)
     half = np.sqrt(0.5)
