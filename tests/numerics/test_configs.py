@@ -26,22 +26,22 @@ REFUSED: dict[str, Callable[[], object]] = {
     "min_cosine: expected a number from -1 to 1": lambda: ProjectionConfig(min_cosine=-1.1),
     "min_side_gain: expected a number of at least -1": lambda: LandmarkConfig(min_side_gain=-2.0),
     "answer: expected a whole number": lambda: MatchConfig(answer=True),
-    "rounds: expected a whole number of at least 0, got 2.5": lambda: MendConfig(rounds=2.5),
+    "rounds: expected a whole number of at least 0, got 2.5": lambda: MendConfig(rounds=2.5),  # type: ignore[arg-type]
     "smoothing: expected a finite number of at least 0, got inf": lambda: WrapConfig(smoothing=np.inf),
     "seed: expected a whole number of at least 0": lambda: replace(SOLVER, seed=-1),
     "projection_normal_weights: expected numbers of at least 0, got [-1.0]": lambda: ElasticConfig(
-        projection_normal_weights=[-1.0]
+        projection_normal_weights=[-1.0]  # type: ignore[arg-type]
     ),
     "projection_normal_weights: expected numbers of at least 0, got ('a',)": lambda: ElasticConfig(
-        projection_normal_weights=("a",)
+        projection_normal_weights=("a",)  # type: ignore[arg-type]
     ),
     "coarse_vertices: expected a whole number of at least 4, got array(-3)": lambda: ElasticConfig(
-        coarse_vertices=np.array(-3)
+        coarse_vertices=np.array(-3)  # type: ignore[arg-type]
     ),
     "coarse_vertices: expected a whole number of at least 4, got 1000": lambda: ElasticConfig(coarse_vertices=10**400),
-    "iterations: expected a whole number of at least 1, got 2.5": lambda: Stage(2.5, (1.0, 1.0), 0.1),
-    "search: expected a SearchConfig, got None": lambda: ElasticConfig(search=None),
-    "reach: expected a number of at least 0, got '1'": lambda: CollisionConfig(reach="1"),
+    "iterations: expected a whole number of at least 1, got 2.5": lambda: Stage(2.5, (1.0, 1.0), 0.1),  # type: ignore[arg-type]
+    "search: expected a SearchConfig, got None": lambda: ElasticConfig(search=None),  # type: ignore[arg-type]
+    "reach: expected a number of at least 0, got '1'": lambda: CollisionConfig(reach="1"),  # type: ignore[arg-type]
 }
 
 
@@ -53,6 +53,6 @@ def test_numbers_out_of_range_are_refused(message: str) -> None:
 
 
 def test_numbers_of_numpy_and_infinite_limits_are_accepted() -> None:
-    config: Config = GraphConfig(neighbours=np.int64(3), flat=np.float32(0.1))
+    config: Config = GraphConfig(neighbours=np.int64(3), flat=np.float32(0.1))  # type: ignore[arg-type]
     assert config == GraphConfig(neighbours=3, flat=float(np.float32(0.1)))
     assert WrapConfig(max_distance=np.inf).max_distance == np.inf  # no limit
