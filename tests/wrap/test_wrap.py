@@ -191,7 +191,7 @@ def test_a_small_part_has_a_counterpart_everywhere(side: int) -> None:
 
 
 def test_what_a_small_part_squeezes_has_no_counterpart() -> None:
-    target, point_map = in_place(5, 20)
+    _, point_map = in_place(5, 20)
     places = point_map.images.positions.copy()
     x = places[:, 0] - places[:, 0].min()
     half = x.max() / 2

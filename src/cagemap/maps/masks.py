@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import sparse
@@ -35,7 +35,7 @@ class Masks:
     target: FloatArray | None = None
     source: FloatArray | None = None  #: (n2,) the same of the source
     #: area with a counterpart that these masks are `within`; None if it is not known
-    shared: Masks | None = None
+    shared: Masks | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         for side, mask in (("target", self.target), ("source", self.source)):
@@ -94,7 +94,7 @@ class Masks:
             return self
         target = self.of_target(len(shared.target)) * shared.target
         source = self.of_source(len(shared.source)) * shared.source
-        return Masks(target, source, shared) if target.any() and source.any() else self
+        return Masks(target, source, shared=shared) if target.any() and source.any() else self
 
     def length_ratio(self, target: TriangleSurface, source: TriangleSurface) -> float:
         """Length on the source of a unit length on the target, if the map keeps the size of the shared area.

@@ -258,16 +258,14 @@ def counterpart_mask(point_map: PointMap, config: WrapConfig = WrapConfig()) -> 
 def _size_on_source(areas: FloatArray) -> float:
     """Area ratio (source to target) typical of a map, at most 1; 1 for two wholes.
 
-    ``areas`` (n1, 2) are those of vertices on the target and of their images. The mean is weighted by the images' areas:
-    that of a map onto a whole source is at least 1 (Cauchy and Schwarz), and squeezed area has no weight.
+    ``areas`` (n1, 2) are those of vertices on the target and of their images. The mean is weighted by the areas of
+    images: that of a map onto a whole source is at least 1 (Cauchy and Schwarz), and squeezed area has no weight.
     """
     own, image = areas[areas[:, 0] > 0].T
     return float(np.clip((image**2 / own).sum() / max(image.sum(), 1e-12), 1e-12, 1.0))
 
 
-def _hollow_parts(
-    point_map: PointMap, whole: NDArray[np.bool_], config: WrapConfig, unit: float
-) -> NDArray[np.bool_]:
+def _hollow_parts(point_map: PointMap, whole: NDArray[np.bool_], config: WrapConfig, unit: float) -> NDArray[np.bool_]:
     """(n1,) squeezed parts (not ``whole``), and parts that these cut off, if their images overlap the rest.
 
     ``unit`` is the length of distances between images.

@@ -77,7 +77,9 @@ class WrapRequest:
     )
     occlusion: Annotated[Path | None, Option("Image to write: the source's ambient occlusion.", IMAGES)] = None
     colors: Annotated[Path | None, Option("Image to write: the source's vertex colours.", IMAGES)] = None
-    texture: Annotated[Path | None, Option("Source image, or model file with one, to bake into --baked.", IMAGES)] = None
+    texture: Annotated[Path | None, Option("Source image, or model file with one, to bake into --baked.", IMAGES)] = (
+        None
+    )
     baked: Annotated[Path | None, Option("Image to write: the baked texture.", IMAGES)] = None
     detail: Annotated[Path | None, Option("More detailed mesh to bake from, instead of the source.", IMAGES)] = None
     detail_texture: Annotated[Path | None, Option("Image of the detailed mesh, baked into --baked.", IMAGES)] = None
