@@ -298,6 +298,8 @@ def test_shared_area_leaves_the_figures_of_two_wholes() -> None:
     assert one.summary() == other.summary()
     nearly = np.where(np.arange(surface.n) < 3, 0.0, 1.0)
     assert WHOLE.within(Masks(nearly, every)).length_ratio(surface, surface) == 1.0
+    nothing = np.where(np.arange(surface.n) < 3, 1e-6, 0.0)
+    assert WHOLE.within(Masks(every, nothing)).length_ratio(surface, surface) == 1.0
 
 
 def test_a_mirrored_map_is_called_inside_out_and_missed_landmarks_are_named() -> None:

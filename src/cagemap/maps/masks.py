@@ -17,7 +17,7 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import row_lengths
 
-# Least mean of a mask; below it nothing is left to match.
+# Least mean of a mask, and least share of area; below it nothing is left to match.
 LEAST = 1e-4
 # Shares of both areas from which two surfaces correspond as wholes.
 WHOLE_SHARE = 0.98
@@ -99,12 +99,12 @@ class Masks:
     def length_ratio(self, target: TriangleSurface, source: TriangleSurface) -> float:
         """Length on the source of a unit length on the target, if the map keeps the size of the shared area.
 
-        1 if both surfaces correspond as wholes, or the shared area is not known.
+        1 if both surfaces correspond as wholes, next to nothing is shared, or the shared area is not known.
         """
         if self.shared is None:
             return 1.0
         on_target, on_source = self.shared.shares(target, source)
-        if min(on_target, on_source) >= WHOLE_SHARE:
+        if min(on_target, on_source) >= WHOLE_SHARE or min(on_target, on_source) < LEAST:
             return 1.0
         return float(np.sqrt(on_source / on_target))
 
