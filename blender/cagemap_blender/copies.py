@@ -36,10 +36,17 @@ def copy_garment(context, garment, target, source, positions, offsets):
     copy.data.vertices.foreach_set("co", places.astype(np.float32).ravel())
     keys = copy.data.shape_keys
     for key in keys.key_blocks if keys else ():
-        shape = places + offsets[key.name] @ turn.T if key.name in offsets else places
+        shape = places + _offset_of(key, offsets) @ turn.T
         key.data.foreach_set("co", shape.astype(np.float32).ravel())
     copy.data.update()
     return copy
+
+
+def _offset_of(key, offsets, seen=()):
+    """Offset (n, 3) or 0 of a shape key from the basis: its own from its relative key, and that key's."""
+    if key.name not in offsets or key.name in seen:
+        return np.zeros(3)
+    return offsets[key.name] + _offset_of(key.relative_key, offsets, (*seen, key.name))
 
 
 def _remove_copy(name):

@@ -106,7 +106,10 @@ class CAGEMAP_OT_rig(Work, bpy.types.Operator):
         copies.bind(target, rig)
         if write_clothes is not None:
             messages.append(write_clothes(context))
-        return f"{target.name} is rigged by {rig.name}: {', '.join(messages)}"
+        note = ""
+        if reply["is_posed"] and reading.is_animated(armature):
+            note = f". {target.name} stands in another pose than {source.name}: actions are not adapted to it"
+        return f"{target.name} is rigged by {rig.name}: {', '.join(messages)}{note}"
 
 
 class CAGEMAP_OT_landmark(Work, bpy.types.Operator):

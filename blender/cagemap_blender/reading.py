@@ -254,6 +254,12 @@ def armature_of(object_):
     return next((m.object for m in object_.modifiers if m.type == "ARMATURE" and m.object), None)
 
 
+def is_animated(object_):
+    """Whether an object has actions, also in its NLA tracks."""
+    animation = object_.animation_data
+    return animation is not None and bool(animation.action or animation.nla_tracks)
+
+
 def bone_names(object_):
     """Names of the bones that deform an object: their groups are skin weights, all others are plain values."""
     armatures = [m.object for m in object_.modifiers if m.type == "ARMATURE" and m.object]

@@ -171,8 +171,9 @@ def transfer_clothes(context):
             garment: copies.copy_garment(context, garment, target, source, *arrays)
             for garment, *arrays in zip(garments, reply["positions"], reply["shapes"], strict=True)
         }
-        notes = copies.fit_modifiers(copy_of, target, source)
-        return count_phrase(names, "garment") + (f" (removed, to be bound again: {', '.join(notes)})" if notes else "")
+        removed = copies.fit_modifiers(copy_of, target, source)
+        notes = [*reply["notes"], *([f"removed, to be bound again: {', '.join(removed)}"] if removed else [])]
+        return count_phrase(names, "garment") + (f" ({'; '.join(notes)})" if notes else "")
 
     return write
 

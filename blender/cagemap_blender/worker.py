@@ -21,7 +21,9 @@ if __name__ == "__main__":
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.character.passengers import carry_passengers
+from cagemap.character.bones import humanoid_joints
+from cagemap.character.passengers import carry_passengers, unit_factor
+from cagemap.character.poses import aligned_pose
 from cagemap.character.skeleton import carry_rig
 from cagemap.character.values import Part, Rig
 from cagemap.errors import CagemapError, ParameterError
@@ -36,7 +38,7 @@ from cagemap.pipeline import choose_level, match, prepare_surfaces, update_match
 from cagemap.surface.closest_points import closest_points
 from cagemap.tasks.carry_arrays import carry_shapes, carry_values, carry_weights
 from cagemap.tasks.carry_character import Bodies
-from cagemap.tasks.match_parts import ready_mesh
+from cagemap.tasks.match_parts import lost_landmark_notes, ready_mesh
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.set_aside import SetAside, lay_set_aside, piece_transfer
 from cagemap.transfer import BakeOptions, Transfer, bake_texture, pull_back_faces, target_tiles, transfer_of
@@ -46,6 +48,8 @@ from cagemap.wrap import wrap
 
 # Texels around the islands of pieces that are not matched, which are theirs too.
 _BORDER = 4
+# Mean distance of a garment from the source, in sqrt(area), above which its place is doubtful.
+_FAR_GARMENT = 0.5
 
 Array = NDArray[Any]
 Values = dict[str, Any]
@@ -212,22 +216,31 @@ class Session:
         return {"positions": positions}
 
     def rig(self, names: list[str], parents: Array, matrices: Array, tails: Array) -> Values:
-        """Bones where they belong in the target: matrices (j, 4, 4) to the world, and tails (j, 3)."""
+        """Bones of the target: matrices (j, 4, 4) to the world, tails (j, 3), whether its pose is another one."""
         self._stages("skeleton")
         point_map = self._matched().result.point_map
         rows = matrices.transpose(0, 2, 1)
-        carried = carry_rig(point_map, Rig(tuple(names), parents, rows, rows))
-        return {"matrices": carried.bind.transpose(0, 2, 1), "tails": carry_joints(point_map, tails)[0]}
+        rig = Rig(tuple(names), parents, rows, rows)
+        carried = carry_rig(point_map, rig)
+        is_posed = bool(humanoid_joints(rig)) and not np.allclose(aligned_pose(carried, rig), carried.bind)
+        matrices, tails = carried.bind.transpose(0, 2, 1), carry_joints(point_map, tails)[0]
+        return {"matrices": matrices, "tails": tails, "is_posed": is_posed}
 
     def clothes(self, meshes: list[Values], shapes: list[dict[str, Array]]) -> Values:
-        """Positions (n, 3) of meshes that sit on the source, on the target; and their shapes' offsets."""
+        """Positions (n, 3) of meshes that sit on the source, on the target; their shapes' offsets; notes."""
         self._stages("clothes")
-        carried = carry_passengers(self._matched().result, [control_mesh(mesh) for mesh in meshes])
+        result = self._matched().result
+        carried, body = carry_passengers(result, [control_mesh(mesh) for mesh in meshes]), result.point_map.source
+        notes = [
+            f"{mesh['name']} is {one.distance:.1f} body sizes away from the source on average: check its place and size"
+            for mesh, one in zip(meshes, carried, strict=True)
+            if one.distance > _FAR_GARMENT or unit_factor(body, mesh["positions"]) != 1.0
+        ]
         moved = [
             {name: one.carry_offsets(offsets) for name, offsets in own.items()}
             for one, own in zip(carried, shapes, strict=True)
         ]
-        return {"positions": [one.positions for one in carried], "shapes": moved}
+        return {"positions": [one.positions for one in carried], "shapes": moved, "notes": notes}
 
     def _keep(self, bodies: Bodies) -> None:
         self._kept = bodies, lay_set_aside(bodies)
@@ -324,7 +337,8 @@ def _landmarks(
         for points in (target_points, source_points)
     ]
     landmarks, notes = pair_by_name(*named, *(part.mesh for part in parts))
-    return landmarks.renumbered(*(one.vertex_of.__getitem__ for one in ready)), notes
+    kept = landmarks.renumbered(*(one.vertex_of.__getitem__ for one in ready))
+    return kept, (*notes, *lost_landmark_notes(landmarks, kept))
 
 
 def _loops(mesh: ControlMesh) -> Array:

@@ -536,6 +536,58 @@ def modifiers_of_clothes_refer_to_the_target():
 
 
 @check
+def shape_keys_of_clothes_stay_relative_to_their_keys():
+    source, _ = pair()
+    shirt = garment(source)
+    basis, wide, long = (shirt.shape_key_add(name=name) for name in ("Basis", "wide", "long"))
+    for row, vertex in enumerate(basis.data):
+        wide.data[row].co.x = 1.3 * vertex.co.x
+        long.data[row].co = wide.data[row].co
+        long.data[row].co.z += 0.2
+    long.relative_key = wide
+    bpy.ops.cagemap.transfer(what={"CLOTHES"})
+    keys = bpy.data.objects["shirt on target"].data.shape_keys.key_blocks
+    assert keys["long"].relative_key == keys["wide"]
+    for key in (basis, wide, long):  # source and target are the same
+        before, after = (np.array([point.co for point in one.data]) for one in (key, keys[key.name]))
+        assert np.abs(before - after).max() < 0.03, (key.name, np.abs(before - after).max())
+
+
+@check
+def clothes_that_are_far_away_are_reported():
+    source, _ = pair()
+    garment(source).location.z += 50.0
+    bpy.context.view_layer.update()
+    bpy.ops.cagemap.transfer(what={"CLOTHES"})
+    assert "1 garment (shirt is " in SETTINGS.message
+    assert "check its place and size)" in SETTINGS.message
+
+
+@check
+def actions_of_a_body_in_another_pose_are_reported():
+    source, _ = pair()
+    armature = rig(source)
+    whole = work.WORKER.receive
+
+    def receive(**options):
+        message = whole(**options)
+        if message is not None and message[0] == "done" and "is_posed" in message[1]:
+            message[1]["is_posed"] = True
+        return message
+
+    work.WORKER.receive = receive
+    try:
+        for animated in (False, True):
+            if animated:
+                armature.keyframe_insert("location", frame=1)
+            bpy.ops.cagemap.rig()
+            assert ("target stands in another pose than source" in SETTINGS.message) == animated
+            SETTINGS.target.modifiers.clear()
+    finally:
+        del work.WORKER.receive
+
+
+@check
 def a_second_run_replaces_clothes():
     source, _ = pair()
     garment(source)

@@ -26,6 +26,7 @@ from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
 
+from curved_bar import bar
 from example_once import example_pair
 from locations import FIXTURES, ROOT
 from mesh_faults import flip
@@ -172,6 +173,55 @@ def test_what_is_wrong_is_said_and_the_process_goes_on(worker: Any) -> None:
     assert kind == "refused"
     assert "fault of cagemap" in said
     assert answer(worker, "wrap")[0] == "refused"  # the same process answers
+
+
+@pytest.mark.slow
+def test_landmarks_on_pieces_that_are_not_matched_are_reported(worker: Any) -> None:
+    body = example_pair(64).target
+    mesh = two_pieces(body)
+    points = {"nose": mesh.positions[5].tolist(), "eye": mesh.positions[body.n_vertices + 5].tolist()}
+    asked = {"target_points": points, "source_points": points}
+    note = "1 of 2 landmarks lie on pieces that are set aside and are left out"
+    _, reply = answer(worker, "match", target=arrays(mesh), source=arrays(mesh), vertices=2000, **asked)
+    assert note in reply["sentences"]
+    _, reply = answer(worker, "update", **asked)
+    assert note in reply["sentences"]
+    _, reply = answer(worker, "update", target_points={"nose": points["nose"]}, source_points=points)
+    assert note not in reply["sentences"]
+
+
+@pytest.mark.slow
+def test_clothes_that_are_far_from_the_source_are_reported(worker: Any) -> None:
+    body = example_pair(64).target
+    size, mesh = np.ptp(body.positions, axis=0), arrays(body)
+    answer(worker, "match", target=mesh, source=mesh, target_points={}, source_points={}, vertices=2000)
+    shirt = mesh | {"name": "shirt", "positions": body.positions + 0.01 * size}
+    hat = mesh | {"name": "hat", "positions": body.positions + 5.0 * size}
+    _, reply = answer(worker, "clothes", meshes=[shirt, hat], shapes=[{}, {}])
+    (note,) = reply["notes"]
+    assert note.startswith("hat is ")
+    assert "check its place and size" in note
+
+
+@pytest.mark.slow
+def test_a_rig_knows_whether_the_target_stands_in_another_pose(worker: Any) -> None:
+    straight = bar()
+    bent = straight.positions.copy()
+    upper = bent[:, 2] > 3.0
+    turn, joint = np.array([[1.0, 0.0, 0.0], [0.0, 0.28, 0.96], [0.0, -0.96, 0.28]]), [0.5, 0.5, 3.0]
+    bent[upper] = (bent[upper] - joint) @ turn + joint
+    bones = {"hips": 0.5, "spine": 1.5, "neck": 3.2, "head": 5.5}
+    matrices = np.tile(np.eye(4), (4, 1, 1))
+    matrices[:, :3, 3] = [(0.5, 0.5, height) for height in bones.values()]
+    for positions, is_posed in ((straight.positions, False), (bent, True)):
+        target = straight.with_positions(positions)
+        points = [{f"p{row}": place for row, place in enumerate(one.positions.tolist())} for one in (target, straight)]
+        asked = {"target_points": points[0], "source_points": points[1], "vertices": 2000}
+        kind, reply = answer(worker, "match", target=arrays(target), source=arrays(straight), **asked)
+        assert kind == "done", reply
+        tails = matrices[:, :3, 3] + [0.0, 0.0, 0.5]
+        rig = {"names": list(bones), "parents": np.arange(-1, 3), "matrices": matrices, "tails": tails}
+        assert answer(worker, "rig", **rig)[1]["is_posed"] == is_posed
 
 
 @pytest.mark.slow

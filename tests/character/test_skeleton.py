@@ -82,3 +82,21 @@ def test_rigs_of_one_frame_keep_it() -> None:
     carried = carry_rig(replace(other, images=still.images), person(one_frame=True))
     assert np.abs(carried.heads - person().heads).max() > 0.05
     np.testing.assert_array_equal(carried.bind[:, :3, :3], np.tile(np.eye(3), (len(carried.names), 1, 1)))
+
+
+def test_a_rest_pose_has_the_directions_of_the_source_s_on_a_body_in_another_pose() -> None:
+    """The bind poses of the arms differ by 27 degrees; the rest pose lowers the arm of the source."""
+    rig = person()
+    local = rig.local.copy()
+    local[7, :3, :3] = local[7, :3, :3] @ Rotation.from_rotvec((0.0, 0.0, -0.6)).as_matrix()
+    rig = replace(rig, local=local)
+    still, taller = body_moved(*STILL), body_moved(1.0, np.diag([1.0, 3.0, 1.0]), np.zeros(3))
+    carried = carry_rig(replace(taller, images=still.images), rig)
+
+    def arm(world: np.ndarray) -> np.ndarray:
+        along = world[8, 3, :3] - world[7, 3, :3]
+        return along / np.linalg.norm(along)
+
+    assert arm(rig.bind) @ arm(carried.bind) < np.cos(np.radians(25.0))
+    at_rest = [arm(world_transforms(one.local, one.parents)) for one in (rig, carried)]
+    np.testing.assert_allclose(at_rest[1], at_rest[0], atol=1e-8)

@@ -76,20 +76,46 @@ def test_an_edited_job_file_is_left_alone(folder: Path) -> None:
     assert place.read_text() == edited
 
 
-def test_no_file_is_written_twice_by_it(folder: Path) -> None:
+def test_no_file_is_written_twice_by_it_but_a_layer_to_which_each_adds(folder: Path) -> None:
     result = folder / "RESULT"
     write_result(result, identity_result())
     match, transfer = requests(folder)
     note_match(match)
-    for output in ("deer.png", "other.png"):  # the second run's layer took the place of the first one's
+    for output in ("deer.png", "other.png", "deer.png"):
         note_output("transfer", result, replace(transfer, output=folder / output, usd=folder / "deer.usda"))
     wrap = WrapRequest((result,), folder / "w.obj", texture=folder / "pony.png", baked=folder / "b.png", size=16)
     run_wrap(wrap, Stages())
+    note_output("transfer", result, replace(transfer, output=folder / "b.png"))
     tasks = noted_tasks(result)
     assert [task.outputs for task in tasks[4:]] == [
-        ("pony__deer/deer.png",),
         ("pony__deer/other.png", "pony__deer/deer.usda"),
-        ("pony__deer/w.obj", "pony__deer/b.png"),
+        ("pony__deer/deer.png", "pony__deer/deer.usda"),
+        ("pony__deer/w.obj",),
+        ("pony__deer/b.png",),
+    ]
+    assert [task.predecessors for task in tasks[4:6]] == [(), (tasks[4].name,)]
+    assert {task.request["usd"] for task in tasks[4:6]} == {str(result / "again" / "pony__deer" / "deer.usda")}
+
+
+def test_outputs_of_one_name_in_several_folders_are_all_repeated(folder: Path) -> None:
+    match, transfer = requests(folder)
+    note_match(match)
+    result = folder / "RESULT"
+    for place in (folder / "lod0", folder / "lod1", folder, result, folder.parent, folder.parent / "lod0"):
+        place.mkdir(exist_ok=True)
+        for _ in range(2):  # the same output replaces
+            note_output("transfer", result, replace(transfer, output=place / "skin.png"))
+    for place in (folder / "lod0", folder / "lod1"):
+        note_output("wrap", result, WrapRequest((result,), place / "w.obj", normal_map=place / "n.png", size=16))
+    assert [task.outputs for task in noted_tasks(result)[4:]] == [
+        ("pony__deer/lod0/skin.png",),
+        ("pony__deer/lod1/skin.png",),
+        ("pony__deer/skin.png",),
+        ("pony__deer/inside/skin.png",),
+        ("pony__deer/above1/skin.png",),
+        ("pony__deer/above1/lod0/skin.png",),
+        ("pony__deer/lod0/w.obj", "pony__deer/lod0/n.png"),
+        ("pony__deer/lod1/w.obj", "pony__deer/lod1/n.png"),
     ]
 
 

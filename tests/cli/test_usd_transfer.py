@@ -12,10 +12,19 @@ import pytest
 from cagemap.character.joints import Skeleton
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import Image, read_image, write_image
+from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.files.result.manifest import file_hash
+from cagemap.jobs.job import read_job
+from cagemap.jobs.plan import plan_job
+from cagemap.jobs.run import execute
+from cagemap.jobs.tree import spanning_tree
+from cagemap.tasks.job_file import JOB, note_match
 from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
+from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.transfer import TransferRequest, texture_and_maps
+from cagemap.tasks.run_job import run_task
 from cagemap.tasks.transfer import run_transfer
 
 from example_result import identity_result, textured_cube
@@ -124,6 +133,25 @@ def test_attributes_arrive_as_primvars(folder: Path) -> None:
     for name, array in values.items():
         np.testing.assert_allclose(carried[name], array, atol=1e-5)
     assert complaints(folder / "rig.usda") == []
+
+
+def test_the_job_file_repeats_each_transfer_into_one_layer(folder: Path) -> None:
+    write_mesh(folder / "small.obj", textured_cube("small.obj"))
+    result = Path("RESULT")
+    note_match(MatchRequest(folder / "large.usda", folder / "small.obj", result))
+    names = ("fur", "dirt")
+    for name in names:
+        np.savez(folder / f"{name}.npz", **{name: np.linspace(0, 1, 8)})
+        _run(attribute=folder / f"{name}.npz", output=folder / f"{name}_out.npz", usd=folder / "rig.usda")
+    job = read_job(result / JOB, COMMANDS, WRITTEN)
+    tasks = [task for task in plan_job(job, "1", spanning_tree).tasks if task.kind == "transfer"]
+    place = Path(tasks[0].request["result"])
+    place.parent.mkdir(parents=True)
+    write_result(place, read_result(result))
+    for state in ("done", "kept"):
+        assert [execute(task, job.output, run_task).state for task in tasks] == [state, state]
+    carried = read_usd_meshes(place.parent / "rig.usda")[0].attributes
+    assert set(names) <= set(carried)
 
 
 def test_a_target_that_is_gone_takes_its_units_along_and_that_is_said(folder: Path) -> None:

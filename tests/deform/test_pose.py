@@ -105,7 +105,9 @@ def test_placements_that_agree_are_doubted_where_a_limb_is_posed(
     monkeypatch.setattr(multi_start, "refine_placements", lambda problem, coarse: list(coarse))
     monkeypatch.setattr(multi_start, "zoomout_start", lambda *given: bent.source.finest_triangles.positions)
     monkeypatch.setattr(multi_start, "largest_limb_rotation", lambda *given: angle)
-    assert (not fit_from_two_starts(problem, problem.coarse_clusters)[1]) == (angle < LIMB_POSED)
+    fine, soft = fit_from_two_starts(problem, problem.coarse_clusters)
+    assert len(fine) == 1, "of coarse placements that agree, one is refined"
+    assert (not soft) == (angle < LIMB_POSED)
 
 
 def test_edges_are_loose_where_a_body_turns_and_stiff_where_it_does_not(energy: ElasticEnergy) -> None:

@@ -194,6 +194,47 @@ def test_files_that_go_together_are_all_left_where_one_may_not_be_replaced(tmp_p
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"second.txt": "somebody else's"}
 
 
+def test_files_that_go_together_are_all_left_where_one_cannot_be_moved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where another program has the last one open, on Windows."""
+    honest = os.replace
+    write_whole(tmp_path / "old.txt", f"{mark()} old")
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def replaced(temporary: Path, place: Path) -> None:
+        if place.name == "last.txt":
+            raise PermissionError(errno.EACCES, "in use")
+        honest(temporary, place)
+
+    def write_all() -> None:
+        with all_or_nothing():
+            for name in ("old.txt", "new.txt", "last.txt"):
+                write_whole(tmp_path / name, f"{mark()} ours")
+
+    with monkeypatch.context() as windows:
+        windows.setattr(os, "replace", replaced)
+        with pytest.raises(FormatError, match=r"last\.txt: cannot write there \(in use\)"):
+            write_all()
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+    write_all()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["last.txt", "new.txt", "old.txt"]
+    assert all(path.read_text().endswith("ours") for path in tmp_path.iterdir())
+
+
+def test_more_files_go_together_than_a_process_may_have_open(tmp_path: Path) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (256, hard))
+    try:
+        with all_or_nothing():
+            for tile in range(1001, 1301):
+                write_whole(tmp_path / f"skin.{tile}.txt", "ours")
+            assert not list(tmp_path.glob("skin*"))
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert len(list(tmp_path.glob("skin*"))) == len(list(tmp_path.iterdir())) == 300
+
+
 def test_places_that_cannot_be_written_are_named(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"folder .*none does not exist"), atomic_path(tmp_path / "none" / "a.txt"):
         pass

@@ -18,6 +18,7 @@ from cagemap.deform.config import StartConfig
 from cagemap.errors import DirectionError, FormatError, InvalidLandmarksError
 from cagemap.files.landmarks.point_formats import POINT_FORMS, PointForm, write_points
 from cagemap.files.landmarks.points import read_points
+from cagemap.files.ownership import mark
 from cagemap.maps.pair import NEAR_VERTICES
 from cagemap.mesh.cage_points import NamedCurve
 from cagemap.mesh.faces import cage_triangles
@@ -111,6 +112,16 @@ def test_other_programs_forms(tmp_path: Path) -> None:
         np.testing.assert_allclose(found.positions, [place], err_msg=name)
     (tmp_path / "v.csv").write_text("name,vertex\nnose,7\n")
     assert read_points(tmp_path / "v.csv").vertices.tolist() == [7]
+
+
+def test_names_of_a_table_may_begin_as_comments_do(tmp_path: Path) -> None:
+    table = tmp_path / "a.csv"
+    table.write_text(f"# made by hand\nname,x,y,z\n#1,1,2,3\n# of, the skull\nnose,1,2,4\n#2,1,2,5\n# {mark()}\n")
+    assert read_points(table).names == ("#1", "nose", "#2")
+    table.write_text(f"name,vertex\n#1,7\n# {mark()}\n")
+    assert read_points(table).vertices.tolist() == [7]
+    table.write_text("# x,1,2,3\nnose,1,2,3\n")
+    assert read_points(table).names == ("nose",)
 
 
 def test_wrap_s_points_are_triangles_of_the_mesh(tmp_path: Path) -> None:

@@ -7,10 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from examples.shapes import creature, cube, icosahedron, triangulated
 
 from cagemap.errors import FormatError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.usd.prims import transform_points
+from cagemap.files.usd.space import to_standard
 from cagemap.mesh import ControlMesh, Plain
 
 BOX = """OFF # a square and a triangle
@@ -76,6 +79,19 @@ def test_what_is_wrong_is_named(was: str, now: str, said: str, tmp_path: Path) -
 
 def _corners(mesh: ControlMesh) -> np.ndarray:
     return mesh.positions[mesh.face_indices].reshape(-1, 3, 3)
+
+
+@pytest.mark.parametrize("name", ["mesh.usda", "mesh.glb"])
+def test_a_mesh_of_an_stl_file_stands_upright_in_other_formats(name: str, tmp_path: Path) -> None:
+    """STL has Z up; `to_standard` is metres with Y up."""
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    shape = triangulated(creature())
+    trimesh.Trimesh(shape.positions, shape.face_indices.reshape(-1, 3)).export(tmp_path / "mesh.stl")
+    mesh = read_mesh(tmp_path / "mesh.stl")
+    write_mesh(tmp_path / name, mesh, like=tmp_path / "mesh.stl")
+    found = transform_points(read_mesh(tmp_path / name).positions, to_standard(tmp_path / name))
+    expected = np.column_stack([mesh.positions[:, 0], mesh.positions[:, 2], -mesh.positions[:, 1]])
+    np.testing.assert_allclose(np.sort(found, axis=0), np.sort(expected, axis=0), atol=1e-5)
 
 
 def test_stl_corners_at_one_place_are_one_vertex(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from cagemap.files.result.manifest import stated_inputs
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import FileRows
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.parts import extract_faces, find_part, join_meshes
 from cagemap.mesh.weld import weld_mesh
 from cagemap.tasks.match import MatchRequest, run_match
@@ -253,6 +254,19 @@ def test_the_source_s_uvs_are_written_into_the_whole_file(tmp_path: Path, own: b
     np.testing.assert_allclose(found[half:], wanted[half:], atol=1e-5)
     np.testing.assert_allclose(found[:half], wanted[:half] if own else 0.0, atol=1e-5)
     assert f"6 faces that were not matched {'keep theirs' if own else 'have them all at (0, 0)'}" in summary
+
+
+def test_the_source_s_uvs_of_a_part_are_written_into_the_set_in_use() -> None:
+    cube = replace(textured_cube("one"), uv_name="TEXCOORD_0")
+    cube = replace(cube, uv_sets=(UvSet("TEXCOORD_1", cube.uvs / 2, cube.uv_indices),))
+    whole = join_meshes([cube, cube.with_positions(cube.positions + 9.0)])
+    part = extract_faces(whole.with_uv_set("TEXCOORD_1"), np.arange(6, 12))
+    laid = FileRows(part, whole).laid_out(part.uvs / 2, part.uv_indices)
+    for name, factors in (("TEXCOORD_0", (1, 1)), ("TEXCOORD_1", (1, 0.5))):
+        found, own = (mesh.with_uv_set(name) for mesh in (laid, whole))
+        expected = own.uvs[own.uv_indices] * np.repeat(factors, 24)[:, None]
+        np.testing.assert_allclose(found.uvs[found.uv_indices], expected, atol=1e-6)
+    assert laid.uv_name == "TEXCOORD_1"
 
 
 def _follower(path: Path, base: ControlMesh) -> np.ndarray:

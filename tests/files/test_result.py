@@ -14,6 +14,7 @@ from cagemap.deform.placement import Placement
 from cagemap.errors import FormatError
 from cagemap.files.result.folder import ARRAYS, read_result, write_result
 from cagemap.files.result.manifest import MANIFEST, file_hash, landmark_messages, mesh_hash, note_transfer, sure_message
+from cagemap.files.result.merged_parts import merge_results
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, WARNING_SIGNS, Confidence
 from cagemap.maps.landmarks.check import DISTANCES, LandmarkCheck, LandmarkSuspect
 from cagemap.maps.point_map import PointMap
@@ -26,7 +27,7 @@ from cagemap.mesh.mesh_report import FileVertex
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.subdivision import refine
 
-from example_result import edit_manifest
+from example_result import edit_manifest, identity_result
 
 
 @pytest.fixture(scope="module")
@@ -163,6 +164,16 @@ def test_transfers_are_noted_once_per_output(result: MatchResult, folder: Path) 
     np.testing.assert_array_equal(back.triangle, result.triangle)
     write_result(folder, result)
     assert "transfers" not in read_result(folder).manifest
+
+
+def test_merged_parts_state_the_seconds_and_the_memory_of_all_parts() -> None:
+    parts = [
+        replace(identity_result(1), timings={"match": seconds}, provenance={"peak_memory_bytes": memory, "notes": []})
+        for seconds, memory in ((2.0, 100), (5.0, 300))  # both count from the start of the command
+    ]
+    merged = merge_results(parts, {"parts": []}).manifest
+    assert merged["timings"] == {"match": 5.0}
+    assert merged["peak_memory_bytes"] == 300
 
 
 def test_image_is_on_the_source(result: MatchResult) -> None:

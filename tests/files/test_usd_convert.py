@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,11 @@ from cagemap.files.gltf.material_images import material_images, read_material_im
 from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.write import character_glb
+from cagemap.files.inner_texture import color_texture, material_document
+from cagemap.files.meshes.formats import read_mesh
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import UvSet
+from cagemap.transfer import unwrap
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
@@ -30,6 +36,7 @@ from cagemap.files.usd.materials import STRENGTH
 from cagemap.files.usd.read import place_in_world, read_usd_meshes
 from cagemap.files.usd.results import connect_texture, define_material, uv_reader
 from cagemap.files.usd.skeleton import read_usd_skeleton
+from cagemap.files.usd.write import write_usd
 from cagemap.mesh.faces import reversed_corners
 from cagemap.numerics.srgb import encode_srgb
 from cagemap.tasks.mesh_commands import run_check
@@ -107,6 +114,70 @@ def test_materials_come_back(tmp_path: Path) -> None:
     color = body["pbrMetallicRoughness"]["baseColorTexture"]
     sampler = found.entry("samplers", found.entry("textures", color["index"])["sampler"])
     assert sampler == {"wrapS": 33071, "wrapT": 33648}
+
+
+def _with_image(path: Path, mesh: ControlMesh, name: str) -> None:
+    """Write a USD file of a mesh whose material has a colour image in a UV set."""
+    write_usd(path, mesh)
+    write_image(path.with_name("t.png"), np.full((4, 4, 3), [255, 0, 0], dtype=np.uint8))
+    with stage_at(path) as stage:
+        material, surface = define_material(stage, "/Asset/red")
+        reader = uv_reader(stage, material.GetPath().AppendChild("reader"), name)
+        connect_texture(stage, surface, "diffuseColor", "./t.png", reader)
+        UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath("/Asset/mesh")).Bind(material)
+
+
+def _with_sets(*names: str) -> ControlMesh:
+    """A cube with UV sets of different size."""
+    mesh = unwrap(cube())
+    first, *others = (UvSet(name, mesh.uvs / (number + 1), mesh.uv_indices) for number, name in enumerate(names))
+    return replace(mesh, uvs=first.uvs, uv_name=first.name, uv_sets=tuple(others))
+
+
+@pytest.mark.parametrize(
+    ("names", "image", "in_use", "fits"),
+    [
+        (("st", "st1"), "st", "st", True),
+        (("st", "st1"), "st", "st1", False),
+        (("st", "st1"), "st1", "st1", True),
+        (("st", "st1"), "st1", "st", False),
+        (("TEXCOORD_1", "TEXCOORD_0"), "TEXCOORD_1", "TEXCOORD_1", True),
+        (("TEXCOORD_1", "TEXCOORD_0"), "TEXCOORD_1", "TEXCOORD_0", False),
+        (("TEXCOORD_1",), "TEXCOORD_1", "TEXCOORD_1", True),
+    ],
+)
+def test_an_image_belongs_to_the_uv_set_that_its_shader_names(
+    names: tuple[str, ...], image: str, in_use: str, fits: bool, tmp_path: Path
+) -> None:
+    path = tmp_path / "box.usda"
+    _with_image(path, _with_sets(*names), image)
+    control = read_mesh(path).with_uv_set(in_use)
+    assert (color_texture(material_document(path, control), control) is not None) == fits
+
+
+@pytest.mark.parametrize("image", ["TEXCOORD_0", "TEXCOORD_1"])
+def test_an_image_keeps_its_uv_set_in_gltf(image: str, tmp_path: Path) -> None:
+    """UV sets with names of glTF are written in their order, that of the image is read first."""
+    mesh = _with_sets("TEXCOORD_1", "TEXCOORD_0")
+    _with_image(tmp_path / "box.usda", mesh, image)
+    document = usd_document(tmp_path / "box.usda")
+    (found,) = material_images(document, "red")
+    (part,) = character_of(document).parts
+    uvs = part.mesh.with_uv_set(found.uv_set).uvs
+    np.testing.assert_allclose(uvs.max(axis=0), mesh.with_uv_set(image).uvs.max(axis=0), atol=1e-6)
+
+
+def test_a_material_of_meshes_whose_uv_sets_differ_is_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write_usd(tmp_path / "other.usda", _with_sets("st1"))
+    other = Sdf.Layer.FindOrOpen(str(tmp_path / "other.usda"))
+    _with_image(tmp_path / "box.usda", _with_sets("st", "st1"), "st1")
+    with stage_at(tmp_path / "box.usda") as stage:
+        Sdf.CopySpec(other, "/Asset/mesh", stage.GetRootLayer(), "/Asset/other")
+        material = UsdShade.Material(stage.GetPrimAtPath("/Asset/red"))
+        UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath("/Asset/other")).Bind(material)
+    (found,) = material_images(usd_document(tmp_path / "box.usda"), "red")
+    assert found.uv_set == "TEXCOORD_1"
+    assert "red: its UV set st1 has another number in some of its meshes" in caplog.text
 
 
 def test_shaders_of_one_image_that_repeat_it_differently_are_not_one_texture(

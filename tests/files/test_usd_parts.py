@@ -379,22 +379,57 @@ def test_curves_copies_and_values_of_as_many_faces_as_vertices_are_left_out_alou
     assert [one.partition("ring.usda: ")[2][:40] for one in others] == ["/copies/ring: primvar displayColor of fa"]
 
 
-def test_values_of_vertices_stay_with_them_where_there_are_as_many_corners(tmp_path: Path) -> None:
-    """Faces that share no vertex, in a left-handed mesh: numbers of rows do not say what is a vertex's."""
+@pytest.mark.parametrize("orientation", ["leftHanded", "rightHanded"])
+def test_values_of_vertices_stay_with_them_where_there_are_as_many_corners(orientation: str, tmp_path: Path) -> None:
+    """Faces that share no vertex: numbers of rows do not say what is a vertex's, so those of corners become that."""
+    corners = np.array([2, 0, 1, 5, 4, 3])
     with stage_at(tmp_path / "soup.usda") as stage:
-        soup = ControlMesh(np.eye(3)[[0, 1, 2, 1, 0, 2]], np.array([0, 3, 6]), np.arange(6))
+        soup = ControlMesh(np.eye(3)[[0, 1, 2, 1, 0, 2]], np.array([0, 3, 6]), corners)
         mesh = usd_mesh(stage, "/m", soup)
-        mesh.CreateOrientationAttr("leftHanded")
+        mesh.CreateOrientationAttr(orientation)
         for kind in ("vertex", "faceVarying"):
             primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(f"of_{kind}", Sdf.ValueTypeNames.FloatArray, kind)
             primvar.Set(list(map(float, range(6))))
     (read,) = read_usd_meshes(tmp_path / "soup.usda")
     np.testing.assert_array_equal(read.attributes["of_vertex"], np.arange(6))
-    np.testing.assert_array_equal(read.attributes["of_faceVarying"], read.control.face_indices)
+    np.testing.assert_array_equal(read.attributes["of_faceVarying"][corners], np.arange(6))
     results = UsdResults(attributes={"back": read.attributes["of_vertex"]})
     write_usd_over(tmp_path / "over.usda", tmp_path / "soup.usda", ["/m"], read.control, results)
     (again,) = read_usd_meshes(tmp_path / "over.usda")
     np.testing.assert_array_equal(again.attributes["back"], np.arange(6))
+
+
+def test_values_of_corners_that_would_be_taken_for_vertices_are_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As many vertices as corners, of which two share one and one is in no face."""
+    with stage_at(tmp_path / "m.usda") as stage:
+        corners = np.array([0, 1, 2, 2, 1, 3])
+        mesh = usd_mesh(stage, "/m", ControlMesh(np.eye(3)[[0, 1, 2, 1, 0, 2]], np.array([0, 3, 6]), corners))
+        primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("heat", Sdf.ValueTypeNames.FloatArray, "faceVarying")
+        primvar.Set(list(map(float, range(6))))
+    (read,) = read_usd_meshes(tmp_path / "m.usda")
+    assert not read.attributes
+    assert "primvar heat of corners is left out: there are as many vertices" in caplog.text
+
+
+def test_a_part_has_the_uv_set_of_its_mesh_in_use(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The other mesh's set holds nothing for it."""
+    places = cube().positions[:, :2]
+    for name in ("st", "UVMap"):
+        mesh = cube().with_uvs(places, cube().face_indices)
+        write_usd(tmp_path / f"{name}.usda", replace(mesh, uv_name=name))
+    with stage_at(tmp_path / "pair.usda") as stage:
+        for name in ("st", "UVMap"):
+            given = Sdf.Layer.FindOrOpen(str(tmp_path / f"{name}.usda"))
+            Sdf.CopySpec(given, "/Asset/mesh", stage.GetRootLayer(), f"/{name}_mesh")
+    pair = read_usd(tmp_path / "pair.usda")
+    assert "pair.usda: /UVMap_mesh has no UV set st" in caplog.text
+    assert "/st_mesh has" not in caplog.text
+    for name in ("st", "UVMap"):
+        part = extract_faces(pair, find_part(pair, f"{name}_mesh").faces)
+        assert part.uv_name == name
+        assert part.has_layout
 
 
 def test_large_whole_numbers_are_written_unchanged(tmp_path: Path) -> None:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
+from examples.shapes import triangulated
 
 from cagemap.character.joints import Skeleton
 from cagemap.errors import FormatError
@@ -15,6 +17,8 @@ from cagemap.files.result.folder import write_result
 from cagemap.files.result.manifest import file_hash
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.rigs import read_shapes, read_skeleton, write_skeleton
+from cagemap.mesh import ControlMesh
+from cagemap.surface.alignment import Z_UP
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
@@ -36,6 +40,12 @@ from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 from usd_scenes import complaints, stage_at, usd_mesh
 
 TURN = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+
+
+def _lifted_cube() -> ControlMesh:
+    """A cube that fits no turn of itself."""
+    cube = textured_cube("hat", 1.1)
+    return cube.with_positions(cube.positions * [1.0, 1.2, 1.4] + [0.0, 0.2, 0.5])
 
 
 def _skeleton() -> Skeleton:
@@ -231,6 +241,41 @@ def test_weights_arrive_with_their_skeleton(folder: Path) -> None:
     assert complaints(folder / "shaped.usda") == []
 
 
+def test_rigs_of_a_file_in_other_units_and_axes_are_converted(folder: Path) -> None:
+    """The same rig a hundred times as large in centimetres, Z up: heads, axes and offsets as the source's file."""
+    _write(folder / "cm.usda", "small.usda", 100.0, None, ("Z", 0.01))
+    to_y_up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    given = read_usd_skeleton(folder / "small.usda")
+    weighed = TransferRequest(
+        folder / "RESULT", folder / "weights.npz", weights=folder / "cm.usda", usd=folder / "rig.usda"
+    )
+    run_transfer(weighed, Stages())
+    joints = TransferRequest(folder / "RESULT", folder / "rig.json", joints=folder / "cm.usda")
+    assert run_transfer(joints, Stages())[1] == []
+    for found in (read_usd_skeleton(folder / "rig.usda"), read_skeleton(folder / "rig.json")):
+        np.testing.assert_allclose(found.heads, 2 * given.heads @ to_y_up, atol=1e-5)
+        np.testing.assert_allclose(found.tails, 2 * given.tails @ to_y_up, atol=1e-5)
+        np.testing.assert_allclose(found.axes, given.axes @ to_y_up, atol=1e-5)
+    shapes = TransferRequest(folder / "RESULT", folder / "shapes.npz", blend_shapes=(folder / "cm.usda",))
+    run_transfer(shapes, Stages())
+    with np.load(folder / "shapes.npz") as carried:
+        np.testing.assert_allclose(carried["smile"][2], [0, 2, 0], atol=1e-5)
+    detail = textured_cube("fine.usda", 100.0)
+    write_usd(folder / "fine.usda", detail, space=StageSpace("Z", 0.01))
+    baked = TransferRequest(folder / "RESULT", folder / "n.png", bake=("normal",), detail=folder / "fine.usda", size=8)
+    run_transfer(baked, Stages())
+
+
+@pytest.mark.parametrize("factor", [0.01, 1.0, 100.0])
+def test_joints_in_other_units_than_the_source_are_reported(folder: Path, factor: float) -> None:
+    skeleton = read_usd_skeleton(folder / "small.usda")
+    scaled = replace(skeleton, heads=factor * skeleton.heads, tails=factor * skeleton.tails)
+    write_skeleton(folder / "unitless.json", scaled)
+    request = TransferRequest(folder / "RESULT", folder / "rig.json", joints=folder / "unitless.json")
+    _, warnings = run_transfer(request, Stages())
+    assert any("check that both have the same units and place" in text for text in warnings) == (factor != 1.0)
+
+
 @pytest.mark.parametrize("output", ["table.csv", "arrays.npz"])
 def test_tables_of_weights_name_their_columns_by_joints(folder: Path, output: str) -> None:
     run_transfer(TransferRequest(folder / "RESULT", folder / output, weights=folder / "small.usda"), Stages())
@@ -285,6 +330,25 @@ def test_a_passenger_is_at_its_place_in_the_world(folder: Path, given: str, outp
         expected = transform_points(expected, to_standard(folder / "large.usda"))
     np.testing.assert_allclose(np.sort(found, axis=0), np.sort(expected, axis=0), atol=1e-5)
     assert (folder / "worn.mtl").exists() == (output == "worn.obj" and given != "hat.obj"), "materials of hat.mtl"
+
+
+@pytest.mark.parametrize("output", ["worn.usda", "worn.glb"])
+@pytest.mark.parametrize("z_up", ["hat.stl", "target.stl"])
+def test_a_written_passenger_has_the_up_axis_of_its_places(z_up: str, output: str, tmp_path: Path) -> None:
+    """Of the target's file: the places are in its axes."""
+    target, source = textured_cube("target.stl", 2.0), textured_cube("small.obj")
+    upright = Z_UP if z_up == "target.stl" else None
+    write_result(tmp_path / "RESULT", identity_result(2, (replace(target, upright=upright), source)))
+    hat = triangulated(_lifted_cube())
+    write_mesh(tmp_path / "hat.obj", hat)
+    trimesh.Trimesh(hat.positions, hat.face_indices.reshape(-1, 3)).export(tmp_path / "hat.stl")
+    given = tmp_path / (z_up if z_up == "hat.stl" else "hat.obj")
+    request = TransferRequest(tmp_path / "RESULT", tmp_path / output, passenger=given, kind="rigid")
+    run_transfer(request, Stages())
+    found = transform_points(read_mesh(tmp_path / output).positions, to_standard(tmp_path / output))
+    run_transfer(replace(request, output=tmp_path / "worn.obj"), Stages())
+    expected = read_mesh(tmp_path / "worn.obj").positions @ (np.eye(3) if upright is None else upright)
+    np.testing.assert_allclose(np.sort(found, axis=0), np.sort(expected, axis=0), atol=1e-5)
 
 
 def test_a_cage_wrapped_on_a_glb_is_in_the_targets_own_units(folder: Path) -> None:

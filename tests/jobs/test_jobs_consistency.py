@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from examples.shapes import torus
 
+from cagemap.files.result.folder import write_result
+from cagemap.files.result.manifest import read_manifest
 from cagemap.jobs.consistency import (
     Consistency,
     _detours,
@@ -22,8 +24,11 @@ from cagemap.jobs.detours import add_detours, compose_maps, compose_results, has
 from cagemap.jobs.plan import Plan, Task
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
+from cagemap.maps.result import MatchResult, SpectralMap
+from cagemap.spectral import BasisConfig
 from cagemap.subdivision import refine
 from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.tasks.run_job import run_task
 
 from example_result import identity_result
 
@@ -154,3 +159,34 @@ def test_a_composed_result_has_the_masks_and_files_of_its_ends() -> None:
     assert composed.manifest["inputs"] == {"target": entries["a"], "source": entries["c"]}
     assert composed.masks.target is steps[0].masks.target
     assert composed.masks.source is steps[1].masks.source
+
+
+def steps_through(basis: BasisConfig, count: int = 5) -> list[MatchResult]:
+    """Maps from a to b and from b to c, with a basis of b for the second that may be another one."""
+    first = identity_result()
+    spectral = SpectralMap(np.eye(count, 5), np.arange(float(count)), np.arange(5.0))
+    return [first, replace(first, target=replace(first.target, config=basis), known_spectral=spectral)]
+
+
+@pytest.mark.parametrize(
+    ("basis", "count"), [(BasisConfig(count=4), 4), (BasisConfig(count=5, laplacian="alexa-wardetzky"), 5)]
+)
+def test_functional_maps_are_multiplied_only_over_one_basis(basis: BasisConfig, count: int) -> None:
+    composed = compose_results(steps_through(basis, count), ("a", "b", "c"))
+    assert composed.known_spectral is None
+    known = compose_results(steps_through(BasisConfig(count=5)), ("a", "b", "c")).known_spectral
+    assert known is not None
+    np.testing.assert_array_equal(known.functional_map, np.eye(5))
+
+
+def test_warnings_of_a_composed_map_are_shown(tmp_path: Path) -> None:
+    result = identity_result()
+    images = result.point_map.images
+    one_point = replace(images, triangle=np.zeros_like(images.triangle))
+    for name in ("ab", "bc"):
+        write_result(tmp_path / name, replace(result, point_map=PointMap(result.point_map.target, one_point)))
+    request = {"way": [tmp_path / "ab", tmp_path / "bc"], "names": ["a", "b", "c"], "output": str(tmp_path / "R")}
+    figures = run_task(Task("compose", "compose", "k", (), request))
+    assert figures["warnings"]
+    assert figures["warnings"] == read_manifest(tmp_path / "R")["quality"]["warnings"]
+    assert "composed of the maps" in figures["notes"][0]

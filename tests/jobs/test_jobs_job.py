@@ -202,6 +202,17 @@ def test_files_beside_an_output_go_to_the_pair_and_a_report_comes_last(folder: P
         real_plan(folder, text.replace("{target}.exr", "../b.exr"))
 
 
+def test_outputs_of_a_pair_may_add_to_one_layer(folder: Path) -> None:
+    text = HEAD + ASSETS + '[[pairs]]\nsource = "a"\ntarget = "b"\n'
+    for output in ("color", "height"):
+        text += f'[[outputs]]\ncommand = "transfer"\noutput = "{output}.png"\nusd = "layers/{{target}}.usda"\n'
+    tasks = [task for task in real_plan(folder, text).tasks if task.kind == "transfer"]
+    assert [task.outputs[1] for task in tasks] == 2 * ["a__b/layers/b.usda"]
+    assert [task.added_to for task in tasks] == ["a__b/layers/b.usda", ""]
+    with pytest.raises(FormatError, match=r"two outputs of a -> b write a__b/layers/b\.usda"):
+        real_plan(folder, text + '[[outputs]]\ncommand = "wrap"\noutput = "layers/b.usda"\n')
+
+
 def refusal(folder: Path, text: str) -> str:
     """What is said of a job file with the commands' real options."""
     with pytest.raises(FormatError) as caught:
@@ -280,6 +291,23 @@ def test_the_same_pair_with_two_choices_is_refused(folder: Path) -> None:
     twice = PAIRS + "[[pairs]]\nsource = 'a'\ntarget = 'b'\noptions = { method = 'hfm' }\n"
     with pytest.raises(FormatError, match="asked for twice"):
         plan_of(folder, HEAD + ASSETS + twice)
+
+
+@pytest.mark.parametrize(
+    ("names", "pairs"),
+    [
+        (("man", "man__a", "a__b", "b"), (("man", "a__b"), ("man__a", "b"))),
+        (("man", "Man", "b"), (("man", "b"), ("Man", "b"))),
+    ],
+)
+def test_pairs_that_would_share_a_folder_are_refused(
+    names: tuple[str, ...], pairs: tuple[tuple[str, str], ...], folder: Path
+) -> None:
+    text = HEAD + "".join(f'[[assets]]\nname = "{name}"\nfile = "a.obj"\n' for name in names)
+    text += "".join(f'[[pairs]]\nsource = "{source}"\ntarget = "{target}"\n' for source, target in pairs)
+    shown = [f"{source} -> {target}" for source, target in pairs]
+    with pytest.raises(FormatError, match=f"{shown[0]} and {shown[1]} would be written to one folder"):
+        plan_of(folder, text)
 
 
 def test_a_tree_joins_all_along_shapes_that_are_alike(folder: Path) -> None:

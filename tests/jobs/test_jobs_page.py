@@ -165,6 +165,17 @@ def test_rows_gather_what_the_tasks_of_a_pair_said(tmp_path: Path) -> None:
     assert [{name: row[name] for name in failure} for row in build_table(rows)] == [failure, dict.fromkeys(failure, "")]
 
 
+def test_the_picture_of_an_earlier_map_is_not_shown_for_a_pair_that_failed(tmp_path: Path) -> None:
+    pair = ("a", "b")
+    tasks = tuple(Task(kind, f"{kind} a -> b", "k", (), {}, (), pair) for kind in ("match", "picture"))
+    (tmp_path / "a__b").mkdir()
+    (tmp_path / "a__b" / "picture.jpg").write_bytes(b"jpeg")
+    for states, picture in ((("kept", "kept"), b"jpeg"), (("failed", "skipped"), b"")):
+        outcomes = {task.name: TaskOutcome(task.name, state) for task, state in zip(tasks, states, strict=True)}
+        (row,) = pair_rows(Plan(tmp_path, tasks, (pair,)), outcomes)
+        assert row.picture == picture
+
+
 def test_a_row_has_the_warnings_and_notes_of_all_tasks_of_its_pair(tmp_path: Path) -> None:
     pair = ("a", "b")
     tasks = tuple(Task(kind, f"{kind} a -> b", "k", (), {}, (), pair) for kind in ("match", "transfer"))

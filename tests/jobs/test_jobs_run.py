@@ -73,6 +73,16 @@ def test_another_key_or_a_lost_output_means_that_it_is_done_again(tmp_path: Path
     assert kept_outcome(tmp_path, one) is None
 
 
+def test_a_file_to_which_a_later_task_adds_may_grow(tmp_path: Path) -> None:
+    one = replace(task(tmp_path, "one"), added_to="one/out.txt")
+    execute(one, tmp_path, write_name)
+    with (tmp_path / "one" / "out.txt").open("a") as layer:
+        layer.write("more")
+    assert kept_outcome(tmp_path, one) is not None
+    (tmp_path / "one" / "out.txt").unlink()
+    assert kept_outcome(tmp_path, one) is None
+
+
 def gltf(file: str, stated: str) -> bytes:
     text = f'{{"buffers": [{{"uri": "{stated}"}}, {{"uri": "data:,{"x" * 2000}"}}]}}'.encode()
     return (b"" if file == "a.gltf" else struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON")) + text

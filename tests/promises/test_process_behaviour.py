@@ -24,6 +24,7 @@ from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.files.result.surface_store import surface_key
+from cagemap.mesh.control_mesh import UvSet
 from cagemap.spectral import BasisConfig
 from cagemap.tasks.job_file import note_match
 from cagemap.tasks.requests.match import MatchRequest
@@ -219,6 +220,12 @@ def test_arrays_of_read_values_are_read_only(tmp_path: Path) -> None:
     write_mesh(tmp_path / "box.obj", cube())
     with pytest.raises(ValueError, match="read-only"):
         read_mesh(tmp_path / "box.obj").positions[0] = 0.0
+    places = cube().positions[:, :2]
+    further = UvSet("TEXCOORD_1", places, cube().face_indices)
+    write_mesh(tmp_path / "box.glb", replace(cube().with_uvs(places, cube().face_indices), uv_sets=(further,)))
+    (found,) = read_mesh(tmp_path / "box.glb").uv_sets
+    assert not found.uvs.flags.writeable
+    assert not found.uv_indices.flags.writeable
     write_result(tmp_path / "R", identity_result())
     result = read_result(tmp_path / "R")
     for array in (result.barycentric, result.trust, result.target.vertices, result.source.control.positions):

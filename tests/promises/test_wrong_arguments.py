@@ -165,7 +165,7 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "a weight below 0": lambda s: ElasticConfig(landmark_weight=-1),
     "a graph of nothing": lambda s: ElasticConfig(coarse_vertices=0),
     "a tile": lambda s: BakeOptions(tile=-4),
-    "a wrap": lambda s: BakeOptions(wrap="x"),
+    "a filter": lambda s: BakeOptions(filter="x"),
     "a dilation below 0": lambda s: BakeOptions(dilation=-4),
     "no samples": lambda s: BakeOptions(supersample=0),
     "a Laplacian": lambda s: cagemap.build_operators(s.refinement, "cot"),

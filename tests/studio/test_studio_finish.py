@@ -28,7 +28,15 @@ from cagemap.files.result.folder import write_result
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.repairs import Repairs
 from cagemap.studio.downloads import ARCHIVE_NAME, output_content
-from cagemap.studio.finish import MAP_TITLE, SHARED_OPTIONS, Command, FinishOptions, finish_commands, plan_commands
+from cagemap.studio.finish import (
+    MAP_TITLE,
+    SHARED_OPTIONS,
+    TRANSFERS,
+    Command,
+    FinishOptions,
+    finish_commands,
+    plan_commands,
+)
 from cagemap.studio.finish_layout import (
     ADVANCED,
     OMITTED_OPTIONS,
@@ -51,9 +59,10 @@ from cagemap.tasks.bake_tiles import colors_remedy, target_overlap_warnings
 from cagemap.tasks.detail_bakes import KINDS
 from cagemap.tasks.masks import mask_file
 from cagemap.tasks.requests.catalogue import COMMANDS, CommandOption, Key, Value, all_options
-from cagemap.tasks.requests.options import Option
+from cagemap.tasks.requests.options import CARRIED, Option, option_fields
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.transfer import check_transfer
 
 from example_result import identity_result
 
@@ -131,6 +140,50 @@ ASKED = st.builds(
 )
 
 
+def require_accepted(request: TransferRequest) -> None:
+    """Fail if `cagemap transfer` refuses the options, other than --green with --space object."""
+    check_transfer(replace(request, green="up"))
+
+
+def test_every_kind_of_data_of_a_transfer_has_its_own_command() -> None:
+    """With every option of the form set, each command has one kind of data and the options that belong to it."""
+    scene = Path("/w/hat.glb")
+    values_by_kind: dict[str, Value] = {"flag": True, "output": True, "whole": 8, "number": 2.0, "text": "hand"}
+    given: dict[Key, Value] = {}
+    for key in (key for key in SHOWN if key[0] == "transfer"):
+        option = OPTIONS[key]
+        given[key] = option.choices[-1] if option.kind == "choice" else values_by_kind.get(option.kind, scene)
+    given |= given_values(bake=("ao", "texture"), bases=(("", Path("/w/own.png")),), blend_shapes=(scene,))
+    del given["transfer", "green"]  # not in object space
+    files = default_files(Path("/w"), Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
+    asked = FinishOptions(map_form=".npy", option_values=given)
+    todo = finish_commands(OPTIONS, files, asked, use_landmarks=False)
+    requests = [command.request for command in todo if isinstance(command.request, TransferRequest)]
+    for request in requests:
+        require_accepted(request)
+    data_fields = [field.name for field, _, option in option_fields(TransferRequest) if option.group == CARRIED]
+    carried = [[name for name in data_fields if getattr(request, name)] for request in requests]
+    # The joints also name the columns of the weights.
+    assert carried == [["weights", "joints"] if of == "weights" else [of] for of in [t.data_field for t in TRANSFERS]]
+    assert {name for names in carried for name in names} == {*data_fields}
+    for _, name in given:
+        default = OPTIONS["transfer", name].default
+        assert any(getattr(request, name) != default for request in requests), name
+
+
+def test_a_passenger_is_a_mesh_and_its_option_belongs_to_no_other_transfer(tmp_path: Path) -> None:
+    files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", tmp_path / "spot.png")
+    for name, written in (("hat.obj", "hat.obj"), ("hat.glb", "hat.obj"), ("hat.usdz", "hat.usda")):
+        given = given_values(passenger=tmp_path / name, kind="rigid")
+        asked = FinishOptions(report=False, option_values=given)
+        _, texture, passenger = finish_commands(OPTIONS, files, asked, use_landmarks=False)
+        assert texture.request == TransferRequest(files.result, tmp_path / "cow_from_spot.png", files.texture)
+        output = tmp_path / f"cow_from_spot_{written}"
+        assert passenger.request == TransferRequest(files.result, output, passenger=tmp_path / name, kind="rigid")
+    alone = FinishOptions(report=False, option_values=given_values(kind="rigid"))
+    assert finish_commands(OPTIONS, files, alone, use_landmarks=False)[1].request == texture.request
+
+
 @pytest.mark.slow
 @QUICK
 @given(asked=ASKED)
@@ -142,6 +195,8 @@ def test_the_command_line_understands_every_finish(asked: FinishOptions) -> None
         name = typed(command.request)[0]
         with patch(f"cagemap.tasks.{name}.run_{name}", lambda request, _: (said.append(request), ("", []))[1]):
             run_typed(command.request)  # raises where an option is unknown or a value is none
+        if isinstance(command.request, TransferRequest):
+            require_accepted(command.request)
     assert said == [command.request for command in todo]
     written = [command.output for command in todo]
     # No two commands write the same file, and none writes what another reads.
@@ -151,7 +206,7 @@ def test_the_command_line_understands_every_finish(asked: FinishOptions) -> None
     match, *others = [command.request for command in todo]
     for name, value in ((name, value) for (command, name), value in asked.option_values.items() if command == "match"):
         assert str(getattr(match, name)) == str(value)
-    for name in ("normal_map", "displacement", "weights", "attribute", "blend_shapes"):
+    for name in ("normal_map", "displacement", "weights", "attribute", "blend_shapes", "passenger"):
         carried = [getattr(request, name) for request in others if isinstance(request, TransferRequest)]
         assert any(carried) == (("transfer", name) in asked.option_values)
 

@@ -154,6 +154,27 @@ def test_a_click_between_vertices_stays_where_it_was(opened: Session, boxes: Pat
         assert not (boxes / refused).exists()
 
 
+def test_a_loaded_file_adds_no_mirrored_landmark(opened: Session, boxes: Path) -> None:
+    for vertex in range(5):
+        click(opened, "target", vertex)
+        click(opened, "source", vertex)
+    opened.save("five.json")
+    opened.remove(5)
+    click(opened, "target", 4)
+    assert (len(opened.state.history.present), opened.state.history.present.open_landmark.number) == (5, 5)
+    with opened._lock:
+        opened._scene = replace(opened.scene, mirrors=2 * (np.array([0, 1, 2, 3, 7, 5, 6, 4]),))
+    opened.change_view(symmetric=True)
+    try:
+        opened.load(Path("five.json"))
+        assert len(opened.state.history.present.complete_landmarks) == len(opened.state.history.present) == 5
+    finally:
+        opened.change_view(symmetric=False)
+        with opened._lock:
+            opened._scene = replace(opened.scene, mirrors=(None, None))
+        (boxes / "five.json").unlink()
+
+
 def test_curves_of_a_file_are_used_and_saved_again(opened: Session, boxes: Path) -> None:
     curve = {"name": "rim", "source": [0, 1, 2, 3], "target": [0, 1, 2, 3], "closed": True}
     corners = opened.scene.target.control.face_indices[:4].tolist()

@@ -22,6 +22,8 @@ from scipy.spatial import cKDTree
 from cagemap.files.gltf.document import read_document
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.usd.space import StageSpace
+from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import cage_triangles
@@ -324,6 +326,16 @@ def test_an_image_of_floats_is_shown_as_linear(tmp_path: Path) -> None:
     np.testing.assert_array_equal(with_texture(Look(), tmp_path / "skin.exr").texture, 128)
 
 
+def test_colours_at_the_border_of_an_image_are_not_those_of_the_opposite_border() -> None:
+    image = np.zeros((2, 2, 3), dtype=np.uint8)
+    image[..., 0], image[..., 1] = [0, 255], [[0], [255]]
+    look = Look(texture=image)
+    corners = np.array([(0.0, 1.0), (1.0, 1.0), (0.0, 0.0), (1.0, 0.0)])
+    for step in (0.0, 1e-9, -1e-9):
+        np.testing.assert_array_equal(texture_colors(look, corners + step), image.reshape(-1, 3))
+    np.testing.assert_array_equal(texture_colors(look, np.array([(1.25, -0.25), (-0.25, 1.25)])), image[[0, 1], [0, 1]])
+
+
 def test_every_tile_of_an_image_is_shown_on_its_faces(tmp_path: Path) -> None:
     tiles = {1001: (255, 0, 0), 1002: (0, 255, 0), 1011: (0, 0, 255)}
     for number, color in tiles.items():
@@ -355,6 +367,35 @@ def test_a_bake_in_the_second_uv_set_is_shown_in_it(tmp_path: Path) -> None:
         outputs = (Output(tmp_path / "t.png", "texture", uv_set),)
         (tmp_path / "out.glb").write_bytes(textured_model(StudioState(files=files, outputs=outputs), None))
         assert read_mesh(tmp_path / "out.glb").uvs[:, 0].max() == pytest.approx(largest, abs=1e-6)
+
+
+def _downloaded(folder: Path, target: Path, *outputs: Path) -> pygltflib.GLTF2:
+    """The model to download of a target with the image ``t.png`` and further outputs."""
+    write_image(folder / "t.png", np.full((8, 8, 3), 90, dtype=np.uint8))
+    files = default_files(folder, target, target, None)
+    listed = tuple(Output(path, "texture") for path in (folder / "t.png", *outputs))
+    return pygltflib.GLTF2.load_from_bytes(textured_model(StudioState(files=files, outputs=listed), None))
+
+
+def test_a_download_shows_the_image_without_the_models_own_colours(tmp_path: Path) -> None:
+    """glTF multiplies them."""
+    write_mesh(tmp_path / "box.ply", replace(unwrapped_cube(), vertex_colors=np.full((8, 3), 0.5)))
+    document = _downloaded(tmp_path, tmp_path / "box.ply")
+    assert document.meshes[0].primitives[0].attributes.COLOR_0 is None
+
+
+@pytest.mark.parametrize("layout", [False, True])
+def test_a_download_of_a_usd_model_is_in_metres_with_y_up(layout: bool, tmp_path: Path) -> None:
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    to_world = np.eye(4)
+    to_world[3, :3] = [100.0, 0.0, 200.0]
+    mesh = unwrapped_cube()
+    write_usd(tmp_path / "box.usda", mesh, space=StageSpace("Z", 0.01, to_world))
+    write_mesh(tmp_path / "t_unwrapped.obj", mesh)
+    document = _downloaded(tmp_path, tmp_path / "box.usda", *[tmp_path / "t_unwrapped.obj"] * layout)
+    matrix = np.reshape(document.nodes[0].matrix, (4, 4))
+    np.testing.assert_allclose([0.0, 0.0, 0.0, 1.0] @ matrix, [1.0, 2.0, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose([0.0, 0.0, 1.0, 0.0] @ matrix, [0.0, 0.01, 0.0, 0.0], atol=1e-12)
 
 
 def test_the_image_inside_a_glb_is_the_texture_where_none_is_named(tmp_path: Path) -> None:

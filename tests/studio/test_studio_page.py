@@ -259,6 +259,31 @@ def test_another_image_of_the_open_models_keeps_their_landmarks(opened: Session,
     (boxes / "other.png").unlink()
 
 
+def test_a_model_that_stays_is_opened_as_before(opened: Session, boxes: Path) -> None:
+    begun: list[Any] = []
+    own = {"schemes": ("bilinear", "none"), "ups": ("z", "y"), "parts": ("eye", "object:body")}
+    files = replace(opened.state.files, **own)
+    session = MagicMock(wraps=opened, workspace=opened.workspace, state=replace(opened.state, files=files))
+    session.open.side_effect = begun.append
+    (boxes / "c.obj").write_bytes((boxes / "a.obj").read_bytes())
+    for side, number in (("target", 0), ("source", 1)):
+        head = json.dumps({"name": "c.obj", "role": side}).encode()
+        Actions(session).handle(head + b"\n" + (boxes / "c.obj").read_bytes())
+        names = {"target": "a.obj", "source": "b.obj", "texture": ""} | {side: "c.obj"}
+        sent(session, do="open", **names, schemes=list(own["schemes"]))
+        for _ in range(2):
+            dropped = begun.pop()
+            for name in ("ups", "parts"):
+                expected = [*own[name]]
+                expected[number] = None
+                assert getattr(dropped, name) == tuple(expected), (side, name)
+        schemes = ["bilinear", "none"]
+        schemes[number] = None
+        assert dropped.schemes == tuple(schemes)
+        assert dropped.result.name.endswith("_RESULT")
+    (boxes / "c.obj").unlink()
+
+
 def test_models_dropped_one_after_the_other_are_opened_together(tmp_path: Path, boxes: Path) -> None:
     begun: list[Any] = []
     session = MagicMock(wraps=session_of(tmp_path))

@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import read_landmarks
-from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
+from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.curves import CurvePair
 from cagemap.mesh.landmarks import CagePoints, Landmarks
@@ -47,7 +48,8 @@ from cagemap.subdivision import refine
 from cagemap.tasks.requests.catalogue import all_options
 
 from example_result import identity_result
-from studio_boxes import Idle, session_of
+from studio_boxes import Idle, session_of, unwrapped_cube
+from usd_scenes import stage_at
 
 
 def named(mesh: ControlMesh, name: str) -> ControlMesh:
@@ -370,6 +372,27 @@ def test_a_scan_is_offered_to_be_taken_as_it_is_and_is_where_it_is_no_cage(
     assert welded.control.n_vertices < len(positions)
     with pytest.raises(InvalidMeshError):  # as asked: a cage
         open_model(tmp_path / "small.obj", "loop", None, 300)
+
+
+def test_a_download_has_the_image_in_the_uv_set_of_the_open_part(tmp_path: Path) -> None:
+    """Another mesh of the file comes first, with a set of another name."""
+    sdf = pytest.importorskip("pxr.Sdf", reason="usd-core is not installed")
+    with stage_at(tmp_path / "a.usda", ("Y", 1.0)) as stage:
+        for number, name in enumerate(("st", "map1")):
+            box = unwrapped_cube()
+            write_usd(tmp_path / f"{name}.usda", replace(box, positions=box.positions + 9.0 * number, uv_name=name))
+            layer = sdf.Layer.FindOrOpen(str(tmp_path / f"{name}.usda"))
+            sdf.CopySpec(layer, "/Asset/mesh", stage.GetRootLayer(), f"/{name}_mesh")
+    opening = PairFiles(tmp_path / "a.usda", tmp_path / "a.usda", None, 300, tmp_path, parts=("map1_mesh",) * 2)
+    _, answer = run_task(None, OpenModels(opening), lambda _: None)
+    write_image(tmp_path / "t.png", np.full((8, 8, 3), 90, dtype=np.uint8))
+    files = default_files(tmp_path, tmp_path / "a.usda", tmp_path / "a.usda", None)
+    state = StudioState(files=files, outputs=(Output(tmp_path / "t.png", "texture"),))
+    (tmp_path / "out.glb").write_bytes(textured_model(state, answer.scene))
+    found = read_mesh(tmp_path / "out.glb")
+    is_open = found.positions[found.face_indices][:, 0] > 5.0
+    assert is_open.sum() == 24
+    assert np.ptp(found.uvs[found.uv_indices[is_open]]) > 0.9
 
 
 def test_only_the_open_part_has_the_baked_image_in_a_download(folder: Path) -> None:

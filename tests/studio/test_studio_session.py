@@ -144,6 +144,43 @@ def test_a_map_that_is_computed_during_a_turn_is_computed_again(monkeypatch: pyt
     goes_on.set()
 
 
+def test_a_match_from_the_start_is_one_also_after_an_edit_and_a_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    preview, begun, _, goes_on = slow_preview(monkeypatch)
+    preview.open(Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT")))
+    begun.get(timeout=10)
+    goes_on.set()
+    preview.find(fresh=True)
+    begun.get(timeout=10)
+    preview.find(fresh=False)  # a landmark was added
+    preview.turn("target", "z", "")
+    assert isinstance(begun.get(timeout=10), ShowPosed)
+    goes_on.set()
+    again = begun.get(timeout=10)
+    assert isinstance(again, FindMap)
+    assert again.fresh
+    preview.close()
+    goes_on.set()
+
+
+def test_a_chosen_image_and_axis_that_are_not_drawn_yet_stay_when_models_are_opened_again(
+    opened: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = list[Files]()
+    monkeypatch.setattr(opened, "_open_pair", lambda files, _: begun.append(files))
+    monkeypatch.setattr(opened._preview, "_request", lambda *_: None)
+    monkeypatch.setattr(opened._preview, "is_requested", lambda kind: kind == "image")
+    files, pair_files = opened.state.files, opened._preview.pair_files
+    image = files.texture.with_name("other.png")
+    try:
+        opened.open(replace(files, texture=image))
+        opened.turn_up("target")
+        opened.choose_part("target", None)
+        opened.open_plain("source")
+    finally:
+        opened._preview._pair_files = pair_files
+    assert [(one.texture, one.ups) for one in begun] == 2 * [(image, ("z", files.ups[1]))]
+
+
 def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
     checked, source = opened.state.map, opened.scene.source
     known = replace(checked, notes=("folded",), strain={"nose": 0.1})

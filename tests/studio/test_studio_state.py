@@ -15,9 +15,19 @@ from cagemap.files.result.folder import write_result
 from cagemap.files.result.manifest import file_hash
 from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, read_autosave, write_autosave
+from cagemap.studio.downloads import textured_model_name
 from cagemap.studio.landmarks import History, LandmarkList, Place
-from cagemap.studio.opening import command_line_files
-from cagemap.studio.state import MapState, Output, StudioState, View, add_message, baked_view, layout_mesh
+from cagemap.studio.opening import command_line_files, default_files
+from cagemap.studio.state import (
+    MapState,
+    Output,
+    StudioState,
+    View,
+    add_message,
+    baked_view,
+    layout_mesh,
+    update_view,
+)
 
 from example_result import identity_result
 
@@ -39,6 +49,31 @@ def test_the_view_shows_what_was_baked_in_the_layout_that_it_lies_in() -> None:
     assert (shown.mode, shown.baked) == ("baked", Path("a.png"))
     assert layout_mesh(state, shown.baked) == Path("a_unwrapped.obj")
     assert baked_view(shown, None) == View()
+
+
+def test_a_model_is_shown_with_an_image_of_colours_where_there_is_one() -> None:
+    def state(*outputs: tuple[str, str]) -> StudioState:
+        files = default_files(Path(), Path("a.obj"), Path("b.obj"), None)
+        return StudioState(files=files, outputs=tuple(Output(Path(name), title) for name, title in outputs))
+
+    others = (
+        ("a_from_b_normals.png", "normal map"),
+        ("a_from_b_ao.png", "detail"),
+        ("a_from_b_vector-displacement.exr", "detail"),
+        ("a_from_b_skin_roughness.png", "texture"),
+    )
+    for name, title in (
+        ("a_from_b_colors.png", "detail"),
+        ("a_from_b_texture.png", "detail"),
+        ("a_from_b_material_colors.png", "material colours"),
+        ("a_from_b_skin.png", "texture"),
+        ("a_from_b_skin_color.png", "texture"),
+    ):
+        found = state(*others, (name, title))
+        assert update_view(found, mode="baked").baked == Path(name)
+        assert textured_model_name(found) == f"{Path(name).stem}.glb"
+    assert update_view(state(*others), mode="baked").baked == Path(others[0][0])
+    assert textured_model_name(state(*others)) is None
 
 
 def test_two_clicks_make_a_landmark_and_a_third_begins_the_next() -> None:

@@ -14,9 +14,11 @@ from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.result.folder import write_result
 from cagemap.maps.pair import nearest_free_vertices
 from cagemap.mesh.cage_points import CagePoints
-from cagemap.mesh.curves import CurvePair
+from cagemap.mesh.curves import Curve, CurvePair
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.tasks.suggest import suggested_landmarks, suggested_vertices
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.suggest import SuggestRequest
+from cagemap.tasks.suggest import run_suggest, suggested_landmarks, suggested_vertices
 
 from example_result import identity_result
 
@@ -81,3 +83,19 @@ def test_points_between_vertices_and_curves_are_kept() -> None:
     np.testing.assert_array_equal(more.source_points.corners[0], between.corners[0])
     assert more.target[1] not in (-1, between.heaviest_corners[0])
     assert [pair.name for pair in more.curves] == ["rim"]
+
+
+def test_curves_through_points_between_vertices_are_left_out_with_a_warning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = identity_result(2)
+    ring = result.target.control.face_indices[:4]
+    between = CagePoints(ring[[[0, 1, 2], [1, 2, 3]]], np.array([[0.5, 0.25, 0.25], [0.0, 0.5, 0.5]]))
+    curves = (CurvePair("lid", *2 * [Curve(between, False)]), CurvePair.of_vertices("rim", ring, ring, closed=True))
+    write_result("R", replace(result, landmarks=replace(result.landmarks, curves=curves)))
+    summary, warnings = run_suggest(SuggestRequest(Path("R"), Path("more.json"), count=1), Stages())
+    assert "suggested 1" in summary
+    (warning,) = warnings
+    assert warning.startswith("curve 'lid'")
+    assert [pair.name for pair in read_landmarks("more.json", "large.obj", "small.obj")[0].curves] == ["rim"]

@@ -25,6 +25,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import Plain
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.subdivision import refine
+from cagemap.tasks import bake_tiles
 from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.match_summary import next_commands
 from cagemap.tasks.progress import Stages
@@ -341,3 +342,39 @@ def test_a_report_writes_no_image_of_a_model_file(tmp_path: Path) -> None:
     before = {file.name for file in result.iterdir()}
     run_report(ReportRequest(result, tmp_path / "r.html", texture=tmp_path / "box.gltf"), Stages())
     assert {file.name for file in result.iterdir()} - before <= {"job.toml"}
+
+
+@pytest.mark.parametrize(
+    ("options", "count"),
+    [
+        ({"texture": Path("skin.png")}, 1),
+        ({"material_colors": True}, 1),
+        ({"maps": (("a", Path("skin.png")), ("b", Path("skin.png")))}, 2),
+        ({"bake": ("normal", "ao"), "detail": Path("fine.obj")}, 2),
+    ],
+)
+def test_a_bake_that_fails_leaves_the_unwrapped_mesh_and_all_images(
+    options: dict[str, Any], count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_image("skin.png", np.random.default_rng(1).integers(0, 255, (16, 16, 3)).astype(np.uint8))
+    write_mesh("fine.obj", textured_cube("fine.obj"))
+    write_result("RESULT", identity_result())
+    request = TransferRequest(Path("RESULT"), Path("out.png"), unwrap=True, size=16, **options)
+    run_transfer(request, Stages())
+    before = {path: path.read_bytes() for path in Path().glob("out*")}
+    assert len(before) == count + 2
+
+    def fail(path: Path, *given: Any, **named: Any) -> None:
+        if len(written) == count - 1:
+            raise FormatError(f"{path}: cannot write there")
+        written.append(path)
+        write_image(path, *given, **named)
+
+    written: list[Path] = []
+    monkeypatch.setattr(bake_tiles, "write_image", fail)
+    larger = replace(textured_cube("large.obj", 2.0), positions=textured_cube("").positions * [2.0, 3.0, 4.0])
+    write_result("RESULT", identity_result(controls=(larger, textured_cube("small.obj"))))
+    with pytest.raises(FormatError, match="cannot write there"):
+        run_transfer(replace(request, size=32), Stages())
+    assert {path: path.read_bytes() for path in Path().glob("out*")} == before

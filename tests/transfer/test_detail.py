@@ -229,6 +229,21 @@ def test_the_detail_s_own_texture_arrives(flat: Level, wavy: Detail) -> None:
         bake_detail_texture(own_transfer(flat), wavy, picture, uvs, wavy.surface.triangles[1:], size=SIZE)
 
 
+def test_the_detail_s_own_texture_is_sampled_smoothly(flat: Level) -> None:
+    """Detail of three texels comes through a shift by half a texel."""
+    fine = plane(8, 8)
+    detail = detail_over(own_transfer(flat).point_map.source, fine.positions, triangles(np.asarray(fine.faces)))
+    rows, columns = np.indices((96, 96)) + 0.5
+    wave = lambda y, x: (0.5 + 0.2 * np.sin(1.4 * x) + 0.2 * np.cos(1.1 * y + 0.4 * x))[..., None]  # noqa: E731
+    texture, uvs, inside = wave(rows, columns).astype(np.float32), fine.positions[:, :2] + 0.5 / 96, np.s_[6:-6, 6:-6]
+    off = {}
+    for kind in ("linear", "smooth"):
+        options, corners = BakeOptions(filter=kind), triangles(np.asarray(fine.faces))
+        baked = bake_detail_texture(own_transfer(flat), detail, texture, uvs, corners, size=96, options=options)
+        off[kind] = np.sqrt(np.mean((baked - wave(rows - 0.5, columns + 0.5))[inside] ** 2))
+    assert off["smooth"] < off["linear"] / 3
+
+
 def test_corners_outside_the_image_change_nothing_in_it() -> None:
     over = plane(10, 10, lambda points: 2.0 * points - 0.5)
     uvs, samples, triangle, inside = corner_samples(own_transfer(over), 0)

@@ -64,15 +64,6 @@ def test_float_heights_outside_0_to_1_are_not_clipped_to_integers(tripled: Trans
     np.testing.assert_allclose(heights(baked.pixels[..., 0], 0.5, baked.scale), 3 * values, atol=1e-4)
 
 
-def test_local_stretch_leaves_out_what_the_map_collapses() -> None:
-    level = plane(16, 16)
-    shifted = plane_map(level, 16, 16, lambda p: np.column_stack([np.minimum(1.3 * p[:, 0], 1), p[:, 1]]))
-    transfer = prepare_transfer(level, level, shifted)
-    baked = bake_displacement(transfer, np.full((32, 32), 200, dtype=np.uint8), size=32, local_stretch=True)
-    assert baked.scale < 3  # sqrt(5) at partly collapsed triangles on the line x = 1 / 1.3
-    np.testing.assert_allclose(heights(baked.pixels[:, :20], 0.5, baked.scale), (200 / 255 - 0.5) / 1.3**0.5, atol=0.01)
-
-
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
 def test_integer_heights_keep_their_levels_and_grow_by_the_scale(tripled: Transfer, dtype: str) -> None:
     texture = np.random.default_rng(29).integers(0, np.iinfo(dtype).max, (40, 40), endpoint=True).astype(dtype)
@@ -87,22 +78,6 @@ def test_from_16_bit_to_float_the_heights_agree(tripled: Transfer) -> None:
     baked = bake_displacement(tripled, texture, size=40, scale=0.2, midlevel=0.25, dtype=np.float32)
     expected = 3 * heights(texture, 0.25, 0.2)
     np.testing.assert_allclose(heights(baked.pixels, baked.midlevel, baked.scale), expected, rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize("dtype", ["float32", "uint16"])
-def test_local_stretch_is_the_map_s_own(dtype: str) -> None:
-    # The map x -> x^2 / 2 + x / 2 stretches along x only: areas on the target per area on the source 1 / (x + 1/2).
-    source, target = plane(40, 40), plane(40, 40)
-    point_map = plane_map(target, 40, 40, lambda p: np.column_stack([(p[:, 0] ** 2 + p[:, 0]) / 2, p[:, 1]]))
-    transfer = prepare_transfer(target, source, point_map)
-    texture = np.full((16, 16, 1), 0.75 if dtype == "float32" else 0.75 * 65535).astype(dtype)
-    baked = bake_displacement(transfer, texture, size=80, midlevel=0.5, scale=2.0, local_stretch=True)
-    x = (np.arange(80) + 0.5) / 80
-    got = heights(baked.pixels[:, :, 0], baked.midlevel, baked.scale)
-    # First order in the edge length 1/40, and the outermost half per cent is cut off.
-    np.testing.assert_allclose(
-        got[10:-10, 4:-4], np.broadcast_to(0.5 / np.sqrt(x + 0.5), (80, 80))[10:-10, 4:-4], rtol=0.02
-    )
 
 
 def test_grey_in_colour_channels_is_taken_and_colour_refused(tripled: Transfer) -> None:
@@ -179,6 +154,17 @@ def test_face_colors_are_averaged_in_linear_light(supersample: int) -> None:
     colors = np.repeat((np.arange(64) % 8 >= 4)[:, None], 3, axis=1).astype(float)  # the right half is white
     baked = bake_face_colors(transfer, colors, size=9, options=BakeOptions(supersample=supersample))
     np.testing.assert_array_equal(baked[:, 4], 188)  # the boundary runs through the middle of column 4
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_nearest_does_not_mix_face_colors(dtype: type) -> None:
+    control = unwrap(crossed_cube())
+    target = refine(control, 3).finest
+    colors = np.random.default_rng(47).random((6, 3))
+    options = BakeOptions(filter="nearest")
+    transfer = prepare_transfer(target, target, identity_map(target))
+    baked = bake_face_colors(transfer, colors, size=64, dtype=dtype, options=options)
+    assert len(np.unique(baked.reshape(-1, 3), axis=0)) == 6
 
 
 def test_antialiasing_everywhere_changes_nothing_away_from_boundaries() -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
+from cagemap.numerics.threads import thread_limit
 from cagemap.subdivision import Level, refine
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer import (
@@ -228,11 +229,13 @@ def test_neither_bands_nor_threads_change_a_texel(monkeypatch: pytest.MonkeyPatc
     level = refine(unwrap(torus()), 1).finest
     transfer = prepare_transfer(level, level, torn_map(level))  # where walks that begin elsewhere may end elsewhere
     texture = noise(300, 300, 3, "uint8")
-    wholes = [bake_texture(transfer, texture, size=96, options=BakeOptions(threads=1, supersample=s)) for s in (1, 3)]
+    with thread_limit(1):
+        wholes = [bake_texture(transfer, texture, size=96, options=BakeOptions(supersample=s)) for s in (1, 3)]
     monkeypatch.setattr(bake_module, "_BAND_TEXELS", 700)
     monkeypatch.setattr(bake_module, "_SAMPLE_BUDGET", 3000)
     for supersample, whole in zip((1, 3), wholes, strict=True):
-        parts = bake_texture(transfer, texture, size=96, options=BakeOptions(threads=3, supersample=supersample))
+        with thread_limit(3):
+            parts = bake_texture(transfer, texture, size=96, options=BakeOptions(supersample=supersample))
         np.testing.assert_array_equal(parts, whole)
 
 

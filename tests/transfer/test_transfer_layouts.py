@@ -22,7 +22,6 @@ from cagemap.transfer import (
 )
 from cagemap.transfer import baking as bake_module
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.texture import lay_texture
 from cagemap.transfer.textured_surface import TexturedSurface
 
 from bake_images import BARE, noise, ramps
@@ -90,15 +89,13 @@ def test_surface_points_are_carried_not_texture_coordinates() -> None:
     np.testing.assert_array_equal(baked[:, 50:], 3)
 
 
-def test_texture_coordinates_outside_the_square_repeat_or_clamp() -> None:
+def test_texture_coordinates_outside_the_square_repeat() -> None:
     texture = noise(32, 32, 3, "uint8")
     inside, target = plane(8, 8), plane(8, 8)
     shifted = plane(8, 8, lambda points: points + np.array([2, -1]))
     expected = bake_texture(prepare_transfer(target, inside, identity_map(target)), texture, size=32)
     transfer = prepare_transfer(target, shifted, identity_map(target))
     np.testing.assert_array_equal(bake_texture(transfer, texture, size=32), expected)
-    clamped = bake_texture(transfer, texture, size=32, options=BakeOptions(wrap="clamp"))
-    np.testing.assert_array_equal(clamped, np.broadcast_to(texture[-1, -1], clamped.shape))
 
 
 @pytest.mark.parametrize("square", [(1, 0), (-2, 3), (1e-6, -1e-6)])
@@ -268,10 +265,6 @@ def test_wrong_input_is_refused_with_its_remedy() -> None:
         bake_texture(transfer, texture[None], size=8)
     with pytest.raises(ParameterError, match="unsigned integers or floats"):
         bake_texture(transfer, texture.astype(np.int32), size=8)
-    with pytest.raises(ParameterError, match="wrap"):
-        bake_texture(transfer, texture, size=8, options=BakeOptions(wrap="mirror"))  # type: ignore[arg-type]
-    with pytest.raises(ParameterError, match="wrap: expected 'repeat' or 'clamp', got 'mirror'"):
-        lay_texture(texture, np.eye(3)[:, :2], np.arange(3)[None], wrap="mirror")  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match="supersample"):
         bake_texture(transfer, texture, size=8, options=BakeOptions(supersample=99))
     with pytest.raises(ParameterError, match="refine it once"):

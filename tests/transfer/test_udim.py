@@ -20,6 +20,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.subdivision import Level, refine
 from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.tasks.bake_tiles import layout_tiles
 from cagemap.transfer import BakeOptions, Transfer, bake_texture, prepare_transfer, target_tiles
 from cagemap.transfer.texture import OVERHANG, tile_cells
 from cagemap.transfer.textured_surface import TexturedSurface
@@ -70,6 +71,18 @@ def test_what_overhangs_a_tile_by_a_rounding_does_not_become_two() -> None:
     assert target_tiles(TexturedSurface.from_level(grown)) == [0]
     across = np.array([[[0.4, 0.5], [1.4, 0.5], [1.2, 0.9]], [[-1e-6, 0], [0, 1e-6], [0, 0]]])
     np.testing.assert_array_equal(tile_cells(across), [[1, 0], [0, 0]])
+
+
+@pytest.mark.parametrize("hole", [False, True])
+def test_faces_that_get_no_texels_do_not_turn_tiles_off(hole: bool) -> None:
+    mesh = _tiled_grid(3, 1)
+    uvs = mesh.uvs.copy()
+    uvs[:4] = [-0.1, -0.1] if not hole else uvs[:4] - 1.0
+    level = refine(mesh.with_uvs(uvs, mesh.uv_indices), 2).finest
+    surfaces = [TriangleSurface.from_faces(level.positions, level.faces)] * 2
+    point_map = PointMap.from_vertices(*surfaces, np.arange(level.n_vertices))
+    transfer = prepare_transfer(level, level, point_map, holes=level.face_parents == 0 if hole else None)
+    assert layout_tiles(transfer) == ([1002, 1003], [])
 
 
 def test_both_spellings_of_a_set(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,13 @@ class Skeleton:
     tails: FloatArray  #: (j, 3)
     #: (j, 3, 3) rows are the axes of each joint; None if the file has none
     axes: FloatArray | None = None
+
+    def transformed(self, matrix: FloatArray) -> Skeleton:
+        """The skeleton transformed by a (4, 4) matrix for points as rows; the volume of its axes stays."""
+        linear, shift = matrix[:3, :3], matrix[3, :3]
+        turn = linear / np.cbrt(abs(np.linalg.det(linear)))
+        axes = None if self.axes is None else self.axes @ turn
+        return replace(self, heads=self.heads @ linear + shift, tails=self.tails @ linear + shift, axes=axes)
 
 
 def tails_of(heads: FloatArray, parents: IndexArray) -> FloatArray:

@@ -14,7 +14,7 @@ from cagemap.character.poses import (
     rest_tracks,
     rotations_of,
 )
-from cagemap.character.retarget import retarget
+from cagemap.character.retarget import retarget_all
 from cagemap.character.values import Animation, Rig
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray
@@ -55,9 +55,8 @@ def carry_rig(point_map: PointMap, rig: Rig) -> Rig:
     rest_pose = _rest_pose(rig)
     if not rest_pose.tracks:
         return target_rig
-    return replace(
-        target_rig, local=parent_transforms(pose_at(target_rig, retarget(rest_pose, rig, target_rig), 0.0), rig.parents)
-    )
+    (retargeted,), _ = retarget_all([rest_pose], rig, target_rig)
+    return replace(target_rig, local=parent_transforms(pose_at(target_rig, retargeted, 0.0), rig.parents))
 
 
 def _rest_pose(rig: Rig) -> Animation:

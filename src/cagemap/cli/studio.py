@@ -36,7 +36,8 @@ def run_studio(request: StudioRequest, stages: Stages) -> SummaryAndWarnings:
         for model in (files.target, files.source):
             if not model.is_file():
                 raise ParameterError(f"{model}: expected a mesh file, found none. Check the name.")
-        input_paths = (files.landmarks, files.target, files.source, files.texture, files.result)
+        recorded = files.recorded.files if files.recorded else ()
+        input_paths = (files.landmarks, files.target, files.source, files.texture, files.result, *recorded)
         folders = (*request.folder, *(path.parent for path in input_paths if path is not None))
     serving = request.host, request.port, request.vertices, not request.no_browser
     page = PageRequest(files, all_options(), folders, *serving)

@@ -109,30 +109,31 @@ def fit_from_two_starts(
     """Fine placements from two starts, cheapest first; and the soft coarse ones of both, none if these agree.
 
     The starts are ZoomOut from landmark coordinates (`zoomout_start`), or positions ``start`` (k, 3), and the
-    constrained points alone (`landmark_start`). From each, clusters are fitted by the soft and by the stiff coarse
-    stage. The stiff one spreads strain more evenly, so its placements are refined. The soft ones disagree if they are
-    far apart or a limb is in another pose; spectral starts go on from them. With a start and fewer than three
-    constrained points, the start is the only one.
+    constrained points alone (`landmark_start`). Clusters are fitted from each by the stiff coarse stage, which spreads
+    strain evenly; its placements are refined if they differ. The starts disagree if they are far apart or a limb is in
+    another pose; then the soft coarse stage is fitted too, for spectral starts to go on from. With a start and fewer
+    than three constrained points, the start is the only one, and agrees.
     """
-    prepared, elastic = problem.prepared, problem.prepared.elastic
-    both = clusters, clusters.with_stage(elastic.stiff_coarse)
-
-    def both_stages(positions: FloatArray | None) -> list[Placement]:
-        """Placements of the soft and of the stiff coarse stage."""
-        return in_threads(lambda chosen: coarse_fit(problem, positions, chosen), both)
-
+    elastic, areas = problem.prepared.elastic, clusters.energy.graph.areas
+    stiff = clusters.with_stage(elastic.stiff_coarse)
     if start is not None and len(clusters.constrained_vertices[0]) < FEWEST_LANDMARKS:
-        return refine_placements(problem, both_stages(start)), []
+        both_stages = in_threads(lambda chosen: coarse_fit(problem, start, chosen), (clusters, stiff))
+        return refine_placements(problem, both_stages), []
     with ThreadPool(1) as pool:  # at the same time as ZoomOut
-        from_points = pool.submit(both_stages, None)
-        first = both_stages(zoomout_start(problem, clusters) if start is None else start)
-        soft, stiff = zip(first, from_points.result(), strict=True)
-    # Costs of coarse placements differ too little to choose by: a rotated elbow costs only on the mesh.
-    fine = refine_placements(problem, stiff)
-    rotation = largest_limb_rotation(prepared.energy, prepared.level_masks, fine[0].positions, elastic.search.limb_area)
-    distance = mean_distance(soft[0].positions, soft[1].positions, clusters.energy.graph.areas)
-    agree = distance <= elastic.search.max_start_distance and rotation <= elastic.search.max_limb_rotation
-    return fine, [] if agree else list(soft)
+        from_points = pool.submit(coarse_fit, problem, None, stiff)
+        start = zoomout_start(problem, clusters) if start is None else start
+        coarse = [coarse_fit(problem, start, stiff), from_points.result()]
+    search = elastic.search
+    # Costs of different coarse placements differ too little to choose by: a rotated elbow costs only on the mesh.
+    distinct = distinct_placements(sort_by_cost(coarse), areas, search.min_coarse_distance)
+    fine = refine_placements(problem, distinct)
+    rotation = largest_limb_rotation(
+        problem.prepared.energy, problem.prepared.level_masks, fine[0].positions, search.limb_area
+    )
+    distance = mean_distance(coarse[0].positions, coarse[1].positions, areas)
+    if distance <= search.max_start_distance and rotation <= search.max_limb_rotation:
+        return fine, []
+    return fine, in_threads(lambda first: coarse_fit(problem, first, clusters), (start, None))
 
 
 def refine_cheapest(

@@ -27,15 +27,18 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _STORAGE = (*_FULL, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENAMETOOLONG)
 # Seconds after which a temporary file must be locked: it is locked just after it is created.
 _SETTLED = 10.0
+# Files of one `all_or_nothing` that are locked until its end: a lock is an open file, of which some systems allow 256.
+_MAX_LOCKED = 64
 # The process's umask, read once: reading sets it for a moment, also for other threads.
 _UMASK = os.umask(0o077)
 os.umask(_UMASK)
-_Step = Callable[[], None]
+_Check = Callable[[], None]
+_Move = Callable[[ExitStack | None], None]  # given a stack, it adds how the move is undone
 
 Owned = Callable[[Path], bool]
 _written: ContextVar[list[Path] | None] = ContextVar("written", default=None)
 # Steps that check and move the files of `all_or_nothing` at its end, and the stack that removes temporary files.
-_together: ContextVar[tuple[list[tuple[_Step, _Step]], ExitStack] | None] = ContextVar("together", default=None)
+_together: ContextVar[tuple[list[tuple[_Check, _Move]], ExitStack] | None] = ContextVar("together", default=None)
 
 
 @contextmanager
@@ -59,12 +62,13 @@ def _tell(*files: Path) -> None:
 def all_or_nothing() -> Iterator[None]:
     """Move the files that `atomic_path` writes into place at the block's end; none after an error.
 
-    Inside another such block, at the end of the outer one.
+    Inside another such block, at the end of the outer one. If a file cannot be moved, those before are put back, except
+    older files on disks without hard links.
     """
     if _together.get() is not None:
         yield
         return
-    moves: list[tuple[_Step, _Step]] = []
+    moves: list[tuple[_Check, _Move]] = []
     with ExitStack() as removed:
         token = _together.set((moves, removed))
         try:
@@ -73,8 +77,10 @@ def all_or_nothing() -> Iterator[None]:
             _together.reset(token)
         for check, _ in moves:
             check()
-        for _, move in moves:
-            move()
+        with ExitStack() as undone:
+            for _, move in moves:
+                move(undone)
+            undone.pop_all()
 
 
 @contextmanager
@@ -120,11 +126,12 @@ def atomic_path(
     with ExitStack() as removed:
         temporary = _reserve(target)
         removed.callback(temporary.unlink, missing_ok=True)
-        removed.enter_context(_hold_lock(temporary))
-        with _name_output_in_disk_errors(target, _FULL):
-            yield temporary
+        with _hold_lock(temporary):
+            with _name_output_in_disk_errors(target, _FULL):
+                yield temporary
+            if together is None or len(together[0]) < _MAX_LOCKED:
+                removed.enter_context(_hold_lock(temporary))  # libraries may have put another file in its place
         with _name_output_in_disk_errors(target):
-            removed.enter_context(_hold_lock(temporary))  # libraries may have put another file in its place
             if not verify(temporary):
                 raise FormatError(
                     f"{target}: could not be written whole; what was there before is kept. Check the room on the disk."
@@ -132,19 +139,33 @@ def atomic_path(
             seal(temporary)
             _flush(temporary)
 
-        def move() -> None:
+        def move(undone: ExitStack | None) -> None:
             check()  # another program may have created the file meanwhile
             with _name_output_in_disk_errors(target):
+                if undone is not None and together is not None:
+                    _keep_earlier(target, undone, together[1])
                 if target.exists():
                     shutil.copymode(target, temporary)
                 os.replace(temporary, target)
             _tell(Path(final))
 
         if together is None:
-            move()
+            move(None)
         else:
             together[0].append((check, move))
             together[1].push(removed.pop_all())
+
+
+def _keep_earlier(target: Path, undone: ExitStack, removed: ExitStack) -> None:
+    """Keep an earlier file under another name until ``removed`` is closed; ``undone`` puts it back."""
+    if not target.exists():
+        undone.callback(target.unlink, missing_ok=True)
+        return
+    kept = target.with_name(f".{target.stem}.{os.urandom(4).hex()}.part{target.suffix}")
+    with suppress(OSError):  # a disk without hard links
+        os.link(target, kept)
+        removed.callback(kept.unlink, missing_ok=True)
+        undone.callback(os.replace, kept, target)
 
 
 def write_whole(path: str | Path, content: str | bytes, *, force: bool = False, owned: Owned = is_own) -> None:
@@ -161,7 +182,7 @@ def atomic_folder(
     """Yield a temporary folder; move its files to ``final`` after a block without errors.
 
     A new folder appears complete. In an existing folder files are replaced one by one, in the order of ``names``, and
-    other files are left alone.
+    other files are left alone. `all_or_nothing` does not defer them: no command writes a folder inside such a block.
 
     ``names``: the files that the block writes; the last one marks the folder as complete.
     ``force``, ``owned``: see `atomic_path`.

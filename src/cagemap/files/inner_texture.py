@@ -57,8 +57,12 @@ def color_texture(document: Document | None, control: ControlMesh, *, of_any: bo
     names = [control.material_names[number] for number in order.tolist()]
     images = (color_image(document, name) for name in names if name in material_names(document))
     found = next((image for image in images if image is not None), None)
+    if found is None:
+        return None
+    of_usd = document.uv_names.get(found.material, ())
     in_use = control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0"
-    return None if found is None or found.uv_set != in_use else found
+    in_use = f"TEXCOORD_{of_usd.index(control.uv_name)}" if control.uv_name in of_usd else in_use
+    return found if found.uv_set == in_use else None
 
 
 def tinted_materials(document: Document, control: ControlMesh) -> list[str]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from cagemap.files.result.folder import ARRAYS
 from cagemap.jobs.consistency import MapKey
-from cagemap.jobs.plan import DETOUR_FOLDER, PairNames, Plan, Task, task_key
+from cagemap.jobs.plan import DETOUR_FOLDER, PairNames, Plan, Task, pair_folder, task_key
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality
@@ -40,14 +40,15 @@ def compose_maps(maps: Sequence[PointMap]) -> PointMap:
 def compose_results(results: Sequence[MatchResult], names: Sequence[str]) -> MatchResult:
     """Compose results from target to source, which ``names`` names; quality is measured without landmarks.
 
-    Masks and input files are those of the first target and the last source.
+    Masks and input files are those of the first target and the last source. Functional maps are multiplied if the maps
+    in a row share bases.
     """
     first, last = results[0], results[-1]
     point_map = compose_maps([result.point_map for result in results])
     masks = Masks(first.masks.target, last.masks.source)
     quality = measure_quality(point_map, masks=masks)
     spectral = None
-    if all(result.has_spectral for result in results):
+    if all(result.has_spectral for result in results) and all(map(_share_basis, results, results[1:])):
         product = reduce(np.matmul, [result.functional_map for result in results])
         spectral = SpectralMap(product, first.spectral.target_eigenvalues, last.spectral.source_eigenvalues)
     note = f"composed of the maps {' -> '.join(reversed(names))}, since the direct one disagrees with its detours"
@@ -68,6 +69,12 @@ def compose_results(results: Sequence[MatchResult], names: Sequence[str]) -> Mat
     )
 
 
+def _share_basis(result: MatchResult, following: MatchResult) -> bool:
+    """Whether one basis serves a result's source and the target of the following result."""
+    eigenvalues = result.spectral.source_eigenvalues, following.spectral.target_eigenvalues
+    return result.source.config == following.target.config and np.array_equal(*eigenvalues)
+
+
 def add_detours(plan: Plan, detours: Mapping[MapKey, Sequence[str]], version: str) -> Plan:
     """The plan with a task for every detour; outputs of those pairs use the detour."""
     matches = {task.pair: task for task in plan.tasks if task.kind == "match"}
@@ -75,7 +82,7 @@ def add_detours(plan: Plan, detours: Mapping[MapKey, Sequence[str]], version: st
     composed: dict[PairNames, Task] = {}
     for (target, source), names in detours.items():
         steps = [matches[end, start] for start, end in itertools.pairwise(names)]
-        folder = f"{source}__{target}/{DETOUR_FOLDER}"
+        folder = f"{pair_folder((source, target))}/{DETOUR_FOLDER}"
         request = {
             "way": [step.request["output"] for step in steps],
             "names": list(names),

@@ -20,7 +20,7 @@ from cagemap.files.atomic import require_replaceable, write_whole
 from cagemap.files.ownership import mark
 from cagemap.files.result.manifest import file_hash
 from cagemap.files.result.verdicts import overall_verdict, rate_figures
-from cagemap.jobs.plan import PICTURE_FILE, RESULT_FOLDER, STATE_FOLDER, Plan, Task
+from cagemap.jobs.plan import PICTURE_FILE, RESULT_FOLDER, STATE_FOLDER, Plan, Task, pair_folder
 from cagemap.jobs.run import TaskOutcome
 from cagemap.report.tables import flatten_entries
 
@@ -76,7 +76,8 @@ def pair_rows(
         remarks = [text for task, outcome in outputs if outcome is not None for text in remarks_of(outcome, task.name)]
         usable = [outcome for _, outcome in tasks_of_pair if outcome is not None and outcome.usable]
         files = [name for outcome in usable for name in _linked_files(outcome.files)]
-        picture = plan.root / f"{pair[0]}__{pair[1]}" / PICTURE_FILE
+        picture = plan.root / pair_folder(pair) / PICTURE_FILE
+        is_drawn = any(task.kind == "picture" and outcome is not None and outcome.usable for task, outcome in outputs)
         rows.append(
             PairRow(
                 pair[0],
@@ -86,8 +87,8 @@ def pair_rows(
                 sum(o.seconds for _, o in tasks_of_pair if o is not None),
                 quality,
                 None if cycle_errors is None else cycle_errors.get((pair[1], pair[0])),
-                tuple(name for name in files if not name.endswith(PICTURE_FILE)),
-                picture.read_bytes() if picture.is_file() else b"",
+                tuple(name for name in dict.fromkeys(files) if not name.endswith(PICTURE_FILE)),
+                picture.read_bytes() if is_drawn and picture.is_file() else b"",
                 next((outcome.failure for outcome in (*failed, *causes) if outcome.code), {}),
             )
         )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from cagemap.files.images.image import texture_files
 from cagemap.files.meshes.formats import referred_files
 from cagemap.files.result.folder import ARRAYS
 from cagemap.files.result.manifest import file_hash
+from cagemap.jobs import LAYER_OPTION
 from cagemap.jobs.job import Job
 from cagemap.jobs.job_checks import resolve_files
 from cagemap.jobs.job_schema import MAP_OPTIONS, Asset, OutputRule, asset_names, fill_placeholders
@@ -52,6 +53,7 @@ class Task:
     predecessors: tuple[str, ...] = ()  # names of tasks that must have ended before, in success or failure
     # `content_hash` of the input files at planning
     input_hashes: dict[str, str] = field(default_factory=dict, repr=False)
+    added_to: str = ""  # the layer among its outputs if later tasks add to it
 
     @property
     def slug(self) -> str:
@@ -84,6 +86,7 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
                 raise FormatError(
                     f"{job.path}: {pair[0]} -> {pair[1]} is asked for twice with different options. Keep one of them."
                 )
+    _require_own_folders(job, pairs)
     for pair, options in pairs.items():
         source, target = (job.assets[name] for name in pair)
         sides = [("target", target), ("source", source)]
@@ -101,7 +104,10 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
             if isinstance(task, str):
                 omitted_outputs.append(task)
                 continue
-            overlap = {path for task in earlier for path in task.outputs} & set(task.outputs)
+            layer = _layer(task, job.output)
+            sharing = [other for other in earlier if layer and _layer(other, job.output) == layer]
+            overlap = {path for other in earlier for path in other.outputs if other not in sharing or path != layer}
+            overlap &= set(task.outputs)
             if overlap or task.name in tasks:
                 raise FormatError(
                     f"{job.path}: two outputs of {pair[0]} -> {pair[1]} write {(overlap or {task.outputs[0]}).pop()}. "
@@ -112,9 +118,32 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
                     f"{job.path}: an output of {pair[0]} -> {pair[1]} is called {PICTURE_FILE}, as the job's own "
                     "picture of each pair is. Rename it."
                 )
-            earlier.append(task)
-            tasks[task.name] = task
+            earlier = [replace(other, added_to=layer) if other in sharing else other for other in earlier] + [task]
+            tasks |= {one.name: one for one in earlier}
     return Plan(job.output, tuple(tasks.values()), tuple(pairs), tuple(omitted_outputs))
+
+
+def pair_folder(pair: PairNames) -> str:
+    """Folder of a pair's files, in the job's output folder."""
+    source, target = pair
+    return f"{source}__{target}"
+
+
+def _require_own_folders(job: Job, pairs: Iterable[PairNames]) -> None:
+    """Refuse pairs with one folder, on disks too that do not tell capitals from small letters."""
+    pair_of: dict[str, PairNames] = {}
+    for pair in pairs:
+        other = pair_of.setdefault(pair_folder(pair).casefold(), pair)
+        if other != pair:
+            raise FormatError(
+                f"{job.path}: {other[0]} -> {other[1]} and {pair[0]} -> {pair[1]} would be written to one folder, "
+                f"{pair_folder(pair)}. Rename one of these assets."
+            )
+
+
+def _layer(task: Task, root: Path) -> str:
+    """The layer among a task's outputs; empty if it writes none."""
+    return next((path for path in task.outputs if task.request.get(LAYER_OPTION) == str(root / path)), "")
 
 
 def _rule_pairs(
@@ -203,7 +232,7 @@ class _Planner:
 
     def match(self, source: Asset, target: Asset, options: dict[str, Any], needs: list[Task]) -> Task:
         """The task of a pair's map."""
-        folder = f"{source.name}__{target.name}/{RESULT_FOLDER}"
+        folder = f"{pair_folder((source.name, target.name))}/{RESULT_FOLDER}"
         sides = ("target", target), ("source", source)
         inputs: dict[str, Any] = {"target": str(target.file), "source": str(source.file)}
         inputs |= {f"{side}_scheme": asset.scheme for side, asset in sides if asset.scheme is not None}
@@ -229,7 +258,7 @@ class _Planner:
         folder = match.request["output"]
         request = {"result": folder, "output": str(Path(folder).parent / PICTURE_FILE)}
         key = task_key(self.version, "picture", match.key)
-        file = f"{source}__{target}/{PICTURE_FILE}"
+        file = f"{pair_folder(match.pair)}/{PICTURE_FILE}"
         return Task("picture", f"picture {source} -> {target}", key, (match.name,), request, (file,), match.pair)
 
     def output(self, rule: OutputRule, source: Asset, target: Asset, match: Task, earlier: list[Task]) -> Task | str:
@@ -249,7 +278,7 @@ class _Planner:
             in_pair = option in ("output", *command.written)
             options[option] = filled if in_pair else resolve_files(filled, command.kinds[option], self.job.path.parent)
         files = {
-            option: Path(f"{source.name}__{target.name}", options.pop(option)).as_posix()
+            option: Path(pair_folder((source.name, target.name)), options.pop(option)).as_posix()
             for option in ("output", *command.written)
             if option in options
         }

@@ -105,8 +105,10 @@ def kept_outcome(root: Path, task: Task) -> TaskOutcome | None:
     note = read_own_note(_note_path(root, task))
     if note is None or note["key"] != task.key:
         return None
-    files = ((root / path, size) for path, size in note["outputs"].items())
-    is_complete = all(file.is_file() and file.stat().st_size == size for file, size in files)
+    is_complete = all(
+        (root / path).is_file() and (path == task.added_to or (root / path).stat().st_size == size)
+        for path, size in note["outputs"].items()
+    )
     if not is_complete:
         return None
     return TaskOutcome(task.name, "kept", "", note["seconds"], note["figures"], tuple(note["outputs"]))
@@ -337,7 +339,10 @@ def _allow_replacing(root: Path, task: Task, note: dict[str, Any]) -> Task:
 
 
 def _remove_leftovers(root: Path, task: Task) -> None:
-    """Remove temporary files of a killed run of this task; the task's lock is held."""
+    """Remove temporary files of a killed run of this task; the task's lock is held.
+
+    `cagemap.files.atomic` removes them only after some seconds, and never on systems or disks without file locks.
+    """
     for output in task.outputs:
         for folder in (root / output, (root / output).parent):
             for leftover in leftovers(folder):

@@ -171,8 +171,13 @@ def _groups_as_one(parts: tuple[Part, ...], name: str) -> list[Part]:
 
 
 def extract_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
-    """Return some faces as a mesh without unused vertices and UVs, with ``file_vertices`` and ``file_faces``."""
+    """Return some faces as a mesh without unused vertices and UVs, with ``file_vertices`` and ``file_faces``.
+
+    If the UV set in use belongs to other faces alone (see `join_meshes`), another one is in use.
+    """
     kept = keep_faces(mesh, faces)
+    if len(faces) < mesh.n_faces:
+        kept = _with_own_uv_set(kept)
     vertices, indices = np.unique(kept.face_indices, return_inverse=True)
     number = places_of(vertices, mesh.n_vertices)
     corners = kept.corner_vertices
@@ -197,6 +202,14 @@ def extract_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
         file_copies=renumbered_copies(mesh.file_copies, number),
         file_faces=np.asarray(faces) if earlier[1] is None else earlier[1][faces],
     )
+
+
+def _with_own_uv_set(mesh: ControlMesh) -> ControlMesh:
+    """The mesh with the first UV set in use that has more than `NO_UV`, if there is one."""
+    if mesh.uvs is None:
+        return mesh
+    laid = (one.name for one in mesh.all_uv_sets if np.any(one.uvs[one.uv_indices] != NO_UV))
+    return mesh.with_uv_set(next(laid, mesh.uv_name))
 
 
 def renumbered_copies(copies: IndexArray | None, number: IndexArray) -> IndexArray | None:

@@ -20,6 +20,7 @@ from cagemap.numerics.process import import_library
 from cagemap.numerics.srgb import decode_srgb, encode_srgb
 from cagemap.numerics.threads import kept
 from cagemap.pictures.camera import Camera
+from cagemap.pictures.textures import sample_texture
 from cagemap.surface.triangles import vertex_normals
 
 Image = NDArray[np.uint8]
@@ -29,7 +30,6 @@ FLOOR_REACH, FLOOR_CELLS = 0.9, 141  # half a side, of the model's size; grid po
 SKY_DIRECTIONS, FLOOR_SKY_DIRECTIONS = 36, 80
 MIN_NORMAL_AGREEMENT = 0.97  # cosine below which the sky's light is not interpolated between pixels
 MIN_REFINED_CONTRAST = 0.06  # pixels with more contrast get several rays
-UV_TOLERANCE = 1e-6  # UVs outside 0..1 by at most this are rounding errors: the texture does not repeat there
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,24 +293,6 @@ def _colors(skin: Skin, model: Model, triangle: IndexArray, corner: FloatArray) 
     if skin.face_colors is not None:
         return decode_srgb(skin.face_colors[triangle])
     return np.tile(decode_srgb(DEFAULT_COLOR), (len(triangle), 1))
-
-
-def sample_texture(texture: FloatArray, uv: FloatArray) -> FloatArray:
-    """(r, channels) bilinear texture values at UVs (r, 2); texel centres at half-integers.
-
-    As in bakes, the texture repeats outside the unit square, but texels at its edges do not mix.
-    """
-    height, width = texture.shape[:2]
-    uv = np.where((uv < -UV_TOLERANCE) | (uv > 1.0 + UV_TOLERANCE), uv % 1.0, uv)
-    x = np.clip(uv[:, 0] * width - 0.5, 0.0, width - 1.0)
-    y = np.clip((1.0 - uv[:, 1]) * height - 0.5, 0.0, height - 1.0)
-    column, row = np.minimum(x.astype(np.int64), width - 2), np.minimum(y.astype(np.int64), height - 2)
-    column, row = np.maximum(column, 0), np.maximum(row, 0)
-    next_column, next_row = np.minimum(column + 1, width - 1), np.minimum(row + 1, height - 1)
-    s, t = (x - column)[:, None], (y - row)[:, None]
-    upper = texture[row, column] * (1 - s) + texture[row, next_column] * s
-    lower = texture[next_row, column] * (1 - s) + texture[next_row, next_column] * s
-    return np.asarray(upper * (1 - t) + lower * t, dtype=np.float64)
 
 
 def _sky(count: int) -> FloatArray:

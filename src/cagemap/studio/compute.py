@@ -178,6 +178,8 @@ def find_map(
     if task.answer is not None or not has_constraints or (answer and restarts):
         first_preview = preview if cache.result is None else None
         free_match = cache.free_match or match_pair(prepared_pair, progress=progress, preview=first_preview)
+        if task.answer is None and (free_match.confidence is None or answer >= len(free_match.confidence.answers)):
+            answer = 0  # of a RESULT with more vertices, which had more answers
         result = other_answer(free_match, answer, progress=progress) if answer else free_match
         config = MatchConfig(answer=answer)
         cache = replace(cache, free_match=free_match, chosen_answer=answer, result=result, config=config)

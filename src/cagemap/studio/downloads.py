@@ -21,8 +21,10 @@ from cagemap.files.meshes.colors import read_material_statements
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.meshes.obj import MATERIAL_FILE_LINE, material_files
 from cagemap.files.text import read_text
+from cagemap.files.usd.space import to_standard
+from cagemap.files.usd.stages import is_usd
 from cagemap.studio.scene import Scene
-from cagemap.studio.state import Output, StudioState, image_uv_set, layout_mesh
+from cagemap.studio.state import Output, StudioState, color_images, image_uv_set, layout_mesh
 
 ARCHIVE_NAME = "all.zip"
 # Material of parts that are not open.
@@ -49,37 +51,39 @@ def output_content(outputs: Iterable[Output], name: str) -> tuple[bytes, str] | 
 
 
 def textured_model_name(state: StudioState) -> str | None:
-    """File name of the target with the first baked image; None without an image."""
+    """File name of the target with the first baked image of colours; None without one."""
     image = _first_image(state)
     return None if image is None or state.files is None else f"{image.stem}.glb"
 
 
 def textured_model(state: StudioState, scene: Scene | None) -> bytes:
-    """The target with the first baked image, as binary glTF; parts that are not open are grey."""
+    """The target with the first baked image of colours, as binary glTF; parts that are not open are grey."""
     image = _first_image(state)
     assert image is not None
     assert state.files is not None
     layout = layout_mesh(state, image)
-    mesh = read_whole(layout or state.files.target)
-    uv_set = image_uv_set(state, image)
+    target = state.files.target
+    mesh = replace(read_whole(layout or target), vertex_colors=None)  # glTF multiplies them with the image
+    opened = None if scene is None or mesh.n_vertices != scene.target.file_mesh.n_vertices else scene.target
+    uv_set = image_uv_set(state, image) or (None if opened is None else opened.control.uv_name)
     if layout is None and uv_set is not None:
         mesh = replace(mesh.with_uv_set(uv_set), uv_name="")  # written first: named sets keep their numbers
     materials = np.zeros(mesh.n_faces, dtype=np.int64)
-    if scene is not None and mesh.n_vertices == scene.target.file_mesh.n_vertices:
-        is_open = scene.target.to_control_vertices(np.arange(mesh.n_vertices)) >= 0
+    if opened is not None:
+        is_open = opened.to_control_vertices(np.arange(mesh.n_vertices)) >= 0
         materials[mesh.corner_faces[~is_open[mesh.face_indices]]] = 1
     names, colors = (image.stem, _OTHER_PARTS)[: 1 + materials.max()], np.array([[1.0] * 3, _GREY])
     mesh = replace(mesh, face_materials=materials, material_names=names, material_colors=colors[: len(names)])
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "mesh.glb"
-        write_glb(file, mesh)
+        write_glb(file, mesh, to_metres=to_standard(target) if is_usd(target) else None)
         slots = {(image.stem, "baseColorTexture"): png_bytes(read_image(image))}
         return glb_bytes(with_images(read_document(file), slots))
 
 
 def _first_image(state: StudioState) -> Path | None:
-    """The first baked image that is not tiled."""
-    return next((image for image in state.baked_images if UDIM_MARK not in image.name), None)
+    """The first baked image of colours that is not tiled."""
+    return next((image for image in color_images(state.outputs) if UDIM_MARK not in image.name), None)
 
 
 def archive_name(folder: Path) -> str:

@@ -65,6 +65,7 @@ TRANSFERS = (
     Transfer("skin weights", "weights", ("influences", "only", "mirror", "joints", "usd", "bases", "force")),
     Transfer("joints", "joints", ("force",)),
     Transfer("blend shapes", "blend_shapes", ("usd", "force")),
+    Transfer("passenger", "passenger", ("kind", "force")),
     Transfer("map for other programs", "write_map", ("force",)),
 )
 # Options that only some transfers take; all others go to each.
@@ -298,7 +299,8 @@ class _CommandBuilder:
         if not self.finish_options.maps:
             return tuple(("", path) for name, path in bases if name in ("", "texture", COLOR_MAP))
         names = {_normalize(name): name for name, _ in self.finish_options.maps}
-        names |= {"": COLOR_MAP, "texture": COLOR_MAP, COLOR_MAP: COLOR_MAP}
+        if self.finish_options.texture and self.files.texture is not None:
+            names |= {"": COLOR_MAP, "texture": COLOR_MAP, COLOR_MAP: COLOR_MAP}
         return tuple((names[_normalize(name)], path) for name, path in bases if _normalize(name) in names)
 
     def _name_parts(self, transfer: Transfer) -> tuple[str, str]:
@@ -325,6 +327,8 @@ class _CommandBuilder:
                 return f"_from_{source.stem}_blend_shapes", "" if are_meshes else ".npz"
             case "write_map":
                 return f"_on_{source.stem}", self.finish_options.map_form
+            case "passenger" if isinstance(value, Path):
+                return self._origin(value.stem), _mesh_suffix(value)
             case _:
                 assert isinstance(value, Path)
                 scene_form = ".json" if transfer.data_field == "joints" else ".npz"
@@ -381,7 +385,7 @@ def _normalize(name: str) -> str:
     return name.strip().lower().replace(" ", "_").replace("-", "_")
 
 
-def _mesh_suffix(target: Path) -> str:
-    """The target's own suffix, if meshes are written in that format."""
-    suffix = target.suffix.lower()
+def _mesh_suffix(mesh: Path) -> str:
+    """The mesh's own suffix, if the studio writes meshes in that format."""
+    suffix = mesh.suffix.lower()
     return ".usda" if suffix == ".usdz" else suffix if suffix in (".obj", ".ply", *USD_SUFFIXES) else ".obj"

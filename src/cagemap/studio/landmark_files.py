@@ -26,6 +26,7 @@ from cagemap.studio.places import cage_places, cage_points
 from cagemap.studio.scene import Scene
 from cagemap.studio.state import Files
 from cagemap.studio.workspace import relative_path
+from cagemap.tasks.match import read_given_landmarks
 
 # Titles of the formats that landmarks are saved in, and their file endings.
 SAVE_FORMATS = {"pairs (.json)": ".json"} | {f"{form.title} ({form.ending})": form.ending for form in POINT_FORMS}
@@ -54,7 +55,12 @@ def load_landmarks(
         landmarks, notes = read_landmarks(path, files.target, files.source)
     else:
         landmarks, notes = pair_by_name(read_points(path, target), read_points(source_points, source), target, source)
-    check_landmarks(landmarks, target, source)
+    return _to_list(landmarks, notes, scene)
+
+
+def _to_list(landmarks: Landmarks, notes: tuple[str, ...], scene: Scene) -> tuple[LandmarkList, list[str]]:
+    """A list of the files' landmarks on the open parts, and notes."""
+    check_landmarks(landmarks, scene.target.file_mesh, scene.source.file_mesh)
     used, unused = split_by_part(landmarks, scene)
     if unused is not None and len(unused):
         notes = (*notes, f"{len(unused)} landmarks are on other parts of the files; they stay in the file")
@@ -106,8 +112,19 @@ def autosave_models(files: Files, scene: Scene) -> tuple[str, str]:
     return target, source
 
 
+def recorded_landmarks(files: Files, scene: Scene, tracker: FileTracker) -> tuple[LandmarkList, list[str]] | None:
+    """Landmarks and curves of an opened RESULT that are not in one file of pairs, and notes; None without any."""
+    recorded = files.recorded
+    if recorded is None or recorded.has_only_pairs:
+        return None
+    landmarks, notes = read_given_landmarks(recorded.request, scene.target.file_mesh, scene.source.file_mesh)
+    if recorded.request.landmarks == files.landmarks:
+        tracker.record(files.landmarks)
+    return _to_list(landmarks, notes, scene)
+
+
 # Tried in this order for newly opened models; with whether the landmarks count as saved.
-INITIAL_LANDMARK_READERS = ((autosaved_landmarks, False), (file_landmarks, True))
+INITIAL_LANDMARK_READERS = ((autosaved_landmarks, False), (recorded_landmarks, False), (file_landmarks, True))
 
 
 def split_by_part(landmarks: Landmarks, scene: Scene) -> tuple[Landmarks, Landmarks | None]:

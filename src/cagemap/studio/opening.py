@@ -16,6 +16,7 @@ from cagemap.files.result.manifest import MANIFEST, REMEDY, input_file, read_man
 from cagemap.files.schema import ResultRecord, SideRecord, parse_record
 from cagemap.mesh.parts import PART_KINDS
 from cagemap.studio.landmarks import SideNames
+from cagemap.studio.recorded import LANDMARK_FIELDS, recorded_match
 from cagemap.studio.state import Files
 
 BUILT_IN_FOLDER = Path("cagemap-studio")
@@ -95,18 +96,20 @@ def command_line_files(
 
 
 def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> Files:
-    """Files that a RESULT folder was computed from.
+    """Files that a RESULT folder was computed from, with the options of its match.
+
+    Where an option is not taken over, the files have another RESULT folder.
 
     Raises
     ------
     FormatError
-        If the folder is no RESULT of a readable version.
+        If the folder is no RESULT of a readable version, or is damaged.
     ParameterError
         If a model has moved or changed.
     """
     manifest = read_manifest(result)
     record = parse_record(ResultRecord, manifest, result / MANIFEST, REMEDY)
-    target, source, pairs = (input_file(result, manifest, name) for name in ("target", "source", "landmarks"))
+    target, source = (input_file(result, manifest, name) for name in ("target", "source"))
     if target is None or source is None:
         raise ParameterError(
             f"--result {result}: expected its models where they were, and unchanged; they are not. "
@@ -114,7 +117,19 @@ def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> 
         )
     schemes = _recorded_scheme(record.target), _recorded_scheme(record.source)
     parts = _recorded_part(record, "target"), _recorded_part(record, "source")
-    return _pair_files(target, source, landmarks or pairs, texture, result, schemes, parts)
+    match = recorded_match(result.resolve(), manifest, record, {"target": target, "source": source})
+    if landmarks is not None or match.has_only_pairs:
+        landmarks = landmarks or match.request.landmarks
+        match = match.without(*LANDMARK_FIELDS)
+    files = _pair_files(target, source, landmarks, texture, result, schemes, parts)
+    if not match.lost:
+        return replace(files, recorded=match)
+    kept = files.result.with_name(f"{files.result.name}_studio")
+    note = (
+        f"{result.name} was matched with options that the studio does not take over: {', '.join(match.lost)}. "
+        f"So Bake does not replace it, and writes {kept.name}"
+    )
+    return replace(files, result=kept, recorded=replace(match, notes=(*match.notes, note)))
 
 
 def _recorded_part(record: ResultRecord, side: str) -> str | None:

@@ -181,8 +181,10 @@ class Preview:
             assert files is not None
             drawn_files = replace(task.pair_files, ups=files.ups, texture=files.texture)
             if isinstance(task, FindMap) and task.pair_files != files == drawn_files:
-                kind, argument = ("map", task.fresh) if task.answer is None else ("answer", task.answer)
-                self._requests.setdefault(kind, (argument,))
+                if task.answer is None:
+                    self.find(fresh=task.fresh)
+                else:
+                    self._requests.setdefault("answer", (task.answer,))
 
     def _next_task(self) -> Task | None:
         """Wait for a request: models first, images last."""

@@ -27,7 +27,16 @@ from cagemap.studio.preview_tasks import (
 )
 from cagemap.studio.scene import Scene, propose_place
 from cagemap.studio.skins import PreviewMap
-from cagemap.studio.state import INITIAL_FIELDS, Files, RunningJob, View, image_uv_set, layout_mesh, map_view
+from cagemap.studio.state import (
+    INITIAL_FIELDS,
+    Files,
+    MapState,
+    RunningJob,
+    View,
+    image_uv_set,
+    layout_mesh,
+    map_view,
+)
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.tasks.match import ComputedMatch
 
@@ -76,8 +85,10 @@ class PreviewResults(LandmarkEdits):
         """Open models; if that fails, `_apply_failure` tries again with the requested parts."""
         with self._lock:
             self._scene, self._computed, self._requested_parts = None, None, requested_parts
-            job = RunningJob(OPENING_TITLE)
-            self._change(files=files, view=map_view(self._state.view), preview_job=job, **INITIAL_FIELDS)
+            job, fields = RunningJob(OPENING_TITLE), dict(INITIAL_FIELDS)
+            if files.recorded is not None:
+                fields["map"] = MapState(chosen_answer=files.recorded.request.answer)
+            self._change(files=files, view=map_view(self._state.view), preview_job=job, **fields)
             self._preview.open(files)
 
     def _preview_inputs(self) -> tuple[LandmarkList, PreviewMap | None, int]:
@@ -170,6 +181,9 @@ class PreviewResults(LandmarkEdits):
             files = with_parts(self._state.files, (target.part_choices.opened, source.part_choices.opened))
             schemes, welds = (target.scheme, source.scheme), (target.weld, source.weld)
             files = replace(files, target=target.path or files.target, source=source.path or files.source)
+            if files.recorded is not None:
+                self._say_all(files.recorded.notes)
+                files = replace(files, recorded=replace(files.recorded.without("answer"), notes=()))
             self._change(files=replace(files, schemes=schemes, welds=welds, texture=source.texture))
         self._say_all(tuple(map(in_page_words, target.notes + source.notes)))
         self._load_initial_landmarks()

@@ -18,8 +18,9 @@ from cagemap.studio.landmark_files import load_landmarks, save_landmarks
 from cagemap.studio.landmarks import Side
 from cagemap.studio.opening import result_folder
 from cagemap.studio.preview_results import PreviewResults
+from cagemap.studio.recorded import LANDMARK_FIELDS
 from cagemap.studio.runner import Runner
-from cagemap.studio.scene import probe_map
+from cagemap.studio.scene import Scene, probe_map
 from cagemap.studio.shape import pick
 from cagemap.studio.state import (
     Files,
@@ -79,7 +80,7 @@ class Session(PreviewResults):
     def choose_part(self, side: Side, title: str | None) -> None:
         """Open another part of a file; unsaved landmarks are kept in the autosave."""
         with self.report_errors(), self._lock:
-            files, scene = self._require_open()
+            files, scene = self._require_requested()
             target, source = (choices.opened for choices in scene.part_choices)
             parts = (title, source) if side == "target" else (target, title)
             files = replace(files, parts=parts, result=result_folder(files, parts))
@@ -88,7 +89,7 @@ class Session(PreviewResults):
     def open_plain(self, side: Side) -> None:
         """Open a model again without subdividing it."""
         with self.report_errors(), self._lock:
-            files, _ = self._require_open()
+            files, _ = self._require_requested()
             target, source = files.schemes
             self.open(replace(files, schemes=("none", source) if side == "target" else (target, "none")))
 
@@ -116,7 +117,8 @@ class Session(PreviewResults):
             file = self.workspace.resolve(path)
             source_file = None if source_points is None else self.workspace.resolve(source_points)
             landmarks, notes = load_landmarks(file, source_file, scene, files, self._tracker)
-            self._edit(lambda present: edit.keep_unused_landmarks(landmarks, present))
+            history = self._state.history
+            self._set_history(history.advance(edit.keep_unused_landmarks(landmarks, history.present)))
             self._say_all(notes)
 
     def add_file(self, name: str, content: bytes, drop: str = "") -> Path | None:
@@ -225,6 +227,14 @@ class Session(PreviewResults):
 
     # Private
 
+    def _require_requested(self) -> tuple[Files, Scene]:
+        """The open pair with the image and the axes that are chosen, also where they are not drawn yet."""
+        files, scene = self._require_open()
+        requested = self._preview.pair_files
+        if requested is not None and self._preview.is_requested("image"):
+            files = replace(files, texture=requested.texture)
+        return files if requested is None else replace(files, ups=requested.ups), scene
+
     def _save(self, path: Path | None = None) -> None:
         files, scene = self._require_open()
         target = files.landmarks if path is None else self.workspace.resolve(path)
@@ -234,7 +244,8 @@ class Session(PreviewResults):
         if written == (target,):  # after two files of points the open file stays
             if target != files.landmarks and autosave_path(target).is_file():
                 move_aside(autosave_path(target))  # of an earlier session
-            self._change(files=replace(files, landmarks=target), saved=True)
+            recorded = files.recorded and files.recorded.without(*LANDMARK_FIELDS)
+            self._change(files=replace(files, landmarks=target, recorded=recorded), saved=True)
             self._tracker.remove_autosave(files.landmarks)
 
     def _on_output(self, output: Output) -> None:

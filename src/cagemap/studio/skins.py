@@ -16,6 +16,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.srgb import encode_srgb as to_display
 from cagemap.numerics.threads import kept
 from cagemap.pictures.camera import turn_angle
+from cagemap.pictures.textures import repeated_uvs
 from cagemap.studio.file_parts import OtherParts
 from cagemap.studio.glb import MeshPart, pack_glb
 from cagemap.studio.shape import Shape
@@ -278,7 +279,7 @@ def texture_colors(look: Look, uvs: FloatArray) -> NDArray[np.uint8]:
     """(n, 3) displayed colours of the nearest texels."""
     assert look.texture is not None
     height, width = look.texture.shape[:2]
-    u, v = look.to_image_uvs(uvs).T
-    column = np.floor(u % 1.0 * width).astype(np.int64).clip(0, width - 1)
-    row = np.floor((1.0 - v) % 1.0 * height).astype(np.int64).clip(0, height - 1)
+    u, v = repeated_uvs(look.to_image_uvs(uvs)).T
+    column = np.floor(u * width).astype(np.int64).clip(0, width - 1)
+    row = np.floor((1.0 - v) * height).astype(np.int64).clip(0, height - 1)
     return np.asarray(look.texture[row, column, :3])

@@ -12,7 +12,9 @@ from typing import Literal
 from cagemap.errors import ParameterError
 from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.images.image import UDIM_MARK
+from cagemap.files.usd.results import preview_inputs
 from cagemap.studio.landmarks import History, LandmarkList, Proposal, SideNames
+from cagemap.studio.recorded import RecordedMatch
 
 Mode = Literal["texture", "colours", "checker", "plain", "baked"]
 MODES: tuple[Mode, ...] = ("texture", "colours", "checker", "plain", "baked")
@@ -20,6 +22,8 @@ MessageKind = Literal["error", "note"]
 _TILE_NUMBER = re.compile(r"\.1\d{3}$")
 # Ends the name of a copy of the target with a new UV layout.
 _UNWRAPPED_ENDING = "_unwrapped.obj"
+# Titles of transfers of colours, and kinds of detail that are colours.
+_COLOR_TITLES, _COLOR_BAKES = ("texture", "material colours"), ("colors", "texture")
 # Older messages disappear from the page.
 MAX_MESSAGES = 100
 
@@ -47,6 +51,8 @@ class Files:
         without a part sets this to its largest piece.
     welds : (str or None, str or None)
         Tolerance that each file was welded with when it was opened, as `cagemap match --weld` takes it.
+    recorded : RecordedMatch or None
+        The match of an opened RESULT.
     """
 
     target: Path
@@ -58,6 +64,7 @@ class Files:
     ups: SideNames = (None, None)
     parts: SideNames = (None, None)
     welds: SideNames = (None, None)
+    recorded: RecordedMatch | None = None
 
 
 @dataclass(frozen=True)
@@ -307,6 +314,19 @@ def baked_images(outputs: Iterable[Output]) -> tuple[Path, ...]:
     return tuple(dict.fromkeys(path.with_stem(_TILE_NUMBER.sub(f".{UDIM_MARK}", path.stem)) for path in images))
 
 
+def color_images(outputs: Iterable[Output]) -> tuple[Path, ...]:
+    """Baked images that are colours: of textures, materials and vertices."""
+    return tuple(image for output in outputs for image in baked_images((output,)) if _is_of_colors(output.title, image))
+
+
+def _is_of_colors(title: str, image: Path) -> bool:
+    """Whether an image of an output is one of colours; the names of a material's maps tell theirs."""
+    kind = image.stem.removesuffix(f".{UDIM_MARK}").rpartition("_")[2]
+    if title in _COLOR_TITLES:
+        return preview_inputs([kind]).get(kind, "diffuseColor") == "diffuseColor"
+    return title == "detail" and kind in _COLOR_BAKES
+
+
 def map_view(view: View) -> View:
     """The view without a baked image or pose."""
     return replace(view, mode="texture" if view.mode == "baked" else view.mode, baked=None, pose="")
@@ -329,7 +349,7 @@ def image_uv_set(state: StudioState, image: Path) -> str | None:
 
 
 def update_view(state: StudioState, **fields: object) -> View:
-    """The view with changed fields; mode "baked" shows the first baked image by default.
+    """The view with changed fields; mode "baked" shows the first image of colours by default, else another one.
 
     Raises
     ------
@@ -341,7 +361,7 @@ def update_view(state: StudioState, **fields: object) -> View:
         return view
     if not state.baked_images:
         raise ParameterError("Show: expected a baked image, there is none yet. Press Bake.")
-    return baked_view(view, state.baked_images[0])
+    return baked_view(view, (color_images(state.outputs) or state.baked_images)[0])
 
 
 def add_message(messages: tuple[Message, ...], kind: MessageKind, text: str) -> tuple[Message, ...]:

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -41,7 +42,8 @@ from cagemap.tasks.match_summary import colors_option
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import files_read
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
-from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, transfer_of, unwrap
+from cagemap.transfer import BakeOptions, Transfer, target_tiles, transfer_of, unwrap
+from cagemap.transfer.baking import layout_cells
 from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.overlapping_uvs import overlapping_materials, overlapping_share
 from cagemap.transfer.texture import Pixels
@@ -63,6 +65,7 @@ class Prepared:
     tiles: list[int]
     mesh: Path | None
     warnings: list[str]
+    write_mesh: Callable[[], None] = lambda: None  # writes ``mesh`` once, together with the images
 
 
 @dataclass(frozen=True)
@@ -127,7 +130,7 @@ def colors_remedy(mesh: ControlMesh) -> str:
 def prepare_bake(
     request: TransferRequest, result: MatchResult, stages: Stages, outputs: Mapping[str, Path]
 ) -> Prepared:
-    """Find the tiles of the target's layout, after a new layout was made and written if one is requested.
+    """Find the tiles of the target's layout, a new one if it is requested.
 
     Refuses outputs that would replace inputs.
 
@@ -168,15 +171,17 @@ def prepare_bake(
     other_outputs = [*meshes, *([] if request.usd is None else [request.usd])]
     inputs = [*bake_inputs(request), *read_files(request.result, result.manifest)]
     check_outputs([*images, *other_outputs], inputs, force=request.force)
-    if mesh is not None:
-        bound = _material_images(request, {use: udim_path(output, tiles[0]) for use, output in outputs.items()})
-        warnings += _write_unwrapped(request, result.target.control, result.manifest, bound)
-    return Prepared(transfer, result.target.control, tiles, mesh, warnings)
+    prepared = Prepared(transfer, result.target.control, tiles, mesh, warnings)
+    if mesh is None:
+        return prepared
+    bound = _material_images(request, {use: udim_path(output, tiles[0]) for use, output in outputs.items()})
+    write, more = _unwrapped_writer(request, result.target.control, result.manifest, bound)
+    return replace(prepared, warnings=[*warnings, *more], write_mesh=cache(write))
 
 
 def layout_tiles(transfer: Transfer) -> tuple[list[int], list[str]]:
     """UDIM numbers of the target layout's tiles, [0] for the unit square; and warnings."""
-    cells = tile_cells(transfer.target.corner_uvs())
+    cells = layout_cells(transfer.target)
     if cells.min() >= 0:  # UDIM has no numbers for others
         return target_tiles(transfer.target), []
     outside = float(np.mean((cells != 0).any(axis=1)))
@@ -209,7 +214,7 @@ def _source_overlap_warnings(control: ControlMesh) -> list[str]:
 def bake_tiles(
     request: TransferRequest, prepared: Prepared, bake: Callable[..., Baked], stages: Stages, name: str = ""
 ) -> Baked:
-    """Bake all tiles, and write each while the next one is baked; returns the last.
+    """Bake all tiles, and write each while the next one is baked, and the mesh of a new layout; returns the last.
 
     Masked texels take the base image, or get alpha.
 
@@ -217,15 +222,17 @@ def bake_tiles(
     ``bake``: called with ``options``, which hold the tile; returns the baked image.
     ``name``: of the map, to find its base image and to show.
     """
-    return write_tiles(
-        request.output,
-        prepared.tiles,
-        lambda options: bake(options=replace(options, filter=request.filter)),
-        stages,
-        mask_function(request, prepared.transfer, name),
-        force=request.force,
-        name=name,
-    )
+    with all_or_nothing():
+        prepared.write_mesh()
+        return write_tiles(
+            request.output,
+            prepared.tiles,
+            lambda options: bake(options=replace(options, filter=request.filter)),
+            stages,
+            mask_function(request, prepared.transfer, name),
+            force=request.force,
+            name=name,
+        )
 
 
 def write_tiles(
@@ -312,20 +319,19 @@ def _material_images(request: TransferRequest, images: Mapping[str, Path]) -> di
     return bound
 
 
-def _write_unwrapped(
+def _unwrapped_writer(
     request: TransferRequest, control: ControlMesh, manifest: dict[str, Any], images: Mapping[str, str]
-) -> list[str]:
-    """Write the target with its new layout and images: a copy of its OBJ file, else a plain one; returns warnings."""
+) -> tuple[Callable[[], None], list[str]]:
+    """Writer of the target with its new layout and images, a copy of its OBJ file or else a plain one; and warnings."""
     mesh = unwrapped_name(request.output)
     original = input_file(request.result, manifest, "target")
     whole = control.file_vertices is None
     if whole and original is not None and original.suffix.lower() == ".obj":
-        write_obj_layout(mesh, original, control, images, force=request.force)
-        return []
-    write_obj(mesh, control, images, force=request.force)
+        return partial(write_obj_layout, mesh, original, control, images, force=request.force), []
     why = "was not found, or has changed since the match" if original is None else "is no OBJ"
     why = why if whole else "was matched in part, mended or welded"
-    return [f"{control.name} {why}: {mesh} holds faces, UVs and materials, but no groups, names or normals of it"]
+    warning = f"{control.name} {why}: {mesh} holds faces, UVs and materials, but no groups, names or normals of it"
+    return partial(write_obj, mesh, control, images, force=request.force), [warning]
 
 
 def map_path(output: Path, name: str) -> Path:

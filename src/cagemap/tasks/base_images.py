@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -63,6 +64,27 @@ def base_size(request: TransferRequest, name: str = "") -> ImageSize | None:
         return None
     height, width = read_image_form(base)[2]
     return height if height == width else (height, width)
+
+
+def base_scale_warnings(
+    request: TransferRequest, result: MatchResult, dtype: np.dtype[Any], midlevel: float, name: str = ""
+) -> list[str]:
+    """A warning if the heights or offsets of a base image have another scale or midlevel than those over it.
+
+    ``dtype``: of the image to write. Integers get a scale of their own; floats keep that of the source.
+    ``midlevel``: its value of no displacement; of the base it is taken as usual.
+    """
+    base = base_of(request, name)
+    if base is None or not result.masks.any:
+        return []
+    usual = 0.5 if read_image_form(base)[0].kind == "u" else 0.0
+    if dtype.kind == "f" and midlevel == usual:
+        return []
+    units = "in the target's units" if request.bake else "with the scale of the source's image"
+    return [
+        f"--base {base} keeps its values, which are right only with the scale and midlevel of this image. To have one "
+        f"scale, write floats (.exr) over a base of floats, {units}"
+    ]
 
 
 def require_base(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cagemap.errors import ParameterError
+from cagemap.files.atomic import all_or_nothing
 from cagemap.files.gltf.document import GLTF_SUFFIXES
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import MaterialImage, png_bytes, write_numbered
@@ -16,10 +17,13 @@ from cagemap.files.images.image import Image, check_writable, pixel_type, read_i
 from cagemap.files.inner_texture import color_texture, material_document, tinted_materials, write_texture
 from cagemap.files.meshes.formats import MESH_SUFFIXES, read_mesh
 from cagemap.files.meshes.ply import ply_image
-from cagemap.files.result.manifest import note_transfer
+from cagemap.files.result.manifest import input_file, note_transfer
+from cagemap.files.usd.prims import transform_points
 from cagemap.files.usd.results import preview_inputs, unbound_maps
+from cagemap.files.usd.space import between_spaces
 from cagemap.files.usd.write import UsdResults
 from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.tasks.bake_tiles import (
     DEFAULT_SIZE,
@@ -33,15 +37,17 @@ from cagemap.tasks.bake_tiles import (
     record_bake,
     require_source_uvs,
 )
-from cagemap.tasks.base_images import base_size, mask_function, require_base, written_channels
+from cagemap.tasks.base_images import base_scale_warnings, base_size, mask_function, require_base, written_channels
 from cagemap.tasks.detail_bakes import (
     KINDS,
     OFFSETS,
     DetailBakes,
     bake_detail,
     detail_texture,
+    grey_vertex_notes,
     mesh_detail,
     vertex_colors,
+    with_texture,
 )
 from cagemap.tasks.material_atlas import material_atlas
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
@@ -49,7 +55,7 @@ from cagemap.tasks.requests.transfer import BakeKind, TransferRequest
 from cagemap.tasks.usd_output import texture_reference, write_usd_results
 from cagemap.transfer import BakeOptions, bake_displacement, bake_face_colors, bake_texture, face_colors
 from cagemap.transfer.detail import Detail
-from cagemap.transfer.displacement import Displacement
+from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.texture import Pixels
 from cagemap.transfer.vectors import (
     bake_normal_map,
@@ -60,6 +66,8 @@ from cagemap.transfer.vectors import (
 
 # Least share of a normal map's colours that are unit vectors; JPEG compression keeps more.
 FEWEST_NORMALS = 0.3
+# Largest difference of the surfaces' ratio of lengths from 1 with which heights need no scale.
+_MAX_UNSCALED = 0.01
 
 
 def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
@@ -84,11 +92,15 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
     prepared = prepare_bake(
         request, result, stages, dict(zip((name or "texture" for name, *_ in maps), outputs, strict=True))
     )
-    for (name, path, texture), output in zip(maps, outputs, strict=True):
-        map_request = replace(request, output=output)
-        image = _bake_map(map_request, result, prepared, name, path, stages, texture)
-        entry = _entry("texture", path if atlas is None or given is None else given, image)
-        summary, warnings = record_bake(map_request, prepared, entry | ({"map": name} if name else {}), stages)
+    requests = [replace(request, output=output) for output in outputs]
+    entries: list[dict[str, Any]] = []
+    with all_or_nothing():
+        for (name, path, texture), map_request in zip(maps, requests, strict=True):
+            image = _bake_map(map_request, result, prepared, name, path, stages, texture)
+            entry = _entry("texture", path if atlas is None or given is None else given, image)
+            entries.append(entry | ({"map": name} if name else {}))
+    for map_request, entry in zip(requests, entries, strict=True):
+        summary, warnings = record_bake(map_request, prepared, entry, stages)
     is_gltf = given is not None and given.suffix.lower() in GLTF_SUFFIXES
     if is_gltf and document is not None and (tinted := tinted_materials(document, source)):
         colors = f"the colours that multiply the images of {first_few(tinted)} are not baked"
@@ -159,8 +171,21 @@ def _bake_map(
         )
     if is_normal_map:
         prepared.warnings.append(f"{path} looks like a normal map and is turned with the map, not carried as colours")
-    is_color = preview_inputs([name or "texture"]).get(name or "texture") in ("diffuseColor", "emissiveColor")
-    if is_color and (source_image.first.pixels.dtype.kind == "f") != (source_image.dtype.kind == "f"):
+    use = preview_inputs([name or "texture"]).get(name or "texture")
+    if use == "normal" and not is_normal_map and not request.as_color:
+        prepared.warnings.append(
+            f"{path} is carried as colours: it does not look like a normal map in tangent space. Carry it with "
+            "--normal-map if it is one (with --space object, if its directions are in object space)"
+        )
+    ratio = scale_ratio(transfer)
+    if use == "displacement" and not request.as_color and abs(ratio - 1.0) > _MAX_UNSCALED:
+        prepared.warnings.append(
+            f"{path} is carried unscaled: the target is {ratio:.4g} times as large as the source, so that its heights "
+            "mean others there. Carry it with --displacement, which scales them"
+        )
+    if use in ("diffuseColor", "emissiveColor") and (source_image.first.pixels.dtype.kind == "f") != (
+        source_image.dtype.kind == "f"
+    ):
         prepared.warnings.append(
             f"{request.output} has the numbers of {path}, and programs read colours of integers as sRGB, of floats as "
             f"linear: choose the colour space of {path.name} for it there"
@@ -218,6 +243,10 @@ def _carry(
             f"{path}: only {100 * share:.0f} % of its colours are directions; is it a normal map? "
             "Colours go through --texture."
         )
+    if kind != "normal-map":
+        usual = 0.5 if source_image.first.pixels.dtype.kind == "u" else 0.0
+        midlevel = usual if request.midlevel is None else request.midlevel
+        prepared.warnings.extend(base_scale_warnings(request, result, source_image.dtype, midlevel))
     bound = partial(bake, prepared.transfer, source_image.texture, size=source_image.size, dtype=source_image.dtype)
     baked = bake_tiles(request, prepared, bound, stages)
     entry = _entry(kind, path, source_image) | more
@@ -252,26 +281,41 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     """Bake normals, displacement, ambient occlusion and colours of a detailed mesh or the source."""
     kinds = _kinds(request)
     images = {kind: map_path(request.output, kind if len(kinds) > 1 else "") for kind in kinds}
-    bakes = DetailBakes(images, request.size or base_size(request, kinds[0]) or DEFAULT_SIZE, request.bits, request)
-    mesh = None if request.detail is None else read_mesh(request.detail)
+    of_bases = (base_size(request, kind) for kind in kinds)
+    size = request.size or next((found for found in of_bases if found is not None), None)
+    bakes = DetailBakes(images, size or DEFAULT_SIZE, request.bits, request)
+    mesh = None if request.detail is None else _read_detail(request.detail, request, result)
     if mesh is not None and request.detail_texture is not None:
-        bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture, request.filter))
+        bakes = with_texture(bakes, detail_texture(mesh, request.detail_texture, request.filter), size)
     channels = {kind: bakes.channels(kind) for kind in kinds}
     for kind in kinds:
         require_base(request, result, bakes.size, (channels[kind],), kind)
     bakes.check({kind: written_channels(request, result, channels[kind], kind) - channels[kind] for kind in kinds})
     prepared = prepare_bake(request, result, stages, {kind.removesuffix("s"): path for kind, path in images.items()})
     warnings = prepared.warnings
+    interpolated = [kind for kind in kinds if kind != "texture"]
+    if request.filter == "nearest" and interpolated:
+        warnings.append(
+            f"--filter nearest is not used for {', '.join(interpolated)}, which are interpolated between vertices; it "
+            "is for the labels of --bake texture"
+        )
+    for kind in kinds:
+        if kind in ("displacement", "vector-displacement"):
+            dtype = bakes.dtype(kind)
+            warnings += base_scale_warnings(request, result, dtype, 0.5 if dtype.kind == "u" else 0.0, kind)
     if mesh is not None:
         stages("detail")
         detail, more = mesh_detail(mesh, prepared.transfer)
         warnings += more
-        colors = vertex_colors(mesh) if "colors" in kinds else None
     else:
-        detail, colors = Detail(prepared.transfer.point_map.source), None
-        if "colors" in kinds:
-            refinement = result.source.refinement
-            colors = refinement.prolong(vertex_colors(refinement.control), 0, refinement.finest_level).clip(0.0, 1.0)
+        detail = Detail(prepared.transfer.point_map.source)
+    colors = None
+    if "colors" in kinds:
+        refinement = result.source.refinement
+        colored = refinement.control if mesh is None else mesh
+        colors, warnings = vertex_colors(colored), warnings + grey_vertex_notes(colored)
+        if mesh is None:
+            colors = refinement.prolong(colors, 0, refinement.finest_level).clip(0.0, 1.0)
     lines = bake_detail(
         bakes,
         prepared.transfer,
@@ -281,6 +325,7 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
         stages,
         "the target's",
         partial(mask_function, request, prepared.transfer),
+        prepared.write_mesh,
     )
     for kind, path in images.items():
         entry = {"kind": f"bake-{kind}", "output": udim_path(path, prepared.tiles[0]), "tiles": prepared.tiles}
@@ -290,6 +335,13 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     if prepared.mesh is not None:
         lines.append(f"wrote {prepared.mesh}")
     return "\n".join(lines), warnings
+
+
+def _read_detail(file: Path, request: TransferRequest, result: MatchResult) -> ControlMesh:
+    """The detailed mesh in the units and axes of the source's file."""
+    mesh = read_mesh(file)
+    to_source = between_spaces(input_file(request.result, result.manifest, "source"), file)
+    return mesh.with_positions(transform_points(mesh.positions, to_source))
 
 
 def _kinds(request: TransferRequest) -> list[BakeKind]:

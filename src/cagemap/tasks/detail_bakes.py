@@ -10,9 +10,10 @@ from types import MappingProxyType
 from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.files.atomic import check_outputs
+from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.images.image import (
     Image,
     check_writable,
@@ -26,10 +27,11 @@ from cagemap.files.images.image import (
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import UNKNOWN_COLOR
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.srgb import decode_srgb
+from cagemap.numerics.srgb import decode_srgb, encode_srgb
 from cagemap.subdivision import default_scheme
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.bake_tiles import (
@@ -148,13 +150,25 @@ def detail_texture(mesh: ControlMesh, path: Path, kind: Filter = "smooth") -> De
 
 
 def vertex_colors(mesh: ControlMesh) -> FloatArray:
-    """(n, 3) vertex colours of a detailed mesh; refuse meshes without them."""
-    if mesh.vertex_colors is None:
+    """(n, 3) vertex colours of a detailed mesh, grey for vertices without one; refuse meshes without them."""
+    if mesh.vertex_colors is None or not np.isfinite(mesh.vertex_colors).any():
         raise ParameterError(
             f"{mesh.name}: expected colours at its vertices to bake, got none (OBJ: six numbers a `v` line; PLY: red, "
             f"green, blue). {colors_remedy(mesh)}"
         )
-    return mesh.vertex_colors
+    return np.where(_is_colored(mesh)[:, None], mesh.vertex_colors, encode_srgb(np.array(UNKNOWN_COLOR)))
+
+
+def grey_vertex_notes(mesh: ControlMesh) -> list[str]:
+    """A warning if `vertex_colors` is grey for some vertices."""
+    grey = int(np.count_nonzero(~_is_colored(mesh)))
+    return [f"{mesh.name}: {grey} of {mesh.n_vertices} vertices have no colour and are baked in grey"] if grey else []
+
+
+def _is_colored(mesh: ControlMesh) -> NDArray[np.bool_]:
+    """(n,) whether a vertex has a colour."""
+    assert mesh.vertex_colors is not None
+    return np.asarray(np.isfinite(mesh.vertex_colors).all(axis=1))
 
 
 def bake_detail(
@@ -166,12 +180,14 @@ def bake_detail(
     stages: Stages,
     units: str,
     finished: Callable[[BakeKind], Callable[[Image, BakeOptions], Image]] = lambda _: lambda image, _: image,
+    write_mesh: Callable[[], None] = lambda: None,
 ) -> list[str]:
-    """Bake and write all images; returns one line about each.
+    """Bake and write all images together; returns one line about each.
 
     ``colors``: (n, 3) at the detail's vertices, or None if colours are not requested.
     ``units``: owner of the units of lengths, for the lines.
     ``finished``: kind -> function from a baked image to the image to write.
+    ``write_mesh``: writes the mesh that belongs to the images.
     """
     lines, request, image = [], bakes.request, bakes.texture
     space, green = request.space, request.green
@@ -193,28 +209,30 @@ def bake_detail(
         assert values is not None
         return bake_detail_values(transfer, detail, values, **given)
 
-    for kind, path in bakes.images.items():
-        dtype, scale, values = bakes.dtype(kind), 1.0, colors
-        if kind == "ao":
-            stages("ambient occlusion")
-            values = ambient_occlusion(detail.surface, request.rays)
-        elif kind == "colors" and colors is not None and dtype.kind == "f":  # images of floats are linear
-            values = decode_srgb(colors)
-        elif kind in ("displacement", "vector-displacement") and dtype.kind == "u":
-            stages(f"range of {kind}")
-            scale = _range(partial(bake, kind, None, np.dtype(np.float32), 1.0), tiles)
-        bake_kind = partial(bake, kind, values, dtype, scale)
-        write_tiles(path, tiles, bake_kind, stages, finished(kind), force=request.force, name=kind)
-        meaning = f"(value - {0.5 if dtype.kind == 'u' else 0.0:g}) * {scale:.6g} in {units} units"
-        descriptions: dict[BakeKind, str] = {
-            "normal": f"normals in {request.space} space, green {request.green}",
-            "displacement": f"height along the normal = {meaning}",
-            "vector-displacement": f"offset in {request.space} space = {meaning}",
-            "ao": "ambient occlusion",
-            "colors": "colours",
-            "texture": "the detailed mesh's texture",
-        }
-        lines.append(f"wrote {path}: {descriptions[kind]}")
+    with all_or_nothing():
+        write_mesh()
+        for kind, path in bakes.images.items():
+            dtype, scale, values = bakes.dtype(kind), 1.0, colors
+            if kind == "ao":
+                stages("ambient occlusion")
+                values = ambient_occlusion(detail.surface, request.rays)
+            elif kind == "colors" and colors is not None and dtype.kind == "f":  # images of floats are linear
+                values = decode_srgb(colors)
+            elif kind in ("displacement", "vector-displacement") and dtype.kind == "u":
+                stages(f"range of {kind}")
+                scale = _range(partial(bake, kind, None, np.dtype(np.float32), 1.0), tiles)
+            bake_kind = partial(bake, kind, values, dtype, scale)
+            write_tiles(path, tiles, bake_kind, stages, finished(kind), force=request.force, name=kind)
+            meaning = f"(value - {0.5 if dtype.kind == 'u' else 0.0:g}) * {scale:.6g} in {units} units"
+            descriptions: dict[BakeKind, str] = {
+                "normal": f"normals in {request.space} space, green {request.green}",
+                "displacement": f"height along the normal = {meaning}",
+                "vector-displacement": f"offset in {request.space} space = {meaning}",
+                "ao": "ambient occlusion",
+                "colors": "colours",
+                "texture": "the detailed mesh's texture",
+            }
+            lines.append(f"wrote {path}: {descriptions[kind]}")
     return lines
 
 
@@ -241,6 +259,11 @@ def wrap_bakes(request: WrapRequest) -> DetailBakes:
     }
     given = {kind: path for kind, path in images.items() if path is not None}
     return DetailBakes(given, request.size or DEFAULT_SIZE, None, request)
+
+
+def with_texture(bakes: DetailBakes, texture: DetailTexture, size: ImageSize | None) -> DetailBakes:
+    """Bakes with a detailed mesh's own image, and of its larger side without a ``size``."""
+    return replace(bakes, texture=texture, size=size or max(texture.first.size))
 
 
 def outputs_beside(request: WrapRequest) -> list[Path]:
@@ -292,14 +315,17 @@ def bake_wrapped(
         transfer, detail, fine = missing_detail(wrapped, target, source)
         if "colors" in bakes.images:
             colors = fine.prolong(vertex_colors(source.control), 0, fine.finest_level).clip(0.0, 1.0)
+            warnings = grey_vertex_notes(source.control)
     else:
         transfer, follow = wrapped_transfer(wrapped, target)
         if request.detail_texture is not None:
-            bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture))
+            bakes = with_texture(bakes, detail_texture(mesh, request.detail_texture), request.size)
             bakes.check()
         detail, warnings = mesh_detail(mesh, transfer)
         detail = replace(detail, follow=follow)
-        colors = vertex_colors(mesh) if "colors" in bakes.images else None
+        if "colors" in bakes.images:
+            colors = vertex_colors(mesh)
+            warnings = [*warnings, *grey_vertex_notes(mesh)]
     tiles, outside = layout_tiles(transfer)
     images = [udim_path(path, tile) for path in bakes.images.values() for tile in tiles]
     check_outputs(images, textures_read(request), force=request.force)

@@ -16,6 +16,7 @@ from cagemap.files import INVERT_PREFIX
 from cagemap.files.atomic import one_at_a_time, write_whole
 from cagemap.files.ownership import is_own, mark
 from cagemap.files.result.manifest import stated, stated_path
+from cagemap.jobs import LAYER_OPTION
 from cagemap.tasks.masks import mask_file
 from cagemap.tasks.requests.catalogue import WRITTEN
 
@@ -50,19 +51,37 @@ def note_output(command: str, folder: Path, request: Any) -> None:
         _log.info("%s: is not there or was edited, so this %s is not noted in it", place, command)
         return
     options = stated_options(request, folder)
-    options |= {name: getattr(request, name).name for name in WRITTEN.get(command, ()) if name in options}
-    entry = {"command": command, "output": request.output.name, **options}
+    options |= {
+        name: _path_in_pair(getattr(request, name), folder) for name in WRITTEN.get(command, ()) if name in options
+    }
+    entry = {"command": command, "output": _path_in_pair(request.output, folder), **options}
     files = {entry[name] for name in ("output", *WRITTEN.get(command, ())) if name in entry}
     with one_at_a_time(folder):
         data = tomllib.loads(place.read_text(encoding="utf-8"))
-        kept = [_without(other, files) for other in data.get("outputs", []) if other.get("output") not in files]
+        outputs = [other for other in data.get("outputs", []) if other.get("output") not in files]
+        kept = [_without(other, files, str(entry.get(LAYER_OPTION))) for other in outputs]
         _write(place, {**data, "outputs": [*kept, entry]})
 
 
-def _without(entry: dict[str, Any], files: set[str]) -> dict[str, Any]:
-    """An output entry without options that write one of ``files``."""
-    beside = WRITTEN.get(entry.get("command", ""), ())
-    return {name: value for name, value in entry.items() if name not in beside or value not in files}
+def _path_in_pair(path: Path, folder: Path) -> str:
+    """Where a job writes an output: files beside RESULT into the pair's folder, other folders below it.
+
+    Files of different folders get different paths.
+    """
+    steps = [step for step in stated_path(path.parent, folder).split("/") if step != "."]
+    levels = steps.count("..")
+    start = {0: ["inside"], 1: []}.get(levels, [f"above{levels - 1}"])
+    return "/".join([*start, *steps[levels:], path.name])
+
+
+def _without(entry: dict[str, Any], files: set[str], layer: str) -> dict[str, Any]:
+    """An output entry without options that write one of ``files``, but for a ``layer`` to which each output adds."""
+    written = WRITTEN.get(entry.get("command", ""), ())
+    return {
+        name: value
+        for name, value in entry.items()
+        if name not in written or value not in files or (name == LAYER_OPTION and value == layer)
+    }
 
 
 def stated_options(request: Any, folder: Path) -> dict[str, Any]:

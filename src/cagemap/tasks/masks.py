@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,7 +33,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 if TYPE_CHECKING:  # a match without masks starts without images and their library
     from cagemap.files.images.image import Pixels
 from cagemap.files.values.attributes import Attributes
-from cagemap.files.values.part_numbering import FileRows, to_file
+from cagemap.files.values.part_numbering import FileRows, place_of_rows, to_file
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.options import refuse_unread
@@ -216,9 +216,16 @@ def _primvar(mesh_file: Path, name: str) -> FloatArray | None:
 
 
 def keep_base(
-    request: TransferRequest, result: MatchResult, carried: Attributes, rows: FileRows | None
+    request: TransferRequest,
+    result: MatchResult,
+    carried: Attributes,
+    rows: FileRows | None,
+    places: Mapping[str, str] | None = None,
 ) -> tuple[Attributes, list[str]]:
-    """Carried values blended over the target's own values outside the masks; and notes."""
+    """Carried values blended over the target's own values outside the masks; and notes.
+
+    ``places``: of values by name, see `to_file`.
+    """
     if not result.masks.any:
         return carried, []
     base = base_of(request)
@@ -236,7 +243,9 @@ def keep_base(
                 f"--base {base}: expected {name} of shape {values.shape}, as what is carried, got shape {below.shape}. "
                 "Give the target's own values."
             )
-        share = _rows(result, weight, len(values)).reshape(-1, *([1] * (values.ndim - 1)))
+        share = _weight_at(result, weight, len(values), (places or {}).get(name)).reshape(
+            -1, *([1] * (values.ndim - 1))
+        )
         if values.dtype.kind == "i":  # labels are not mixed
             kept[name] = np.where(share >= 0.5, values, below)
         else:
@@ -244,13 +253,15 @@ def keep_base(
     return kept, []
 
 
-def to_file_values(request: TransferRequest, carried: Attributes, rows: FileRows | None) -> Attributes:
+def to_file_values(
+    request: TransferRequest, carried: Attributes, rows: FileRows | None, places: Mapping[str, str] | None = None
+) -> Attributes:
     """Values of a part in the file's numbering, with ``--base``'s values or 0 elsewhere."""
     base = None if rows is None else base_of(request)
     if base is None or rows is None:
-        return to_file(carried, rows, {})
+        return to_file(carried, rows, places=places)
     below = own_values(base, rows.whole, None, carried, of_weights=request.weights is not None)
-    return to_file(carried, rows, below)
+    return to_file(carried, rows, below, places)
 
 
 def own_values(
@@ -307,13 +318,14 @@ def _require_names(base: Path, what: str, given: Collection[str], names: Collect
         )
 
 
-def _rows(result: MatchResult, weight: FloatArray, count: int) -> FloatArray:
+def _weight_at(result: MatchResult, weight: FloatArray, count: int, place: str | None) -> FloatArray:
     """(count,) weights at control vertices, control faces, face corners or refined vertices."""
     control = result.target.control
+    place = place_of_rows(control, count) if place is None else place
     at_vertices = weight[: control.n_vertices]
-    if count == len(at_vertices):
+    if place == "vertices":
         return at_vertices
     at_corners = at_vertices[control.face_indices]
-    if count == control.n_faces:
+    if place == "faces":
         return np.add.reduceat(at_corners, control.face_offsets[:-1]) / control.face_sizes
-    return at_corners if count == len(at_corners) else weight
+    return at_corners if place == "corners" else weight

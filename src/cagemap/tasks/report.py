@@ -198,7 +198,7 @@ def _with_weights(carried: CarriedData, folder: Path, entry: dict[str, Any], res
 def _with_shapes(carried: CarriedData, folder: Path, entry: dict[str, Any], result: MatchResult) -> CarriedData:
     files = [folder / file for file in entry.get("files", [])]
     given, received = (
-        read_shapes(paths, side.control, file_rows(folder, result, name))
+        read_shapes(paths, side.control, file_rows(folder, result, name), input_file(folder, result.manifest, name))
         for name, paths, side in (
             ("source", files, result.source),
             ("target", [folder / entry["output"]], result.target),

@@ -13,8 +13,7 @@ from cagemap.character.joints import Skeleton
 from cagemap.errors import ParameterError, values_of
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.document import SCENE_SUFFIXES
-from cagemap.files.gltf.read import gltf_skeleton
-from cagemap.files.result.manifest import note_transfer, read_files
+from cagemap.files.result.manifest import input_file, note_transfer, read_files
 from cagemap.files.result.maps import write_map
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd.skeleton import read_usd_skeleton
@@ -34,7 +33,8 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import mirror_symmetries
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, box_diagonal
+from cagemap.surface.surface_points import SurfacePoints
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights, trusted_vertices
 from cagemap.tasks.follower import write_follower
 from cagemap.tasks.masks import keep_base, own_values, to_file_values
@@ -53,6 +53,11 @@ from cagemap.transfer.skin import (
 
 # Mean distance of a mesh from its base, in units of sqrt(area), above which there is a warning.
 _APART = 0.05
+# Mean distance of joints or passengers (clothes, hair, props) from the body, in sqrt(body area), above which their
+# units or position are doubtful.
+FAR = 0.5
+# Largest ratio of the body's size to that of all joints without a warning: those of a hand are smaller, of a jaw too.
+_MAX_SIZE_RATIO = 35.0
 
 
 def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
@@ -66,13 +71,11 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     with values_of(request.weights):
         skin, scaled = normalise_skin(weight_table(arrays))
     skeleton = None
-    if request.joints is not None:
-        skeleton = read_skeleton(request.joints, result.source.control)
+    joints_file = request.weights if request.joints is None else request.joints
+    if request.joints is not None or _has_skeleton(request.weights, result.source.control):
+        skeleton = _read_joints(joints_file, request, result)
+    if request.joints is not None and skeleton is not None:
         _require_joints(arrays, skeleton, request)
-    elif is_usd(request.weights):
-        skeleton = read_usd_skeleton(request.weights, result.source.control)
-    elif request.weights.suffix.lower() in SCENE_SUFFIXES:
-        skeleton = gltf_skeleton(request.weights)
     stages("weights")
     with values_of(request.weights):
         carried = carry_weights(result, skin, influences=request.influences or None)
@@ -101,9 +104,37 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
             skinning = UsdResults(attributes={JOINT_WEIGHTS: weight_table(columns)}, skeleton=moved)
             text += "\n" + write_usd_results(request.usd, request.result, result, skinning, force=request.force)
     note_transfer(request.result, {"kind": "weights", "file": request.weights, "output": request.output})
+    if skeleton is not None and request.usd is not None:
+        notes = [*_far_joints(joints_file, skeleton, result), *notes]
     if filled:
         text += f"\n  {filled} vertices where the map is not to be trusted take theirs from around them"
     return text, [f"{request.weights}: {scaled}", *notes] if scaled else notes
+
+
+def _has_skeleton(file: Path, control: ControlMesh) -> bool:
+    """Whether a file with weights has their joints."""
+    if is_usd(file):
+        return read_usd_skeleton(file, control) is not None
+    return file.suffix.lower() in SCENE_SUFFIXES
+
+
+def _read_joints(file: Path, request: TransferRequest, result: MatchResult) -> Skeleton:
+    """Joints in the units and axes of the source's file."""
+    return read_skeleton(file, result.source.control, input_file(request.result, result.manifest, "source"))
+
+
+def _far_joints(file: Path, skeleton: Skeleton, result: MatchResult) -> list[str]:
+    """A warning on joints whose size or place is not that of the source."""
+    body = result.point_map.source
+    ends = body.scale * np.concatenate([skeleton.heads, skeleton.tails])
+    distance = float(np.linalg.norm(SurfacePoints.nearest(body, ends).positions - ends, axis=1).mean())
+    ratio = box_diagonal(ends) / box_diagonal(body.positions)
+    if distance <= FAR and not 0.0 < ratio < 1.0 / _MAX_SIZE_RATIO:  # one joint may have no length
+        return []
+    return [
+        f"{file}: the joints are {ratio:.2g} times as large as {result.source.control.name} and "
+        f"{distance:.1f} body sizes away from it on average: check that both have the same units and place"
+    ]
 
 
 def read_weights(path: Path, control: ControlMesh, rows: FileRows | None) -> Attributes:
@@ -194,12 +225,12 @@ def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Sta
     assert request.joints is not None
     check_skeleton_path(request.output)
     check_outputs([request.output], [request.joints], force=request.force)
-    skeleton = read_skeleton(request.joints, result.source.control)
+    skeleton = _read_joints(request.joints, request, result)
     stages("joints")
     count = len(skeleton.names)
     write_skeleton(request.output, _carry_skeleton(skeleton, result.point_map), force=request.force)
     note_transfer(request.result, {"kind": "joints", "output": request.output})
-    return f"wrote {request.output}: {count} joints", []
+    return f"wrote {request.output}: {count} joints", _far_joints(request.joints, skeleton, result)
 
 
 def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
@@ -207,7 +238,8 @@ def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stage
     rows, target_rows = (
         file_rows(request.result, result, name) for name, side in (("source", result.source), ("target", result.target))
     )
-    shapes = read_shapes(request.blend_shapes, result.source.control, rows)
+    source_file = input_file(request.result, result.manifest, "source")
+    shapes = read_shapes(request.blend_shapes, result.source.control, rows, source_file)
     rest = result.target.control if target_rows is None else target_rows.whole
     inputs = [*request.blend_shapes, *read_files(request.result, result.manifest)]
     check_shapes(request.output, shapes, rest, inputs, force=request.force)

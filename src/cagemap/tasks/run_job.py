@@ -260,16 +260,19 @@ def run_task(task: Task) -> dict[str, Any]:
         results = [read_result(folder) for folder in task.request["way"]]
         result = compose_results(results, task.request["names"])
         write_result(task.request["output"], result)
-        return {"quality": result.manifest["quality"], "notes": result.manifest["notes"]}
+        return _map_figures(result.manifest)
     request = _request_of(task)
     _, warnings = runner_of(request)(request, stages)
     if task.kind != "match":
         return {**stages.figures, "warnings": warnings}
-    manifest = read_manifest(Path(task.request["output"]))
+    return _map_figures(read_manifest(Path(task.request["output"])))
+
+
+def _map_figures(manifest: dict[str, Any]) -> dict[str, Any]:
+    """Figures, notes and warnings of a map, from its manifest."""
     warnings = [*landmark_messages(manifest), *manifest["quality"]["warnings"]]
-    return {name: manifest[name] for name in ("quality", "timings", "notes") if name in manifest} | {
-        "warnings": warnings
-    }
+    known: dict[str, Any] = {name: manifest[name] for name in ("quality", "timings", "notes") if name in manifest}
+    return {**known, "warnings": warnings}
 
 
 def _prepare(task: Task) -> dict[str, Any]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import check_outputs, require_no_input
+from cagemap.files.landmarks.curves import is_along_vertices
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, read_files
@@ -31,12 +34,19 @@ def run_suggest(request: SuggestRequest, stages: Stages) -> SummaryAndWarnings:
     if output.suffix.lower() != ".json":
         raise FormatError(f"{output}: expected the name of a landmark file ending in .json. Give such a name.")
     landmarks = suggested_landmarks(result, count)
+    left_out = [pair.name for pair in landmarks.curves if not is_along_vertices(pair)]
+    landmarks = replace(landmarks, curves=tuple(filter(is_along_vertices, landmarks.curves)))
     write_landmarks(output, _to_file_numbers(landmarks, result), force=request.force)
     target, source = result.target.control.file_vertex, result.source.control.file_vertex
     new = zip(landmarks.names, landmarks.target.tolist(), landmarks.source.tolist(), strict=True)
     lines = [f"  {name}: target vertex {target(a)}, now on source vertex {source(b)}" for name, a, b in [*new][-count:]]
     head = f"{count} more landmarks would tell most here:"
-    return "\n".join([head, *lines, f"wrote {output}; correct them and match again"]), []
+    warnings = [
+        f"curve '{name}': has points between vertices, which a file of pairs cannot hold, and is not in {output}. Draw "
+        "it along vertices, or put the new landmarks into the files of points of both meshes"
+        for name in left_out
+    ]
+    return "\n".join([head, *lines, f"wrote {output}; correct them and match again"]), warnings
 
 
 def _to_file_numbers(landmarks: Landmarks, result: MatchResult) -> Landmarks:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 from cagemap.character.passengers import carry_passenger, unit_factor
 from cagemap.errors import ParameterError
@@ -22,7 +23,7 @@ from cagemap.files.usd.space import between_spaces, states_units
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults, check_usd_path
 from cagemap.files.values.attributes import check_attribute_path, read_attributes, write_attributes
-from cagemap.files.values.part_numbering import file_rows, other_rows
+from cagemap.files.values.part_numbering import file_rows, other_rows, place_of_rows
 from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.mesh_report import first_few
@@ -42,7 +43,7 @@ from cagemap.tasks.masks import ASSUMED_AT_VERTICES, keep_base, to_file_values, 
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import refuse_unread
 from cagemap.tasks.requests.transfer import TransferRequest, require_map_names
-from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
+from cagemap.tasks.rig import FAR, transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
 from cagemap.tasks.usd_output import missing_file_warnings, texture_reference, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 
@@ -171,19 +172,21 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
             f"carries from {source.name} to {result.target.control.name}."
         ) from None
     assert isinstance(carried, dict)
+    places = {name: place_of_rows(source, len(array)) for name, array in values.items()}
+    given = source if rows is None else rows.whole
     warnings = [
         f"{name}: {ASSUMED_AT_VERTICES}"
-        for name, array in values.items()
-        if len(array) == source.n_vertices == source.n_faces
+        for name, place in places.items()
+        if place == "vertices" and (source.n_vertices == source.n_faces or given.n_vertices == given.n_faces)
     ]
     target_rows = file_rows(request.result, result, "target")
-    carried, notes = keep_base(request, result, carried, target_rows)
-    whole = to_file_values(request, carried, target_rows)
+    carried, notes = keep_base(request, result, carried, target_rows, places)
+    whole = to_file_values(request, carried, target_rows, places)
     lines = []
     with all_or_nothing():
         write_attributes(request.output, whole, force=request.force)
         if request.usd is not None:
-            results = UsdResults(attributes=carried)
+            results = UsdResults(attributes=carried, places=places)
             lines.append(write_usd_results(request.usd, request.result, result, results, force=request.force))
     note_transfer(request.result, {"kind": "attribute", "file": request.attribute, "output": request.output})
     stages.record({name: list(array.shape) for name, array in whole.items()}, of="arrays")
@@ -223,11 +226,6 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     return line, warnings
 
 
-# Mean distance of a passenger (clothes, hair, props) from the body, in sqrt(body area), above which its units or
-# position are doubtful.
-_FAR_PASSENGER = 0.5
-
-
 def transfer_passenger(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry clothes, eyes, hair or a prop; UVs and materials do not change."""
     assert request.passenger is not None
@@ -238,18 +236,20 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     target, source = (input_file(request.result, result.manifest, side) for side in ("target", "source"))
     worn = mesh.with_positions(transform_points(mesh.positions, between_spaces(source, request.passenger)))
     carried = carry_passenger(result, worn, kind=request.kind)
-    places, like = carried.positions, request.passenger
+    placed, like = mesh.with_positions(carried.positions), request.passenger
     if states_units(request.passenger) and states_units(request.output):  # in the passenger's own units and axes
-        places = transform_points(places, between_spaces(request.passenger, target))
-    elif states_units(request.output) and target is not None and is_usd(target):
-        like = target
-    write_mesh(request.output, mesh.with_positions(places), like=like, force=request.force)
+        placed = mesh.with_positions(transform_points(placed.positions, between_spaces(request.passenger, target)))
+    else:
+        placed = replace(placed, upright=result.target.control.upright)
+        if states_units(request.output) and target is not None and is_usd(target):
+            like = target
+    write_mesh(request.output, placed, like=like, force=request.force)
     note_transfer(request.result, {"kind": "passenger", "file": request.passenger, "output": request.output})
     factor = unit_factor(result.point_map.source, worn.positions)
     figures = {"vertices": mesh.n_vertices, "distance": carried.distance, "unit_factor": factor}
     stages.record(figures)
     warnings = []
-    if carried.distance > _FAR_PASSENGER or factor != 1.0:
+    if carried.distance > FAR or factor != 1.0:
         scaled = f" ({factor:g} times as large it would lie on it)" if factor != 1.0 else ""
         warnings.append(
             f"{request.passenger} is {carried.distance:.1f} body sizes away from "

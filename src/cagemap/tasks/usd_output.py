@@ -72,7 +72,7 @@ def _to_whole_prim(results: UsdResults, rows: FileRows) -> UsdResults:
         assert laid_out.uvs is not None
         assert laid_out.uv_indices is not None
         uvs = uvs[0], laid_out.uvs, laid_out.uv_indices
-    return replace(results, attributes=to_file(results.attributes, rows), points=points, uvs=uvs)
+    return replace(results, attributes=to_file(results.attributes, rows, places=results.places), points=points, uvs=uvs)
 
 
 def texture_reference(image: Path, layer: Path) -> str:

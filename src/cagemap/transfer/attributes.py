@@ -95,7 +95,8 @@ def bake_face_colors(
 ) -> Pixels:
     """Bake colours of the source's control faces into the target's layout, with antialiased edges.
 
-    Texels that a boundary between two colours may cross take 4 x 4 samples, averaged in linear light.
+    Texels that a boundary between two colours may cross take 4 x 4 samples, averaged in linear light. With the filter
+    "nearest" all texels take one, so that colours are not mixed.
 
     Parameters
     ----------
@@ -121,7 +122,8 @@ def bake_face_colors(
     parents = source.face_parents[source.triangle_faces]
     layout = make_layout(transfer, size, options)
     mixed = _mixed_triangles(transfer, label_of_face.ravel()[parents])
-    counts = np.where(mixed, max(1, -(-_EDGE_SAMPLES // layout.supersample)), 1).astype(np.int32)
+    edge_samples = 1 if options.filter == "nearest" else max(1, -(-_EDGE_SAMPLES // layout.supersample))
+    counts = np.where(mixed, edge_samples, 1).astype(np.int32)
 
     def shade(samples: TexelSamples) -> FloatArray:
         return samples.mean(table[parents[samples.triangle]])

@@ -36,7 +36,7 @@ from cagemap.transfer.locate import (
 )
 from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.texels import GUTTER_RADIUS, LARGEST_SIDE, Layout, TriangleImage, dilate, lay_out, rasterize_band
-from cagemap.transfer.texture import Filter, Pixels, Wrap, lay_texture, tile_cells
+from cagemap.transfer.texture import Filter, Pixels, lay_texture, tile_cells
 from cagemap.transfer.textured_surface import TexturedSurface
 
 Shade = Callable[[TexelSamples], FloatArray]
@@ -74,10 +74,6 @@ class BakeOptions:
         numbers, texels that span at most one texel of the source use their centre alone. With filter "nearest": 1.
     dilation : int, optional
         Width in texels of the filled border around islands; the whole background by default.
-    wrap : "repeat" or "clamp"
-        How a plain source texture continues outside the unit square.
-    threads : int, optional
-        By default as many as `cagemap.thread_limit` allows.
     filter : "smooth", "linear" or "nearest"
         Interpolation of textures that are not minified. Nearest is for labels: colours are never mixed.
     """
@@ -85,8 +81,6 @@ class BakeOptions:
     tile: int = 0
     supersample: int | None = None
     dilation: int | None = None
-    wrap: Wrap = "repeat"
-    threads: int | None = None
     filter: Filter = "smooth"
 
     def __post_init__(self) -> None:
@@ -99,9 +93,8 @@ class BakeOptions:
             raise ParameterError(f"supersample: expected 1 with filter nearest (labels), got {self.supersample}")
         if self.dilation is not None and self.dilation < 0:
             raise ParameterError(f"dilation: expected 0 or more texels, got {self.dilation}")
-        for name, value, known in (("wrap", self.wrap, get_args(Wrap)), ("filter", self.filter, get_args(Filter))):
-            if value not in known:
-                raise ParameterError(f"{name}: expected {', '.join(known)}, got {value!r}")
+        if self.filter not in get_args(Filter):
+            raise ParameterError(f"filter: expected {', '.join(get_args(Filter))}, got {self.filter!r}")
 
 
 @kinds_checked
@@ -144,9 +137,14 @@ def prepare_transfer(
 
 def target_tiles(target: TexturedSurface) -> list[int]:
     """UDIM numbers of the target layout's tiles, ascending; [0] for the unit square alone."""
-    corners, laid = target.corner_uvs(), _is_laid_out(target)
-    cells = tile_cells(corners[laid] if laid.any() else corners)
+    cells = layout_cells(target)
     return [int(tile) for tile in np.unique(udim_of(cells))] if cells.any() else [0]
+
+
+def layout_cells(target: TexturedSurface) -> FloatArray:
+    """(k, 2) lower left corners of the tiles of all triangles that are laid out; of all triangles if none is."""
+    corners, laid = target.corner_uvs(), _is_laid_out(target)
+    return tile_cells(corners[laid] if laid.any() else corners)
 
 
 @kinds_checked
@@ -181,10 +179,10 @@ def bake_texture(
         If target or source have no texture coordinates, or the image or its size is invalid.
     """
     options = options or BakeOptions()
-    laid = lay_texture(texture, *transfer.source.layout(), wrap=options.wrap)
+    laid = lay_texture(texture, *transfer.source.layout())
     kept = output_dtype(dtype, laid.dtype)
     layout = make_layout(transfer, size, options)
-    lookups = plan_lookups(transfer.mapped, transfer.source, layout, laid, kind=options.filter)
+    lookups = plan_lookups(transfer.mapped, layout, laid, kind=options.filter)
     scale = unit(kept) / unit(laid.dtype)
 
     def shade(samples: TexelSamples) -> FloatArray:
@@ -267,7 +265,7 @@ def run_bake(
     finer = layout.supersample
     image = np.zeros((layout.height // finer, layout.width // finer, channels), dtype=dtype)
     covered = np.zeros(image.shape[:2], dtype=np.bool_)
-    threads = options.threads or core_count()
+    threads = core_count()
     rows = layout.band_rows // finer
 
     def bake_band(band: int) -> None:

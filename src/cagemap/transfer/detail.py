@@ -37,10 +37,10 @@ from cagemap.transfer.baking import (
 from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.exact_corners import corner_samples, make_lookups_exact, surface_targets
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.lookups import plan_samples
+from cagemap.transfer.lookups import covered_texels, plan_samples
 from cagemap.transfer.rays import MAX_DETAIL_DISTANCE, NormalHits, intersect_normals
 from cagemap.transfer.texels import Layout, texel_coordinates
-from cagemap.transfer.texture import Pixels, lay_texture, look_up
+from cagemap.transfer.texture import Pixels, SmoothTile, lay_texture, look_up
 from cagemap.transfer.vectors import (
     Green,
     Space,
@@ -302,14 +302,16 @@ def bake_detail_texture(
             f"expected texture coordinates for {len(detail.surface.triangles)} triangles of the detail, got "
             f"{len(uv_triangles)}"
         )
-    laid = lay_texture(texture, uvs, uv_triangles, wrap=options.wrap)
+    laid = lay_texture(texture, uvs, uv_triangles)
     kept = output_dtype(dtype, laid.dtype)
     scale, nearest = unit(kept) / unit(laid.dtype), options.filter == "nearest"
+    covered = covered_texels(laid, laid.tiles) if options.filter == "smooth" else {}
+    smooth = {tile: SmoothTile.of(laid.tiles[tile], texels) for tile, texels in covered.items()}
 
     def shade(samples: TexelSamples) -> FloatArray:
         foot = _normal_hits(transfer, detail, samples).foot
         on_detail = replace(samples, triangle=foot.triangle, barycentric=foot.barycentric)
-        return scale * look_up(laid, on_detail, nearest=nearest)
+        return scale * look_up(laid, on_detail, smooth, nearest=nearest)
 
     # Side of a typical texel on the surface: square root of the median ratio of triangle areas.
     corners = laid.corner_texels().reshape(-1, 2)

@@ -19,16 +19,12 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import row_slices
 from cagemap.surface.triangles import triangle_areas
 from cagemap.transfer.baking import BakeOptions, Transfer, make_layout, output_dtype, run_bake, unit
-from cagemap.transfer.locate import TexelSamples, target_barycentric
+from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.texture import Pixels, Texture, channel_range, each_tile, lay_texture
 
 # Largest difference between the channels of a grey image saved in colour, as a share of the range: rounding.
 _GREY = 1e-3
-# Shares of the target's area whose largest and smallest local stretch is clipped: folds stretch without limit.
-_OUTLIERS = 0.005
-# Least area of images, as a share of what the whole surfaces' ratio gives; the map collapses below it.
-_COLLAPSED = 1e-6
 # Rows of an image whose channels are compared at a time.
 _ROWS = 256
 
@@ -50,7 +46,6 @@ def bake_displacement(
     size: int | tuple[int, int],
     midlevel: float | None = None,
     scale: float = 1.0,
-    local_stretch: bool = False,
     dtype: DTypeLike | None = None,
     options: BakeOptions | None = None,
 ) -> Displacement:
@@ -69,8 +64,6 @@ def bake_displacement(
         Value that means no displacement; by default 0.5 for integers and 0 for floats.
     scale : float
         Source height between the values 0 and 1, in the source's length unit.
-    local_stretch : bool
-        Multiply heights by the map's local stretch instead of one ratio.
     dtype : optional
         Number type of the result; by default the texture's.
     options : BakeOptions, optional
@@ -82,27 +75,18 @@ def bake_displacement(
         of integers, or as `bake_texture`.
     """
     options = options or BakeOptions()
-    laid = lay_texture(each_tile(texture, to_grey), *transfer.source.layout(), wrap=options.wrap)
+    laid = lay_texture(each_tile(texture, to_grey), *transfer.source.layout())
     kept = output_dtype(dtype, laid.dtype)
     require_integer_range(laid, kept)
     middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
     ratio = scale_ratio(transfer)
-    factors = vertex_stretch(transfer) if local_stretch else np.full(len(transfer.target.positions), ratio)
-    out_scale = scale * float(factors.max()) if kept.kind == "u" else scale
-    factors = factors * (scale / out_scale) if out_scale else factors
-    constant = bool(np.all(factors == factors[0]))
-
+    factor, out_scale = (1.0, scale * ratio) if kept.kind == "u" else (ratio, scale)
     layout = make_layout(transfer, size, options)
-    lookups = plan_lookups(transfer.mapped, transfer.source, layout, laid, kind=options.filter)
+    lookups = plan_lookups(transfer.mapped, layout, laid, kind=options.filter)
 
     def shade(samples: TexelSamples) -> FloatArray:
         values = lookups.mips.look_up(samples) / unit(laid.dtype)
-        if constant:
-            factor = factors[0]
-        else:
-            corners = transfer.target.triangles[samples.target_triangle]
-            factor = (factors[corners] * target_barycentric(layout.corners, samples)).sum(axis=1)[:, None]
-        if np.all(factor == 1.0):
+        if factor == 1.0:
             return np.asarray(values * unit(kept))
         return np.asarray((middle + (values - middle) * factor) * unit(kept))
 
@@ -127,30 +111,6 @@ def scale_ratio(transfer: Transfer) -> float:
     """sqrt(area of target / area of source): factor from lengths of the source to lengths of the target."""
     areas = [triangle_areas(s.positions, s.triangles).sum() for s in (transfer.target, transfer.source)]
     return float(np.sqrt(areas[0] / areas[1]))
-
-
-def vertex_stretch(transfer: Transfer) -> FloatArray:
-    """(n1,) local length on the target per length on the source, from triangle areas around each vertex.
-
-    Where the map collapses the target, to a point or a line, the largest value of the rest.
-    """
-    target = transfer.target
-    target_areas = triangle_areas(target.positions, target.triangles)
-    image_areas = triangle_areas(transfer.mapped.mapped, target.triangles)
-    corners = target.triangles.ravel()
-    around = [
-        np.bincount(corners, np.repeat(area, 3), minlength=len(target.positions))
-        for area in (target_areas, image_areas)
-    ]
-    ratio = scale_ratio(transfer)
-    known = around[1] > _COLLAPSED * around[0] / ratio**2
-    if not known.any():
-        return np.full(len(known), ratio)
-    stretch = np.sqrt(around[0] / np.where(known, around[1], np.finfo(float).tiny))
-    order = np.argsort(stretch)[: np.count_nonzero(known)]
-    share = np.cumsum(around[0][order]) / around[0][order].sum()
-    low, high = np.interp([_OUTLIERS, 1 - _OUTLIERS], share, stretch[order])
-    return np.clip(stretch, low, high)
 
 
 def to_grey(pixels: Pixels) -> Pixels:

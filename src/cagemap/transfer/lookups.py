@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,6 @@ from cagemap.transfer.locate import MappedSurface, locate_centers
 from cagemap.transfer.mip_maps import MipMaps
 from cagemap.transfer.texels import Layout, lay_out, rasterize_band
 from cagemap.transfer.texture import Filter, Texture, tile_cells
-from cagemap.transfer.textured_surface import TexturedSurface
 
 # Most samples of a texel along each axis; texels that need more read a coarser mip level.
 MAX_SAMPLES_PER_AXIS = 16
@@ -41,7 +41,6 @@ class Lookups:
 
 def plan_lookups(
     mapped: MappedSurface,
-    source: TexturedSurface,
     layout: Layout,
     laid: Texture,
     *,
@@ -64,7 +63,7 @@ def plan_lookups(
     reached = np.concatenate([centers[covering], mapped.start_triangles[mapped.target_triangles[covering]].ravel()])
     tiles = np.unique(laid.triangle_tiles[reached]).tolist() if kind == "smooth" or levels.any() else []
     crisp = np.asarray((spans * layout.supersample <= UNSCALED).all(axis=1))
-    mips = MipMaps.build(laid, levels, source_coverage(source, laid, tiles), exact=exact, smooth=kind == "smooth")
+    mips = MipMaps.build(laid, levels, covered_texels(laid, tiles), exact=exact, smooth=kind == "smooth")
     return Lookups(mips, samples_for(spans / 2.0 ** levels[:, None]), crisp)
 
 
@@ -78,14 +77,14 @@ def mip_levels(spans: FloatArray) -> NDArray[np.int64]:
     return np.asarray(np.maximum(shorter, longer), dtype=np.int64)
 
 
-def source_coverage(surface: TexturedSurface, laid: Texture, tiles: list[int]) -> dict[int, NDArray[np.bool_]]:
-    """(h, w) by tile: texels covered by the surface's layout and a border of one texel."""
-    neighbors = triangle_neighbors(surface.layout()[1]) if tiles else np.zeros((0, 3), dtype=np.int32)
+def covered_texels(laid: Texture, tiles: Collection[int]) -> dict[int, NDArray[np.bool_]]:
+    """(h, w) by tile: texels covered by a texture's triangles and a border of one texel."""
+    neighbors = triangle_neighbors(laid.uv_triangles) if tiles else np.zeros((0, 3), dtype=np.int32)
     coverage = {}
     for tile in tiles:
         height, width = laid.tiles[tile].shape[:2]
         in_tile = laid.triangle_tiles == tile
-        corners = surface.corner_uvs() - udim_origin(tile)
+        corners = laid.uvs[laid.uv_triangles] - udim_origin(tile)
         if tile == 0:  # a plain image repeats: move every triangle into the unit square
             corners = corners - tile_cells(corners)[:, None]
         corners[~in_tile] = 0.0

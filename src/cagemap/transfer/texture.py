@@ -97,7 +97,6 @@ def _leave_even(pixels, cells):  # type: ignore[no-untyped-def]
                 cells[r + _KERNEL_REACH - 1, c + _KERNEL_REACH - 1] = False
 
 
-Wrap = Literal["repeat", "clamp"]
 Filter = Literal["smooth", "linear", "nearest"]
 
 # UVs outside a tile by less than this are rounding: half a texel of a 4k image.
@@ -121,7 +120,7 @@ class Texture:
     uvs: FloatArray  # (p, 2)
     uv_triangles: IndexArray  # (t2, 3)
     triangle_tiles: IndexArray  # (t2,) tile of each triangle's centre; all 0 for a plain image
-    repeat: bool  # whether points outside a plain image wrap around (else they are clamped to its edge)
+    repeat: bool  # whether points outside wrap around, as of a plain image (else they are clamped to the tile's edge)
 
     @property
     def channels(self) -> int:
@@ -141,19 +140,15 @@ class Texture:
         return self.uvs[self.uv_triangles] * sizes[:, None, :] * (1.0, -1.0)
 
 
-def lay_texture(
-    texture: Pixels | Mapping[int, Pixels], uvs: FloatArray, uv_triangles: IndexArray, *, wrap: Wrap = "repeat"
-) -> Texture:
+def lay_texture(texture: Pixels | Mapping[int, Pixels], uvs: FloatArray, uv_triangles: IndexArray) -> Texture:
     """Check a texture, (h, w), (h, w, c) or such by UDIM number, and combine it with texture coordinates.
 
-    ``wrap``: "repeat", as renderers do, or "clamp", how a plain image continues outside the unit square.
+    A plain image repeats outside the unit square, as in renderers.
     """
-    if wrap not in ("repeat", "clamp"):
-        raise ParameterError(f"wrap: expected 'repeat' or 'clamp', got {wrap!r}")
     if not isinstance(texture, Mapping):
         tiles = {0: as_pixels(texture)}
         triangle_tiles = np.zeros(len(uv_triangles), dtype=np.int64)
-        return Texture(tiles, uvs, uv_triangles, triangle_tiles, wrap == "repeat")
+        return Texture(tiles, uvs, uv_triangles, triangle_tiles, True)
     tiles = {int(number): as_pixels(pixels) for number, pixels in texture.items()}
     kinds = {(pixels.shape[2], str(pixels.dtype)) for pixels in tiles.values()}
     if len(kinds) != 1:

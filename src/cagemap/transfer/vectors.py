@@ -49,7 +49,7 @@ def bake_normal_map(
     ----------
     transfer : Transfer
     texture : (h, w, 3) array, or such arrays by UDIM number
-        Directions n, stored as (n + 1) / 2; floats with negative values hold n itself. Alpha is left out.
+        Directions n, stored as (n + 1) / 2; floats with values below -0.05 hold n itself. Alpha is left out.
     size : int or (height, width)
     space : "tangent" or "object"
         Tangent space is MikkTSpace's, of both refined surfaces.
@@ -65,9 +65,9 @@ def bake_normal_map(
         If the image has fewer than three channels, or as `bake_texture`.
     """
     options = options or BakeOptions()
-    laid = lay_texture(each_tile(texture, _first_three_channels), *transfer.source.layout(), wrap=options.wrap)
+    laid = lay_texture(each_tile(texture, _first_three_channels), *transfer.source.layout())
     kept = output_dtype(dtype, laid.dtype)
-    signed = laid.dtype.kind == "f" and any(float(np.nanmin(tile)) < 0 for tile in laid.tiles.values())
+    signed = any(map(holds_signed_directions, laid.tiles.values()))
     flip = green_flip(green, space)
 
     def decode(values: FloatArray) -> FloatArray:
@@ -117,7 +117,7 @@ def bake_vector_displacement(
     integers a new scale; a warning counts the texels that the rotation moves outside their range.
     """
     options = options or BakeOptions()
-    laid = lay_texture(each_tile(texture, _first_three_channels), *transfer.source.layout(), wrap=options.wrap)
+    laid = lay_texture(each_tile(texture, _first_three_channels), *transfer.source.layout())
     kept = output_dtype(dtype, laid.dtype)
     require_integer_range(laid, kept)
     middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
@@ -167,7 +167,7 @@ def _bake_texture_vectors(
     layout = make_layout(transfer, size, options)
     frames = None if space == "object" else tangent_frames(transfer.source)
     # Mean directions are shorter than 1 on rough surfaces: they are not rounded, and normalised once, at the end.
-    lookups = plan_lookups(transfer.mapped, transfer.source, layout, laid, exact=True, kind=options.filter)
+    lookups = plan_lookups(transfer.mapped, layout, laid, exact=True, kind=options.filter)
 
     def vectors_at(samples: TexelSamples) -> FloatArray:
         vectors = decode(lookups.mips.look_up(samples))
@@ -278,11 +278,19 @@ def _first_three_channels(pixels: Pixels) -> Pixels:
 _SHARE = 0.9
 _LENGTH = 0.08
 _TEXELS = 100_000
+# Floats below it mean that a map holds directions themselves. Filters of images overshoot 0 by less.
+_SIGNED = -0.05
+
+
+def holds_signed_directions(pixels: Pixels) -> bool:
+    """Whether floats (h, w, c) hold directions n themselves instead of (n + 1) / 2."""
+    return pixels.dtype.kind == "f" and float(np.nanmin(pixels[:, :, :3])) < _SIGNED
 
 
 def looks_like_normal_map(pixels: Pixels) -> bool:
-    """Whether nearly all texels (h, w, c) are unit vectors (r, g, b) = (n + 1) / 2 that point out of the surface.
+    """Whether nearly all texels (h, w, c) are unit vectors that point out of the surface.
 
+    They are stored as `bake_normal_map` takes them.
     Every colour counts once: a large uniform background does not decide. Black and transparent texels are ignored.
     """
     normals = _normals(pixels)
@@ -303,12 +311,13 @@ def _unit(normals: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
 
 
 def _normals(pixels: Pixels) -> FloatArray:
-    """Distinct colours c of painted texels as vectors 2 c - 1; none for fewer than three channels."""
+    """Distinct colours of painted texels as directions; none for fewer than three channels."""
     if pixels.ndim != 3 or pixels.shape[2] < 3:
         return np.zeros((0, 3))
     step = max(1, int(np.sqrt(pixels.shape[0] * pixels.shape[1] / _TEXELS)))
     values = pixels[::step, ::step].reshape(-1, pixels.shape[2]).astype(np.float64) / unit(pixels.dtype)
-    painted = values[:, :3].max(axis=1) > 0
+    painted = values[:, :3].any(axis=1)
     if pixels.shape[2] > 3:
         painted &= values[:, 3] > 0
-    return np.asarray(2.0 * np.unique(values[painted, :3], axis=0) - 1.0)
+    colors = np.unique(values[painted, :3], axis=0)
+    return np.asarray(colors if holds_signed_directions(pixels) else 2.0 * colors - 1.0)

@@ -31,16 +31,9 @@ pytestmark = pytest.mark.usefixtures("fbx_server")
     ("content", "message"),
     [
         (b"", "empty file"),
-        (b"no FBX at all" * 9, "cannot be read as FBX .* it is no FBX: it begins with b'no FBX at al'"),
-        (fbx_arm().bytes()[:900], r"cannot be read as FBX .* it is binary FBX 7\.4, without its end"),
-        (fbx_arm().bytes()[:25], "it is binary FBX, cut before its version"),
-        (b"\xef\xbb\xbf; FBX 7.4.0 project file\nObjects: {{{\n", r"it is FBX 7\.4\.0 as text, without its end"),
-        (fbx_arm().bytes().replace(b"\0", b" "), "it is binary FBX with changed bytes, as after a transfer as text"),
-        (
-            b"; FBX 6.1.0 project file\nObjects: {{{\n",
-            r"it is FBX 6\.1\.0 as text, without its end.*Export it again as binary",
-        ),
-        ("; FBX 7.4.0 project file\n".encode("utf-16"), "it is FBX as text in UTF-16, expected UTF-8"),
+        (b"no FBX at all" * 9, r"cannot be read as FBX \(Not an FBX file\). Export it again as binary FBX 7\.4"),
+        (fbx_arm().bytes()[:-100], "Truncated file"),
+        (b"; FBX 6.1.0 project file\nObjects: {{{\n", "Failed to load.*Export it again as binary FBX"),
         (Fbx().bytes(), "expected triangles"),
     ],
 )

@@ -25,7 +25,7 @@ from cagemap.files.fbx.meshes import (
     read_fbx_mesh,
     row_matrix,
 )
-from cagemap.files.fbx.read import REFUSED, kind_of
+from cagemap.files.fbx.read import REFUSED
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.document import glb_bytes
 from cagemap.files.gltf.geometry import mesh_entry, uv_sets_in_order
@@ -85,10 +85,7 @@ def fbx_glb(content: bytes, path: Path, note: Note) -> bytes:
     ``path``: the FBX file, beside which textures are searched.
     ``note``: called with a line of text for everything that is left out.
     """
-    try:
-        scene = keep_alive(ufbx.load_memory(content, file_format=ufbx.FileFormat.FBX, **_SPACE))
-    except ufbx.UfbxError as error:  # its texts are short, such as 'Failed to load'
-        raise FormatError(f"{error}; it is {kind_of(content)}") from None
+    scene = keep_alive(ufbx.load_memory(content, file_format=ufbx.FileFormat.FBX, **_SPACE))
     for warning in list_attribute(scene, "metadata", "warnings"):
         note(f"the FBX library says: {get(warning, 'description')} ({get(warning, 'count')} times)")
     left = [count_noun(len(found), what) for name, what in _LEFT_OUT.items() if (found := list_attribute(scene, name))]

@@ -23,9 +23,6 @@ _CHILD = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from cagemap.
 _IMAGE_SUFFIX = re.compile(rb"(?i)\.(?:png|jpe?g|tga|tiff?|bmp|exr|hdr|dds|psd|gif|webp)")
 _NO_PATH = re.compile(rb'[\x00-\x1f"*:<>?|]')  # characters that no path has
 _LONGEST_PATH = 500
-# Beginning of binary files, before the version in thousandths; and their last bytes.
-_BINARY, _BINARY_END = b"Kaydara FBX Binary  \0\x1a\0", bytes.fromhex("f85a8c6adef5d97eece90ce3758f290b")
-_TEXT = re.compile(rb"(?:\xef\xbb\xbf)?\s*; FBX ([0-9.]+)")  # after a byte-order mark, if there is one
 # Exit status of the child after it wrote an error message.
 REFUSED = 3
 
@@ -46,28 +43,10 @@ def fbx_as_glb(path: Path) -> bytes:
         raise FormatError(f"{path}: cannot be read as FBX ({messages.splitlines()[-1]}). {_REMEDY}")
     if done.returncode != 0:
         _log.debug("%s: %s", path, messages)
-        said = f"the FBX library stopped while it read {kind_of(content)}"
-        raise FormatError(f"{path}: {said} ({done.returncode}). {_REMEDY}")
+        raise FormatError(f"{path}: the FBX library stopped while it read the file ({done.returncode}). {_REMEDY}")
     for line in messages.splitlines():
         _log.warning("%s: %s", path, line)
     return done.stdout
-
-
-def kind_of(content: bytes) -> str:
-    """Whether a file is binary or text FBX, its version, and whether its end is missing."""
-    if content.startswith(_BINARY) and len(content) < len(_BINARY) + 4:
-        return "binary FBX, cut before its version"
-    if content.startswith(_BINARY):
-        version = int.from_bytes(content[len(_BINARY) : len(_BINARY) + 4], "little") / 1000
-        return f"binary FBX {version:g}{'' if content.rstrip(bytes(1)).endswith(_BINARY_END) else ', without its end'}"
-    if content.startswith(_BINARY[:18]):
-        return "binary FBX with changed bytes, as after a transfer as text"
-    if found := _TEXT.match(content):
-        whole = content.count(b"{") == content.count(b"}")
-        return f"FBX {found[1].decode()} as text{'' if whole else ', without its end'}"
-    if content.startswith((b"\xff\xfe;\0", b"\xfe\xff\0;")):
-        return "FBX as text in UTF-16, expected UTF-8"
-    return f"no FBX: it begins with {content[:12]!r}"
 
 
 def find_textures(path: Path) -> list[Path]:

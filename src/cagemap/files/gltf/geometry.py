@@ -17,6 +17,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import decode_srgb
+from cagemap.surface.alignment import Z_UP, nearest_axis_rotation
 from cagemap.surface.triangles import fan_triangles, normalize_rows, vertex_normals
 
 
@@ -113,6 +114,11 @@ def uv_sets_in_order(mesh: ControlMesh) -> list[UvSet]:
     sets = [] if mesh.uvs is None else list(mesh.all_uv_sets)
     named = all(one.name.startswith("TEXCOORD_") for one in sets)
     return sorted(sets, key=lambda one: (len(one.name), one.name)) if named else sets
+
+
+def is_z_up(mesh: ControlMesh) -> bool:
+    """Whether +Z is the axis of a mesh nearest to its file's up axis."""
+    return mesh.upright is not None and np.array_equal(nearest_axis_rotation(mesh.upright), Z_UP)
 
 
 def equal_rows(values: FloatArray) -> IndexArray:

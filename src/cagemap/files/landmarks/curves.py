@@ -16,7 +16,7 @@ import numpy as np
 
 from cagemap.errors import FormatError, InvalidLandmarksError
 from cagemap.files.text import whole_characters
-from cagemap.mesh.cage_points import NamedCurve
+from cagemap.mesh.cage_points import CagePoints, NamedCurve
 from cagemap.mesh.curves import CageCurvePairs, Curve, CurvePair, chain_of_edges
 from cagemap.numerics.arrays import IndexArray, shown
 
@@ -38,12 +38,17 @@ def pair_curves(path: Path, items: Any) -> CageCurvePairs:
     return tuple(curves)
 
 
+def is_along_vertices(pair: CurvePair[CagePoints]) -> bool:
+    """Whether a file of pairs can hold a curve: it goes through control vertices alone."""
+    return all(bool((side.vertices >= 0).all()) for side in pair.points)
+
+
 def pair_entries(path: str | Path, curves: CageCurvePairs) -> list[str]:
     """Entries of curves as JSON, as `pair_curves` reads them."""
     entries = []
     for pair in curves:
         target, source = (side.vertices.tolist() for side in pair.points)
-        if min(target + source, default=0) < 0:
+        if not is_along_vertices(pair):
             raise FormatError(
                 f"{path}: expected curves of control vertices, got '{pair.name}' with points between them. "
                 "Write a file of points for each mesh instead."

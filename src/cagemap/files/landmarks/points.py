@@ -20,6 +20,7 @@ import numpy as np
 from cagemap.errors import FormatError
 from cagemap.files.landmarks.curves import MESH_FORM, curve_through, is_vertex, mesh_curves
 from cagemap.files.npz import read_npy
+from cagemap.files.ownership import MARKED
 from cagemap.files.schema import parse_json
 from cagemap.files.text import read_bytes, read_text, whole_characters
 from cagemap.mesh import ControlMesh
@@ -163,14 +164,21 @@ def _fiducials(path: Path, text: str) -> Named:
 
 
 def _table(path: Path, text: str) -> Named:
-    """Points of a table with columns name and x, y, z, or name and vertex; without a header: name, x, y, z."""
-    rows = [row for row in _rows(path, text) if row and not row[0].startswith("#")]
+    """Points of a table with columns name and x, y, z, or name and vertex; without a header: name, x, y, z.
+
+    A row that begins with # is a comment; below a header only if it is shorter, or holds cagemap's mark.
+    """
+    every = [row for row in _rows(path, text) if row]
+    rows = [row for row in every if not row[0].startswith("#")]
     head = [cell.strip().lower() for cell in rows[0]] if rows else []
-    if not {"name", "label"} & set(head):
-        head, rows = ["name", "x", "y", "z"], [[], *rows]
+    if {"name", "label"} & set(head):
+        below = every[every.index(rows[0]) + 1 :]
+        rows = [row for row in below if not row[0].startswith("#") or (len(row) >= len(head) and MARKED not in row[0])]
+    else:
+        head = ["name", "x", "y", "z"]
     title = "name" if "name" in head else "label"
     named: Named = []
-    for number, row in enumerate(rows[1:]):
+    for number, row in enumerate(rows):
         cells = dict(zip(head, (cell.strip() for cell in row), strict=False))
         name = cells.get(title) or f"point {number}"
         if re.fullmatch("[0-9]{1,18}", cells.get("vertex", "")):

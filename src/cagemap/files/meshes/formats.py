@@ -65,7 +65,7 @@ def read_mesh(path: str | Path) -> ControlMesh:
         If the extension is unknown, or the file cannot be read.
     """
     mesh = _READERS[_extension(path)](path)
-    for value in vars(mesh).values():
+    for value in (value for of in (mesh, *mesh.uv_sets) for value in vars(of).values()):
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
     return mesh
@@ -88,7 +88,7 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
         The file that the mesh was read from. From USD to USD, units, up axis and the prim's transform are kept; a
         ``.glb`` of a USD file is in metres with Y up. A ``.glb`` of a glTF or FBX file keeps everything in it but
         positions and the UV set in use, if vertices and faces are the same. An ``.obj`` of an OBJ file names the same
-        ``.mtl`` files.
+        ``.mtl`` files. Without this file, USD states the mesh's up axis, and a ``.glb`` is turned to Y up.
     force : bool
 
     A warning names what the mesh has and the format cannot hold.

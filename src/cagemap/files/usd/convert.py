@@ -18,6 +18,7 @@ from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import to_rig_space
 from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.geometry import uv_sets_in_order
 from cagemap.files.gltf.nodes import is_invertible
 from cagemap.files.gltf.parts import transform_normals, transform_offsets
 from cagemap.files.gltf.write import character_glb
@@ -33,7 +34,7 @@ from cagemap.files.usd.prims import (
 )
 from cagemap.files.usd.read import UsdMesh, place_in_world, prims_of, read_usd_meshes
 from cagemap.files.usd.shader_inputs import color_uv_name
-from cagemap.files.usd.shaders import with_materials
+from cagemap.files.usd.shaders import MaterialUser, with_materials
 from cagemap.files.usd.skeleton import joint_names, joint_parents, joints_of
 from cagemap.files.usd.space import stage_units, to_metres
 from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, usd_modules
@@ -65,16 +66,14 @@ def document_and_character(path: str | Path, meshes: Sequence[UsdMesh] | None = 
         character, weights = _read(file, stage, meshes)
         plain = replace(character_glb(character), file=file)
         geometry = usd_modules().UsdGeom
-        users = {
-            name: (
-                tuple(one.name for one in part.mesh.all_uv_sets),
-                bool(geometry.Mesh(stage.GetPrimAtPath(mesh.path)).GetDoubleSidedAttr().Get()),
-            )
-            for part, mesh in zip(reversed(character.parts), reversed(meshes), strict=True)
-            for name in part.mesh.material_names
-        }
+        users = dict[str, list[MaterialUser]]()
+        for part, mesh in zip(character.parts, meshes, strict=True):
+            double_sided = bool(geometry.Mesh(stage.GetPrimAtPath(mesh.path)).GetDoubleSidedAttr().Get())
+            user = MaterialUser(tuple(one.name for one in uv_sets_in_order(part.mesh)), double_sided)
+            for name in part.mesh.material_names:
+                users.setdefault(name, []).append(user)
         document = with_materials(_with_shape_weights(plain, character, weights), stage, users)
-    return document, character
+    return replace(document, uv_names={name: first.uv_sets for name, (first, *_) in users.items()}), character
 
 
 def read_usd_character(path: str | Path) -> Character:

@@ -21,6 +21,8 @@ logger = logging.getLogger(__name__)
 # Names of attributes that hold skinning weights and blend shapes.
 JOINT_WEIGHTS = "skel:jointWeights"
 BLEND_SHAPE = "blendShape:"
+# Interpolations of values that are not at vertices, with what has a value.
+_ELEMENTS = {"uniform": "faces", "faceVarying": "corners"}
 
 
 def read_value(attribute: Any) -> Any:
@@ -123,7 +125,8 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
     """All numeric primvars but the mesh's UV sets, by name: a row for each control vertex, face or face corner.
 
     Constant primvars are left out, since they are no function on the mesh. Skinning weights have a column for each
-    joint.
+    joint. With as many vertices as faces or corners, rows are taken for those of vertices: values of the corners of
+    faces that share no vertex become that, others are left out with a warning.
     """
     taken = {uv_set.name for uv_set in control.all_uv_sets}
     rows = {
@@ -142,21 +145,23 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
         expected = rows.get(interpolation)
         if expected is None or values.dtype.kind not in "iuf" or values.size == 0 or values.ndim > 2:
             continue
-        if interpolation == "uniform" and control.n_faces == control.n_vertices:  # rows would be taken for vertices
-            text = "%s: primvar %s of faces is left out: there are as many vertices; export it at vertices or corners"
-            logger.warning(text, where, name)
+        is_ambiguous = interpolation in _ELEMENTS and expected == control.n_vertices
+        corners = _corners_of_vertices(control) if is_ambiguous and interpolation == "faceVarying" else None
+        if is_ambiguous and corners is None:
+            text = "%s: primvar %s of %s is left out: there are as many vertices; export it at vertices"
+            logger.warning(text, where, name, _ELEMENTS[interpolation])
             continue
         values, numbers, _ = primvar_values(where, primvar)
         if len(numbers) != expected:
             _refuse(where, primvar, f"got {len(numbers)} values where {expected} belong")
-        arrays[name] = values[numbers]
+        arrays[name] = values[numbers if corners is None else numbers[corners]]
     return arrays | _weights(where, control, prim)
 
 
-def corner_primvars(prim: Any) -> frozenset[str]:
-    """Names of primvars with a value for each face corner."""
-    primvars = usd_modules().UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance()
-    return frozenset(primvar.GetPrimvarName() for primvar in primvars if primvar.GetInterpolation() == "faceVarying")
+def _corners_of_vertices(control: ControlMesh) -> IndexArray | None:
+    """(n,) the corner at each vertex if every vertex has one, else None."""
+    corners = np.argsort(control.face_indices, kind="stable")
+    return corners if np.array_equal(control.face_indices[corners], np.arange(control.n_vertices)) else None
 
 
 def primvar_values(where: str, primvar: Any) -> tuple[NDArray[Any], IndexArray, str]:

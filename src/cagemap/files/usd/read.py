@@ -19,7 +19,6 @@ from cagemap.errors import FormatError
 from cagemap.files.usd.prims import (
     BLEND_SHAPE,
     blend_shapes,
-    corner_primvars,
     corner_values,
     display_colors,
     face_sets,
@@ -67,8 +66,6 @@ class UsdMesh:
     attributes: dict[str, Any]
     to_world: FloatArray  # (4, 4) from local to world space, for positions as rows with 1 appended
     world_upright: FloatArray  # (3, 3) rotation of rows from world space to +Y up
-    # names of attributes with rows for face corners; if no faces share vertices, the number of rows does not show it
-    of_corners: frozenset[str] = frozenset()
     shape_normals: dict[str, FloatArray] = field(default_factory=dict)  # offsets (n, 3) of normals by blend shape
     colors: FloatArray | None = None  # (c, 4) linear with opacity, of face corners; None if ``control`` has them all
 
@@ -169,6 +166,7 @@ def join_usd_meshes(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool 
         upright = upright_rotation(meshes[0].to_world[:3, :3] @ meshes[0].world_upright)
         return replace(meshes[0].control, upright=upright, name=file.name)
     schemes = {mesh.control.scheme: mesh.path for mesh in meshes}
+    _warn_of_other_uv_sets(file, meshes)
     whole = replace(join_meshes([place_in_world(mesh).control for mesh in meshes]), name=file.name)
     if len(schemes) > 1 and mixed:
         return replace(whole, object_schemes=tuple(default_scheme(mesh.control) for mesh in meshes))
@@ -180,6 +178,15 @@ def join_usd_meshes(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool 
             f"{', '.join(words.values())}). Match the one that is meant (`find_part` NAME)."
         )
     return whole
+
+
+def _warn_of_other_uv_sets(file: Path, meshes: Sequence[UsdMesh]) -> None:
+    """Warn of meshes with UV sets, but without that which is in use for all."""
+    names = {mesh.path: [one.name for one in mesh.control.all_uv_sets] for mesh in meshes}
+    in_use = next((known[0] for known in names.values() if known), "")
+    if others := [path for path, known in names.items() if known and in_use not in known]:
+        text = "%s: %s has no UV set %s: no image is baked there unless it is matched alone; name the UV sets alike"
+        logger.warning(text, file, first_few(others), in_use)
 
 
 def upright_rotation(linear: FloatArray) -> FloatArray:
@@ -261,8 +268,7 @@ def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
         control = replace(control, vertex_colors=_mean_colors(where, control, encode_srgb(colors[:, :3])))
     path = str(prim.GetPath())
     upright = Z_UP if str(pxr.UsdGeom.GetStageUpAxis(prim.GetStage())) == "Z" else Y_UP
-    to_world, of_corners = local_to_world(prim), corner_primvars(prim)
-    read = UsdMesh(path, control, attributes, to_world, upright, of_corners, shape_normals, colors)
+    read = UsdMesh(path, control, attributes, local_to_world(prim), upright, shape_normals, colors)
     return _reverse_orientation(read) if mesh.GetOrientationAttr().Get() == "leftHanded" else read
 
 
@@ -328,7 +334,7 @@ def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
 
 
 def _reverse_orientation(mesh: UsdMesh) -> UsdMesh:
-    """A mesh and its values with reversed face orientation, for left-handed meshes."""
+    """A mesh and its values with reversed face orientation, for left-handed meshes; see `primvar_arrays`."""
     control, attributes = mesh.control, mesh.attributes
     mirrored = reversed_corners(control.face_offsets)
     turned = replace(
@@ -337,7 +343,8 @@ def _reverse_orientation(mesh: UsdMesh) -> UsdMesh:
         uv_indices=None if control.uv_indices is None else control.uv_indices[mirrored],
         uv_sets=tuple(replace(uv_set, uv_indices=uv_set.uv_indices[mirrored]) for uv_set in control.uv_sets),
     )
-    attributes = attributes | {name: attributes[name][mirrored] for name in mesh.of_corners & set(attributes)}
+    if len(mirrored) != control.n_vertices:
+        attributes = {name: rows[mirrored] if len(rows) == len(mirrored) else rows for name, rows in attributes.items()}
     colors = None if mesh.colors is None else mesh.colors[mirrored]
     return replace(mesh, control=turned, attributes=attributes, colors=colors)
 

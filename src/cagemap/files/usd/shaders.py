@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import logging
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -39,20 +40,27 @@ _CHANNELS = ("r", "g", "b")
 _WRAP_MODES = {word: mode for mode, word in WRAP_WORDS.items()}
 
 
-def with_materials(document: Document, stage: Any, users: Mapping[str, tuple[tuple[str, ...], bool]]) -> Document:
+@dataclass(frozen=True)
+class MaterialUser:
+    """A mesh that has a material."""
+
+    uv_sets: tuple[str, ...]  # names of its UV sets, in the order of the document
+    double_sided: bool
+
+
+def with_materials(document: Document, stage: Any, users: Mapping[str, Sequence[MaterialUser]]) -> Document:
     """The document with factors, images and opacity of the materials of a stage.
 
-    ``users``: by name of a material, the names of the UV sets of a mesh that has it, and whether it is double-sided.
+    ``users``: by name of a material; the first mesh tells whether it is double-sided, and the numbers of UV sets.
     """
     shade = usd_modules().UsdShade
     named = {label: stage.GetPrimAtPath(path) for path, label in material_labels(stage).items()}
     made = _Materials(document)
     for entry, name in zip(made.top.get("materials", []), material_names(document), strict=True):
-        sets, double_sided = users[name]
-        entry |= {"doubleSided": True} if double_sided else {}
+        entry |= {"doubleSided": True} if users[name][0].double_sided else {}
         surface = shade.Material(named[name]).ComputeSurfaceSource()[0] if name in named else None
         if surface and surface.GetIdAttr().Get() == "UsdPreviewSurface":
-            made.fill(entry, surface, sets)
+            made.fill(entry, surface, [user.uv_sets for user in users[name]])
     return made.binary.document(made.top)
 
 
@@ -105,8 +113,8 @@ class _Materials:
         self._file, self._textures = document.file, AddedTextures(self.binary, self.top)
         self._image_of: dict[str, bytes | None] = {}  # PNG or JPEG by path
 
-    def fill(self, entry: dict[str, Any], surface: Any, sets: tuple[str, ...]) -> None:
-        """Set an entry by the inputs of a surface."""
+    def fill(self, entry: dict[str, Any], surface: Any, sets: Sequence[tuple[str, ...]]) -> None:
+        """Set an entry by the inputs of a surface; ``sets``: names of the UV sets of each mesh that has it."""
 
         def factor(name: str, default: float | tuple[float, ...]) -> Any:
             """Value of an input; with an image, its scale."""
@@ -142,7 +150,7 @@ class _Materials:
                 if not all(_is_plain(texture, slot) for texture in pairs.values()):
                     text = "%s: %s: the image of its %s is taken as it is, without scale, bias or colour space of USD"
                     _log.warning(text, self._file, entry["name"], "/".join(outputs))
-                holder = self._holder(*found, next(iter(pairs.values())), sets)
+                holder = self._holder(*found, next(iter(pairs.values())), entry["name"], sets)
                 if slot == "occlusionTexture":
                     holder["strength"] = float(np.clip(factor("occlusion", 1.0), 0.0, 1.0))
                 table[slot] = holder
@@ -226,9 +234,15 @@ class _Materials:
         across, up = (_WRAP_MODES.get(word, REPEAT) for word in words)
         return self._image_of[path], (across, up)
 
-    def _holder(self, image: bytes, wraps: tuple[int, int], texture: Any, sets: tuple[str, ...]) -> dict[str, Any]:
+    def _holder(
+        self, image: bytes, wraps: tuple[int, int], texture: Any, material: str, sets: Sequence[tuple[str, ...]]
+    ) -> dict[str, Any]:
         """What refers to a texture shader's image in glTF; adds the image."""
         name, number = uv_name(texture), self._textures.image(image, "")
         assert number is not None
         holder = self._textures.texture(number, wraps, _transform_of(texture))
-        return holder | ({"texCoord": sets.index(name)} if name in sets[1:] else {})
+        place = sets[0].index(name) if name in sets[0] else 0
+        if any(name in names and names.index(name) != place for names in sets):
+            text = "%s: %s: its UV set %s has another number in some of its meshes, which show the image wrongly; %s"
+            _log.warning(text, self._file, material, name, "give each mesh a material of its own")
+        return holder | ({"texCoord": place} if place else {})

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cagemap.character.joints import Skeleton
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.gltf.geometry import is_z_up
 from cagemap.files.ownership import mark
 from cagemap.files.text import text_name
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, transform_points
@@ -25,7 +26,7 @@ from cagemap.files.usd.stages import identifiers, open_stage, usd_modules
 from cagemap.files.usd.transforms import is_mirrored, local_to_world
 from cagemap.files.usd.write_mesh import (
     CORNERS,
-    row_kinds,
+    interpolation,
     write_blend_shapes,
     write_primvar,
     write_subsets,
@@ -36,7 +37,6 @@ from cagemap.files.usd.write_mesh import (
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import reversed_corners
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.surface.alignment import Z_UP, nearest_axis_rotation
 
 _log = logging.getLogger(__name__)
 
@@ -50,6 +50,8 @@ class UsdResults:
     # values by name, with a row for each vertex, face or face corner; ``skel:jointWeights`` and ``blendShape:NAME``
     # become skinning and blend shapes
     attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    # place of values by name: "vertices", "faces" or "corners"; of others by the number of rows, see `interpolation`
+    places: Mapping[str, str] = field(default_factory=dict)
     points: FloatArray | None = None  # (n, 3) new positions of the vertices
     uvs: tuple[str, FloatArray, IndexArray] | None = None  # name, values and indices of a new UV set
     skeleton: Skeleton | None = None  # joints of the weights, in the order of their columns
@@ -57,7 +59,10 @@ class UsdResults:
     def with_reversed_corners(self, mesh: ControlMesh) -> UsdResults:
         """The results for a mesh whose faces were reversed when it was read."""
         order = reversed_corners(mesh.face_offsets)
-        attributes = {n: v[order] if row_kinds(mesh).get(len(v)) == CORNERS else v for n, v in self.attributes.items()}
+        attributes = {
+            name: values[order] if interpolation(mesh, len(values), self.places.get(name)) == CORNERS else values
+            for name, values in self.attributes.items()
+        }
         uvs = None if self.uvs is None else (*self.uvs[:2], self.uvs[2][order])
         return replace(self, attributes=attributes, uvs=uvs)
 
@@ -65,11 +70,7 @@ class UsdResults:
         """The results with positions and directions transformed by a (4, 4) matrix of USD."""
         turn = matrix[:3, :3]
         attributes = {n: v @ turn if n.startswith(BLEND_SHAPE) else v for n, v in self.attributes.items()}
-        skeleton = self.skeleton
-        if skeleton is not None:
-            axes = None if skeleton.axes is None else skeleton.axes @ turn
-            heads, tails = (transform_points(ends, matrix) for ends in (skeleton.heads, skeleton.tails))
-            skeleton = replace(skeleton, heads=heads, tails=tails, axes=axes)
+        skeleton = None if self.skeleton is None else self.skeleton.transformed(matrix)
         points = None if self.points is None else transform_points(self.points, matrix)
         return replace(self, attributes=attributes, points=points, skeleton=skeleton)
 
@@ -92,9 +93,8 @@ def write_usd(
     file = Path(path)
     check_usd_path(file)
     pxr = usd_modules()
-    is_z_up = mesh.upright is not None and np.array_equal(nearest_axis_rotation(mesh.upright), Z_UP)
     stage = new_stage(
-        space or StageSpace("Z" if is_z_up else "Y", 1.0), "SkelRoot" if _needs_skeleton(results) else "Xform"
+        space or StageSpace("Z" if is_z_up(mesh) else "Y", 1.0), "SkelRoot" if _needs_skeleton(results) else "Xform"
     )
     prim = pxr.UsdGeom.Mesh.Define(stage, "/Asset/mesh")
     if mesh.scheme is not None and mesh.scheme.creasing != "uniform":
@@ -257,7 +257,7 @@ def _write_results(
         elif name.startswith(BLEND_SHAPE):
             shapes[name.removeprefix(BLEND_SHAPE)] = np.asarray(values, dtype=np.float64)
         else:
-            write_primvar(prim, mesh, label, np.asarray(values))
+            write_primvar(prim, mesh, label, np.asarray(values), results.places.get(name))
     if results.skeleton is not None:
         write_usd_skeleton(stage, prim, results.skeleton, np.eye(4) if to_root is None else to_root)
     if shapes:

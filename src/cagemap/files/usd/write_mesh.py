@@ -112,16 +112,25 @@ def _colored_material(stage: Any, path: str, name: str, color: FloatArray) -> An
     return material
 
 
-def row_kinds(mesh: ControlMesh) -> dict[int, str]:
-    """USD interpolation of an array by its number of rows; if vertices are as many as faces or corners, per vertex."""
-    return {len(mesh.face_indices): CORNERS, mesh.n_faces: "uniform", mesh.n_vertices: "vertex"}
+# Interpolation of values by their place.
+_INTERPOLATIONS = {"vertices": "vertex", "faces": "uniform", "corners": CORNERS}
 
 
-def write_primvar(prim: Any, mesh: ControlMesh, name: str, values: NDArray[Any]) -> None:
-    """Write values with a row for each vertex, face or face corner as a primvar."""
+def interpolation(mesh: ControlMesh, count: int, place: str | None = None) -> str | None:
+    """USD interpolation of an array with a number of rows; None if it does not fit the mesh.
+
+    ``place``: "vertices", "faces" or "corners"; by default the first with as many places as rows.
+    """
+    counts = {"vertices": mesh.n_vertices, "faces": mesh.n_faces, "corners": len(mesh.face_indices)}
+    found = [name for name, number in counts.items() if number == count and place in (None, name)]
+    return _INTERPOLATIONS[found[0]] if found else None
+
+
+def write_primvar(prim: Any, mesh: ControlMesh, name: str, values: NDArray[Any], place: str | None = None) -> None:
+    """Write values with a row for each vertex, face or face corner, see `interpolation`, as a primvar."""
     pxr = usd_modules()
-    rows = row_kinds(mesh)
-    if len(values) not in rows:
+    kind_of_rows = interpolation(mesh, len(values), place)
+    if kind_of_rows is None:
         raise ParameterError(
             f"{name}: expected a row for each vertex, face or face corner, got {len(values)}. "
             "Give the values of this mesh."
@@ -144,7 +153,7 @@ def write_primvar(prim: Any, mesh: ControlMesh, name: str, values: NDArray[Any])
         size = 1
     else:
         flat = flat.ravel()
-    primvar = pxr.UsdGeom.PrimvarsAPI(prim).CreatePrimvar(name, kind, rows[len(values)], size)
+    primvar = pxr.UsdGeom.PrimvarsAPI(prim).CreatePrimvar(name, kind, kind_of_rows, size)
     primvar.Set(array.FromNumpy(np.ascontiguousarray(flat)))
 
 

@@ -21,6 +21,8 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 Attributes = dict[str, NDArray[Any]]
+# Places of values on a control mesh, in the order in which a number of rows is looked up.
+CONTROL_PLACES = ("vertices", "faces", "corners")
 
 _log = logging.getLogger(__name__)
 
@@ -91,13 +93,18 @@ class FileRows:
         np.add.at(counts, welded, 1.0)
         return np.asarray(sums / counts.reshape(-1, *[1] * (values.ndim - 1)), dtype=values.dtype)
 
-    def to_file(self, values: NDArray[Any], below: NDArray[Any] | None = None) -> NDArray[Any]:
-        """The part's values in the file's numbering; elsewhere those of ``below``, which has a row for each, or 0."""
-        kinds = list(zip(_counts(self.part), _counts(self.whole), strict=True))
-        kind = next((number for number, (part_count, _) in enumerate(kinds) if len(values) == part_count), None)
-        if kind is None:
+    def to_file(
+        self, values: NDArray[Any], below: NDArray[Any] | None = None, place: str | None = None
+    ) -> NDArray[Any]:
+        """The part's values in the file's numbering; elsewhere those of ``below``, which has a row for each, or 0.
+
+        ``place``: of the values, see `place_of_rows`; by default by their number.
+        """
+        place = place_of_rows(self.part, len(values)) if place is None else place
+        if place not in CONTROL_PLACES:
             return values
-        shape = (kinds[kind][1], *values.shape[1:])
+        kind = CONTROL_PLACES.index(place)
+        shape = (_counts(self.whole)[kind], *values.shape[1:])
         if below is not None and below.shape != shape:
             raise ParameterError(
                 f"values outside the part: expected an array of shape {shape}, one row a "
@@ -122,8 +129,13 @@ class FileRows:
         return self._spread(np.array(self.whole.positions), positions)
 
     def laid_out(self, uvs: FloatArray, uv_indices: IndexArray) -> ControlMesh:
-        """The file's mesh with texture coordinates of the part; its other faces keep theirs, or have (0, 0)."""
-        whole = self.whole
+        """The file's mesh with texture coordinates of the part; its other faces keep theirs, or have (0, 0).
+
+        They are in the part's UV set, if the file's mesh has UVs.
+        """
+        whole, name = self.whole, self.part.uv_name
+        if whole.uvs is not None and name in {one.name for one in whole.uv_sets}:
+            whole = whole.with_uv_set(name)
         others = np.zeros((1, 2)) if whole.uvs is None else whole.uvs
         every = np.zeros(len(whole.face_indices), dtype=np.int64) if whole.uv_indices is None else whole.uv_indices
         every = every + len(uvs)
@@ -186,11 +198,24 @@ def to_part(values: Mapping[str, NDArray[Any]], rows: FileRows | None) -> Attrib
 
 
 def to_file(
-    values: Mapping[str, NDArray[Any]], rows: FileRows | None, own: Mapping[str, NDArray[Any]] | None = None
+    values: Mapping[str, NDArray[Any]],
+    rows: FileRows | None,
+    own: Mapping[str, NDArray[Any]] | None = None,
+    places: Mapping[str, str] | None = None,
 ) -> Attributes:
-    """Arrays in the file's numbering, elsewhere the file's ``own`` values or 0; unchanged without ``rows``."""
-    below = own or {}
-    return {name: array if rows is None else rows.to_file(array, below.get(name)) for name, array in values.items()}
+    """Arrays in the file's numbering, elsewhere the file's ``own`` values or 0; unchanged without ``rows``.
+
+    ``places``: of arrays by name, see `place_of_rows`; of others by their number of rows.
+    """
+    if rows is None:
+        return dict(values)
+    below, known = own or {}, places or {}
+    return {name: rows.to_file(array, below.get(name), known.get(name)) for name, array in values.items()}
+
+
+def place_of_rows(mesh: ControlMesh, count: int) -> str:
+    """First of "vertices", "faces" and "corners" with as many places as rows; "" for other numbers."""
+    return next((place for place, n in zip(CONTROL_PLACES, _counts(mesh), strict=True) if n == count), "")
 
 
 def other_rows(control: ControlMesh, rows: FileRows | None) -> str:

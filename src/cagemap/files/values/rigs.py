@@ -22,6 +22,7 @@ from cagemap.files.ownership import mark
 from cagemap.files.text import read_text
 from cagemap.files.usd.prims import BLEND_SHAPE
 from cagemap.files.usd.skeleton import read_usd_skeleton
+from cagemap.files.usd.space import between_spaces
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import FileRows, to_part
@@ -29,24 +30,25 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 
 
-def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skeleton:
+def read_skeleton(path: str | Path, control: ControlMesh | None = None, like: Path | None = None) -> Skeleton:
     """Read joints from JSON: ``[{"name": ..., "parent": ... or null, "head": [x, y, z], "tail": [x, y, z]}, ...]``.
 
     A joint may have ``"axes"``, three directions. A USD file has the skeleton of its mesh, a glTF file the joints of
     all its skins.
 
     ``control``: the mesh of the skeleton; needed if a USD file has several.
+    ``like``: file whose units and axes the joints get, if both files state theirs.
     """
     file = Path(path)
     if file.suffix.lower() in SCENE_SUFFIXES:
-        return gltf_skeleton(file)
+        return gltf_skeleton(file).transformed(_to_space_of(like, file))
     if is_usd(file):
         skeleton = read_usd_skeleton(file, control)
         if skeleton is None:
             raise FormatError(
                 f"{file}: expected a mesh bound to a skeleton, it is bound to none. Export it with its rig."
             )
-        return skeleton
+        return skeleton.transformed(_to_space_of(like, file))
     if file.suffix.lower() in MESH_SUFFIXES:
         raise FormatError(
             f"{file}: expected joints as .json, or in a glTF, FBX or USD file, got {file.suffix}, which holds none. "
@@ -81,6 +83,11 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
     return Skeleton(names, parents, heads, tails, axes)
 
 
+def _to_space_of(like: Path | None, file: Path) -> FloatArray:
+    """(4, 4) from the units and axes of a file to those of another, see `between_spaces`; exact for one file."""
+    return np.eye(4) if like is not None and like.resolve() == file.resolve() else between_spaces(like, file)
+
+
 def check_skeleton_path(file: Path) -> None:
     """Refuse a name that is not one of a JSON file, as `write_skeleton` writes it."""
     if file.suffix.lower() != ".json":
@@ -100,12 +107,15 @@ def write_skeleton(path: str | Path, skeleton: Skeleton, *, force: bool = False)
     write_whole(path, json.dumps({"written_by": mark(), "joints": joints}, indent=1) + "\n", force=force)
 
 
-def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None = None) -> dict[str, FloatArray]:
+def read_shapes(
+    paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None = None, like: Path | None = None
+) -> dict[str, FloatArray]:
     """Read blend shapes of a cage as displacements (n, 3) by name.
 
     ``paths``: OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, USD and glTF files, or
         folders of OBJ, PLY and ``.npz`` files. In a folder, the cage itself as `write_shapes` writes it is no shape.
     ``rows``: for a cage that is a part of a file: shapes of the whole file are taken at the part.
+    ``like``: file whose units and axes the shapes get, where both files state theirs.
     """
     files: list[Path] = []
     for path in paths:
@@ -119,7 +129,8 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None 
         twice = sorted(set(shapes_of_file) & set(shapes))
         if twice:
             raise FormatError(f"{file}: a shape named {twice[0]} was read before. Rename one of them.")
-        shapes |= shapes_of_file
+        linear = _to_space_of(like, file)[:3, :3]
+        shapes |= {name: offsets @ linear for name, offsets in shapes_of_file.items()}
     if not shapes:
         raise FormatError(f"expected shapes in {', '.join(map(str, paths))}, found none (.obj, .ply or .npz)")
     return shapes

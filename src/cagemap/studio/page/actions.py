@@ -15,7 +15,7 @@ from cagemap.errors import CagemapError, ParameterError
 from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.meshes.formats import MESH_SUFFIXES
 from cagemap.numerics.arrays import FloatArray
-from cagemap.studio.landmarks import SIDES, Side
+from cagemap.studio.landmarks import SIDES, Side, SideNames
 from cagemap.studio.opening import default_files
 from cagemap.studio.page.form import read_form
 from cagemap.studio.session import Session
@@ -118,11 +118,21 @@ class Actions:
         self._session.note(f"{path.name} was added. Drop {' and '.join(missing)}.")
 
     def _pair_files(self, target: Path, source: Path, texture: Path | None) -> Files:
-        """Files of a pair; those of the open models with another texture, if they are the same."""
-        opened = self._session.state.files
-        if opened is not None and (opened.target, opened.source) == (target, source):
+        """Files of a pair; a model that is open is opened as before.
+
+        Landmarks and RESULT are those of the open pair, if both models are the same.
+        """
+        opened, files = self._session.state.files, default_files(target.parent, target, source, texture)
+        if opened is None:
+            return files
+        stays = opened.target == target, opened.source == source
+        if all(stays):
             return replace(opened, texture=texture)
-        return default_files(target.parent, target, source, texture)
+
+        def kept(values: SideNames) -> SideNames:
+            return values[0] if stays[0] else None, values[1] if stays[1] else None
+
+        return replace(files, schemes=kept(opened.schemes), ups=kept(opened.ups), parts=kept(opened.parts))
 
     def _show_baked(self, sent: Entries) -> None:
         images = self._session.state.baked_images

@@ -69,7 +69,7 @@ class StudioApp:
 
     def __init__(self, request: PageRequest) -> None:
         self.session = Session(Workspace.of(*request.folders), request.vertices, request.options)
-        self._actions = Actions(self.session)
+        self._actions, self._first_files = Actions(self.session), request.files
         self._drawings: dict[str, tuple[object, Callable[[], bytes]]] = {}
         self._key_count, self._drawings_lock = itertools.count(1), threading.Lock()
         self._changed, self._closed = threading.Event(), False
@@ -138,8 +138,11 @@ class StudioApp:
         return output_content(state.outputs, name)
 
     def _first_messages(self) -> Iterator[str]:
-        workspace, options = self.session.workspace, self.session.options
-        yield json.dumps(constant_entries() | listing_entries(workspace) | form_fields(options, self.session.vertices))
+        workspace, options, vertices = self.session.workspace, self.session.options, self.session.vertices
+        files = self.session.state.files or self._first_files  # a page may connect before these are open
+        recorded = files.recorded.form_values if files is not None and files.recorded is not None else {}
+        form = form_fields(options, vertices, recorded)
+        yield json.dumps(constant_entries() | listing_entries(workspace) | form)
         yield self._state()
 
     def _on_message(self, message: str | bytes, reply: Callable[[str], None]) -> None:

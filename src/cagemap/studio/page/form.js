@@ -95,10 +95,11 @@ function field({kind, label, value, choices, usual, suffixes, least, most, step}
 
 // Build the form; returns `values`, which gives changed options by key, and `clearFiles`, which empties names of files.
 export function buildForm({first, folds}, above, below) {
-  const asked = {}, usual = {}, ofPair = [];
+  const asked = {}, usual = {}, ofPair = [], always = new Set();
   const line = one => {
     const [made, value] = field(one);
     asked[one.key] = value;
+    if (one.always) always.add(one.key);
     usual[one.key] = JSON.stringify(value());
     const name = element('span', {textContent: one.label});
     const several = one.kind === 'several', holder = element(several ? 'div' : 'label', {title: one.hint}, name, made);
@@ -114,7 +115,7 @@ export function buildForm({first, folds}, above, below) {
     element('details', {}, element('summary', {textContent: title}), ...fields.map(line))));
   return {
     values: () => Object.fromEntries(Object.entries(asked).map(([key, value]) => [key, value()])
-      .filter(([key, value]) => JSON.stringify(value) !== usual[key] || key === 'match.vertices')),
+      .filter(([key, value]) => JSON.stringify(value) !== usual[key] || always.has(key))),
     clearFiles: () => { for (const input of ofPair) input.value = ''; },
   };
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from cagemap.errors import ParameterError
@@ -22,10 +23,18 @@ _NAME_HINT = "beginning of all file names; another name keeps the files of an ea
 _DEFAULTS = FinishOptions()
 
 
-def form_fields(options: Options, vertices: int) -> dict[str, Any]:
-    """Entries of the form: key, label, hint, kind, value, choices and suffixes.
+def form_fields(
+    options: Options, vertices: int, recorded: Mapping[Key, Value] = MappingProxyType({})
+) -> dict[str, Any]:
+    """Entries of the form: key, label, hint, kind, value, choices and suffixes; ``always`` is sent unchanged too.
 
-    ``vertices``: of the map shown, which a bake uses where nothing else is typed.
+    Parameters
+    ----------
+    options : mapping
+    vertices : int
+        Of the map shown, which a bake uses where nothing else is typed.
+    recorded : mapping of (command, field) to value
+        Options of an opened RESULT.
     """
     more = f"more, such as {DEFAULT_VERTICES}," if vertices < DEFAULT_VERTICES else "more"
     vertices_hint = f"of each model in the final map, approximately; {more} is finer and slower"
@@ -37,7 +46,8 @@ def form_fields(options: Options, vertices: int) -> dict[str, Any]:
             hint="width and height in texels; default: as the source's image",
             choices=SIZES,
         ),
-        _option_entry(options, Field(VERTICES_KEY, "Vertices", (), vertices_hint, 1000), value=vertices),
+        _option_entry(options, Field(VERTICES_KEY, "Vertices", (), vertices_hint, 1000), value=vertices, always=True)
+        | _recorded_entry(recorded, VERTICES_KEY),
     ]
     finish_entries: dict[str, list[dict[str, Any]]] = {
         MORE_IMAGES: [_entry("maps", "Maps", "named files", "", _MAPS_HINT, suffixes=IMAGE_SUFFIXES)],
@@ -53,7 +63,7 @@ def form_fields(options: Options, vertices: int) -> dict[str, Any]:
         {
             "title": section.title,
             "fields": finish_entries.get(section.title, [])
-            + [_option_entry(options, field) for field in section.fields],
+            + [_option_entry(options, field) | _recorded_entry(recorded, field.key) for field in section.fields],
         }
         for section in sections(options)
     ]
@@ -97,6 +107,10 @@ def read_form(options: Options, sent: Mapping[str, Any]) -> FinishOptions:
 
 def _entry(key: str, label: str, kind: str, value: Any, hint: str, **more: Any) -> dict[str, Any]:
     return {"key": key, "label": label, "kind": kind, "value": value, "hint": hint} | more
+
+
+def _recorded_entry(recorded: Mapping[Key, Value], key: Key) -> dict[str, Any]:
+    return {"value": recorded[key], "always": True} if key in recorded else {}
 
 
 def _option_entry(options: Options, field: Field, **other: Any) -> dict[str, Any]:

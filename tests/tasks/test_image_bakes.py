@@ -1,0 +1,174 @@
+"""Images that `cagemap transfer` bakes: their meaning, sizes and labels, and what it says of doubtful ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cagemap.errors import ParameterError
+from cagemap.files.images.image import read_image, write_image
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.result.folder import write_result
+from cagemap.mesh import ControlMesh
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.transfer import run_transfer
+from cagemap.tasks.wrap import WrapRequest, run_wrap
+
+from example_result import identity_result, textured_cube
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a RESULT of two equal cubes."""
+    monkeypatch.chdir(tmp_path)
+    write_result(tmp_path / "RESULT", identity_result())
+    return tmp_path
+
+
+def transfer(output: str, **options: Any) -> tuple[np.ndarray | None, str, list[str]]:
+    """Run a transfer; returns the image, if one was written under this name, the summary and the warnings."""
+    summary, warnings = run_transfer(TransferRequest(Path("RESULT"), Path(output), **options), Stages())
+    return read_image(Path(output)).pixels if Path(output).is_file() else None, summary, warnings
+
+
+def half_painted(mesh: ControlMesh) -> ControlMesh:
+    """Colours at the vertices of the upper half only."""
+    known = mesh.positions[:, 2] > 0
+    return replace(mesh, vertex_colors=np.where(known[:, None], [0.2, 0.5, 0.1], np.nan))
+
+
+@pytest.mark.parametrize("output", ["o.png", "o.exr"])
+@pytest.mark.parametrize("own", [True, False])
+def test_vertices_without_a_colour_are_baked_grey(place: Path, output: str, own: bool) -> None:
+    source = half_painted(textured_cube("small.obj"))
+    if own:
+        write_result(place / "RESULT", identity_result(3, (textured_cube("large.obj", 2.0), source)), force=True)
+    else:
+        write_mesh(place / "detail.obj", source)
+    detail = None if own else place / "detail.obj"
+    pixels, _, warnings = transfer(output, bake=("colors",), detail=detail, size=64)
+    assert pixels is not None
+    assert np.isfinite(pixels).all()
+    full = np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else 1.0
+    assert pixels.min() > 0.005 * full, "no texel is black"
+    grey = pixels.reshape(-1, 3).max(axis=0) / full
+    if not own:  # subdivision mixes the colours of a cube's vertices
+        np.testing.assert_allclose(grey, 0.8 if output == "o.exr" else 0.906, atol=0.01)
+    assert any("4 of 8 vertices have no colour and are baked in grey" in text for text in warnings)
+
+
+def waves(size: int = 32) -> np.ndarray:
+    """(size, size, 3) directions of a wavy surface in tangent space."""
+    x, y = np.meshgrid(np.linspace(0, 9, size), np.linspace(0, 7, size))
+    slopes = np.stack([np.sin(x + y), np.cos(2 * y - x), np.full_like(x, 2.0)], axis=2)
+    return slopes / np.linalg.norm(slopes, axis=2, keepdims=True)
+
+
+def test_signed_normals_are_directions_by_name_too(place: Path) -> None:
+    write_image(place / "n.exr", waves().astype(np.float32))
+    by_option, _, warnings = transfer("option.exr", normal_map=place / "n.exr")
+    assert warnings == []
+    _, _, warnings = transfer("out.exr", maps=(("normal", place / "n.exr"),))
+    assert any("is turned with the map" in text for text in warnings)
+    np.testing.assert_array_equal(read_image(place / "out_normal.exr").pixels, by_option)
+    with pytest.raises(ParameterError, match="looks like a normal map"):
+        transfer("never.exr", texture=place / "n.exr")
+
+
+def test_one_texel_below_zero_does_not_change_the_meaning_of_all(place: Path) -> None:
+    encoded = (0.5 * waves() + 0.5).astype(np.float32)
+    write_image(place / "n.exr", encoded)
+    clean, *_ = transfer("clean.exr", normal_map=place / "n.exr")
+    encoded[5, 5, 0] = -1e-4
+    write_image(place / "n.exr", encoded)
+    ringing, *_ = transfer("ringing.exr", normal_map=place / "n.exr")
+    assert np.median(np.abs(ringing - clean)) < 1e-6
+
+
+def test_a_map_named_normal_that_is_carried_as_colours_is_named(place: Path) -> None:
+    directions = np.random.default_rng(3).normal(size=(32, 32, 3))
+    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    write_image(place / "object.png", np.rint(127.5 * directions + 127.5).astype(np.uint8))
+    maps = (("normal", place / "object.png"),)
+    _, _, warnings = transfer("o.png", maps=maps)
+    assert any("object.png is carried as colours: it does not look like a normal map" in text for text in warnings)
+    assert transfer("c.png", maps=maps, as_color=True)[2] == []
+
+
+@pytest.mark.parametrize("name", ["height", "Displacement"])
+def test_a_map_named_height_is_carried_unscaled_with_a_warning(place: Path, name: str) -> None:
+    write_image(place / "h.png", np.full((8, 8, 1), 140, dtype=np.uint8))
+    _, _, warnings = transfer("o.png", maps=((name, place / "h.png"),))
+    assert any("the target is 2 times as large as the source" in text and "--displacement" in text for text in warnings)
+    assert transfer("c.png", maps=((name, place / "h.png"),), as_color=True)[2] == []
+    cubes = textured_cube("large.obj"), textured_cube("small.obj")
+    write_result(place / "RESULT", identity_result(3, cubes), force=True)
+    assert transfer("s.png", maps=((name, place / "h.png"),))[2] == []
+
+
+@pytest.mark.parametrize(
+    ("given", "base", "output", "is_right"),
+    [
+        (np.uint16, np.uint16, "o.png", False),
+        (np.float32, np.float32, "o.exr", True),
+        (np.float32, np.uint16, "o.exr", False),
+        (np.uint16, np.uint16, "o.exr", True),
+    ],
+)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_heights_over_a_base_of_another_scale_are_reported(
+    place: Path, given: type, base: type, output: str, is_right: bool, channels: int
+) -> None:
+    names = [f"{name}.{'png' if dtype == np.uint16 else 'exr'}" for name, dtype in (("given", given), ("own", base))]
+    for name, dtype in zip(names, (given, base), strict=True):
+        write_image(place / name, np.zeros((8, 8, channels), dtype=dtype))
+    option = "displacement" if channels == 1 else "vector_displacement"
+    bits = 32 if output.endswith("exr") else None
+    options = {option: place / names[0], "bases": (("", place / names[1]),), "target_mask": "red", "bits": bits}
+    _, _, warnings = transfer(output, **options)
+    said = [text for text in warnings if "--base" in text and "keeps its values" in text]
+    assert bool(said) != is_right
+
+
+def test_baked_heights_over_a_base_of_another_scale_are_reported(place: Path) -> None:
+    write_mesh(place / "detail.obj", textured_cube("detail.obj"))
+    kinds = {"displacement": 1, "vector-displacement": 3}
+    for kind, channels in kinds.items():
+        write_image(place / f"{kind}.png", np.zeros((8, 8, channels), dtype=np.uint16))
+        write_image(place / f"{kind}.exr", np.zeros((8, 8, channels), dtype=np.float32))
+        options = {"bake": (kind,), "detail": place / "detail.obj", "target_mask": "red"}
+        for suffix in (".png", ".exr"):
+            *_, warnings = transfer(f"o_{kind}{suffix}", bases=(("", place / f"{kind}{suffix}"),), **options)
+            assert any("keeps its values" in text for text in warnings) == (suffix == ".png")
+
+
+def test_nearest_says_what_it_does_not_sample(place: Path) -> None:
+    for kind, warned in (("nearest", True), ("linear", False)):
+        *_, warnings = transfer(f"{kind}.png", bake=("ao",), filter=kind, size=8, rays=1)
+        assert any("--filter nearest is not used for ao" in text for text in warnings) == warned
+    pixels, *_ = transfer("o.png", material_colors=True, filter="nearest", size=64)
+    assert pixels is not None
+    assert len(np.unique(pixels.reshape(-1, 3), axis=0)) == 2
+
+
+def test_a_bake_has_the_size_of_the_detail_s_image_or_of_any_base(place: Path) -> None:
+    painted = replace(textured_cube("scan.obj"), vertex_colors=np.full((8, 3), 0.5))
+    write_mesh(place / "scan.obj", painted)
+    write_image(place / "scan.png", np.full((96, 48, 3), 90, dtype=np.uint8))
+    scan = {"detail": place / "scan.obj", "detail_texture": place / "scan.png"}
+    pixels, *_ = transfer("t.png", bake=("texture",), **scan)
+    assert pixels is not None
+    assert pixels.shape == (96, 96, 3)
+    write_image(place / "own.png", np.full((32, 32, 1), 90, dtype=np.uint8))
+    masked = {"target_mask": "red", "bases": (("ao", place / "own.png"),)}
+    transfer("b.png", bake=("colors", "ao"), detail=place / "scan.obj", rays=1, **masked)
+    assert read_image(place / "b_ao.png").pixels.shape[:2] == read_image(place / "b_colors.png").pixels.shape[:2]
+    assert read_image(place / "b_ao.png").pixels.shape[:2] == (32, 32)
+    wrapped = WrapRequest((Path("RESULT"),), Path("w.obj"), baked=Path("w.png"), **scan)
+    run_wrap(wrapped, Stages())
+    assert read_image(place / "w.png").pixels.shape == (96, 96, 3)
