@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import cube, icosahedron
+from examples.shapes import cube, icosahedron, pyramid
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -52,6 +52,8 @@ def test_a_set_of_faces_does_not_leak_and_a_vertex_group_is_refined() -> None:
     np.testing.assert_allclose(vertex_mask(refinement, group), refinement.prolong(group, 0, 3), atol=1e-15)
     refuses(ParameterError, "8 numbers from 0 to 1, one a control vertex", vertex_mask, refinement, np.full(8, 1.5))
     refuses(ParameterError, "6 numbers from 0 to 1, one a control face", face_mask, refinement, np.ones(8))
+    words = "face mask: expected a mesh refined at least once, got its control mesh. Refine it once"
+    refuses(ParameterError, words, face_mask, refine(pyramid(), 0), np.ones(5))
 
 
 def test_masks_that_the_map_does_not_join_leave_the_figures_of_the_target_s_mask() -> None:

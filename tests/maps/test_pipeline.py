@@ -30,9 +30,11 @@ from cagemap import (
 )
 from cagemap.deform.config import StartConfig
 from cagemap.errors import InvalidLandmarksError, InvalidMeshError, ParameterError
-from cagemap.maps.pair import Pair
-from cagemap.mesh import CatmullClark, Loop
+from cagemap.maps.pair import Pair, near_vertices
+from cagemap.mesh import CatmullClark, Loop, Plain
 from cagemap.paper.method import finer_level_pairs, search_levels
+from cagemap.pipeline import pair_of
+from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 
 from example_once import example_pair
@@ -178,6 +180,22 @@ def test_wrong_input_is_refused_before_anything_expensive(pony):
     surface = prepare_surface(shapes.creature(), 1, BasisConfig(count=10))
     outside = Landmarks(("a", "b", "c"), np.array([0, 1, 9999]), np.array([0, 1, 2]), "t.obj", "s.obj")
     refuses(InvalidLandmarksError, "9999", match, surface, surface, outside)
+
+
+def test_landmarks_that_leave_no_vertex_free_are_refused():
+    surface = prepare_surface(shapes.cube(), 1, BasisConfig(count=5))
+    finest, count = surface.finest_triangles, 4 * len(surface.vertices)
+    between = np.random.default_rng(2).dirichlet(np.ones(3), count)
+    points = SurfacePoints(finest, np.arange(count) % len(finest.triangles), between)
+    words = "landmarks: expected at most 26 on a level of as many vertices, got 104. Give fewer, or refine once"
+    refuses(ParameterError, words, near_vertices, points, surface)
+
+
+def test_symmetries_of_a_plain_mesh_are_refused():
+    plain = prepare_surface(replace(shapes.icosahedron(), scheme=Plain()), 0, BasisConfig(count=5))
+    config = MatchConfig(method="paper", symmetries=((np.arange(12), np.arange(12)),))
+    words = r"symmetries: expected none with a plain mesh \(scheme none\).*Leave them out"
+    refuses(ParameterError, words, pair_of, plain, plain, Landmarks.none(), config)
 
 
 @pytest.mark.slow
