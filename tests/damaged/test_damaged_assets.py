@@ -21,6 +21,7 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 
 from damage import mutated_bytes, outcome, refused_share
+from refusals import refuses
 from usd_scenes import full_cube
 
 
@@ -86,8 +87,7 @@ def test_a_write_that_fails_leaves_nothing_behind(tmp_path: Path) -> None:
     with pytest.raises(CagemapError):
         write_mesh(tmp_path / "mesh.usdz", _everything())
     (tmp_path / "mesh.usda").write_text("#usda 1.0\n# somebody's own\n")
-    with pytest.raises(FormatError, match="force=True"):
-        write_mesh(tmp_path / "mesh.usda", _everything())
+    refuses(FormatError, "force=True", write_mesh, tmp_path / "mesh.usda", _everything())
     assert [path.name for path in tmp_path.iterdir()] == ["mesh.usda"]
 
 
@@ -105,7 +105,6 @@ def test_a_set_with_a_spoilt_tile(spoil: Callable[[Path], object], tmp_path: Pat
         write_image(udim_path(tmp_path / "t.<UDIM>.png", tile), np.zeros((4, 4, 3), dtype=np.uint8))
     spoil(tmp_path / "t.1002.png")
     if (tmp_path / "t.1002.png").exists():
-        with pytest.raises(FormatError, match=r"t\.1002\.png"):
-            read_texture(tmp_path / "t.<UDIM>.png")
+        refuses(FormatError, r"t\.1002\.png", read_texture, tmp_path / "t.<UDIM>.png")
     else:
         assert list(read_texture(tmp_path / "t.<UDIM>.png")) == [1001]

@@ -60,6 +60,7 @@ from damage import mutated_arrays, mutated_bytes, mutated_entries, outcome, refu
 from example_once import example_pair
 from example_result import change_result, identity_result, textured_cube
 from ply_text import write_text_ply
+from refusals import refuses
 
 TASK = Task("match", "a", "k", (), {}, ())
 MATCHES = {"match": "k"}
@@ -321,8 +322,7 @@ def test_images_without_texels_and_cut_short_are_refused_by_name(tmp_path: Path,
         outcome(lambda: read_image_form(file))
     for changed in (empty, b"", content[: len(content) // 3]):
         file.write_bytes(changed)
-        with pytest.raises(FormatError, match=name):
-            read_image(file)
+        refuses(FormatError, name, read_image, file)
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
@@ -390,5 +390,4 @@ def test_arrays_that_do_not_fit_are_refused_by_name_before_native_code_reads_the
     for arrays, words in cases:
         write_result(tmp_path / "R", result, force=True)
         change_result(tmp_path / "R", **arrays)
-        with pytest.raises(CagemapError, match=words):
-            read_result(tmp_path / "R")
+        refuses(CagemapError, words, read_result, tmp_path / "R")

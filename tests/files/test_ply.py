@@ -21,6 +21,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.srgb import encode_srgb
 
 from ply_text import write_text_ply
+from refusals import refuses
 
 HEADER = "ply\nformat ascii 1.0\ncomment made by hand\nelement vertex 4\n" + "".join(
     f"property float {c}\n" for c in "xyz"
@@ -246,8 +247,7 @@ BAD_FILES = {
 @pytest.mark.parametrize("case", BAD_FILES)
 def test_bad_files_are_refused_with_the_place(tmp_path: Path, case: str) -> None:
     content, message = BAD_FILES[case]
-    with pytest.raises(FormatError, match=r"(?s)mesh\.ply.*" + message):
-        read_bytes(tmp_path, content)
+    refuses(FormatError, r"(?s)mesh\.ply.*" + message, read_bytes, tmp_path, content)
 
 
 @pytest.mark.parametrize("text", [False, True])

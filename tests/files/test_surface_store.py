@@ -22,6 +22,7 @@ from cagemap.spectral import BasisConfig
 from cagemap.spectral.surface import Surface
 
 from example_result import edit_header, rewrite_arrays
+from refusals import refuses
 
 CONFIG = BasisConfig(count=20)
 LEVEL = 2
@@ -98,8 +99,7 @@ def test_operators_may_end_below_the_finest_level(surface, tmp_path):
 def test_operators_of_another_config_are_refused(surface, tmp_path):
     other = replace(surface.config, laplacian="alexa-wardetzky")
     named = Surface.of(surface.hierarchy, surface.operators, surface.basis, other)
-    with pytest.raises(ParameterError, match="its operators are not those of its config"):
-        save_surface(tmp_path / "s.npz", named)
+    refuses(ParameterError, "its operators are not those of its config", save_surface, tmp_path / "s.npz", named)
     assert not (tmp_path / "s.npz").exists()
 
 
@@ -164,8 +164,7 @@ def test_damaged_files_are_refused_by_name_and_prepared_again(damage, surface, t
     place = tmp_path / (surface_key(shapes.creature(), LEVEL, None, CONFIG) + SUFFIX)
     save_surface(place, surface)
     DAMAGE[damage](place)
-    with pytest.raises(FormatError, match=place.name):
-        load_surface(place)
+    refuses(FormatError, place.name, load_surface, place)
     calls = []
     again = load_or_prepare(
         tmp_path, shapes.creature(), LEVEL, CONFIG, prepare=lambda *a, **o: calls.append(a) or surface
@@ -176,8 +175,7 @@ def test_damaged_files_are_refused_by_name_and_prepared_again(damage, surface, t
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(FormatError, match="no such file"):
-        load_surface(tmp_path / "absent.npz")
+    refuses(FormatError, "no such file", load_surface, tmp_path / "absent.npz")
 
 
 def test_an_unusable_folder_is_named_before_any_work(tmp_path):
@@ -203,8 +201,7 @@ def test_a_broken_write_leaves_the_old_file(stored, surface, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("cagemap.files.result.surface_store.write_npz", half)
-    with pytest.raises(FormatError, match="No space left"):
-        save_surface(stored, surface)
+    refuses(FormatError, "No space left", save_surface, stored, surface)
     assert stored.read_bytes() == before
     assert [path.name for path in stored.parent.iterdir()] == [stored.name]
 

@@ -37,6 +37,7 @@ from cagemap.files.usd.space import StageSpace, between_spaces, to_standard, uni
 from cagemap.files.usd.transforms import local_to_world
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
+from refusals import refuses
 from usd_scenes import complaints, stage_at, usd_mesh
 
 TURN = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
@@ -161,20 +162,17 @@ def test_the_parent_of_a_joint_is_its_nearest_listed_ancestor(tmp_path: Path) ->
 def test_a_mesh_without_a_skeleton_and_a_damaged_one(tmp_path: Path) -> None:
     write_usd(tmp_path / "bare.usda", textured_cube("bare.usda"))
     assert read_usd_skeleton(tmp_path / "bare.usda") is None
-    with pytest.raises(FormatError, match="bound to none"):
-        read_skeleton(tmp_path / "bare.usda")
+    refuses(FormatError, "bound to none", read_skeleton, tmp_path / "bare.usda")
     path = tmp_path / "rigged.usda"
     _write(path, "rigged.usda")
     stage = Usd.Stage.Open(str(path))
     UsdSkel.Skeleton(stage.GetPrimAtPath("/Asset/skeleton")).GetBindTransformsAttr().Set([Gf.Matrix4d(1.0)] * 3)
     stage.Save()
-    with pytest.raises(FormatError, match="got 4 joints and 3 transforms"):
-        read_usd_skeleton(path)
+    refuses(FormatError, "got 4 joints and 3 transforms", read_usd_skeleton, path)
     UsdSkel.Skeleton(stage.GetPrimAtPath("/Asset/skeleton")).GetJointsAttr().Set(["hips"])
     UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/mesh")).GetJointsAttr().Clear()
     stage.Save()
-    with pytest.raises(FormatError, match="of 1, or joints that the skeleton has not"):
-        read_usd_meshes(path)
+    refuses(FormatError, "of 1, or joints that the skeleton has not", read_usd_meshes, path)
 
 
 def test_joints_without_an_identifier_of_their_own_stay_apart(tmp_path: Path) -> None:
