@@ -184,12 +184,6 @@ def test_faces_of_too_many_colours_are_reported(tmp_path: Path, caplog: pytest.L
     assert "the 257 colours of its faces are left out" in caplog.text
 
 
-@pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
-def test_line_ends(tmp_path: Path, line_end: str) -> None:
-    mesh = read_bytes(tmp_path, (HEADER + FACES + BODY).replace("\n", line_end))
-    assert mesh.face_indices.tolist() == [0, 1, 2, 0, 2, 3]
-
-
 BAD_FILES = {
     "empty": ("", "empty file"),
     "another format": ("solid mesh\n", "begins with 'ply'"),
