@@ -34,6 +34,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 from cagemap.files.meshes.arrays import control_from_arrays, control_to_arrays
 from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.read import read_usd, read_usd_meshes
+from cagemap.files.usd.results import define_material
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
 from plain_meshes import marks_at
@@ -282,17 +283,19 @@ def test_values_under_a_changed_name_take_no_other_primvars_place(
     np.testing.assert_allclose(read.control.uvs[read.control.uv_indices], mesh.uvs[mesh.uv_indices])  # type: ignore[index]
 
 
+def _paint(shape: Any, path: str, color: tuple[int, int, int]) -> None:
+    """Bind a new material of a colour to a mesh or subset."""
+    material, surface = define_material(shape.GetPrim().GetStage(), path)
+    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
+    UsdShade.MaterialBindingAPI.Apply(shape.GetPrim()).Bind(material)
+
+
 def test_materials_of_one_name_in_two_scopes_stay_apart(tmp_path: Path) -> None:
     with stage_at(tmp_path / "looks.usda") as stage:
         mesh = usd_mesh(stage, "/m", cube())
         for scope, faces, color in (("a", [0, 1, 2], (1, 0, 0)), ("b", [3, 4, 5], (0, 0, 1))):
-            material = UsdShade.Material.Define(stage, f"/{scope}/metal")
-            shader = UsdShade.Shader.Define(stage, f"/{scope}/metal/surface")
-            shader.CreateIdAttr("UsdPreviewSurface")
-            shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
-            material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
             subset = UsdGeom.Subset.CreateUniqueGeomSubset(mesh, f"of_{scope}", "face", faces, "materialBind")
-            UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(material)
+            _paint(subset, f"/{scope}/metal", color)
     read = read_usd(tmp_path / "looks.usda")
     assert read.material_names == ("metal", "/b/metal")
     colors = read.material_colors[read.face_materials]  # type: ignore[index]
@@ -303,13 +306,7 @@ def test_materials_of_one_name_on_two_meshes_stay_apart(tmp_path: Path) -> None:
     """Each mesh has its own scope, as of assets put together; copies of an instance have one material."""
     stage = Usd.Stage.CreateNew(str(tmp_path / "looks.usda"))
     for number, color in enumerate([(1, 0, 0), (0, 0, 1)]):
-        mesh = usd_mesh(stage, f"/asset{number}/mesh", cube())
-        material = UsdShade.Material.Define(stage, f"/asset{number}/looks/metal")
-        shader = UsdShade.Shader.Define(stage, f"/asset{number}/looks/metal/surface")
-        shader.CreateIdAttr("UsdPreviewSurface")
-        shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
-        material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
-        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+        _paint(usd_mesh(stage, f"/asset{number}/mesh", cube()), f"/asset{number}/looks/metal", color)
     stage.Save()
     read = read_usd(tmp_path / "looks.usda")
     assert read.material_names == ("metal", "/asset1/looks/metal")

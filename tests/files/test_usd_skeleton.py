@@ -38,7 +38,7 @@ from cagemap.files.usd.transforms import local_to_world
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
 from refusals import refuses
-from usd_scenes import complaints, stage_at, usd_mesh
+from usd_scenes import complaints, skinned_points, stage_at, usd_mesh
 
 TURN = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
 
@@ -69,27 +69,17 @@ def _write(
     smile[2] = [0, 0, scale]
     attributes = {"skel:jointWeights": weights / weights.sum(axis=1, keepdims=True), "blendShape:smile": smile}
     write_usd(path, cube, UsdResults(attributes=attributes, skeleton=skeleton))
-    with stage_at(path) as stage:
+    with stage_at(path, units) as stage:
         if matrix is not None:
             UsdGeom.Xformable(stage.GetPrimAtPath("/Asset")).AddTransformOp().Set(Gf.Matrix4d(*matrix.ravel().tolist()))
-        if units is not None:
-            UsdGeom.SetStageUpAxis(stage, units[0])
-            UsdGeom.SetStageMetersPerUnit(stage, units[1])
 
 
 def _at_rest(path: Path, prim_path: str) -> np.ndarray:
     """What USD's own skinning makes of the points of a mesh, in world space, with every joint where it was bound."""
     stage = Usd.Stage.Open(str(path))
     prim = stage.GetPrimAtPath(prim_path)
-    cache = UsdSkel.Cache()
-    root = UsdSkel.Root.Find(prim)
-    cache.Populate(root, Usd.PrimDefaultPredicate)
-    query = cache.GetSkinningQuery(prim)
-    skeleton = cache.GetSkelQuery(UsdSkel.BindingAPI(prim).GetInheritedSkeleton())
-    transforms = skeleton.ComputeSkinningTransforms(Usd.TimeCode.Default())
-    points = UsdGeom.Mesh(prim).GetPointsAttr().Get()
-    assert query.ComputeSkinnedPoints(transforms, points, Usd.TimeCode.Default())
-    return transform_points(np.array(points, dtype=np.float64), local_to_world(skeleton.GetPrim()))
+    to_world = local_to_world(UsdSkel.BindingAPI(prim).GetInheritedSkeleton().GetPrim())
+    return transform_points(skinned_points(prim, Usd.TimeCode.Default()), to_world)
 
 
 def test_a_skeleton_comes_back_from_usd_and_skins_to_rest(tmp_path: Path) -> None:
