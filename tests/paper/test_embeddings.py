@@ -11,8 +11,9 @@ from cagemap.errors import ParameterError
 from cagemap.paper.embeddings import nearest_candidates, strongest_parents, vertex_to_point
 from cagemap.subdivision import refine, triangles
 
+from closest_reference import closest_on_triangle
 from refusals import refuses
-from search_reference import closest_on_triangle, nearest_candidates_reference, vertex_to_point_reference
+from search_reference import nearest_candidates_reference, vertex_to_point_reference
 
 RNG = np.random.default_rng(271)
 
