@@ -168,6 +168,11 @@ REFUSED = {
         picture("w.exr", oiio.FLOAT, full_width=1 << 17),
         "w.exr: expected a display window ... found 131072 x 4 ... Export it again.",
     ),
+    "a set without tiles": Refusal(
+        lambda place: read_texture(place / "t.<UDIM>.png"),
+        "t.<UDIM>.png: expected tiles such as ... t.1001.png, found none",
+        "Check the name.",
+    ),
     "a tile without content": Refusal(tile(b""), "t.1002.png: "),
     "a tile that is cut short": Refusal(tile(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"), "t.1002.png: "),
     "a tile of another kind": Refusal(tile(b"P6 0 0 255\n"), "t.1002.png: "),

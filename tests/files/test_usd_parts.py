@@ -40,6 +40,7 @@ from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 from plain_meshes import marks_at
 from usd_scenes import complaints, full_cube, stage_at, usd_mesh
 
+BODY_START = poles(6).n_vertices  # vertices of the eye come first
 PLACE = np.array([[0, 2.0, 0, 0], [-2.0, 0, 0, 0], [0, 0, 2.0, 0], [5, 6, 7, 1]])
 
 
@@ -63,8 +64,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("usd parts")
     scene, hero = _scene(), place / "hero.usda"
     _stage(hero, scene)
-    first = scene.n_vertices - creature().n_vertices
-    picked = first + np.linspace(0, creature().n_vertices - 1, 9).astype(int)
+    picked = BODY_START + np.linspace(0, creature().n_vertices - 1, 9).astype(int)
     write_landmarks(place / "landmarks.json", marks_at(picked, "hero", "hero"))
     request = MatchRequest(hero, hero, place / "R", place / "landmarks.json", level=1, k=30, part="component:1")
     run_match(request, Stages())
@@ -74,12 +74,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_layers_about_a_part_of_a_prim_fit_the_prim(folder: Path) -> None:
     scene = _scene()
-    first = scene.n_vertices - creature().n_vertices
     side = np.linspace(0.1, 0.9, scene.n_vertices)
     np.savez(folder / "side.npz", side=side)
     np.savez(folder / "skin.npz", hip=side, head=1 - side)
     smile = np.zeros((scene.n_vertices, 3))
-    smile[first + 4] = (0, 0.1, 0)
+    smile[BODY_START + 4] = (0, 0.1, 0)
     np.savez(folder / "smile.npz", smile=smile)
     result = folder / "R"
     for name, options in (
@@ -91,15 +90,15 @@ def test_layers_about_a_part_of_a_prim_fit_the_prim(folder: Path) -> None:
         run_transfer(TransferRequest(result, folder / f"{name}_out.npz", usd=layer, **options), Stages())
         assert complaints(layer) == [], name
     read = {name: read_usd_meshes(folder / f"{name}.usda")[0] for name in ("side", "weights", "shapes")}
-    np.testing.assert_allclose(read["side"].attributes["side"][first:], side[first:], atol=1e-5)
-    assert not read["side"].attributes["side"][:first].any()
+    np.testing.assert_allclose(read["side"].attributes["side"][BODY_START:], side[BODY_START:], atol=1e-5)
+    assert not read["side"].attributes["side"][:BODY_START].any()
     weights = read["weights"].attributes["skel:jointWeights"]
-    np.testing.assert_allclose(weights[first:, 0], side[first:], atol=1e-5)
+    np.testing.assert_allclose(weights[BODY_START:, 0], side[BODY_START:], atol=1e-5)
     np.testing.assert_allclose(read["shapes"].attributes["blendShape:smile"], smile, atol=1e-5)
     run_wrap(WrapRequest((result,), folder / "wrapped.usda"), Stages())
     assert complaints(folder / "wrapped.usda") == []
     wrapped = read_usd(folder / "wrapped.usda")
-    np.testing.assert_allclose(wrapped.positions[:first], scene.positions[:first], atol=1e-6)
+    np.testing.assert_allclose(wrapped.positions[:BODY_START], scene.positions[:BODY_START], atol=1e-6)
     assert np.abs(wrapped.positions - scene.positions).max() < 0.05 * np.ptp(scene.positions)
 
 
@@ -111,7 +110,7 @@ def test_a_new_layout_of_a_part_fits_the_prim(folder: Path) -> None:
     assert complaints(folder / "look.usda") == []
     (mesh,) = read_usd_meshes(folder / "look.usda")
     layout = mesh.control.with_uv_set("cagemap_st")
-    outside = layout.face_indices < _scene().n_vertices - creature().n_vertices
+    outside = layout.face_indices < BODY_START
     assert np.ptp(layout.uvs[layout.uv_indices[~outside]], axis=0).min() > 0.5
     assert not np.ptp(layout.uvs[layout.uv_indices[outside]], axis=0).any()
 

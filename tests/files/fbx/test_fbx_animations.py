@@ -39,7 +39,7 @@ def test_an_animation_moves_joints_and_shapes(tmp_path: Path) -> None:
 
 def test_a_shape_moves_on_all_nodes_that_share_its_mesh(tmp_path: Path) -> None:
     made = fbx_arm()
-    mesh = next(one.properties[0] for one in made.objects if one.properties[-1] == "Mesh" and one.name == "Geometry")
+    mesh = made.named("Geometry", "Mesh").properties[0]
     made.connect(mesh, made.add("Model", "second", "Mesh"))
     document = read_document(fbx_file(tmp_path, made))
     nodes = [node["name"] for node in document.json["nodes"]]
@@ -50,7 +50,7 @@ def test_a_shape_moves_on_all_nodes_that_share_its_mesh(tmp_path: Path) -> None:
 
 def test_a_shape_that_an_animation_does_not_move_keeps_its_weight(tmp_path: Path) -> None:
     made = fbx_arm()
-    blend = next(one.properties[0] for one in made.objects if one.properties[-1] == "BlendShape")
+    blend = made.named("Deformer", "BlendShape").properties[0]
     percent = Node("DeformPercent", (25.0,)), Node("FullWeights", (np.array([100.0]),))
     channel = made.add("Deformer", "lower", "BlendShapeChannel", *percent, to=blend)
     offsets = Node("Indexes", (np.array([0], "<i4"),)), Node("Vertices", (np.array([0.0, 0.0, -1.0]),))

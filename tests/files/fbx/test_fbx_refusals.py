@@ -46,7 +46,7 @@ def test_what_is_no_fbx_is_refused_by_name(content: bytes, message: str, tmp_pat
 
 def test_weights_of_vertices_that_are_not_there_are_refused_by_name(tmp_path: Path) -> None:
     made = fbx_arm()
-    cluster = next(one for one in made.objects if one.properties[2] == "Cluster")
+    cluster = made.named("Deformer", "Cluster")
     next(one for one in cluster.inside if one.name == "Indexes").properties[0][0] = 29445
     refuses(FormatError, "strip: a skin or shape of 6 vertices lists 29445", read_mesh, fbx_file(tmp_path, made))
 
