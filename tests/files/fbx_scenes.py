@@ -243,7 +243,6 @@ def fbx_file(folder: Path, made: Fbx, name: str = "arm.fbx") -> Path:
 
 def half_a_second_in(character: Character) -> np.ndarray:
     """Positions of the first part at 0.5 s of the first animation."""
-    assert character.rig is not None
     return skinned_positions(character.parts[0], character.rig, pose_at(character.rig, character.animations[0], 0.5))
 
 

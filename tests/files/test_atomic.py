@@ -194,9 +194,7 @@ def test_files_that_go_together_are_all_left_where_one_may_not_be_replaced(tmp_p
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"second.txt": "somebody else's"}
 
 
-def test_files_that_go_together_are_all_left_where_one_cannot_be_moved(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_that_go_together_are_all_left_where_one_cannot_be_moved(tmp_path, monkeypatch):
     """As where another program has the last one open, on Windows."""
     honest = os.replace
     write_whole(tmp_path / "old.txt", f"{mark()} old")
@@ -289,9 +287,7 @@ def test_other_folders_and_files_are_never_overwritten(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["late", "work"]
 
 
-def test_a_folder_without_permission_is_refused_by_a_name_that_it_would_get(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_without_permission_is_refused_by_a_name_that_it_would_get(tmp_path, monkeypatch):
     monkeypatch.setattr("os.access", lambda *_: False)
     with pytest.raises(FormatError, match=r"a\.txt: cannot write to the folder"), atomic_folder(tmp_path, ["a.txt"]):
         pass

@@ -120,9 +120,7 @@ def test_channel_names_are_kept(tmp_path: Path) -> None:
         ("a.tif", "uint8", 5, "1 to 4 channels, got 5"),
     ],
 )
-def test_what_a_format_cannot_hold_is_refused(
-    tmp_path: Path, name: str, dtype: str, channels: int, remedy: str
-) -> None:
+def test_what_a_format_cannot_hold_is_refused(tmp_path, name, dtype, channels, remedy):
     refuses(FormatError, remedy, write_image, tmp_path / name, np.zeros((2, 2, channels), dtype=dtype))
     assert list(tmp_path.iterdir()) == []
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from cagemap import Surface, match, prepare_surface, update_match
 from cagemap.deform.config import StartConfig
 from cagemap.errors import DirectionError, FormatError, InvalidLandmarksError
-from cagemap.files.landmarks.point_formats import POINT_FORMS, PointForm, write_points
+from cagemap.files.landmarks.point_formats import POINT_FORMS, write_points
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.ownership import mark
 from cagemap.maps.pair import NEAR_VERTICES
@@ -42,9 +42,7 @@ NAMES = st.text(st.characters(exclude_categories=("C", "Z")), min_size=1, max_si
 @settings(max_examples=20)
 @given(st.data())
 @pytest.mark.parametrize("form", POINT_FORMS, ids=lambda form: form.ending)
-def test_what_is_written_reads_back(
-    tmp_path_factory: pytest.TempPathFactory, form: PointForm, data: st.DataObject
-) -> None:
+def test_what_is_written_reads_back(tmp_path_factory, form, data):
     mesh = creature()
     names = tuple(data.draw(st.lists(NAMES, unique=True, max_size=6)))
     some = st.lists(st.integers(0, mesh.n_vertices - 1), min_size=len(names), max_size=len(names), unique=True)

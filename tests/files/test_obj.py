@@ -212,7 +212,6 @@ def test_materials_of_one_name_stay_two(tmp_path: Path) -> None:
 
 def test_missing_material_file_leaves_colours_unknown(tmp_path: Path) -> None:
     mesh = read_text(tmp_path, "mtllib gone.mtl\n" + SQUARE + "usemtl a\nf 1 2 3\n")
-    assert mesh.material_colors is not None
     assert np.isnan(mesh.material_colors).all()
 
 
@@ -313,9 +312,7 @@ def test_names_that_cannot_stand_on_a_line_are_refused(tmp_path: Path) -> None:
         "a\u0308.mtl",
     ],
 )
-def test_material_files_are_named_from_the_folder_of_a_copy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, names: str, folder: str, on_another_drive: bool
-) -> None:
+def test_material_files_are_named_from_the_folder_of_a_copy(tmp_path, monkeypatch, names, folder, on_another_drive):
     scene = tmp_path / folder
     for place in (scene, tmp_path / "mats", tmp_path / "deep/er"):
         place.mkdir(parents=True)

@@ -181,9 +181,7 @@ def test_polypaint_becomes_vertex_colours(tmp_path: Path) -> None:
         (["0 0 0 .1 .2 .3 1", "1 0 0", "0 1 0 .5 .5 .5"], [0.1, 0.2, 0.3]),
     ],
 )
-def test_a_colour_with_opacity_or_a_weighted_position_is_read(
-    tmp_path: Path, lines: list[str], first: list[float]
-) -> None:
+def test_a_colour_with_opacity_or_a_weighted_position_is_read(tmp_path, lines, first):
     (tmp_path / "a.obj").write_text("".join(f"v {line}\n" for line in lines) + "f 1 2 3\n")
     colors = read_obj(tmp_path / "a.obj").vertex_colors
     np.testing.assert_allclose(colors[0], first)

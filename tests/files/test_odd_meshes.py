@@ -85,9 +85,7 @@ def test_binary_ply_of_both_byte_orders_and_any_line_ends(tmp_path: Path, order:
     [("uchar", 255, 1 / 255), ("ushort", 65535, 1 / 65535), ("float", 1, 1.0), ("float", 255, 1 / 255)],
 )
 @pytest.mark.parametrize("prefix", ["", "diffuse_"])
-def test_colours_of_ply_are_shares_of_what_their_type_holds(
-    tmp_path: Path, kind: str, full: int, one: float, prefix: str
-) -> None:
+def test_colours_of_ply_are_shares_of_what_their_type_holds(tmp_path, kind, full, one, prefix):
     channels = "".join(f"property {kind} {prefix}{name}\n" for name in ("red", "green", "blue"))
     for top in {full, 1} if kind != "float" else {full}:
         rows = _ROWS.replace(" 0\n", f" 0 {top} 1 0\n")

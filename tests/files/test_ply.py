@@ -288,9 +288,7 @@ def test_images_after_long_comments_are_found(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
-def test_only_a_property_of_faces_numbers_their_images(
-    vertices: str, faces: str, numbered: bool, line_end: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_only_a_property_of_faces_numbers_their_images(vertices, faces, numbered, line_end, tmp_path, caplog):
     """Without it all faces have the first image that exists."""
     (tmp_path / "light.png").write_bytes(b"image")
     images = "comment TextureFile dark.png\ncomment TextureFile light.png\n"

@@ -96,9 +96,7 @@ def test_numbers_have_32_bits_and_those_of_older_folders_64(result: MatchResult,
     assert back.triangle.dtype == back.source.faces.dtype == np.int64
 
 
-def test_vertices_of_messages_come_back_and_those_of_older_folders_without_places(
-    result: MatchResult, folder: Path
-) -> None:
+def test_vertices_of_messages_come_back_and_those_of_older_folders_without_places(result, folder):
     control = result.source.control
     suspect = LandmarkSuspect("tail", 1, 0.5, control.file_vertex(4), control.file_vertex(3), DISTANCES)
     quality = replace(result.quality, landmark_errors=result.quality.landmark_errors[[0, 2]])
@@ -263,7 +261,6 @@ def test_a_result_of_before_is_sure_only_if_its_map_may_be_now(result: MatchResu
 def test_all_uv_sets_come_back(result: MatchResult, tmp_path: Path) -> None:
     """`wrap RESULT` and `transfer` write them again."""
     control = result.target.control
-    assert control.uv_indices is not None
     second = UvSet("light", np.random.default_rng(1).random((30, 2)), control.uv_indices[::-1])
     target = Surface(refine(replace(control, uv_sets=(second,)), 2, CatmullClark("edge_only")), BasisConfig(count=4))
     write_result(tmp_path / "R", replace(result, target=target))

@@ -233,9 +233,7 @@ def test_the_first_uv_set_is_that_of_the_material_s_colour(kind: str, on_faces: 
     assert further == (["lightmap"] if kind == "TexCoord2fArray" else [])
 
 
-def test_texture_coordinates_of_three_components_are_named_once_and_kept_as_values(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_texture_coordinates_of_three_components_are_named_once_and_kept_as_values(tmp_path, caplog):
     with stage_at(tmp_path / "cube.usda") as stage:
         uvw = UsdGeom.PrimvarsAPI(usd_mesh(stage, "/cube", cube())).CreatePrimvar(
             "uvw", Sdf.ValueTypeNames.TexCoord3fArray, "vertex"
@@ -417,9 +415,7 @@ def test_meshes_of_different_schemes_are_read_for_their_parts(tmp_path: Path) ->
     assert "object:/Asset/eye" in text, text
 
 
-def test_in_betweens_are_left_out_aloud_and_shapes_without_a_target_refused(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_in_betweens_are_left_out_aloud_and_shapes_without_a_target_refused(tmp_path, caplog):
     path = tmp_path / "cube.usda"
     write_usd(path, full_cube(), UsdResults(attributes={"blendShape:smile": np.eye(3)[np.arange(8) % 3]}))
     stage = Usd.Stage.Open(str(path))

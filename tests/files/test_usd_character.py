@@ -51,7 +51,6 @@ def _written(path: Path, made: Character, document: Document | None = None, **op
 def _as_gltf_says(made: Character, scene: Scene, number: int, seconds: float) -> dict[str, np.ndarray]:
     """Skinned and shaped points of all parts, by linear blend skinning as glTF defines it."""
     keys = read_shape_keys(scene, number)
-    assert made.rig is not None
     transforms = pose_at(made.rig, made.animations[number], seconds)
     found = {}
     for part in made.parts:

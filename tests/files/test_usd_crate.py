@@ -102,9 +102,7 @@ def crate_of(path: Path, kind: str, values: np.ndarray, *, sampled: bool = False
 @pytest.mark.parametrize("package", [False, True])
 @pytest.mark.parametrize("sampled", [False, True])
 @pytest.mark.parametrize("kind", ARRAYS)
-def test_an_array_that_states_more_than_it_holds_is_refused(
-    kind: str, sampled: bool, package: bool, tmp_path: Path
-) -> None:
+def test_an_array_that_states_more_than_it_holds_is_refused(kind, sampled, package, tmp_path):
     path = tmp_path / "box.usdc"
     content = crate_of(path, kind, ARRAYS[kind], sampled=sampled)
     check_crate(path)

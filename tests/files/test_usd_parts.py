@@ -268,9 +268,7 @@ def test_a_target_that_is_gone_has_no_units_and_that_is_said(folder: Path, tmp_p
     assert any("units, up axis and transform are not known" in text for text in warnings)
 
 
-def test_values_under_a_changed_name_take_no_other_primvars_place(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_values_under_a_changed_name_take_no_other_primvars_place(tmp_path, capfd):
     mesh = full_cube()
     write_usd(tmp_path / "cube.usda", mesh, UsdResults(attributes={"fur_length": np.arange(8.0)}))
     given = {"fur length": -np.arange(8.0), mesh.uv_name or "st": np.zeros((8, 2))}
@@ -356,9 +354,7 @@ def test_materials_are_those_that_usd_resolves(tmp_path: Path) -> None:
     }
 
 
-def test_curves_copies_and_values_of_as_many_faces_as_vertices_are_left_out_aloud(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_curves_copies_and_values_of_as_many_faces_as_vertices_are_left_out_aloud(tmp_path, caplog):
     ring = torus()
     assert ring.n_faces == ring.n_vertices
     with stage_at(tmp_path / "ring.usda") as stage:
@@ -395,9 +391,7 @@ def test_values_of_vertices_stay_with_them_where_there_are_as_many_corners(orien
     np.testing.assert_array_equal(again.attributes["back"], np.arange(6))
 
 
-def test_values_of_corners_that_would_be_taken_for_vertices_are_left_out(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_values_of_corners_that_would_be_taken_for_vertices_are_left_out(tmp_path, caplog):
     """As many vertices as corners, of which two share one and one is in no face."""
     with stage_at(tmp_path / "m.usda") as stage:
         corners = np.array([0, 1, 2, 2, 1, 3])
@@ -449,9 +443,7 @@ def test_creasing_that_usd_has_no_word_for_is_left_out_aloud(tmp_path: Path, cap
 
 
 @pytest.mark.parametrize(("scale", "said"), [((-2, 2, 2), "mirrors"), ((1, 1, 3), "distorts"), ((-2, -2, 2), "")])
-def test_a_transform_that_changes_the_shape_of_an_only_mesh_is_said(
-    scale: tuple[float, float, float], said: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_transform_that_changes_the_shape_of_an_only_mesh_is_said(scale, said, tmp_path, caplog):
     with stage_at(tmp_path / "scaled.usda") as stage:
         UsdGeom.Xform.Define(stage, "/x").AddScaleOp().Set(scale)
         usd_mesh(stage, "/x/box", cube())
@@ -467,7 +459,6 @@ def test_a_mirrored_mesh_is_shown_upright(tmp_path: Path) -> None:
         mesh.AddRotateYOp().Set(90.0)
         mesh.AddScaleOp().Set((-1.0, 2.0, 3.0))
     turn = read_usd(tmp_path / "mirrored.usda").upright
-    assert turn is not None
     np.testing.assert_allclose(np.linalg.det(turn), 1.0)
     np.testing.assert_allclose([1, 0, 0] @ turn, [0, 1, 0], atol=1e-12)
 
@@ -485,9 +476,7 @@ def test_several_meshes_are_upright_as_their_world(tmp_path: Path) -> None:
         np.testing.assert_array_equal([0, 0, 1] @ mesh.upright, [0, 1, 0])
 
 
-def test_a_binding_without_its_schema_is_read_without_a_word_of_usd(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_binding_without_its_schema_is_read_without_a_word_of_usd(tmp_path, capfd):
     with stage_at(tmp_path / "cube.usda") as stage:
         prim = usd_mesh(stage, "/cube", cube()).GetPrim()
         UsdShade.Material.Define(stage, "/red")
@@ -527,9 +516,7 @@ def test_groups_come_back_by_the_names_that_were_written(tmp_path: Path) -> None
     assert read_usd(tmp_path / "box.usda").group_names == ("arm.L", "leg")
 
 
-def test_subsets_of_faces_that_are_not_there_are_left_out_aloud(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_subsets_of_faces_that_are_not_there_are_left_out_aloud(tmp_path, caplog):
     with stage_at(tmp_path / "asset.usda") as stage:
         mesh = usd_mesh(stage, "/A/m", cube())
         UsdGeom.Subset.CreateGeomSubset(mesh, "one", "face", [0, 5], "picked")

@@ -223,9 +223,7 @@ def test_two_answers_stand_side_by_side(result: MatchResult) -> None:
         assert not draw_gallery(sure, size=(30, 20)).answers
 
 
-def test_how_sure_a_map_is_reads_alike_on_terminal_in_manifest_and_report(
-    result: MatchResult, gallery: Gallery, tmp_path: Path
-) -> None:
+def test_how_sure_a_map_is_reads_alike_on_terminal_in_manifest_and_report(result, gallery, tmp_path):
     places, none = result.point_map.images.positions, np.zeros(0, dtype=np.int64)
     answers = (Placement(places, 1e-4, name="one"), Placement(places, 1.1e-4, name="another"))
     free = replace(

@@ -21,7 +21,6 @@ from refusals import refuses
 @pytest.fixture(scope="module")
 def surface() -> TriangleSurface:
     level = refine(creature(), 1).finest
-    assert level.faces is not None
     return TriangleSurface.from_faces(7.0 * level.positions, level.faces)
 
 
@@ -121,9 +120,7 @@ def test_points_of_the_surface_are_nearest_to_themselves(surface: TriangleSurfac
 
 
 @pytest.mark.parametrize("asked", [(), ("positions",), ("positions", "normals")])
-def test_places_and_normals_are_those_of_the_points_that_took_others_place(
-    surface: TriangleSurface, asked: tuple[str, ...]
-) -> None:
+def test_places_and_normals_are_those_of_the_points_that_took_others_place(surface, asked):
     points, others = some_points(surface, 9, 5), some_points(surface, 2, 6)
     known = [getattr(points, name) for name in asked]
     changed = points.replaced(np.array([8, 1]), others)
@@ -155,9 +152,7 @@ def test_some_points_and_points_in_place_of_others(surface: TriangleSurface) -> 
         ([0, 1], [[1, 0, 0]], "barycentric"),
     ],
 )
-def test_what_is_no_point_is_refused(
-    surface: TriangleSurface, triangle: list[int], barycentric: list[list[float]], match: str
-) -> None:
+def test_what_is_no_point_is_refused(surface, triangle, barycentric, match):
     refuses(ParameterError, match, SurfacePoints, surface, np.array(triangle), np.array(barycentric, dtype=float))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -36,9 +35,7 @@ def test_a_texture_inside_the_file_or_beside_it(where: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(("angle", "across", "deep"), [(30.0, 4.0, 1), (0.0, 2.0, 0), (30.0, 2.0, 1), (0.0, 0.0, 1)])
-def test_a_texture_that_is_moved_turned_and_scaled(
-    angle: float, across: float, deep: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_texture_that_is_moved_turned_and_scaled(angle, across, deep, tmp_path, caplog):
     """In FBX the image is scaled, turned and moved over the coordinates: not always what glTF can say.
 
     The third scale has no effect; assimp writes 0.
@@ -125,9 +122,7 @@ def test_a_texture_that_cannot_be_read_is_said(tmp_path: Path, caplog: pytest.Lo
         ({"TransparencyFactor": 1.0, "TransparentColor": (1.0, 1.0, 1.0)}, 1.0, True),
     ],
 )
-def test_opacity_is_kept(
-    skin: dict[str, Any], alpha: float, said: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_opacity_is_kept(skin, alpha, said, tmp_path, caplog):
     with caplog.at_level(logging.WARNING):
         document = read_document(fbx_file(tmp_path, fbx_arm(**skin)))
     (material,) = document.json["materials"]

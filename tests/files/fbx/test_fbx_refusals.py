@@ -77,24 +77,19 @@ def test_numbers_that_are_not_finite_are_refused_by_name(kind: str, entry: str, 
     refuses(FormatError, rf"arm\.fbx: .*\({said} .* not finite\)", read_mesh, fbx_file(tmp_path, made))
 
 
-def test_normals_that_are_not_finite_are_computed_from_the_faces(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_normals_that_are_not_finite_are_computed_from_the_faces(tmp_path, caplog):
     """Some exporters write such normals where a face has no area."""
     made = fbx_arm()
     normals = np.tile(np.array([0.6, 0.0, 0.8]) @ TO_FBX / 100.0, (8, 1))
     normals[7] = np.nan
     add_layer(made, layer("Normal", "", "ByPolygonVertex", Normals=normals.ravel()))
     (part,) = read_character(fbx_file(tmp_path, made)).parts
-    assert part.normals is not None
     np.testing.assert_allclose(part.normals, [[0.6, 0.0, 0.8]] * 7 + [[0.0, 0.0, 1.0]], atol=1e-6)
     assert "strip: 1 normals are not finite and are computed from the faces" in caplog.text
 
 
 @pytest.mark.parametrize("child", ["import os; os.abort()", "raise RuntimeError"])
-def test_a_crash_of_the_library_is_an_error_message(
-    child: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_crash_of_the_library_is_an_error_message(child, tmp_path, monkeypatch):
     monkeypatch.setattr(fbx_read, "_CHILD", child)
     with pytest.raises(FormatError, match=r"arm\.fbx: the FBX library stopped.*Export it again"):
         read_mesh(fbx_file(tmp_path, fbx_arm()))
@@ -113,9 +108,7 @@ def test_without_its_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.slow
-def test_a_new_process_answers_as_the_server_and_runs_no_modules_of_the_working_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_new_process_answers_as_the_server_and_runs_no_modules_of_the_working_folder(tmp_path, monkeypatch, caplog):
     """A folder of downloads may hold anything."""
     monkeypatch.setattr(fbx_read, "subprocess", subprocess)
     (tmp_path / "ufbx.py").write_text("raise SystemExit(9)")

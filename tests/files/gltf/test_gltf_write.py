@@ -209,7 +209,6 @@ def test_a_new_image_of_one_material_replaces_the_old_one() -> None:
 def test_more_than_four_influences_and_256_joints(tmp_path: Path) -> None:
     character = character_of(arm())
     rig, strip = character.rig, character.parts[1]
-    assert rig is not None
     count = 300
     many = replace(
         rig,
