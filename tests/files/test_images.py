@@ -10,13 +10,7 @@ import numpy as np
 import pytest
 
 from cagemap.errors import FormatError
-from cagemap.files.images.image import (
-    Image,
-    pixel_type,
-    read_image,
-    unpremultiply,
-    write_image,
-)
+from cagemap.files.images.image import Image, pixel_type, read_image, unpremultiply, write_image
 
 from refusals import refuses
 

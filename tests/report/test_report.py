@@ -21,15 +21,7 @@ from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import FileVertex
-from cagemap.report import (
-    CarriedData,
-    CarriedItem,
-    Gallery,
-    Weights,
-    build_page,
-    draw_carried,
-    draw_gallery,
-)
+from cagemap.report import CarriedData, CarriedItem, Gallery, Weights, build_page, draw_carried, draw_gallery
 from cagemap.report.figures import BACKGROUND, display_image
 from cagemap.report.rig_panels import MAX_PANEL_POSES, cage_edges, control_edges
 from cagemap.subdivision.refinement import finest_mesh

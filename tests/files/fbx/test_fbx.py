@@ -23,17 +23,7 @@ from cagemap.tasks.mesh_commands import run_check, run_refine
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest, RefineRequest
 
-from fbx_scenes import (
-    BOX,
-    PNG,
-    TO_FBX,
-    Fbx,
-    Node,
-    fbx_arm,
-    fbx_file,
-    half_a_second_in,
-    properties,
-)
+from fbx_scenes import BOX, PNG, TO_FBX, Fbx, Node, fbx_arm, fbx_file, half_a_second_in, properties
 from gltf_scenes import arm
 
 pytest.importorskip("ufbx")

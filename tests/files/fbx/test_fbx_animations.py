@@ -12,16 +12,7 @@ from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import read_document
 from cagemap.files.gltf.entries import read_accessor
 
-from fbx_scenes import (
-    BOX,
-    SECOND,
-    Node,
-    add_curve,
-    fbx_arm,
-    fbx_file,
-    half_a_second_in,
-    properties,
-)
+from fbx_scenes import BOX, SECOND, Node, add_curve, fbx_arm, fbx_file, half_a_second_in, properties
 
 pytest.importorskip("ufbx")
 pytestmark = pytest.mark.usefixtures("fbx_server")

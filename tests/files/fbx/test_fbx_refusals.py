@@ -13,15 +13,7 @@ from cagemap.files.fbx import read as fbx_read
 from cagemap.files.gltf.character import read_character
 from cagemap.files.meshes.formats import read_mesh
 
-from fbx_scenes import (
-    TO_FBX,
-    Fbx,
-    add_layer,
-    fbx_arm,
-    fbx_file,
-    layer,
-    properties,
-)
+from fbx_scenes import TO_FBX, Fbx, add_layer, fbx_arm, fbx_file, layer, properties
 from refusals import refuses
 
 pytest.importorskip("ufbx")
