@@ -70,3 +70,11 @@ class MatchConfig(Config):
             raise ParameterError("symmetries: expected the method paper or hfm, which use them, got 'elastic'")
         if self.masks.any and self.method != "elastic":
             raise ParameterError(f"masks: expected the method elastic, which alone knows them, got {self.method!r}")
+
+    def require_elastic(self, function: str) -> None:
+        """Raise ParameterError for another method, for a function of prepared pairs."""
+        if self.method != "elastic":
+            raise ParameterError(
+                f"{function}: expected the method elastic, which alone has prepared pairs, got {self.method!r}; "
+                "cagemap.match runs all methods"
+            )

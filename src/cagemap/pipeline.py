@@ -16,7 +16,13 @@ from cagemap.deform.refit import fit_from_shape
 from cagemap.deform.update import linear_update
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.coincident_map import coincident_map
-from cagemap.maps.hypotheses.confidence import answer_confidence, jump_lengths, prolong_answers, turned_limb_answers
+from cagemap.maps.hypotheses.confidence import (
+    answer_confidence,
+    jump_lengths,
+    prolong_answers,
+    remaining_doubt,
+    turned_limb_answers,
+)
 from cagemap.maps.hypotheses.search import distinct_answers, search_from_source, search_placements
 from cagemap.maps.landmarks.check import (
     LandmarkCheck,
@@ -39,7 +45,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, one_blas_thread
 from cagemap.paper.hfm import hfm_map
 from cagemap.paper.method import paper_map, search_levels
-from cagemap.paper.symmetries import paired_mirrors
+from cagemap.paper.symmetries import paired_mirrors, refuse_plain_symmetries
 from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
 from cagemap.spectral.surface import DEFAULT_VERTICES, Surface
 from cagemap.spectral.surface import ENOUGH as ENOUGH
@@ -170,11 +176,7 @@ def match_pair(
     ParameterError
         If the config asks for another method, start, elastic fit or masks than the pair was prepared for.
     """
-    if config.method != "elastic":
-        raise ParameterError(
-            f"match_pair: expected the method elastic, which alone has prepared pairs, got {config.method!r}; "
-            "cagemap.match runs all methods"
-        )
+    config.require_elastic("match_pair")
     prepared.require_same(config.start, config.elastic, config.masks)
     landmarks = Landmarks.none() if landmarks is None else landmarks
     check_landmarks(landmarks, prepared.target.control, prepared.source.control)
@@ -232,6 +234,7 @@ def update_match(
 
     The map responds elastically to the landmarks; its error is within a few percent of that of a new match
     (docs/lab/fit_experiments.md). If landmarks change which parts correspond (an arm instead of a leg), match again.
+    With fewer than three landmarks the ``confidence`` is that of the match before, without answers that they exclude.
 
     Parameters
     ----------
@@ -257,23 +260,26 @@ def update_match(
     point_map = before.point_map
     check = before.landmark_check.for_changed(before.landmarks, landmarks)
     timings: dict[str, float] = {}
-    problem = Problem.of_landmarks(prepared, landmarks)
+    problem, confidence = Problem.of_landmarks(prepared, landmarks), None
     with one_blas_thread(), _timed(timings, "map"):
         if config.check_landmarks:
             check = check_changes(problem, landmarks.new_since(before.landmarks), check, point_map)
         trusted = problem.without(check.left_out)
         coincident = coincident_map(trusted)
         if coincident is not None:
-            point_map, _ = coincident
+            point_map, confidence = coincident
+            confidence = prolong_answers(confidence, prepared)
         else:
             progress("elastic update")
             places = linear_update(trusted, point_map)
             progress("closest points")
             point_map = map_of_places(trusted, places)
+            if max(len(before.landmarks), len(landmarks)) < FEWEST_LANDMARKS:
+                confidence = remaining_doubt(before.confidence, trusted)
     if preview is not None:
         preview(point_map)
     progress("quality")
-    return result_of_fit(problem, point_map, landmarks, check, timings, before.shared)
+    return result_of_fit(problem, point_map, landmarks, check, timings, before.shared, confidence)
 
 
 @arrays_accepted
@@ -300,7 +306,7 @@ def match_next(
     landmarks : Landmarks or (p, 2) array, optional
         Between the target and this frame; constraints of the fit.
     config : MatchConfig
-        Of method "elastic".
+        Of method "elastic". Without a mask of the target, that of the match before is used.
     progress : callable
 
     Raises
@@ -309,7 +315,12 @@ def match_next(
         If the frame is not an oriented connected manifold.
     InvalidLandmarksError
         If the landmarks do not fit the control meshes.
+    ParameterError
+        If the config asks for another method.
     """
+    config.require_elastic("match_next")
+    if config.masks.target is None and before.masks.target is not None:
+        config = replace(config, masks=replace(config.masks, target=before.masks.target))
     landmarks = Landmarks.none() if landmarks is None else landmarks
     if not isinstance(source, Surface):
         source = prepare_surface(source, choose_level(source, DEFAULT_VERTICES))
@@ -367,10 +378,8 @@ def other_answer(
 @arrays_accepted
 def pair_of(target: Surface, source: Surface, landmarks: LandmarksLike, config: MatchConfig = MatchConfig()) -> Pair:
     """Pair of two surfaces with landmarks, and with symmetries, given or found for "paper" (5.2)."""
-    if config.symmetries and (target.refinement.is_plain or source.refinement.is_plain):
-        raise ParameterError(
-            "symmetries: expected none with a plain mesh (scheme none), whose vertices mirror none. Leave them out."
-        )
+    if config.symmetries:
+        refuse_plain_symmetries(target, source)
     pair = Pair(target, source, point_pairs(target, source, landmarks), config.symmetries)
     if config.method != "paper" or not config.use_symmetry or config.symmetries:
         return pair

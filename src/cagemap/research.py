@@ -58,7 +58,7 @@ from cagemap.paper.method import (
     search_level,
     search_levels,
 )
-from cagemap.paper.symmetries import check_symmetry
+from cagemap.paper.symmetries import check_symmetry, refuse_plain_symmetries
 from cagemap.pipeline import MAP_BASIS, MatchResult, prepare_pair, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule
@@ -126,7 +126,8 @@ def make_pair(
     Raises
     ------
     ParameterError
-        If the sides do not correspond one to one, or a self-map is not one of control vertices.
+        If the sides do not correspond one to one, a self-map is not one of control vertices, or a mesh with
+        symmetries is plain.
     """
     vertices = [whole_numbers(side, f"landmarks: {name}") for side, name in zip(landmarks, SIDES, strict=True)]
     if vertices[0].shape != vertices[1].shape or vertices[0].ndim != 1:
@@ -135,6 +136,8 @@ def make_pair(
         )
     if not all(isinstance(pair, Sequence) and len(pair) == 2 for pair in symmetries):
         raise ParameterError("symmetries: expected pairs of arrays, the target's images and the source's, got others")
+    if len(symmetries):
+        refuse_plain_symmetries(target, source)
     self_maps = [tuple(whole_numbers(side, "symmetries") for side in pair) for pair in symmetries]
     for on_target, on_source in self_maps:
         check_symmetry(on_target, target.control)
@@ -308,8 +311,9 @@ def result_of_map(pair: Pair, point_map: PointMap, names: Sequence[str] = ()) ->
     Raises
     ------
     ParameterError
-        If the map is not of the target's finest level, or there is not a name for each landmark.
+        If the map is not of the finest levels of the pair, or there is not a name for each landmark.
     """
+    check_map(pair, point_map)
     target, source = pair.target, pair.source
     named = replace(pair.landmarks, names=tuple(names) or pair.landmarks.names)
     points = _cage_points(target, named.target), _cage_points(source, named.source)

@@ -134,6 +134,17 @@ def test_options_of_landmarks_and_symmetries_that_nothing_reads_are_named(tmp_pa
     ]
 
 
+@pytest.mark.parametrize(("scheme", "unused"), [("none", True), ("bilinear", True), ("catmull-clark", False)])
+def test_subdivision_options_of_schemes_without_them_are_named(tmp_path, scheme: str, unused: bool):
+    (target, *_), _ = files_of(tmp_path)
+    words = {"boundary": "edge-only", "uv_interpolation": "none", "creasing": "chaikin"}
+    notes = read_inputs(MatchRequest(target, target, tmp_path / "R", scheme=scheme, **words)).notes
+    named = [note.partition(" is not used")[0] for note in notes if "is not used" in note]
+    assert named == (["--boundary", "--uv-interpolation", "--creasing"] if unused else [])
+    one = MatchRequest(target, target, tmp_path / "R", target_scheme=scheme, source_scheme="catmull-clark", **words)
+    assert not any("is not used" in note for note in read_inputs(one).notes)
+
+
 def test_parameters_reach_the_method_they_belong_to():
     assert used_parameters(with_parameters(MatchConfig(method="paper"), ["rounds=3"]))["rounds"] == 3
     hfm = with_parameters(MatchConfig(method="hfm"), ["last=80", "signature_weight=0", "wave=4"]).hfm

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from cagemap.example import ExamplePair
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps.pair import Pair, PointPairs, locate
 from cagemap.maps.point_map import PointMap
+from cagemap.mesh import Plain
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.spectral import BasisConfig
 from cagemap.surface.surface_points import SurfacePoints
@@ -133,6 +135,13 @@ def test_what_does_not_fit_is_refused(itself):
         research.make_pair(itself.target, itself.source, symmetries=(backwards,))
     with pytest.raises(ParameterError, match="image of each of the"):
         research.make_pair(itself.target, itself.source, symmetries=((backwards, backwards[:-1]),))
+    plain = research.prepare(replace(shapes.cube(), scheme=Plain()), 0, BasisConfig(count=4, vertices=None))
+    with pytest.raises(ParameterError, match="symmetries: expected none with a plain mesh"):
+        research.make_pair(plain, plain, symmetries=((np.arange(8), np.arange(8)),))
+    coarse = itself.source.triangles(0)
+    other = PointMap.from_vertices(itself.target.finest_triangles, coarse, np.zeros(len(itself.target.vertices), int))
+    with pytest.raises(ParameterError, match=r"the finest of the pair, got .* belongs to another level"):
+        research.result_of_map(itself, other)
 
 
 def test_a_result_with_landmarks_between_vertices_is_written_and_read(itself, tmp_path):

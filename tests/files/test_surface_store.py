@@ -16,7 +16,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.result.manifest import code_version
 from cagemap.files.result.surface_store import load_or_prepare, load_surface, save_surface, surface_key
 from cagemap.mesh import CatmullClark
-from cagemap.pipeline import MatchConfig, match, prepare_surface
+from cagemap.pipeline import MatchConfig, match, prepare_surface, prepare_surfaces
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.surface import Surface
 
@@ -100,6 +100,16 @@ def test_operators_of_another_config_are_refused(surface, tmp_path):
     named = Surface.of(surface.hierarchy, surface.operators, surface.basis, other)
     refuses(ParameterError, "its operators are not those of its config", save_surface, tmp_path / "s.npz", named)
     assert not (tmp_path / "s.npz").exists()
+
+
+def test_numbers_of_numpy_are_stored(tmp_path):
+    control, config = shapes.cube(), BasisConfig(count=np.int64(6), vertices=np.int32(20))
+    levels = np.array([2, 2])
+    assert surface_key(control, levels[0], config=config) == surface_key(control, 2, config=replace(config, count=6))
+    surface = load_or_prepare(tmp_path, control, levels[0], config)
+    assert_same(load_or_prepare(tmp_path, control, levels[0], config, prepare=no_preparing), surface)
+    prepared = prepare_surfaces(control, control, levels, config)
+    save_surface(tmp_path / "s.npz", prepared[0])
 
 
 def test_the_second_time_it_is_read(surface, tmp_path):

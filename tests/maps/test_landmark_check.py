@@ -440,10 +440,23 @@ def test_a_suspect_stays_out_only_while_its_pair_is_the_same() -> None:
     assert judged.for_changed(before, corrected).suspects == ()
 
 
+def test_notes_on_pairs_that_changed_and_on_their_number_are_dropped() -> None:
+    before = Landmarks(("a", "b", "c"), np.array([3, 5, 9]), np.array([1, 2, 4]))
+    strain, kept = "landmark 'b' strains the map around it", "the distances of 'a', 'c' to the other landmarks differ"
+    few = "3 landmark pairs are too few to tell a wrong one; 6 or more are checked"
+    judged = LandmarkCheck(notes=(few, strain, kept, check.MIRRORED))
+    assert judged.for_changed(before, before).notes == judged.notes
+    moved = Landmarks(("a", "b", "c"), np.array([3, 6, 9]), np.array([1, 2, 4]))
+    assert judged.for_changed(before, moved).notes == (few, kept, check.MIRRORED)
+    assert judged.for_changed(before, before.without([0])).notes == (strain, check.MIRRORED)
+    added = before.joined_with(Landmarks(("d",), np.array([8]), np.array([8])))
+    assert judged.for_changed(before, added).notes == (strain, kept, check.MIRRORED)
+
+
 @pytest.mark.slow
 def test_an_update_checks_the_pairs_that_changed_and_keeps_what_was_known(pair, followed):
     _, source, landmarks = pair
-    before = replace(followed, landmark_check=LandmarkCheck(notes=("a note",)))
+    before = replace(followed, landmark_check=LandmarkCheck(notes=("a note", check.CONTRADICTION)))
     wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
     updated = update_match(before, wrong, QUICK)
     assert [suspect.pair for suspect in updated.suspects] == [3]

@@ -5,19 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from examples.shapes import creature
 
 from cagemap.deform.placement import Placement
-from cagemap.maps.hypotheses.confidence import TWO, Confidence, prolong_answers
+from cagemap.deform.problem import Problem
+from cagemap.maps.hypotheses.confidence import SURE, TWO, Confidence, prolong_answers, remaining_doubt
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import judge
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.pipeline import other_answer, prepare_pair, prepare_surface
+from cagemap.pipeline import other_answer, prepare_pair, prepare_surface, update_match
 
-from plain_meshes import animal
+from plain_meshes import animal, marks_at
 from quick_match import QUICK
 
 
@@ -50,6 +52,60 @@ def test_another_answer_of_an_open_plain_mesh_whose_coarse_level_is_deformed() -
     found = other_answer(before, 1, QUICK)
     assert np.linalg.norm(found.image() - opened.positions, axis=1).mean() < 0.01 * np.ptp(opened.positions)
     np.testing.assert_allclose(found.shared_shares, 1.0, atol=0.01)
+
+
+def two_answers(mesh: ControlMesh, level: int, *, first_is_right: bool = True) -> MatchResult:
+    """`result_of_two_answers` of a mesh on itself; the right answer, and one mirrored at a vertex in the middle."""
+    before = result_of_two_answers(mesh, level, Landmarks.none(), LandmarkCheck())
+    assert before.confidence is not None
+    right, wrong = before.confidence.answers
+    shift = 2 * wrong.positions[np.abs(mesh.positions[:, 0]).argmin()] * [1.0, 0.0, 0.0]
+    mirrored = replace(wrong, positions=wrong.positions * [-1.0, 1.0, 1.0] + shift)
+    confidence = replace(before.confidence, answers=(right, mirrored) if first_is_right else (mirrored, right))
+    return replace(before, confidence=confidence)
+
+
+@pytest.mark.parametrize(("mesh", "level"), [(creature(), 1), (animal(1), 0)])
+def test_an_update_keeps_the_doubt_until_landmarks_decide(mesh: ControlMesh, level: int) -> None:
+    side = int(np.abs(mesh.positions[:, 0]).argmax())
+    middle = int(np.abs(mesh.positions[:, 0]).argmin())
+    before = two_answers(mesh, level)
+    prepared = before.prepared
+    assert prepared is not None
+
+    def updated(first_is_right: bool, *vertices: int) -> Confidence | None:
+        given = two_answers(mesh, level, first_is_right=first_is_right)
+        problem = Problem.of_landmarks(prepared, marks_at(np.array(vertices)))
+        return remaining_doubt(given.confidence, problem)
+
+    kept = updated(True, middle)
+    assert kept is not None
+    assert (kept.verdict, len(kept.answers)) == (TWO, 2)
+    decided = updated(True, middle, side)
+    assert decided is not None
+    assert decided.verdict != TWO
+    assert [answer.name for answer in decided.answers] == ["first"]
+    contradicted = updated(False, side)
+    assert contradicted is not None
+    assert (contradicted.verdict, len(contradicted.answers)) == (TWO, 2)
+    assert before.confidence is not None
+    sure = replace(before.confidence, verdict=SURE, answers=before.confidence.answers[1:])
+    assert remaining_doubt(sure, Problem.of_landmarks(prepared, marks_at(np.array([side])))) is None
+
+
+def test_an_update_with_few_landmarks_has_a_confidence() -> None:
+    mesh = creature()
+    before = two_answers(mesh, 1)
+    one = marks_at(np.array([3]))
+    assert update_match(before, one, QUICK).confidence is not None
+    bent = mesh.with_positions(mesh.positions * (1 + 0.2 * mesh.positions[:, [1]]))
+    surface = prepare_surface(bent, 1)
+    apart = replace(before, source=surface, prepared=prepare_pair(before.target, surface, QUICK))
+    found = update_match(apart, one, QUICK)
+    assert found.confidence is not None
+    assert found.confidence.verdict == TWO
+    enough = marks_at(np.arange(0, 35, 5))
+    assert update_match(apart, enough, QUICK).confidence is None
 
 
 def test_another_answer_does_not_meet_landmarks_that_were_left_out() -> None:

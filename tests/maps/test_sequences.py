@@ -14,6 +14,9 @@ from cagemap.deform.config import RefitConfig
 from cagemap.deform.problem import PreparedPair
 from cagemap.errors import CagemapError, FormatError, ParameterError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.maps.masks import Masks
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.quality import measure_quality
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import MatchConfig, MatchResult, match_next, match_pair, prepare_pair, prepare_surface
@@ -89,6 +92,21 @@ def test_a_map_that_folds_is_matched_afresh(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(pipeline, "match_pair", matched)
     assert match_next(before, moving, config=config) is before
     assert asked == [still, moving, 0, config]
+
+
+def test_the_next_frame_has_the_target_s_mask_and_the_method_elastic() -> None:
+    surface = prepare_surface(torus(12, 8), LEVEL)
+    mask = (surface.vertices[:, 0] > 0).astype(float)
+    config = replace(QUICK, masks=Masks(mask))
+    finest = surface.finest_triangles
+    point_map = PointMap.from_vertices(finest, finest, np.arange(finest.n))
+    quality = measure_quality(point_map)
+    before = MatchResult(surface, surface, Landmarks.none(), point_map, quality, masks=config.masks)
+    np.testing.assert_array_equal(match_next(before, surface, config=QUICK).masks.target, mask)
+    other = replace(QUICK, masks=Masks(1.0 - mask))
+    np.testing.assert_array_equal(match_next(before, surface, config=other).masks.target, 1.0 - mask)
+    with pytest.raises(ParameterError, match="match_next: expected the method elastic"):
+        match_next(before, surface, config=MatchConfig(method="hfm"))
 
 
 def test_a_frame_is_not_overwritten_by_its_wrap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

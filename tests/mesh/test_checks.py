@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -360,3 +361,33 @@ def test_a_problem_says_whether_its_elements_are_vertices() -> None:
     mesh = pyramid()
     loose = check_mesh(ControlMesh.from_faces([*mesh.positions, [7.0, 8.0, 9.25]], faces_of(mesh)))
     assert [problem.of_vertices for problem in (*loose.problems, *check_mesh(flip(mesh, 1)).problems)] == [True, False]
+
+
+def test_elements_are_numbered_as_in_the_file() -> None:
+    torn = keep_faces(grid(4, 4), np.setdiff1d(np.arange(16), [5]))
+    positions = torn.positions.copy()
+    a, b, c, d = faces_of(grid(4, 4))[5]
+    positions[[c, d]] = positions[[b, a]] + 1e-9
+    fin = [[0, 1, 30], [30, 1, 31]]
+    sheet = ControlMesh.from_faces([*positions, *np.random.default_rng(2).random((7, 3))], [*faces_of(torn), *fin])
+    sheet = replace(flip(sheet, 3), file_vertices=100 + np.arange(32), file_faces=200 + np.arange(17))
+    alone = replace(sheet, file_vertices=None, file_faces=None)
+    found, own = check_mesh(sheet), check_mesh(alone)
+    kinds = [problem.kind for problem in found.problems]
+    assert kinds == [problem.kind for problem in own.problems]
+    assert {"isolated vertices", "inconsistent orientation"} <= set(kinds)
+    for one, other in zip(found.problems, own.problems, strict=True):
+        shift = 100 if one.of_vertices or np.ndim(one.elements) == 2 else 200
+        np.testing.assert_array_equal(one.elements, shift + np.array(other.elements))
+        assert one.places == other.places
+    slit = replace(torn.with_positions(positions), file_vertices=100 + np.arange(25))
+    report = check_mesh(slit)
+    assert report.boundary_loops is not None
+    assert min(min(loop) for loop in report.boundary_loops) == 100
+    assert re.search(r"slit of 4 edges at vertices 1\d\d, 1\d\d, 1\d\d, 1\d\d,", report.notes[0])
+    third = ControlMesh.from_faces(
+        [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (0, -1, 0)], [(0, 1, 2), (1, 0, 3), (0, 1, 4)]
+    )
+    (edges, *_) = check_mesh(replace(third, file_vertices=10 + np.arange(5), file_faces=20 + np.arange(3))).problems
+    assert edges.elements == ((10, 11),)
+    assert "(10, 11) delete the inner ones of faces 20, 21, 22" in edges.remedy

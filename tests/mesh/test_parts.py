@@ -15,6 +15,7 @@ from cagemap.files.gltf.document import write_document
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.landmarks.pairs import write_landmarks
+from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.meshes.obj_write import write_obj
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.merged_parts import part_numbers
@@ -30,11 +31,13 @@ from cagemap.mesh.parts import (
 from cagemap.studio.models import open_model
 from cagemap.subdivision import refine, with_options
 from cagemap.tasks import mesh_commands
+from cagemap.tasks.import_map import run_map
 from cagemap.tasks.match import MatchRequest, matched_levels, read_inputs, run_match
 from cagemap.tasks.match_parts import material_pieces, pair_parts, requested_parts, select_parts
 from cagemap.tasks.mesh_commands import run_check
 from cagemap.tasks.method import side_levels
 from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.mesh_commands import CheckRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
@@ -381,3 +384,47 @@ def test_one_part_can_be_matched_alone(folder: Path) -> None:
         result.target.control.file_vertices, creature().n_vertices + np.arange(poles(6).n_vertices)
     )
     assert any("lie on other parts" in warning for warning in warnings)
+
+
+@pytest.mark.parametrize("sides", [("triangles", "mixed"), ("mixed", "triangles")])
+def test_plain_parts_of_quads_and_of_triangles_become_one_mesh_of_triangles(
+    tmp_path: Path, sides: tuple[str, str]
+) -> None:
+    ball = _named(triangulated(poles(6)), "ball", 9.0)
+    scenes = {name: join_meshes([_named(body, "body"), ball]) for name, body in _bodies().items()}
+    for name, scene in scenes.items():
+        write_obj(tmp_path / f"{name}.obj", scene)
+    np.save(tmp_path / "numbers.npy", scenes[sides[1]].positions)
+    files = [tmp_path / f"{side}.obj" for side in sides]
+    run_match(MatchRequest(*files, tmp_path / "R", scheme="none", part="each"), Stages())
+    result = read_result(tmp_path / "R")
+    np.testing.assert_allclose(result.image(), result.target.vertices, rtol=0, atol=1e-6)
+    for side in (result.target, result.source):
+        assert side.control.is_triangle_mesh
+        assert side.control.file_faces is not None
+        assert set(side.control.file_faces) == set(range(scenes[sides[side is result.source]].n_faces))
+    request = TransferRequest(tmp_path / "R", tmp_path / "carried.npz", attribute=tmp_path / "numbers.npy")
+    run_transfer(request, Stages())
+    np.testing.assert_allclose(
+        np.load(tmp_path / "carried.npz")["numbers"], scenes[sides[0]].positions, rtol=0, atol=1e-6
+    )
+
+
+def _bodies() -> dict[str, ControlMesh]:
+    return {"triangles": triangulated(creature()), "mixed": creature()}
+
+
+def test_a_map_of_a_plain_mesh_of_triangles_and_quads_can_be_used(tmp_path: Path) -> None:
+    mixed = with_options(pyramid(), "none")
+    write_mesh(tmp_path / "mixed.obj", mixed)
+    np.save(tmp_path / "m.npy", np.arange(mixed.n_vertices))
+    np.save(tmp_path / "labels.npy", np.arange(mixed.n_faces))
+    write_usd = tmp_path / "mixed.usda"
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    write_mesh(write_usd, mixed)
+    _, warnings = run_map(MapRequest(tmp_path / "m.npy", write_usd, write_usd, tmp_path / "R"), Stages())
+    assert "mixed.usda: faces of different sizes are split into triangles" in warnings
+    assert read_result(tmp_path / "R").target.control.is_triangle_mesh
+    request = TransferRequest(tmp_path / "R", tmp_path / "carried.npz", attribute=tmp_path / "labels.npy")
+    run_transfer(request, Stages())
+    np.testing.assert_array_equal(np.load(tmp_path / "carried.npz")["labels"], np.arange(mixed.n_faces))

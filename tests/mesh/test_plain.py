@@ -136,6 +136,36 @@ def test_inwards_is_turned_and_faces_of_all_sizes_are_split() -> None:
     assert quads.notes == ()
 
 
+def test_faces_turned_round_are_counted_on_the_piece_that_is_kept() -> None:
+    sphere = ball()
+    faces = sphere.face_indices.reshape(-1, 3)
+    strip = np.array([(k, k + 1, k + 2) if k % 2 else (k + 1, k, k + 2) for k in range(6)]) + sphere.n_vertices
+    strip[1::2] = strip[1::2, ::-1]  # three of six are turned against the others
+    points = np.array([(k, 3.0 + k % 2, 9.0) for k in range(8)]) * 0.1
+    positions = np.vstack([sphere.positions, points])
+    aside = plain_mesh(ControlMesh.from_faces(positions, np.vstack([faces, strip])))
+    assert aside.repairs.pieces == 1
+    assert aside.repairs.turned_faces == 0
+    inwards = plain_mesh(ControlMesh.from_faces(positions, np.vstack([faces[:, ::-1], strip])))
+    assert inwards.repairs.turned_faces == sphere.n_faces
+
+
+def test_colours_of_joined_vertices_are_averaged_and_said() -> None:
+    sphere = soup(ball())
+    colors = np.full((sphere.n_vertices, 3), 0.5)
+    plain = plain_mesh(replace(sphere, vertex_colors=colors))
+    assert not any("colours" in note for note in plain.notes)
+    first, second = np.flatnonzero(plain.vertex_of == 0)[:2]
+    colors[first] = np.nan
+    found = plain_mesh(replace(sphere, vertex_colors=colors)).mesh.vertex_colors
+    np.testing.assert_allclose(found, 0.5)  # type: ignore[arg-type]
+    colors[first], colors[second] = 0.5, 1.0
+    count = int((plain.vertex_of == 0).sum())
+    averaged = plain_mesh(replace(sphere, vertex_colors=colors))
+    assert f"{sphere.name}: colours of {count} welded vertices differ and are averaged" in averaged.notes
+    np.testing.assert_allclose(averaged.mesh.vertex_colors[0], 0.5 + 0.5 / count)  # type: ignore[index]
+
+
 def test_concave_polygons_are_split_inside() -> None:
     """A prism over a U: the fan from its first corner covers the gap, and its triangles overlap."""
     outline = [(0, 0), (3, 0), (3, 3), (2, 3), (2, 1), (1, 1), (1, 3), (0, 3)]

@@ -19,6 +19,7 @@ from cagemap.files.result.folder import read_result
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
+from cagemap.mesh.topology import used_vertices
 from cagemap.mesh.weld import weld_mesh
 from cagemap.studio.autosave import FileTracker
 from cagemap.studio.finish import FinishOptions, finish_commands
@@ -185,7 +186,11 @@ def test_a_welded_mesh_with_holes_is_refined(run: Run, tmp_path: Path) -> None:
     split = split_at_seams(creature())
     write_mesh(tmp_path / "holes.obj", replace(split, hole_faces=np.array([split.n_faces - 1])))
     assert run("refine holes.obj --level 1 --weld auto -o fine.obj").code == 0
-    assert read_mesh(tmp_path / "fine.obj").n_faces == 4 * (split.n_faces - 1)
+    fine = read_mesh(tmp_path / "fine.obj")
+    assert fine.n_faces == 4 * (split.n_faces - 1)
+    assert used_vertices(fine).all()
+    assert run("refine holes.obj --level 0 -o cage.obj").code == 0  # the cage as it is
+    assert read_mesh(tmp_path / "cage.obj").hole_faces is not None
 
 
 def test_the_studio_opens_the_welded_whole(folder: Path) -> None:

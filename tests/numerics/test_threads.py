@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -166,6 +167,15 @@ def test_a_value_is_worked_out_once_and_nothing_is_left_of_waiting_for_it():
         may_end.set()
         assert (first.result(), second.result()) == (1, 1)
     assert set(vars(value)) == {"meet", "times", "made"}
+
+
+def test_a_copy_while_a_value_is_worked_out_leaves_it_and_its_lock_out():
+    value = Kept(lambda: None)
+    value.meet = lambda: copies.append(copy.copy(value))
+    copies = []
+    assert value.made == 1
+    assert set(vars(copies[0])) == {"meet", "times"}
+    assert copies[0].made == 2
 
 
 def test_a_value_that_fails_is_worked_out_again():

@@ -301,3 +301,19 @@ def test_texture_coordinates(case: Case) -> None:
         case.target.corners
     ]  # beside a part: the target's own, which are equal
     np.testing.assert_allclose(laid_out.uvs[laid_out.uv_indices], given, rtol=0, atol=1e-7)  # USD has single precision
+
+
+@pytest.mark.parametrize("kind", ["catmull-clark", "loop", "plain quads"])
+def test_texture_coordinates_that_mirrored_halves_share(tmp_path: Path, kind: str) -> None:
+    mesh = mesh_of(KINDS[kind])
+    size = int(mesh.face_sizes[0])
+    square = np.array([(0.1, 0.1), (0.9, 0.2), (0.8, 0.9), (0.2, 0.7)])[:size]
+    mesh = mesh.with_uvs(square, np.tile(np.arange(size), mesh.n_faces))
+    files = tmp_path / "target.obj", tmp_path / "source.obj"
+    for file in files:
+        write_mesh(file, mesh)
+    level = None if KINDS[kind].scheme == "none" else 2
+    run_match(MatchRequest(*files, tmp_path / "R", scheme=KINDS[kind].scheme, level=level), Stages())
+    run_transfer(TransferRequest(tmp_path / "R", tmp_path / "laid_out.obj", source_uvs=True), Stages())
+    laid_out = read_mesh(tmp_path / "laid_out.obj")
+    np.testing.assert_allclose(laid_out.uvs[laid_out.uv_indices], mesh.uvs[mesh.uv_indices], rtol=0, atol=1e-7)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.operators import build_operators
-from cagemap.spectral import BasisConfig, exact_basis, hierarchical_basis
+from cagemap.spectral import BasisConfig, Surface, exact_basis, hierarchical_basis
 from cagemap.spectral.basis import label_clusters, new_directions
 from cagemap.spectral.config import MIN_VERTICES, SOLVER, VERTICES_PER_FUNCTION
 from cagemap.subdivision import refine
@@ -271,3 +271,20 @@ def test_nobody_changes_a_basis(creature):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
     assert hash(basis) != hash(replace(basis))
+
+
+@pytest.mark.parametrize("laplacian", ["alexa-wardetzky", "de-goes-butts-desbrun"])
+def test_the_scale_does_not_depend_on_what_was_read_first(laplacian: str) -> None:
+    config = BasisConfig(count=4, laplacian=laplacian)
+    first, second = (Surface(refine(shapes.creature(), 1), config) for _ in range(2))
+    assert first.operators.scale != first.scale
+    assert first.scale == second.scale
+
+
+def test_whole_numbers_of_a_config_become_plain_ones() -> None:
+    config = BasisConfig(count=np.int64(4), vertices=np.int32(100), schedule=(np.int64(3), np.int64(1)))
+    assert config == BasisConfig(count=4, vertices=100, schedule=(3, 1))
+    numbers = (config.count, config.vertices, *(config.schedule or ()))
+    assert [type(number) for number in numbers] == [int] * 4
+    with pytest.raises(ParameterError, match="vertices: expected a whole number"):
+        BasisConfig(vertices=2.5)  # type: ignore[arg-type]

@@ -184,3 +184,9 @@ def test_a_creased_surface_goes_through_the_whole_method() -> None:
     assert np.median(gaps) < 0.01
     assert result.quality.flipped_area < 0.01
     np.testing.assert_allclose(result.quality.landmark_errors, 0, atol=1e-9)
+
+
+def test_holes_of_mixed_faces_are_numbered_as_their_triangles() -> None:
+    holed = refine(replace(pyramid(), hole_faces=np.array([0, 2])), 1)
+    assert len(holed.holes(0)) == len(holed.faces(0))
+    np.testing.assert_array_equal(holed.holes(0), [True, True, False, True, False, False])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from examples.shapes import cube, icosahedron
+from examples.shapes import cube, grid, icosahedron
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
@@ -93,6 +93,29 @@ def test_bilinear_on_a_square() -> None:
     np.testing.assert_allclose(linear.matrix @ np.array([0.0, 0, 1, 0]), x * y, rtol=0, atol=1e-12)
 
 
+def stacked(control: ControlMesh, rows: int) -> ControlMesh:
+    """All faces on the same few texture coordinates, as mirrored and stacked halves of OBJ files are."""
+    return control.with_uvs(np.random.default_rng(1).random((rows, 2)), np.arange(len(control.face_indices)) % rows)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_values_that_vertices_share_are_interpolated_on_each_of_their_faces(shape, level: int) -> None:
+    control = stacked(shape(), 5)
+    refined = refine(control, level)
+    assert control.uv_indices is not None
+    linear = interpolate_linearly(control, control.uv_indices, 5, level, refined.scheme)
+    assert linear.matrix.data.min() > 0
+    np.testing.assert_allclose(linear.matrix.sum(axis=1), 1, rtol=0, atol=1e-12)
+    if level:
+        both = refined, refined
+        transfer = prepare_transfer(both[0].finest, both[1].finest, identity_map(both[0].finest))
+        carried = carry_uvs(transfer, *both)
+        assert control.uvs is not None
+        given = control.uvs[control.uv_indices]
+        np.testing.assert_allclose(carried.uvs[carried.uv_indices], given, rtol=0, atol=1e-7)
+
+
 @pytest.mark.slow
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=20)
@@ -141,6 +164,23 @@ def test_a_seam_within_a_face_is_listed() -> None:
     got = carried.uvs[carried.uv_indices].reshape(3, 4, 2)
     np.testing.assert_allclose(got[0], 0.4 * square * (2 / 3, 1), atol=0.02)
     np.testing.assert_allclose(got[2], 0.5 + 0.4 * ((1 / 3, 0) + square * (2 / 3, 1)), atol=0.02)
+
+
+def test_mirrored_halves_that_share_texture_coordinates_keep_them_on_other_faces() -> None:
+    def square(n: int) -> tuple[ControlMesh, np.ndarray]:
+        mesh = grid(n, n)
+        x, y = (mesh.positions[:, :2] / np.ptp(mesh.positions[:, 0])).T
+        return mesh, np.column_stack([np.abs(x - (x.min() + x.max()) / 2), y])
+
+    (source, given), (target, wanted) = square(2), square(6)
+    values, numbers = np.unique(given, axis=0, return_inverse=True)
+    assert len(values) < source.n_vertices
+    source = source.with_uvs(values, numbers.ravel()[source.face_indices])
+    source, target = (mesh.with_positions(mesh.positions / np.ptp(mesh.positions[:, 0])) for mesh in (source, target))
+    both = refine(target, 2), refine(source, 2)
+    parameters = [linear_points(side, 2) for side in (target, source)]
+    carried = carry_uvs(prepare_transfer(both[0].finest, both[1].finest, closest_map(parameters, both)), *both)
+    np.testing.assert_allclose(carried.uvs[carried.uv_indices], wanted[target.face_indices], rtol=0, atol=1e-6)
 
 
 def linear_points(control: ControlMesh, level: int) -> np.ndarray:

@@ -53,6 +53,17 @@ def with_corners_of(mesh: ControlMesh, faces: IndexArray, offsets: IndexArray, c
     )
 
 
+def split_into_fans(mesh: ControlMesh) -> ControlMesh:
+    """Return the mesh with all faces split into fans, see `fan_triangles`; its file numbers are those of the faces."""
+    corners, faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
+    numbered = replace(
+        mesh,
+        file_vertices=np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices,
+        file_faces=np.arange(mesh.n_faces) if mesh.file_faces is None else mesh.file_faces,
+    )
+    return with_corners_of(numbered, faces, 3 * np.arange(len(faces) + 1), corners.ravel())
+
+
 def labels_of(mesh: ControlMesh, faces: IndexArray) -> dict[str, Any]:
     """Materials, objects and groups of some faces (k,), as arguments of `ControlMesh`."""
     return {f"face_{kind}s": None if numbers is None else numbers[faces] for kind, numbers, _ in mesh.partitions}

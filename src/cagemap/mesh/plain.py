@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh.checks import extra_faces, inside_out_problem, zero_area_problem
+from cagemap.mesh.checks import extra_faces
 from cagemap.mesh.control_mesh import ControlMesh
+from cagemap.mesh.extent_checks import inside_out_problem, zero_area_problem
 from cagemap.mesh.faces import (
     degenerate_faces,
     duplicate_faces,
@@ -35,7 +36,7 @@ from cagemap.mesh.topology import (
     turned_faces,
     used_vertices,
 )
-from cagemap.mesh.weld import coincident_vertices, file_copies, weld_tolerance
+from cagemap.mesh.weld import coincident_vertices, file_copies, mean_colors, weld_tolerance
 from cagemap.numerics.arrays import IndexArray
 from cagemap.surface.triangles import polygon_triangles
 
@@ -61,8 +62,9 @@ def plain_mesh(mesh: MeshLike) -> RepairedMesh:
     )
     representative = coincident_vertices(work, collapse=True)
     joined = np.flatnonzero(representative != np.arange(mesh.n_vertices))
+    colors, color_notes = mean_colors(mesh, representative)
     if len(joined):
-        work = replace(work, face_indices=representative[work.face_indices])
+        work = replace(work, face_indices=representative[work.face_indices], vertex_colors=colors)
     holes = np.zeros(0, dtype=np.int64) if mesh.hole_faces is None else mesh.hole_faces
     work = keep_faces(work, np.delete(np.arange(mesh.n_faces), holes)) if len(holes) else work
     work = replace(work, hole_faces=None)
@@ -80,8 +82,9 @@ def plain_mesh(mesh: MeshLike) -> RepairedMesh:
             f"{mesh.name}: expected a surface with an inside and an outside, got one where no choice of face "
             "directions agrees along all edges (as on a Moebius strip). Cut it where its two sides are joined."
         )
-    work, turned = turn_faces(work, faces), int(faces.sum())
-    work, aside = _largest_piece(work)
+    work = turn_faces(work, faces)
+    kept, aside = _largest_piece(work)
+    work, turned = keep_faces(work, kept) if aside.pieces else work, int(faces[kept].sum())
     if not face_areas(work).sum() > 0.0:
         raise InvalidMeshError(
             f"{mesh.name}: expected a surface with an area, got {work.n_faces} faces without. "
@@ -122,7 +125,7 @@ def plain_mesh(mesh: MeshLike) -> RepairedMesh:
         file_copies=file_copies(mesh, joined, vertex_of),
     )
     notes = tuple(f"{ready.name}: {sentence}" for sentence in repairs.sentences())
-    return RepairedMesh(ready, vertex_of, notes, repairs)
+    return RepairedMesh(ready, vertex_of, (*notes, *color_notes), repairs)
 
 
 def _of_one_face_size(mesh: ControlMesh) -> tuple[ControlMesh, int]:
@@ -197,19 +200,19 @@ def turn_faces(mesh: ControlMesh, faces: NDArray[np.bool_]) -> ControlMesh:
     return with_corners_of(mesh, np.arange(mesh.n_faces), mesh.face_offsets, corners)
 
 
-def _largest_piece(mesh: ControlMesh) -> tuple[ControlMesh, Repairs]:
-    """Keep the connected piece of largest area (`body_areas`); also counts of removed pieces."""
+def _largest_piece(mesh: ControlMesh) -> tuple[IndexArray, Repairs]:
+    """Faces of the connected piece of largest area (`body_areas`); also counts of the other pieces."""
     labels = face_components(mesh)
     count = int(labels.max()) + 1
     if count == 1:
-        return mesh, Repairs()
+        return np.arange(mesh.n_faces), Repairs()
     of_faces = face_areas(mesh)
     areas, body = np.bincount(labels, of_faces), body_areas(mesh, labels, of_faces).argmax()
     kept = labels == body
     share = 1.0 - float(areas[body] / areas.sum()) if areas.sum() > 0 else 0.0
     vertices = len(np.unique(mesh.face_indices[~kept[mesh.corner_faces]]))
     aside = Repairs(pieces=count - 1, pieces_share=share, pieces_vertices=vertices)
-    return keep_faces(mesh, np.flatnonzero(kept)), aside
+    return np.flatnonzero(kept), aside
 
 
 def _loops(mesh: ControlMesh) -> tuple[IndexArray, ...]:

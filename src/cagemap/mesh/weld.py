@@ -64,7 +64,7 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
     joined = np.flatnonzero(first != np.arange(mesh.n_vertices))
     if not len(joined):
         return RepairedMesh(mesh, first, (f"{mesh.name}: no border vertices {within} to weld",))
-    colors, color_notes = _mean_colors(mesh, first)
+    colors, color_notes = mean_colors(mesh, first)
     work = _relabelled(replace(mesh, vertex_colors=colors), first)
     work, collapsed = _without_repeats(work)
     if not work.n_faces:
@@ -127,7 +127,7 @@ def _without_repeats(mesh: ControlMesh) -> tuple[ControlMesh, int]:
     return with_corners_of(mesh, faces, offsets, corners), mesh.n_faces - len(faces)
 
 
-def _mean_colors(mesh: ControlMesh, first: IndexArray) -> tuple[FloatArray | None, tuple[str, ...]]:
+def mean_colors(mesh: ControlMesh, first: IndexArray) -> tuple[FloatArray | None, tuple[str, ...]]:
     """Vertex colours averaged over joined vertices, and a note if they differ."""
     colors = mesh.vertex_colors
     if colors is None:

@@ -129,6 +129,9 @@ def in_threads(work: Callable[[Item], Value], items: Sequence[Item]) -> list[Val
         return list(pool.map(work, items))
 
 
+# Beginning of the attribute that holds the lock of a value while it is computed; no attribute in code has spaces.
+_LOCK = "lock of "
+
 if TYPE_CHECKING:
     kept = cached_property
 else:
@@ -150,7 +153,7 @@ else:
             """Return the cached value, or compute it."""
             if instance is None:
                 return self
-            known, name, lock = vars(instance), self.attrname, f"lock of {self.attrname}"
+            known, name, lock = vars(instance), self.attrname, _LOCK + self.attrname
             with known.setdefault(lock, threading.RLock()):
                 try:
                     if name not in known:
@@ -160,11 +163,11 @@ else:
                 return known[name]
 
     def _state_without_kept(instance):
-        """Attributes of an instance but those that can be computed again, which may hold factorisations and locks."""
+        """Attributes of an instance but those that can be computed again, which may hold factorisations, and locks."""
         owner = type(instance)
-        return {
-            name: value for name, value in vars(instance).items() if not isinstance(getattr(owner, name, None), kept)
-        }
+        known = dict(vars(instance))  # other threads may add values meanwhile
+        left_out = [name for name in known if name.startswith(_LOCK) or isinstance(getattr(owner, name, None), kept)]
+        return {name: value for name, value in known.items() if name not in left_out}
 
 
 def row_slices(count: int, size: int) -> list[slice]:

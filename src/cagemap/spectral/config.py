@@ -43,8 +43,14 @@ class BasisConfig:
                 f"count and schedule: expected whole numbers, such as 150 or (100, 50), got {self.count!r} and "
                 f"{self.schedule!r}"
             )
+        if not isinstance(self.vertices, int | np.integer | None):
+            raise ParameterError(f"vertices: expected a whole number, such as 20000, got {self.vertices!r}")
+        # NumPy's integers become Python's, which JSON files take.
+        object.__setattr__(self, "count", int(self.count))
         if self.schedule is not None:
-            object.__setattr__(self, "schedule", tuple(self.schedule))
+            object.__setattr__(self, "schedule", tuple(int(count) for count in self.schedule))
+        if self.vertices is not None:
+            object.__setattr__(self, "vertices", int(self.vertices))
         if self.count < 1:
             raise ParameterError(f"count: expected at least 1 basis function, got {self.count}")
         if self.vertices is not None and self.vertices < 1:

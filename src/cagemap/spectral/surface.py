@@ -84,9 +84,13 @@ class Surface:
 
     @kept
     def scale(self) -> float:
-        """Factor from the file's lengths to lengths at unit area; if possible the operators' scale."""
+        """Factor from the file's lengths to lengths at unit area; if possible the operators' scale.
+
+        Laplacians other than "mean" have areas of their own, which are not used.
+        """
         operators: Operators | None = vars(self).get("operators")
-        if operators is not None and operators.finest_level == self.finest_level:
+        whole = operators is not None and operators.finest_level == self.finest_level
+        if operators is not None and whole and self.config.laplacian == "mean":
             return operators.scale
         return 1.0 / float(np.sqrt(surface_area(self.vertices, self.faces)))
 
@@ -248,8 +252,9 @@ def prepare_surfaces(
     if not isinstance(levels, Sequence | np.ndarray) or len(levels) != 2:
         raise ParameterError(f"levels: expected two, the target's and the source's, got {levels}")
     configs = config if isinstance(config, tuple) else (config, config)
+    numbers = [int(level) if isinstance(level, np.integer) else level for level in levels]  # of NumPy: for JSON files
     progress(f"prepare {target.name} and {source.name}")
     with one_blas_thread(), ThreadPool(1) as pool:  # before the threads start: the setting is global
         pool.submit(triangle_areas, np.eye(3), np.arange(3)[None])  # loads Numba's kernels; refinement needs none
-        surfaces = in_threads(lambda side: prepare(*side), list(zip((target, source), levels, configs, strict=True)))
+        surfaces = in_threads(lambda side: prepare(*side), list(zip((target, source), numbers, configs, strict=True)))
     return surfaces[0], surfaces[1]

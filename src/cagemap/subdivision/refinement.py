@@ -12,9 +12,10 @@ from scipy.sparse import csr_array
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
-from cagemap.mesh.faces import cage_triangles, faces_of_one_size, keep_faces, labels_of
+from cagemap.mesh.faces import cage_triangles, faces_of_one_size, labels_of, split_into_fans
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.mesh_report import first_few
+from cagemap.mesh.parts import extract_faces
 from cagemap.mesh.schemes import INFINITE_SHARPNESS, SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import BoolArray, mesh_topology
@@ -23,7 +24,6 @@ from cagemap.numerics.threads import kept
 from cagemap.subdivision.face_varying import Layout, refined_layout
 from cagemap.subdivision.matrices import subdivision_matrix
 from cagemap.subdivision.topology import MeshState, children, control_state, control_topology, next_state
-from cagemap.surface.triangles import fan_triangles
 from cagemap.surface.triangles import triangles as triangles
 
 # Approximate nonzeros of the second S per control corner; each further S has four times as many.
@@ -154,8 +154,9 @@ class Refinement:
         return cage_triangles(self.control)[0] if faces is None else faces
 
     def holes(self, level: int) -> BoolArray:
-        """(m_level,) whether a face is a hole, see `control_holes`."""
-        return control_holes(self.control, self.scheme)[self.levels[level].face_parents]
+        """(m_level,) whether a face of `faces` is a hole, see `control_holes`."""
+        mixed, parents = self.levels[level].faces is None, self.levels[level].face_parents
+        return control_holes(self.control, self.scheme)[cage_triangles(self.control)[1] if mixed else parents]
 
     def product(self, fine: int, coarse: int) -> csr_array:
         """Matrix ``S^{fine,coarse} = S^{fine-1} ... S^{coarse}`` (n_fine, n_coarse); the identity for equal levels."""
@@ -348,7 +349,7 @@ def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterato
 
 
 def finest_mesh(refinement: Refinement) -> ControlMesh:
-    """Finest level as a mesh with all UV sets, colours and labels, without creases and holes."""
+    """Finest level as a mesh with all UV sets, colours and labels, without creases and holes; level 0 as it is."""
     finest, control = refinement.finest, refinement.control
     if finest.faces is None or refinement.finest_level == 0:
         return control
@@ -373,7 +374,10 @@ def finest_mesh(refinement: Refinement) -> ControlMesh:
         scheme=None,
     )
     holes = refinement.holes(refinement.finest_level)
-    return keep_faces(mesh, np.flatnonzero(~holes)) if holes.any() else mesh
+    if not holes.any():
+        return mesh
+    shown = extract_faces(mesh, np.flatnonzero(~holes))
+    return replace(shown, file_vertices=None, file_faces=None, scheme=None, object_schemes=mesh.object_schemes)
 
 
 def _refined_uvs(refinement: Refinement, uv_set: UvSet) -> UvSet:
@@ -386,11 +390,7 @@ def _refined_uvs(refinement: Refinement, uv_set: UvSet) -> UvSet:
 def truncate_refinement(refinement: Refinement, level: int) -> Refinement:
     """Levels 0 to ``level``; if only level 0 is left, its polygons are split into fans."""
     shortened, control = refinement.up_to(level), refinement.control
-    last = shortened.levels[-1]
-    if last.faces is not None:
+    if shortened.finest.faces is not None:
         return shortened
-    split, parents = fan_triangles(control.face_offsets, control.face_indices)
-    fans = replace(last, faces=split, face_parents=parents)
-    if control.uvs is not None and control.uv_indices is not None:
-        fans = fans.with_uvs(control.uvs, fan_triangles(control.face_offsets, control.uv_indices)[0])
+    fans = replace(control_level(split_into_fans(control)), face_parents=cage_triangles(control)[1])
     return replace(shortened, levels=(fans,))

@@ -13,8 +13,9 @@ from cagemap.files.result.maps import dense_map, read_images, source_level
 from cagemap.files.usd.space import unit_notes
 from cagemap.maps.quality import measure_quality
 from cagemap.maps.result import MatchResult
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.checks import require_valid
+from cagemap.mesh.faces import faces_of_one_size, split_into_fans
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import choose_level
 from cagemap.spectral import Surface
@@ -48,6 +49,7 @@ def run_map(
     filed = read_mesh(request.target), read_mesh(request.source)
     welded = [weld_side(mesh, request, side) for mesh, side in zip(filed, ("target", "source"), strict=True)]
     require(*(joined.mesh for joined in welded))
+    split = [joined.mesh for joined in welded if _is_split(joined.mesh)]
     target, source = (_surface(joined.mesh, request.level) for joined in welded)
     level = None if request.level is not None else source_level(request.map, source.refinement)
     if level is not None and level != source.refinement.finest_level:
@@ -63,6 +65,7 @@ def run_map(
     options = field_values(request, "weld", "target_weld", "source_weld", "target_mask", "source_mask", "mask_edge")
     parameters = {"method": "map of the user's", "level": request.level, **options}
     notes = [*unit_notes(request.target, request.source), *(note for joined in welded for note in joined.notes)]
+    notes += dict.fromkeys(f"{mesh.name}: faces of different sizes are split into triangles" for mesh in split)
     provenance = {"parameters": parameters, "inputs": stated, "notes": notes}
     result = MatchResult(target, source, Landmarks.none(), point_map, quality, masks=masks, provenance=provenance)
     stages("write")
@@ -77,8 +80,14 @@ def run_map(
     return text, [*notes, *quality.warnings]
 
 
+def _is_split(control: ControlMesh) -> bool:
+    """Whether faces are split: a plain mesh needs triangles or quads alone."""
+    return isinstance(control.scheme, Plain) and faces_of_one_size(control) is None
+
+
 def _surface(control: ControlMesh, level: int | None) -> Surface:
     require_valid(control)
+    control = split_into_fans(control) if _is_split(control) else control
     if level is not None and level < 1:
         raise ParameterError(f"--level: expected 1 or more, got {level}. Leave it out to have one chosen.")
     finest = level or choose_level(control, MAP_VERTICES)

@@ -18,10 +18,11 @@ from cagemap.maps.pair import point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality
 from cagemap.maps.result import MatchResult, SpectralMap, shared_area_warnings
-from cagemap.mesh import ControlMesh, Loop
+from cagemap.mesh import ControlMesh, Loop, Plain
+from cagemap.mesh.faces import faces_of_one_size, split_into_fans
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of
 from cagemap.spectral import Surface
 from cagemap.subdivision import refine
 from cagemap.subdivision.topology import control_topology
@@ -52,11 +53,15 @@ def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> M
     target, target_numbers = _merge_sides([part.target for part in parts])
     source, source_numbers = _merge_sides([part.source for part in parts])
     target_surface, source_surface = target.finest_triangles, source.finest_triangles
-    split = 2 if source.faces.shape[1] == 4 else 1
+    splits = [2 if part.source.faces.shape[1] == 4 else 1 for part in parts]
+    counts = np.empty(sum(len(rows.faces) for rows in source_numbers), dtype=np.int64)  # triangles of every face
+    for rows, split in zip(source_numbers, splits, strict=True):
+        counts[rows.faces] = split
+    first_triangles = offsets_of(counts)
     triangle, barycentric = np.empty(target_surface.n, dtype=np.int64), np.empty((target_surface.n, 3))
-    for part, target_rows, source_rows in zip(parts, target_numbers, source_numbers, strict=True):
+    for part, split, target_rows, source_rows in zip(parts, splits, target_numbers, source_numbers, strict=True):
         faces, halves = np.divmod(part.triangle, split)
-        triangle[target_rows.vertices] = split * source_rows.faces[faces] + halves
+        triangle[target_rows.vertices] = first_triangles[source_rows.faces[faces]] + halves
         barycentric[target_rows.vertices] = part.barycentric
     point_map = PointMap.from_arrays(target_surface, source_surface, triangle, barycentric)
     landmarks, check = _merged_landmarks(parts), _merged_checks(parts)
@@ -173,7 +178,10 @@ def _merge_sides(sides: Sequence[Surface]) -> tuple[Surface, list[_Numbers]]:
             "parts: expected all to have the same level and scheme, got different ones; match one by one"
         )
     control = replace(join_meshes([side.control for side in sides]), scheme=scheme)
+    # Of plain meshes, those of the parts before faces of different sizes are split.
     numbers = part_numbers([side.control for side in sides], level, loop=isinstance(scheme, Loop))
+    if isinstance(scheme, Plain) and faces_of_one_size(control) is None:
+        control = split_into_fans(control)
     return Surface(refine(control, level, scheme), sides[0].config), numbers
 
 

@@ -66,7 +66,7 @@ def surface_key(control: ControlMesh, level: int, scheme: Scheme | None = None, 
         "format": [FORMAT, SURFACE_VERSION, code_version()],
         "control": mesh_hash(control),
         "materials": list(control.material_names),
-        "level": level,
+        "level": int(level),
         "scheme": scheme_to_entry(scheme),
         "basis": asdict(config),
     }

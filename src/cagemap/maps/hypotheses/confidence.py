@@ -21,6 +21,7 @@ from cagemap.maps.hypotheses.starts import rigid_starts
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import distortion, stretches, weighted_percentiles
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import FileVertex, place_text
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, thread_limit
@@ -48,8 +49,11 @@ WARNING_SIGNS: dict[str, WarningSign] = {
     ),
     # Share of the target's area at which the map jumps: distant parts of the target are on one place of the source.
     "jumps": WarningSign(0.03, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
-    # Median `distortion`, by the target's area.
-    "stretched": WarningSign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
+    # Median `distortion`, by the target's area. Both surfaces have unit area, parts too: relative to the shared area,
+    # wrong places of small parts were 'sure' (docs/lab/parts.md).
+    "stretched": WarningSign(
+        1.55, "with both at equal area, it stretches or compresses half of the target {value:.1f} times or more"
+    ),
     # Share of the target's area that another answer of nearly equal cost turns by `TURNED_DEGREES` degrees or more.
     "limb_turned": WarningSign(0.08, "a map that rotates {percent:.0f} % of the target otherwise fits almost as well"),
     # Cost x 1e4 of an answer that turns the files' axes; 0 for others.
@@ -183,6 +187,37 @@ def answer_confidence(
     return confidence
 
 
+def remaining_doubt(before: Confidence | None, problem: Problem) -> Confidence | None:
+    """Confidence of a map after an update, without other answers that miss one of the problem's landmarks.
+
+    The map keeps the shape of its first answer: where that misses a landmark, all doubts stay, and a verdict 'sure' is
+    lost (None).
+    """
+    if before is None:
+        return None
+    target, bound = problem.prepared.target, problem.prepared.elastic.landmarks.max_confirmed_miss
+    vertices, places = problem.landmark_vertices[0], problem.landmarks.source.positions
+    if target.refinement.is_plain:  # whose answers have all vertices
+        vertices = problem.prepared.vertices[vertices]
+
+    def meets(answer: Placement) -> bool:
+        known = vertices < len(answer.positions)  # answers of a result that was read: at control vertices only
+        gaps = np.linalg.norm(answer.positions[vertices[known]] - places[known], axis=1)
+        return bool(gaps.max(initial=0.0) < bound)
+
+    first, *others = before.answers
+    if not meets(first):
+        return None if before.verdict == SURE else before
+    remaining = first, *(answer for answer in others if meets(answer))
+    if len(remaining) == len(before.answers):
+        return before
+    signs = {name: value for name, value in before.signs.items() if name not in cost_signs(before.answers)}
+    found = Confidence.of(remaining, np.arange(target.control.n_vertices), signs)
+    if signs.get("jumps", 0.0) > WARNING_SIGNS["jumps"].bound:
+        found = replace(found, deciding=before.deciding)
+    return _with_file_vertex(found, target.control)
+
+
 def turned_limb_answers(ranked: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
     """Confidence 'look at it' with both placements that differ in a turned limb; None if there is none."""
     best, max_share = ranked[0], WARNING_SIGNS["limb_turned"].bound
@@ -208,8 +243,7 @@ def cost_signs(answers: tuple[Placement, ...]) -> dict[str, float]:
 def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidence:
     """Prolong answers to all vertices of a plain target; describe the deciding vertex."""
     target = prepared.target
-    if confidence.deciding is not None:
-        confidence = replace(confidence, file_vertex=target.control.file_vertex(confidence.deciding))
+    confidence = _with_file_vertex(confidence, target.control)
     if not target.refinement.is_plain:
         return confidence
 
@@ -219,6 +253,12 @@ def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidenc
         return replace(answer, positions=places)
 
     return replace(confidence, answers=tuple(prolonged(answer) for answer in confidence.answers))
+
+
+def _with_file_vertex(confidence: Confidence, target: ControlMesh) -> Confidence:
+    """The confidence with its deciding vertex in the target's file."""
+    deciding = confidence.deciding
+    return confidence if deciding is None else replace(confidence, file_vertex=target.file_vertex(deciding))
 
 
 def describe_signs(signs: Mapping[str, float]) -> list[str]:
@@ -236,22 +276,23 @@ def median_distortion(found: PointMap, weights: FloatArray | None = None) -> flo
 
 
 def jump_lengths(prepared: PreparedPair, found: PointMap, shared: Masks | None = None) -> FloatArray:
-    """(n,) lengths of a map's jumps at the vertices of the deformed level, of sqrt(area); else 0.
+    """(n,) lengths of a map's jumps at the vertices of the deformed level, of sqrt(target area); else 0.
 
     A map jumps where vertices far apart along the target have images near each other along the source. No cost shows
     this where parts touch. Only unmasked vertices are compared, and only shared area.
     """
     target, source = prepared.graphs
     images = found.images.at(prepared.vertices)
-    pairs = image_pairs(images.positions, images.normals)
     masks = prepared.masks.within(shared)
+    ratio = masks.length_ratio(found.target, found.source)
+    pairs = image_pairs(images.positions / ratio, images.normals)
     pairs = pairs[(masks.of_target(found.target.n)[prepared.vertices] > 0)[pairs].all(axis=1)]
     on_target = distances_apart(target.station_distances, pairs)
     pairs, on_target = pairs[on_target > JUMP], on_target[on_target > JUMP]  # few are left, of most maps none
     ends, rows = np.unique(pairs, return_inverse=True)
     tree = cKDTree(np.hstack([source.positions, NORMAL_WEIGHT * source.normals]))
     at = tree.query(np.hstack([images.positions, NORMAL_WEIGHT * images.normals])[ends])[1]
-    beyond = on_target - 2 * distances_apart(source.station_distances[:, at], rows.reshape(-1, 2))
+    beyond = on_target - 2 / ratio * distances_apart(source.station_distances[:, at], rows.reshape(-1, 2))
     farthest = np.zeros(target.n)
     np.maximum.at(farthest, pairs, np.where(beyond > JUMP, beyond, 0.0)[:, None])
     return farthest

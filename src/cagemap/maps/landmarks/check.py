@@ -45,6 +45,9 @@ CONTRADICTION = (
     "the landmark file may belong to other meshes or to the other direction"
 )
 
+# Part of the note on fewer pairs than are judged.
+TOO_FEW = "landmark pairs are too few to tell a wrong one"
+
 MIRRORED = (
     "the landmarks surround each other in the opposite sense on the two surfaces: left and right seem exchanged in all "
     "pairs, or one mesh is mirrored. Exchange them in the landmark file, or mirror one of the meshes"
@@ -110,17 +113,29 @@ class LandmarkCheck:
         return landmarks.without(self.left_out)
 
     def for_changed(self, before: Landmarks, now: Landmarks) -> LandmarkCheck:
-        """The check for changed landmarks: keeps what is known of unchanged pairs."""
+        """The check for changed landmarks: keeps what is known of unchanged pairs.
+
+        Notes on the number of pairs, or that name a changed pair, are dropped.
+        """
         places = {pair: i for i, pair in enumerate(now.places)}
         placed = [(suspect, places.get(before.places[suspect.pair])) for suspect in self.suspects]
         kept = tuple(replace(suspect, pair=place) for suspect, place in placed if place is not None)
+        remaining = set(zip(now.names, now.places, strict=True))
+        changed = [
+            name for name, place in zip(before.names, before.places, strict=True) if (name, place) not in remaining
+        ]
+        notes = tuple(
+            note
+            for note in self.notes
+            if not any(f"'{name}'" in note for name in changed) and (TOO_FEW not in note or len(now) == len(before))
+        )
         if not len(self.strains):
-            return LandmarkCheck(kept, self.notes)
+            return LandmarkCheck(kept, notes)
         strains = np.zeros(len(now))
         for pair, strain_before in zip(before.places, self.strains, strict=True):
             if pair in places:
                 strains[places[pair]] = strain_before
-        return LandmarkCheck(kept, self.notes, strains)
+        return LandmarkCheck(kept, notes, strains)
 
     def summary(self) -> dict[str, Any]:
         """The check as plain values for a manifest; every suspect with its sentence as ``message``."""
@@ -138,7 +153,7 @@ def landmark_outliers(problem: Problem, progress: Progress) -> tuple[dict[int, s
     """
     count, config = len(problem.landmarks), problem.prepared.elastic.landmarks
     if count < config.fewest_judged:
-        note = f"{count} landmark pairs are too few to tell a wrong one; {config.fewest_judged} or more are checked"
+        note = f"{count} {TOO_FEW}; {config.fewest_judged} or more are checked"
         return {}, [note]
     progress("compare landmarks")
     suspected = suspected_pairs(problem)
@@ -252,6 +267,7 @@ def check_changes(
     suspected = suspected_pairs(remaining)
     if suspected is None:
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
+    check = replace(check, notes=tuple(note for note in check.notes if note != CONTRADICTION))
     wrong = {int(kept[i]): evidence for i, evidence in suspected.items() if kept[i] in changed}
     if wrong and has_merged_parts(problem):
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, kept_note(problem, wrong, EXTRA_HANDLES)))))
