@@ -16,12 +16,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, require_valid
 from cagemap.mesh.faces import keep_faces, with_openings_closed
 from cagemap.mesh.mesh_report import MeshReport, place_text
-from cagemap.mesh.topology import (
-    boundary_loops,
-    corner_fans,
-    handle_count,
-    mesh_topology,
-)
+from cagemap.mesh.topology import boundary_loops, corner_fans, handle_count, mesh_topology
 
 from mesh_faults import SHAPES, elements, faces_of, flip, kinds, moebius_strip, with_faces
 from refusals import refuses

@@ -21,13 +21,7 @@ from cagemap.files.result.folder import read_result
 from cagemap.files.result.merged_parts import part_numbers
 from cagemap.mesh import CatmullClark, ControlMesh, Loop
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.mesh.parts import (
-    connected_parts,
-    extract_faces,
-    find_part,
-    join_meshes,
-    list_parts,
-)
+from cagemap.mesh.parts import connected_parts, extract_faces, find_part, join_meshes, list_parts
 from cagemap.studio.models import open_model
 from cagemap.subdivision import refine, with_options
 from cagemap.tasks import mesh_commands
@@ -42,15 +36,12 @@ from cagemap.tasks.requests.mesh_commands import CheckRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
-from plain_meshes import marks_at
+from plain_meshes import marks_at, named
 from refusals import refuses
 
 
 def _named(mesh: ControlMesh, name: str, shift: float = 0.0) -> ControlMesh:
-    objects = np.zeros(mesh.n_faces, dtype=np.int64)
-    return replace(
-        mesh.with_positions(mesh.positions + np.array([shift, 0, 0])), face_objects=objects, object_names=(name,)
-    )
+    return named(mesh.with_positions(mesh.positions + np.array([shift, 0, 0])), name)
 
 
 def _scene() -> ControlMesh:

@@ -23,12 +23,7 @@ from cagemap.mesh.checks import require_valid
 from cagemap.numerics.arrays import read_only
 from cagemap.numerics.threads import in_threads
 from cagemap.operators import build_operators
-from cagemap.operators.coarse_levels import (
-    build_coarse_levels,
-    flip_to_delaunay,
-    prolongation,
-    simplify_mesh,
-)
+from cagemap.operators.coarse_levels import build_coarse_levels, flip_to_delaunay, prolongation, simplify_mesh
 from cagemap.pipeline import MatchConfig, choose_level, match, prepare_pair, prepare_surface, update_match
 from cagemap.spectral import Surface
 from cagemap.subdivision import Refinement, finest_mesh, refine

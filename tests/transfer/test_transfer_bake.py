@@ -13,12 +13,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.numerics.threads import thread_limit
 from cagemap.subdivision import Level, refine
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.transfer import (
-    BakeOptions,
-    bake_texture,
-    prepare_transfer,
-    unwrap,
-)
+from cagemap.transfer import BakeOptions, bake_texture, prepare_transfer, unwrap
 from cagemap.transfer import baking as bake_module
 from cagemap.transfer.mip_maps import halve, low_passed
 

@@ -18,13 +18,7 @@ from cagemap.subdivision.face_varying import corner_triangles, interpolate_linea
 from cagemap.subdivision.refinement import truncate_refinement
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.transfer import (
-    carry_uvs,
-    combine,
-    control_weights,
-    corner_weights,
-    prepare_transfer,
-)
+from cagemap.transfer import carry_uvs, combine, control_weights, corner_weights, prepare_transfer
 
 from transfer_scenes import identity_map
 

@@ -10,14 +10,7 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.control_mesh import MIN_UV_AREA, ControlMesh
 from cagemap.subdivision import Level, refine
 from cagemap.surface.triangles import triangle_areas, triangle_neighbors
-from cagemap.transfer import (
-    BakeOptions,
-    bake_face_colors,
-    bake_texture,
-    prepare_transfer,
-    target_tiles,
-    unwrap,
-)
+from cagemap.transfer import BakeOptions, bake_face_colors, bake_texture, prepare_transfer, target_tiles, unwrap
 from cagemap.transfer import baking as bake_module
 from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.textured_surface import TexturedSurface
