@@ -57,7 +57,6 @@ def test_another_answer_of_an_open_plain_mesh_whose_coarse_level_is_deformed() -
 def two_answers(mesh: ControlMesh, level: int, *, first_is_right: bool = True) -> MatchResult:
     """`result_of_two_answers` of a mesh on itself; the right answer, and one mirrored at a vertex in the middle."""
     before = result_of_two_answers(mesh, level, Landmarks.none(), LandmarkCheck())
-    assert before.confidence is not None
     right, wrong = before.confidence.answers
     shift = 2 * wrong.positions[np.abs(mesh.positions[:, 0]).argmin()] * [1.0, 0.0, 0.0]
     mirrored = replace(wrong, positions=wrong.positions * [-1.0, 1.0, 1.0] + shift)
@@ -71,7 +70,6 @@ def test_an_update_keeps_the_doubt_until_landmarks_decide(mesh: ControlMesh, lev
     middle = int(np.abs(mesh.positions[:, 0]).argmin())
     before = two_answers(mesh, level)
     prepared = before.prepared
-    assert prepared is not None
 
     def updated(first_is_right: bool, *vertices: int) -> Confidence | None:
         given = two_answers(mesh, level, first_is_right=first_is_right)
@@ -79,16 +77,12 @@ def test_an_update_keeps_the_doubt_until_landmarks_decide(mesh: ControlMesh, lev
         return remaining_doubt(given.confidence, problem)
 
     kept = updated(True, middle)
-    assert kept is not None
     assert (kept.verdict, len(kept.answers)) == (TWO, 2)
     decided = updated(True, middle, side)
-    assert decided is not None
     assert decided.verdict != TWO
     assert [answer.name for answer in decided.answers] == ["first"]
     contradicted = updated(False, side)
-    assert contradicted is not None
     assert (contradicted.verdict, len(contradicted.answers)) == (TWO, 2)
-    assert before.confidence is not None
     sure = replace(before.confidence, verdict=SURE, answers=before.confidence.answers[1:])
     assert remaining_doubt(sure, Problem.of_landmarks(prepared, marks_at(np.array([side])))) is None
 
@@ -102,7 +96,6 @@ def test_an_update_with_few_landmarks_has_a_confidence() -> None:
     surface = prepare_surface(bent, 1)
     apart = replace(before, source=surface, prepared=prepare_pair(before.target, surface, QUICK))
     found = update_match(apart, one, QUICK)
-    assert found.confidence is not None
     assert found.confidence.verdict == TWO
     enough = marks_at(np.arange(0, 35, 5))
     assert update_match(apart, enough, QUICK).confidence is None
