@@ -37,7 +37,7 @@ from cagemap.transfer.baking import (
 from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.exact_corners import corner_samples, make_lookups_exact, surface_targets
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.lookups import covered_texels, plan_samples
+from cagemap.transfer.lookups import plan_samples, smooth_tiles
 from cagemap.transfer.rays import MAX_DETAIL_DISTANCE, NormalHits, intersect_normals
 from cagemap.transfer.texels import Layout, texel_coordinates
 from cagemap.transfer.texture import Pixels, SmoothTile, lay_texture, look_up
@@ -277,6 +277,7 @@ def bake_detail_texture(
     size: int | tuple[int, int],
     dtype: DTypeLike | None = None,
     options: BakeOptions | None = None,
+    smooth: Mapping[int, SmoothTile] | None = None,
 ) -> Pixels:
     """Bake the detail's own texture, as of a scan; the filter "nearest" is for labels.
 
@@ -290,6 +291,8 @@ def bake_detail_texture(
         Texture coordinates of the corners of the detail's triangles.
     dtype : optional
         Number type of the result; by default the texture's.
+    smooth : optional
+        `smooth_tiles` of the texture, made once for several tiles of the target; for the filter "smooth" only.
 
     Raises
     ------
@@ -305,8 +308,8 @@ def bake_detail_texture(
     laid = lay_texture(texture, uvs, uv_triangles)
     kept = output_dtype(dtype, laid.dtype)
     scale, nearest = unit(kept) / unit(laid.dtype), options.filter == "nearest"
-    covered = covered_texels(laid, laid.tiles) if options.filter == "smooth" else {}
-    smooth = {tile: SmoothTile.of(laid.tiles[tile], texels) for tile, texels in covered.items()}
+    if smooth is None and options.filter == "smooth":
+        smooth = smooth_tiles(laid)
 
     def shade(samples: TexelSamples) -> FloatArray:
         foot = _normal_hits(transfer, detail, samples).foot

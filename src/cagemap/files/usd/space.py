@@ -9,9 +9,12 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.gltf.document import SCENE_SUFFIXES
+from cagemap.files.usd.prims import transform_points
 from cagemap.files.usd.read import read_usd_meshes
 from cagemap.files.usd.stages import damage_as_error, is_usd, open_each_once, open_stage, usd_modules
 from cagemap.files.usd.transforms import is_mirrored, is_similarity
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.plain import turn_faces
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.alignment import Z_UP
 
@@ -91,3 +94,9 @@ def between_spaces(target: Path | None, source: Path | None) -> FloatArray:
     if target is None or source is None or not (states_units(target) and states_units(source)):
         return np.eye(4)
     return np.asarray(to_standard(source) @ np.linalg.inv(to_standard(target)), dtype=np.float64)
+
+
+def transform_mesh(mesh: ControlMesh, matrix: FloatArray) -> ControlMesh:
+    """The mesh transformed by a (4, 4) matrix for points as rows; its faces are reversed if this mirrors it."""
+    moved = mesh.with_positions(transform_points(mesh.positions, matrix))
+    return turn_faces(moved, np.full(mesh.n_faces, is_mirrored(matrix)))
