@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
 
 from cagemap.character.passengers import carry_passenger, unit_factor
 from cagemap.errors import ParameterError
@@ -15,18 +18,28 @@ from cagemap.files.atomic import (
     require_replaceable,
     require_writable_folder,
 )
+from cagemap.files.gltf.geometry import is_z_up
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
-from cagemap.files.usd.prims import transform_points
-from cagemap.files.usd.space import between_spaces, states_units
+from cagemap.files.usd.space import (
+    StageSpace,
+    between_spaces,
+    stage_units,
+    states_units,
+    to_metres,
+    to_standard,
+    transform_mesh,
+)
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults, check_usd_path
 from cagemap.files.values.attributes import check_attribute_path, read_attributes, write_attributes
 from cagemap.files.values.part_numbering import file_rows, other_rows, place_of_rows
 from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
+from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.bake_tiles import bake_inputs
 from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.carry_images import (
@@ -43,7 +56,7 @@ from cagemap.tasks.masks import ASSUMED_AT_VERTICES, keep_base, to_file_values, 
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import refuse_unread
 from cagemap.tasks.requests.transfer import TransferRequest, require_map_names
-from cagemap.tasks.rig import FAR, transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
+from cagemap.tasks.rig import MAX_MEAN_DISTANCE, transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
 from cagemap.tasks.usd_output import missing_file_warnings, texture_reference, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 
@@ -226,6 +239,14 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     return line, warnings
 
 
+def _to_passenger(passenger: Path, target: Path | None, control: ControlMesh) -> FloatArray:
+    """(4, 4) from the target's space to that of a passenger's file; a target without units has the passenger's."""
+    if target is not None and states_units(target):
+        return between_spaces(passenger, target)
+    space = StageSpace("Z" if is_z_up(control) else "Y", stage_units(passenger).meters_per_unit)
+    return to_metres(space) @ np.linalg.inv(to_standard(passenger))
+
+
 def transfer_passenger(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry clothes, eyes, hair or a prop; UVs and materials do not change."""
     assert request.passenger is not None
@@ -234,11 +255,11 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     check_outputs(mesh_files(request.output, mesh, request.passenger), [request.passenger], force=request.force)
     stages("passenger")
     target, source = (input_file(request.result, result.manifest, side) for side in ("target", "source"))
-    worn = mesh.with_positions(transform_points(mesh.positions, between_spaces(source, request.passenger)))
+    worn = transform_mesh(mesh, between_spaces(source, request.passenger))
     carried = carry_passenger(result, worn, kind=request.kind)
-    placed, like = mesh.with_positions(carried.positions), request.passenger
+    placed, like = worn.with_positions(carried.positions), request.passenger
     if states_units(request.passenger) and states_units(request.output):  # in the passenger's own units and axes
-        placed = mesh.with_positions(transform_points(placed.positions, between_spaces(request.passenger, target)))
+        placed = transform_mesh(placed, _to_passenger(request.passenger, target, result.target.control))
     else:
         placed = replace(placed, upright=result.target.control.upright)
         if states_units(request.output) and target is not None and is_usd(target):
@@ -249,7 +270,7 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     figures = {"vertices": mesh.n_vertices, "distance": carried.distance, "unit_factor": factor}
     stages.record(figures)
     warnings = []
-    if carried.distance > FAR or factor != 1.0:
+    if carried.distance > MAX_MEAN_DISTANCE or factor != 1.0:
         scaled = f" ({factor:g} times as large it would lie on it)" if factor != 1.0 else ""
         warnings.append(
             f"{request.passenger} is {carried.distance:.1f} body sizes away from "

@@ -90,8 +90,13 @@ def to_metres(space: StageSpace) -> FloatArray:
 
 
 def between_spaces(target: Path | None, source: Path | None) -> FloatArray:
-    """(4, 4) from the source's space to the target's; the identity unless both files state their units and axes."""
+    """(4, 4) from the source's space to the target's; the identity unless both files state their units and axes.
+
+    For one file it is exactly the identity.
+    """
     if target is None or source is None or not (states_units(target) and states_units(source)):
+        return np.eye(4)
+    if target.resolve() == source.resolve():
         return np.eye(4)
     return np.asarray(to_standard(source) @ np.linalg.inv(to_standard(target)), dtype=np.float64)
 
