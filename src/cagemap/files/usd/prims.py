@@ -23,6 +23,7 @@ JOINT_WEIGHTS = "skel:jointWeights"
 BLEND_SHAPE = "blendShape:"
 # Interpolations of values that are not at vertices, with what has a value.
 _ELEMENTS = {"uniform": "faces", "faceVarying": "corners"}
+_LEFT_OUT = "%s: primvar %s of %s is left out: there are as many vertices; export it at vertices%s"
 
 
 def read_value(attribute: Any) -> Any:
@@ -136,6 +137,7 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
         "faceVarying": len(control.face_indices),
     }
     arrays: dict[str, NDArray[Any]] = {}
+    corners = _corners_of_vertices(control)
     for primvar in usd_modules().UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
         name = primvar.GetPrimvarName()
         if name in taken or name.startswith("skel:") or not primvar.HasValue():
@@ -145,21 +147,22 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
         expected = rows.get(interpolation)
         if expected is None or values.dtype.kind not in "iuf" or values.size == 0 or values.ndim > 2:
             continue
-        is_ambiguous = interpolation in _ELEMENTS and expected == control.n_vertices
-        corners = _corners_of_vertices(control) if is_ambiguous and interpolation == "faceVarying" else None
-        if is_ambiguous and corners is None:
-            text = "%s: primvar %s of %s is left out: there are as many vertices; export it at vertices"
-            logger.warning(text, where, name, _ELEMENTS[interpolation])
+        at_corners = interpolation == "faceVarying"
+        if interpolation in _ELEMENTS and expected == control.n_vertices and not (at_corners and corners is not None):
+            remedy = "" if at_corners else " or corners"
+            logger.warning(_LEFT_OUT, where, name, _ELEMENTS[interpolation], remedy)
             continue
         values, numbers, _ = primvar_values(where, primvar)
         if len(numbers) != expected:
             _refuse(where, primvar, f"got {len(numbers)} values where {expected} belong")
-        arrays[name] = values[numbers if corners is None else numbers[corners]]
+        arrays[name] = values[numbers[corners] if at_corners and corners is not None else numbers]
     return arrays | _weights(where, control, prim)
 
 
 def _corners_of_vertices(control: ControlMesh) -> IndexArray | None:
     """(n,) the corner at each vertex if every vertex has one, else None."""
+    if len(control.face_indices) != control.n_vertices:
+        return None
     corners = np.argsort(control.face_indices, kind="stable")
     return corners if np.array_equal(control.face_indices[corners], np.arange(control.n_vertices)) else None
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.gltf.document import SCENE_SUFFIXES
+from cagemap.files.gltf.geometry import Z_TO_Y
 from cagemap.files.usd.prims import transform_points
 from cagemap.files.usd.read import read_usd_meshes
 from cagemap.files.usd.stages import damage_as_error, is_usd, open_each_once, open_stage, usd_modules
@@ -16,10 +17,6 @@ from cagemap.files.usd.transforms import is_mirrored, is_similarity
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.plain import turn_faces
 from cagemap.numerics.arrays import FloatArray
-from cagemap.surface.alignment import Z_UP
-
-# From Z up to Y up, for points as rows.
-_Z_TO_Y = np.block([[Z_UP, np.zeros((3, 1))], [np.zeros((1, 3)), np.eye(1)]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +81,7 @@ def to_standard(path: Path) -> FloatArray:
 
 def to_metres(space: StageSpace) -> FloatArray:
     """(4, 4) from a space to metres in world space with Y up."""
-    turned = space.to_world @ (_Z_TO_Y if space.up_axis == "Z" else np.eye(4))
+    turned = space.to_world @ (Z_TO_Y if space.up_axis == "Z" else np.eye(4))
     turned[:, :3] *= space.meters_per_unit
     return np.asarray(turned, dtype=np.float64)
 
