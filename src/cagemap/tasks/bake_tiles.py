@@ -119,6 +119,16 @@ def require_source_uvs(source: ControlMesh) -> None:
         )
 
 
+def require_layout(target: ControlMesh, remedy: str = "Unwrap") -> None:
+    """Refuse to bake into a target without a layout; ``remedy``: start of the sentence on what to do."""
+    if not target.has_layout:
+        found = "the mesh has none" if target.uvs is None else "all of them are in one point or on a line"
+        raise ParameterError(
+            f"{target.name}: expected texture coordinates to bake into, {found}. {remedy} it in your modelling program "
+            "and match again."
+        )
+
+
 def colors_remedy(mesh: ControlMesh) -> str:
     """Text for messages: the command that bakes the colours of a mesh."""
     option = colors_option(mesh)
@@ -153,13 +163,9 @@ def prepare_bake(
         control = unwrap(result.target.control)
         mesh = unwrapped_name(request.output)
         result = replace(result, target=result.target.with_control(control))
-    elif not result.target.control.has_layout:
-        found = (
-            "the mesh has none" if result.target.control.uvs is None else "all of them are in one point or on a line"
-        )
-        raise ParameterError(
-            f"{result.target.control.name}: expected texture coordinates to bake into, {found}. Add --unwrap "
-            "to lay it out and write the mesh beside the image, or unwrap it in your modelling program and match again."
+    else:
+        require_layout(
+            result.target.control, "Add --unwrap to lay it out and write the mesh beside the image, or unwrap"
         )
     stages("prepare")
     transfer = transfer_of(result)

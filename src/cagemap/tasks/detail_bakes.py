@@ -40,6 +40,7 @@ from cagemap.tasks.bake_tiles import (
     DEFAULT_SIZE,
     colors_remedy,
     layout_tiles,
+    require_layout,
     require_source_uvs,
     target_overlap_warnings,
     write_tiles,
@@ -294,12 +295,8 @@ def require_wrappable(request: WrapRequest, target: ControlMesh, source: Control
     if isinstance(default_scheme(target), Plain):
         raise ParameterError(f"{target.name}: {NO_CAGE}")
     images = wrap_bakes(request).images
-    if (images or request.texture is not None) and not target.has_layout:
-        found = "the mesh has none" if target.uvs is None else "all of them are in one point or on a line"
-        raise ParameterError(
-            f"{target.name}: expected texture coordinates to bake into, {found}. Unwrap it in your "
-            "modelling program and match again."
-        )
+    if images or request.texture is not None:
+        require_layout(target)
     if request.texture is not None:
         require_source_uvs(source)
     if "colors" in images and request.detail is None:

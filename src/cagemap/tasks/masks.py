@@ -6,6 +6,7 @@ import logging
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,8 +33,9 @@ from cagemap.surface.triangle_surface import TriangleSurface
 
 if TYPE_CHECKING:  # a match without masks starts without images and their library
     from cagemap.files.images.image import Pixels
+from cagemap.files.usd.prims import place_of_rows
 from cagemap.files.values.attributes import Attributes
-from cagemap.files.values.part_numbering import FileRows, place_of_rows, to_file
+from cagemap.files.values.part_numbering import FileRows, to_file
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.options import refuse_unread
@@ -220,7 +222,7 @@ def keep_base(
     result: MatchResult,
     carried: Attributes,
     rows: FileRows | None,
-    places: Mapping[str, str] | None = None,
+    places: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Attributes, list[str]]:
     """Carried values blended over the target's own values outside the masks; and notes.
 
@@ -243,9 +245,7 @@ def keep_base(
                 f"--base {base}: expected {name} of shape {values.shape}, as what is carried, got shape {below.shape}. "
                 "Give the target's own values."
             )
-        share = _weight_at(result, weight, len(values), (places or {}).get(name)).reshape(
-            -1, *([1] * (values.ndim - 1))
-        )
+        share = _weight_at(result, weight, len(values), places.get(name)).reshape(-1, *([1] * (values.ndim - 1)))
         if values.dtype.kind == "i":  # labels are not mixed
             kept[name] = np.where(share >= 0.5, values, below)
         else:
@@ -254,7 +254,10 @@ def keep_base(
 
 
 def to_file_values(
-    request: TransferRequest, carried: Attributes, rows: FileRows | None, places: Mapping[str, str] | None = None
+    request: TransferRequest,
+    carried: Attributes,
+    rows: FileRows | None,
+    places: Mapping[str, str] = MappingProxyType({}),
 ) -> Attributes:
     """Values of a part in the file's numbering, with ``--base``'s values or 0 elsewhere."""
     base = None if rows is None else base_of(request)

@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-
-import numpy as np
 
 from cagemap.character.passengers import carry_passenger, unit_factor
 from cagemap.errors import ParameterError
@@ -18,28 +15,18 @@ from cagemap.files.atomic import (
     require_replaceable,
     require_writable_folder,
 )
-from cagemap.files.gltf.geometry import is_z_up
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
-from cagemap.files.usd.space import (
-    StageSpace,
-    between_spaces,
-    stage_units,
-    states_units,
-    to_metres,
-    to_standard,
-    transform_mesh,
-)
+from cagemap.files.usd.prims import place_of_rows
+from cagemap.files.usd.space import between_spaces, from_mesh_space, states_units, transform_mesh
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults, check_usd_path
 from cagemap.files.values.attributes import check_attribute_path, read_attributes, write_attributes
-from cagemap.files.values.part_numbering import file_rows, other_rows, place_of_rows
+from cagemap.files.values.part_numbering import file_rows, other_rows
 from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
-from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
-from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.bake_tiles import bake_inputs
 from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.carry_images import (
@@ -239,14 +226,6 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     return line, warnings
 
 
-def _to_passenger(passenger: Path, target: Path | None, control: ControlMesh) -> FloatArray:
-    """(4, 4) from the target's space to that of a passenger's file; a target without units has the passenger's."""
-    if target is not None and states_units(target):
-        return between_spaces(passenger, target)
-    space = StageSpace("Z" if is_z_up(control) else "Y", stage_units(passenger).meters_per_unit)
-    return to_metres(space) @ np.linalg.inv(to_standard(passenger))
-
-
 def transfer_passenger(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry clothes, eyes, hair or a prop; UVs and materials do not change."""
     assert request.passenger is not None
@@ -259,7 +238,7 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     carried = carry_passenger(result, worn, kind=request.kind)
     placed, like = worn.with_positions(carried.positions), request.passenger
     if states_units(request.passenger) and states_units(request.output):  # in the passenger's own units and axes
-        placed = transform_mesh(placed, _to_passenger(request.passenger, target, result.target.control))
+        placed = transform_mesh(placed, from_mesh_space(request.passenger, result.target.control, target))
     else:
         placed = replace(placed, upright=result.target.control.upright)
         if states_units(request.output) and target is not None and is_usd(target):

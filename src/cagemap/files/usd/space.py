@@ -9,7 +9,7 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.gltf.document import SCENE_SUFFIXES
-from cagemap.files.gltf.geometry import Z_TO_Y
+from cagemap.files.gltf.geometry import Z_TO_Y, is_z_up
 from cagemap.files.usd.prims import transform_points
 from cagemap.files.usd.read import read_usd_meshes
 from cagemap.files.usd.stages import damage_as_error, is_usd, open_each_once, open_stage, usd_modules
@@ -96,6 +96,14 @@ def between_spaces(target: Path | None, source: Path | None) -> FloatArray:
     if target.resolve() == source.resolve():
         return np.eye(4)
     return np.asarray(to_standard(source) @ np.linalg.inv(to_standard(target)), dtype=np.float64)
+
+
+def from_mesh_space(target: Path, mesh: ControlMesh, file: Path | None) -> FloatArray:
+    """(4, 4) from the space of a mesh to that of a USD, glTF or FBX file; if its own states none, in the same unit."""
+    if file is not None and states_units(file):
+        return between_spaces(target, file)
+    space = StageSpace("Z" if is_z_up(mesh) else "Y", stage_units(target).meters_per_unit)
+    return np.asarray(to_metres(space) @ np.linalg.inv(to_standard(target)), dtype=np.float64)
 
 
 def transform_mesh(mesh: ControlMesh, matrix: FloatArray) -> ControlMesh:
