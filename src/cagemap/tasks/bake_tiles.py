@@ -164,9 +164,7 @@ def prepare_bake(
         mesh = unwrapped_name(request.output)
         result = replace(result, target=result.target.with_control(control))
     else:
-        require_layout(
-            result.target.control, "Add --unwrap to lay it out and write the mesh beside the image, or unwrap"
-        )
+        require_layout(result.target.control, "Add --unwrap to write it beside the image with a new layout, or unwrap")
     stages("prepare")
     transfer = transfer_of(result)
     tiles, outside = layout_tiles(transfer)

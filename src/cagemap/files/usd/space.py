@@ -91,7 +91,7 @@ def between_spaces(target: Path | None, source: Path | None) -> FloatArray:
 
     For one file it is exactly the identity.
     """
-    if target is None or source is None or not (states_units(target) and states_units(source)):
+    if target is None or source is None or not states_units(target) or not states_units(source):
         return np.eye(4)
     if target.resolve() == source.resolve():
         return np.eye(4)
