@@ -149,14 +149,8 @@ def prepare_bake(
     """
     mesh: Path | None = None
     warnings: list[str] = []
-    source_images = (
-        request.texture,
-        request.displacement,
-        request.normal_map,
-        request.vector_displacement,
-        *request.maps,
-    )
-    if any(source_images):
+    given_images = request.texture, request.displacement, request.normal_map, request.vector_displacement, *request.maps
+    if any(given_images):
         require_source_uvs(result.source.control)
     if request.unwrap:
         stages("unwrap")
@@ -170,10 +164,9 @@ def prepare_bake(
     tiles, outside = layout_tiles(transfer)
     warnings += [*outside, *_missing_uv_warnings(result.target.control)]
     warnings += target_overlap_warnings(result.target.control)
-    if any(source_images):
+    if any(given_images):
         warnings += _missing_uv_warnings(result.source.control)
-    if any(source_images) and result.masks.source is None:
-        warnings += _source_overlap_warnings(result.source.control)
+        warnings += [] if result.masks.source is not None else _source_overlap_warnings(result.source.control)
     images = [udim_path(output, tile) for output in outputs.values() for tile in tiles]
     meshes = () if mesh is None else (mesh, mesh.with_suffix(".mtl"))
     other_outputs = [*meshes, *([] if request.usd is None else [request.usd])]

@@ -13,15 +13,13 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files import IMAGE_SUFFIXES, INVERT_PREFIX, MASK_SUFFIXES
-from cagemap.files.gltf.document import SCENE_SUFFIXES
-from cagemap.files.gltf.read import gltf_skeleton
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.result.manifest import input_file
 from cagemap.files.usd.prims import JOINT_WEIGHTS
 from cagemap.files.usd.read import read_usd_meshes
-from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.values.attributes import read_attributes
+from cagemap.files.values.rigs import scene_skeleton
 from cagemap.maps.masks import Masks, face_mask, soft_edge, vertex_mask
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
@@ -303,12 +301,8 @@ def own_values(
 
 def _joint_names(base: Path, control: ControlMesh) -> tuple[str, ...]:
     """Names of the columns of a scene's joint weights; none for other files, or if joints have equal names."""
-    names: tuple[str, ...] = ()
-    if is_usd(base):
-        skeleton = read_usd_skeleton(base, control)
-        names = () if skeleton is None else skeleton.names
-    elif base.suffix.lower() in SCENE_SUFFIXES:
-        names = gltf_skeleton(base).names
+    skeleton = scene_skeleton(base, control)
+    names = () if skeleton is None else skeleton.names
     return names if len(set(names)) == len(names) else ()
 
 

@@ -15,9 +15,7 @@ from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
 from cagemap.files.result.maps import write_map
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
-from cagemap.files.usd.skeleton import read_usd_skeleton
-from cagemap.files.usd.space import between_spaces, states_units
-from cagemap.files.usd.stages import is_usd
+from cagemap.files.usd.space import between_spaces
 from cagemap.files.usd.write import UsdResults
 from cagemap.files.values.attributes import Attributes, check_attribute_path, read_attributes, write_attributes
 from cagemap.files.values.part_numbering import FileRows, file_rows, other_rows, to_file
@@ -26,6 +24,7 @@ from cagemap.files.values.rigs import (
     check_skeleton_path,
     read_shapes,
     read_skeleton,
+    scene_skeleton,
     write_shapes,
     write_skeleton,
 )
@@ -112,10 +111,8 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
 
 def _read_joints(file: Path, request: TransferRequest, result: MatchResult) -> Skeleton | None:
     """Joints in the units and axes of the source's file; None if a file of weights has none."""
-    control, is_of_weights = result.source.control, request.joints is None
-    if is_of_weights and not states_units(file):
-        return None
-    skeleton = read_usd_skeleton(file, control) if is_of_weights and is_usd(file) else read_skeleton(file, control)
+    read = scene_skeleton if request.joints is None else read_skeleton
+    skeleton = read(file, result.source.control)
     source = input_file(request.result, result.manifest, "source")
     return None if skeleton is None else skeleton.transformed(between_spaces(source, file))
 

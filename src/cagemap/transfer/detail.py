@@ -119,23 +119,10 @@ def bake_detail_normals(
     dtype: DTypeLike = np.uint8,
     options: BakeOptions | None = None,
 ) -> Pixels:
-    """Bake the detail's normals, relative to the source's, as a normal map of the target.
+    """Bake the detail's normals, relative to the source's, as a normal map (height, width, 3) of the target.
 
-    Parameters
-    ----------
-    transfer : Transfer
-    detail : Detail
-        Over the transfer's source.
-    size : int or (height, width)
-    space, green
-        As `bake_normal_map` takes them.
-    dtype : optional
-        Directions n are stored as (n + 1) / 2.
-    options : BakeOptions, optional
-
-    Returns
-    -------
-    (height, width, 3) array
+    ``detail`` lies over the transfer's source; ``size``, ``space``, ``green`` and ``options`` are as in
+    `bake_normal_map`. Directions n are stored as (n + 1) / 2.
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
 

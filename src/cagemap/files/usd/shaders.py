@@ -249,8 +249,6 @@ class _Materials:
         is_elsewhere = any(names and name not in names[place : place + 1] for names in sets)
         if name and is_elsewhere and (material, name) not in self._reported:
             self._reported.add((material, name))
-            text = (
-                "%s: %s: some of its meshes lack its UV set %s, or have it at another number, and show it wrongly; %s"
-            )
-            _log.warning(text, self._file, material, name, "give each mesh a material of its own")
+            text = "%s: %s: some of its meshes lack its UV set %s, or have it at another number, and show it wrongly%s"
+            _log.warning(text, self._file, material, name, "; give each mesh a material of its own")
         return holder | ({"texCoord": place} if place else {})

@@ -87,10 +87,7 @@ def to_metres(space: StageSpace) -> FloatArray:
 
 
 def between_spaces(target: Path | None, source: Path | None) -> FloatArray:
-    """(4, 4) from the source's space to the target's; the identity unless both files state their units and axes.
-
-    For one file it is exactly the identity.
-    """
+    """(4, 4) from the source's space to the target's; the identity for one file, or if one does not state its own."""
     if target is None or source is None or not states_units(target) or not states_units(source):
         return np.eye(4)
     if target.resolve() == source.resolve():

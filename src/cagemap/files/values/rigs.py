@@ -22,7 +22,7 @@ from cagemap.files.ownership import mark
 from cagemap.files.text import read_text
 from cagemap.files.usd.prims import BLEND_SHAPE
 from cagemap.files.usd.skeleton import read_usd_skeleton
-from cagemap.files.usd.space import between_spaces
+from cagemap.files.usd.space import between_spaces, states_units
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import FileRows, to_part
@@ -39,10 +39,8 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
     ``control``: the mesh of the skeleton; needed if a USD file has several.
     """
     file = Path(path)
-    if file.suffix.lower() in SCENE_SUFFIXES:
-        return gltf_skeleton(file)
-    if is_usd(file):
-        skeleton = read_usd_skeleton(file, control)
+    if states_units(file):
+        skeleton = scene_skeleton(file, control)
         if skeleton is None:
             raise FormatError(
                 f"{file}: expected a mesh bound to a skeleton, it is bound to none. Export it with its rig."
@@ -80,6 +78,13 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
     if axes is not None and (len(axes) != len(names) or not np.isfinite(axes).all()):
         raise FormatError(f"{file}: expected finite axes of all joints or of none, got {len(axes)} of {len(names)}.")
     return Skeleton(names, parents, heads, tails, axes)
+
+
+def scene_skeleton(file: Path, control: ControlMesh | None) -> Skeleton | None:
+    """Joints of a glTF, FBX or USD file; None for other files, and for a mesh in USD without a skeleton."""
+    if is_usd(file):
+        return read_usd_skeleton(file, control)
+    return gltf_skeleton(file) if file.suffix.lower() in SCENE_SUFFIXES else None
 
 
 def check_skeleton_path(file: Path) -> None:
