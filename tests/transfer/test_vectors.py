@@ -13,7 +13,12 @@ from cagemap.files.images.image import read_image, write_image
 from cagemap.subdivision import Level, refine
 from cagemap.transfer import BakeOptions, prepare_transfer
 from cagemap.transfer.textured_surface import TexturedSurface, tangent_frames
-from cagemap.transfer.vectors import bake_normal_map, bake_vector_displacement
+from cagemap.transfer.vectors import (
+    bake_normal_map,
+    bake_vector_displacement,
+    looks_like_normal_map,
+    share_of_normals,
+)
 
 from command_line import Run
 from locations import FIXTURES
@@ -212,3 +217,10 @@ def test_through_the_command_line(run: Run, result_folder: Path) -> None:
         inner = read_image(place / "o.png").pixels[38:60, 4:18].astype(int)
         assert np.abs(inner - texture[38:60, 4:18]).max() <= 2
     run.done("transfer R --vector-displacement n.png --space object -o v.exr --bits 32")
+
+
+def test_texels_that_are_not_numbers_are_no_painted_ones() -> None:
+    image = (normal_map(6, size=64) / 255.0).astype(np.float32)
+    image[20:] = np.nan
+    assert looks_like_normal_map(image)
+    assert share_of_normals(image) == 1.0
