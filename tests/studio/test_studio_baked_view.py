@@ -13,7 +13,7 @@ from cagemap.studio.finish import FinishOptions
 from cagemap.studio.session import Session
 from cagemap.studio.state import Message, Output, View, image_uv_set
 
-from studio_boxes import at_rest, click, until
+from studio_boxes import add_landmarks, at_rest, click, until
 
 
 def test_a_view_computes_nothing(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -40,8 +40,7 @@ def test_a_baked_image_is_shown_and_the_map_after_it(opened: Session, boxes: Pat
     assert b"baked" in opened.scene.skins[0]
     assert opened.scene.skins[0] != shown
     revision = opened.state.map.revision
-    click(opened, "target", 1)
-    opened.accept()
+    add_landmarks(opened, 1)
     assert opened.state.view.mode == "texture"
     until(lambda: opened.state.map.revision > revision, opened)
     assert b"baked" not in opened.scene.skins[0]

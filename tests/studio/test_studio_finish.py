@@ -357,12 +357,16 @@ def test_a_mesh_in_the_zip_names_material_files_of_the_zip_only(tmp_path: Path, 
         assert found[name] == (studio / name).read_text()
 
 
+def runner_of(on_job: Callable[[Any], object] = lambda _: None) -> tuple[Runner, list[Message], queue.Queue[Message]]:
+    """A runner, what it says and the message with which it ends."""
+    told, ended = list[Message](), queue.Queue[Message]()
+    return Runner(on_job, lambda _: None, told.append, lambda message, _: ended.put(message)), told, ended
+
+
 @pytest.mark.slow
 def test_a_failing_command_gives_its_own_words_and_the_others_go_on(tmp_path: Path) -> None:
     files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", None)
-    told: list[Message] = []
-    ended: queue.Queue[Message] = queue.Queue()
-    runner = Runner(lambda _: None, lambda _: None, told.append, lambda message, _: ended.put(message))
+    runner, told, ended = runner_of()
     todo = finish_commands(OPTIONS, files, FinishOptions(), use_landmarks=True)
     runner.start(todo)
     assert ended.get(timeout=60).kind == "error"
@@ -385,9 +389,8 @@ def test_a_command_that_takes_its_process_along_leaves_the_others_theirs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("cagemap.studio.runner.serve", die)
-    told: list[Message] = []
-    ended: queue.Queue[Message] = queue.Queue()
-    Runner(lambda _: None, lambda _: None, told.append, lambda message, _: ended.put(message)).start(runs(tmp_path))
+    runner, told, ended = runner_of()
+    runner.start(runs(tmp_path))
     assert ended.get(timeout=60).text.endswith(": normals, heights")
     assert [message.text for message in told] == [
         f"{title}: the computation's process ended (exit code 9)" for title in ("normals", "heights")
@@ -400,7 +403,6 @@ def test_a_process_that_ends_after_its_command_leaves_the_next_one_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, serve: Callable[[Connection], None]
 ) -> None:
     monkeypatch.setattr("cagemap.studio.runner.serve", serve)
-    ended: queue.Queue[Message] = queue.Queue()
 
     def wait(_: object) -> None:
         """Time to end between two commands."""
@@ -408,19 +410,17 @@ def test_a_process_that_ends_after_its_command_leaves_the_next_one_another(
         if process is not None:
             process.join(1 if serve is hang_up else 30)
 
-    runner = Runner(wait, lambda _: None, lambda _: None, lambda message, _: ended.put(message))
+    runner, _, ended = runner_of(wait)
     runner.start(runs(tmp_path))
     assert ended.get(timeout=60).text == "Bake: done"
 
 
 def test_a_cancelled_run_says_so_whatever_begins_after_it(tmp_path: Path) -> None:
-    ended: queue.Queue[Message] = queue.Queue()
-
     def on_job(job: RunningJob | None) -> None:
         if job is None:  # the next one begins
             runner._cancelled = False
 
-    runner = Runner(on_job, lambda _: None, lambda _: None, lambda message, _: ended.put(message))
+    runner, _, ended = runner_of(on_job)
     runner._cancelled = True
     runner._run_commands(())
     assert ended.get(timeout=10).text == "Bake: cancelled"
