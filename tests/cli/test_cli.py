@@ -143,18 +143,6 @@ def test_pipes_are_no_files_and_do_not_hang(run: Run, result_folder: Path, words
     assert sorted(place.iterdir()) == before
 
 
-def test_suggested_landmarks_go_to_a_landmark_file(run: Run, result_folder: Path) -> None:
-    run.refused("suggest R -o t.png", says="ending in .json")
-    assert read_image(result_folder.parent / "t.png").pixels.shape == (64, 96, 3)
-
-
-def test_the_demo_writes_nothing_where_its_result_folder_is_somebody_elses(run: Run, tmp_path: Path) -> None:
-    (tmp_path / "demo" / "RESULT").mkdir(parents=True)
-    (tmp_path / "demo" / "RESULT" / "precious.blend").touch()
-    outcome = run("demo -o demo")
-    assert (outcome.code, [path.name for path in (tmp_path / "demo").iterdir()]) == (2, ["RESULT"])
-
-
 @pytest.mark.slow
 def test_demo_runs_and_writes_what_the_readme_block_reads(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_fit: None

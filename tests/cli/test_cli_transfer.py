@@ -158,17 +158,6 @@ def test_islands_outside_the_square_are_warned_of(run: Run, result_folder: Path)
     assert "outside the unit square" in outcome.err
 
 
-def test_a_source_without_layout_is_named_before_anything_is_written(run: Run, result_folder: Path) -> None:
-    result = read_result(result_folder)
-    bare = result.source.with_control(result.source.control.with_uvs(None, None))
-    write_result(result_folder, replace(result, source=bare))
-    run.refused(
-        "transfer R --texture t.png --unwrap -o b.png",
-        says=f"{bare.control.name}: expected texture coordinates of the source",
-    )
-    assert not list(result_folder.parent.glob("b*"))
-
-
 def test_layouts_that_lie_over_themselves_are_warned_of(run: Run, result_folder: Path) -> None:
 
     def doubled(surface: cagemap.Surface) -> cagemap.Surface:

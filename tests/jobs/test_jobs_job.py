@@ -21,7 +21,6 @@ from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
 
 from job_text import table
 
-
 HEAD = 'output = "out"\n[options]\nvertices = 500\n'
 ASSETS = "".join(table("assets", name=name, file=f"{name}.obj") for name in "abc")
 PAIR, PAIRS = table("pairs", source="a", target="b"), table("pairs", source="all", target=["a", "b"])

@@ -200,8 +200,10 @@ def test_outputs_on_a_full_disk_are_named_and_exit_with_2(tmp_path: Path) -> Non
     assert told.stderr.startswith("cagemap: error: standard output: cannot be written (No space left on device)")
 
 
-def test_a_folder_that_was_removed_meanwhile_is_named() -> None:
+def test_an_error_of_no_file_says_what_it_may_be() -> None:
     assert explain_error(FileNotFoundError(2, "No such file or directory")).startswith("the current folder was removed")
+    assert explain_error(OSError(28, "No space left on device", "a.png")).startswith("a.png: No space")
+    assert "NUMBA_CACHE_DIR" in explain_error(OSError(28, "No space left on device"))
 
 
 def test_a_result_with_a_name_that_is_no_text_is_written(tmp_path: Path) -> None:

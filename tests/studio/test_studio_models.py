@@ -64,6 +64,7 @@ from cagemap.tasks.requests.catalogue import all_options
 
 from example_once import example_pair
 from studio_boxes import landmarks, opened_pair, unwrapped_cube
+from textured_files import write_skin, write_textured_usd
 
 
 def read_back(data: bytes) -> list[trimesh.Trimesh]:
@@ -357,7 +358,7 @@ def test_a_bake_in_the_second_uv_set_is_shown_in_it(tmp_path: Path) -> None:
     mesh = unwrapped_cube()
     second = UvSet("TEXCOORD_1", 0.5 * mesh.uvs, mesh.uv_indices)
     write_mesh(tmp_path / "box.glb", replace(mesh, uv_sets=(second,)))
-    write_image(tmp_path / "t.png", np.full((8, 8, 3), 90, dtype=np.uint8))
+    write_skin(tmp_path, name="t.png")
     files = default_files(tmp_path, tmp_path / "box.glb", tmp_path / "box.glb", None)
     opening, cache, _ = opened_pair(tmp_path / "box.glb", tmp_path / "box.glb")
     for uv_set, factor in ((None, 1.0), ("TEXCOORD_1", 0.5)):
@@ -371,7 +372,7 @@ def test_a_bake_in_the_second_uv_set_is_shown_in_it(tmp_path: Path) -> None:
 
 def _downloaded(folder: Path, target: Path, *outputs: Path) -> pygltflib.GLTF2:
     """The model to download of a target with the image ``t.png`` and further outputs."""
-    write_image(folder / "t.png", np.full((8, 8, 3), 90, dtype=np.uint8))
+    write_skin(folder, name="t.png")
     files = default_files(folder, target, target, None)
     listed = tuple(Output(path, "texture") for path in (folder / "t.png", *outputs))
     return pygltflib.GLTF2.load_from_bytes(textured_model(StudioState(files=files, outputs=listed), None))
@@ -446,10 +447,7 @@ def test_each_material_of_a_glb_is_shown_with_its_own_image(tmp_path: Path) -> N
 
 def test_the_image_inside_a_usd_file_is_the_texture_where_none_is_named(tmp_path: Path) -> None:
     pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
-    from cagemap.files.usd.write import UsdResults, write_usd
-
-    write_image(tmp_path / "skin.png", np.full((8, 8, 3), [200, 30, 10], dtype=np.uint8))
-    write_usd(tmp_path / "box.usda", unwrapped_cube(), UsdResults(textures={"albedo": "./skin.png"}))
+    write_textured_usd(tmp_path, unwrapped_cube())
     write_mesh(tmp_path / "bare.usda", unwrapped_cube())
     for name, texture in (("box.usda", tmp_path / "box_texture.png"), ("bare.usda", None)):
         _, _, opened = opened_pair(tmp_path / "bare.usda", tmp_path / name)

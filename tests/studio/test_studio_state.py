@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.result.folder import write_result
-from cagemap.files.result.manifest import file_hash
+from cagemap.files.result.manifest import stated_inputs
 from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, read_autosave, write_autosave
 from cagemap.studio.downloads import textured_model_name
@@ -194,10 +194,8 @@ def test_a_result_names_its_models(tmp_path: Path) -> None:
     for name in ("cow.obj", "spot.obj", "l.json"):
         (tmp_path / name).write_text(name)
     result = tmp_path / "RESULT"
-    inputs = {
-        side: {"file": name, "path": f"../{name}", "sha256": file_hash(tmp_path / name)}
-        for side, name in (("target", "cow.obj"), ("source", "spot.obj"), ("landmarks", "l.json"))
-    }
+    given = {"target": "cow.obj", "source": "spot.obj", "landmarks": "l.json"}
+    inputs = stated_inputs({name: tmp_path / file for name, file in given.items()}, result)
     with pytest.raises(FormatError, match="result folder"):
         command_line_files(None, None, None, None, result)
     write_result(result, replace(identity_result(1), provenance={"inputs": inputs}))
@@ -232,12 +230,3 @@ def test_messages_do_not_pile_up() -> None:
         messages = add_message(add_message(messages, "note", f"{number}"), "note", "again")
     assert len(messages) == 100  # what a bake of many outputs says of each stays
     assert sum(message.text == "again" for message in messages) == 1
-
-
-def test_an_autosave_of_another_model_of_the_same_name_is_not_used(tmp_path: Path) -> None:
-    file, models = autosave_path(tmp_path / "a.json"), ("a.obj, 9 vertices", "anna/head.obj, 9 vertices")
-    landmarks = pair(LandmarkList(), 1.0)
-    write_autosave(file, landmarks, models=models)
-    assert read_autosave(file, (9, 9), models) == landmarks
-    with pytest.raises(FormatError, match=r"anna/head\.obj"):
-        read_autosave(file, (9, 9), (models[0], "bob/head.obj, 9 vertices"))
