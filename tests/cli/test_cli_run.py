@@ -101,9 +101,7 @@ def test_a_dry_run_counts_plain_meshes_without_subdivision(folder: Path) -> None
 
 
 @pytest.mark.parametrize(("option", "levels"), [("target_level = 1", (None, 1)), ("source_level = 0", (0, None))])
-def test_a_dry_run_counts_each_side_by_its_own_options(
-    folder: Path, option: str, levels: tuple[int | None, int | None]
-) -> None:
+def test_a_dry_run_counts_each_side_by_its_own_options(folder, option, levels):
     job = folder / "job.toml"
     job.write_text(JOB.replace("vertices = 500", f"level = 2\n{option}"))
     said = CliRunner().invoke(app, ["run", str(job), "--dry-run"])
@@ -205,9 +203,7 @@ def test_each_task_by_its_number_is_done_once_and_has_an_exit_code(folder: Path,
 
 
 @pytest.mark.slow
-def test_a_numbered_output_is_made_with_the_way_round_its_doubtful_map(
-    folder: Path, quick: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_numbered_output_is_made_with_the_way_round_its_doubtful_map(folder, quick, monkeypatch):
     """The composed map has no number: who needs it makes it first, once."""
     three = {"pony": COLORED, "deer": {}, "cow": {}}
     outputs = JOB[JOB.index("[[outputs]]") :]

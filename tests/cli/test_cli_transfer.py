@@ -180,9 +180,7 @@ def test_layouts_that_lie_over_themselves_are_warned_of(run: Run, result_folder:
     assert "materials of the source" not in colours.err
 
 
-def test_only_the_first_faces_over_a_seam_are_listed(
-    run: Run, result_folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_the_first_faces_over_a_seam_are_listed(run, result_folder, monkeypatch):
     def crossed(*sides: Any) -> Any:
         return replace(carry_uvs(*sides), crossed=np.arange(1000))
 
@@ -192,9 +190,7 @@ def test_only_the_first_faces_over_a_seam_are_listed(
     assert "0, 1, 2, 3, 4, 5, 6, 7, ... (992 more)" in outcome.err
 
 
-def test_a_mesh_with_the_source_s_uvs_is_noted_and_what_its_missing_file_held_is_warned_of(
-    run: Run, result_folder: Path
-) -> None:
+def test_a_mesh_with_the_source_s_uvs_is_noted_and_what_its_missing_file_held_is_warned_of(run, result_folder):
     outcome = run.done("transfer R --source-uvs -o laid.obj")
     result = read_result(result_folder)
     (entry,) = result.manifest["transfers"]

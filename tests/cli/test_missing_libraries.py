@@ -25,6 +25,7 @@ from cagemap.transfer.unwrap import unwrap
 from example_once import example_pair
 from job_text import job_text
 from locations import ROOT
+from refusals import refuses
 
 
 def matched() -> MatchResult:
@@ -75,8 +76,7 @@ def test_pictures_and_layouts_name_the_library_they_miss(without_embreex_and_xat
     mesh = cube()
     with pytest.raises(MissingLibraryError, match="pictures: expected the library embreex"):
         _ = Model(mesh.positions, np.array([[0, 1, 2]])).scene
-    with pytest.raises(MissingLibraryError, match=r"`unwrap`.*expected the library xatlas.*version of Python"):
-        unwrap(mesh)
+    refuses(MissingLibraryError, r"`unwrap`.*expected the library xatlas.*version of Python", unwrap, mesh)
 
 
 def test_pip_takes_only_what_has_a_wheel() -> None:

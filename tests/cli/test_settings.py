@@ -17,6 +17,8 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.settings import moved_options, read_settings, settings_of
 
+from refusals import refuses
+
 MATCH = ("match", "-t", "t.obj", "-s", "s.obj", "-o", "R")
 COMMANDS = {"": get_command(app), **get_command(app).commands}  # type: ignore[attr-defined]
 
@@ -107,8 +109,7 @@ def test_settings_reach_the_request_and_the_last_of_one_name_counts(tmp_path: Pa
 
 def test_a_file_of_settings_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     file = tmp_path / "x.toml"
-    with pytest.raises(FormatError, match=r"x\.toml"):
-        read_settings(MatchRequest, [str(file)])
+    refuses(FormatError, r"x\.toml", read_settings, MatchRequest, [str(file)])
     file.write_text("a = " + "[" * 20_000)
     with pytest.raises(FormatError, match=r"x\.toml: expected a TOML file, got brackets within brackets"):
         read_settings(MatchRequest, [str(file)])

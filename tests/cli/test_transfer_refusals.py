@@ -58,9 +58,7 @@ def test_a_base_that_nothing_reads_is_refused_or_reported(place: Path) -> None:
 
 
 @pytest.mark.parametrize("words", [("attribute", "o.csv"), ("weights", "o.csv"), ("blend_shapes", "shapes")])
-def test_values_and_the_layer_beside_them_are_written_both_or_neither(
-    place: Path, words: tuple[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_values_and_the_layer_beside_them_are_written_both_or_neither(place, words, monkeypatch):
     """A .csv that is left alone, without a mark, would refuse the next run."""
     pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
     carried, output = words
@@ -85,9 +83,7 @@ def test_options_that_would_do_nothing_are_those_of_the_request() -> None:
     assert set(door._READ_BY) <= {field.name for field in fields(TransferRequest)}
 
 
-def test_a_result_that_may_only_be_read_is_used_with_a_word(
-    place: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_result_that_may_only_be_read_is_used_with_a_word(place, monkeypatch, caplog):
     """Somebody else's, or on a disk that is for reading."""
     result = place / "R"
     (result / "job.toml").write_text('output = "again"\n')
@@ -115,9 +111,7 @@ FOREIGN = {
 
 
 @pytest.mark.parametrize("name", FOREIGN)
-def test_what_cannot_be_written_is_refused_before_the_work(
-    place: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_what_cannot_be_written_is_refused_before_the_work(place, monkeypatch, name):
     output, options, says = FOREIGN[name]
     for work in ("transfer.transfer_of", "rig.carry_shapes", "rig.carry_weights", "rig.carry_joints"):
         monkeypatch.setattr(f"cagemap.tasks.{work}", lambda *given, **more: pytest.fail("it was carried"))

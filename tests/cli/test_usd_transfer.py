@@ -36,6 +36,7 @@ from cagemap.files.usd.results import MATERIAL
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
+from refusals import refuses
 from transfer_command import transfer
 from usd_scenes import complaints
 
@@ -254,8 +255,7 @@ def test_weights_without_joints_do_not_keep_those_of_earlier_ones(folder: Path) 
     [["a.png", "b.png"], ["a=x.png", "a=y.png"], ["a=x.png", "y.png"], ["a/b=x.png", "c=y"], ["A=x.png", "a=y.png"]],
 )
 def test_maps_without_names_of_their_own_are_refused(words: list[str]) -> None:
-    with pytest.raises(ParameterError, match="--texture"):
-        texture_and_maps(words)
+    refuses(ParameterError, "--texture", texture_and_maps, words)
 
 
 def test_a_single_image_needs_no_name() -> None:

@@ -35,6 +35,7 @@ from example_once import example_pair
 from example_result import identity_result, textured_cube
 from job_text import job_text
 from plain_meshes import renumbered
+from refusals import refuses
 
 BOTH = {"source": ["a", "b"], "target": ["a", "b"]}
 CARRY = '[carry]\nsource = "a"\nfolder = "marks"\n'
@@ -108,8 +109,7 @@ def test_a_file_that_somebody_edited_counts_as_landmarks_and_is_left_alone(folde
 )
 def test_mistakes_are_named(folder: Path, old: str, new: str, words: str) -> None:
     (folder / "job.toml").write_text(JOB.replace(old, new))
-    with pytest.raises(FormatError, match=words):
-        planned(folder)
+    refuses(FormatError, words, planned, folder)
 
 
 def carry(folder: Path, given: dict[str, Any], forward: bool = True, back: str | None = None, **more: str) -> Any:

@@ -20,6 +20,7 @@ from cagemap.mesh.schemes import SCHEMES
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
 
 from job_text import table
+from refusals import refuses
 
 HEAD = 'output = "out"\n[options]\nvertices = 500\n'
 ASSETS = "".join(table("assets", name=name, file=f"{name}.obj") for name in "abc")
@@ -131,16 +132,13 @@ def test_all_problems_are_named_at_once_with_their_lines(folder: Path) -> None:
     ],
 )
 def test_files_of_another_form_are_refused(folder: Path, text: str, words: str) -> None:
-    with pytest.raises(FormatError, match=words):
-        plan_of(folder, text)
+    refuses(FormatError, words, plan_of, folder, text)
 
 
 def test_a_missing_job_file_is_named(tmp_path: Path) -> None:
     (tmp_path / "empty.toml").touch()
-    with pytest.raises(FormatError, match="assets: is missing"):
-        read_job(tmp_path / "empty.toml", COMMANDS)
-    with pytest.raises(FormatError, match="expected a job file, there is no such file"):
-        read_job(tmp_path / "job.toml", COMMANDS)
+    refuses(FormatError, "assets: is missing", read_job, tmp_path / "empty.toml", COMMANDS)
+    refuses(FormatError, "expected a job file, there is no such file", read_job, tmp_path / "job.toml", COMMANDS)
 
 
 def test_a_job_file_that_may_not_be_read_is_named(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,8 +146,7 @@ def test_a_job_file_that_may_not_be_read_is_named(folder: Path, monkeypatch: pyt
         raise PermissionError(13, "Permission denied", str(path))
 
     monkeypatch.setattr(Path, "stat", refuse)
-    with pytest.raises(FormatError, match=r"cannot be read.*Check its permissions"):
-        read_job(folder / "job.toml", COMMANDS)
+    refuses(FormatError, r"cannot be read.*Check its permissions", read_job, folder / "job.toml", COMMANDS)
 
 
 def test_lines_are_found_in_nested_tables() -> None:
@@ -190,10 +187,8 @@ def test_files_beside_an_output_go_to_the_pair_and_a_report_comes_last(folder: P
     ]
     assert tasks[0].request["displacement"] == str(folder / "out" / "a__b" / "b.exr")
     assert [task.predecessors for task in tasks] == [(), (tasks[0].name,), (tasks[1].name,)]
-    with pytest.raises(FormatError, match=r"two outputs of a -> b write a__b/b\.exr"):
-        plan_of(folder, text.replace("v.obj", "b.exr"))
-    with pytest.raises(FormatError, match="expected a name inside the pair"):
-        plan_of(folder, text.replace("{target}.exr", "../b.exr"))
+    refuses(FormatError, r"two outputs of a -> b write a__b/b\.exr", plan_of, folder, text.replace("v.obj", "b.exr"))
+    refuses(FormatError, "expected a name inside the pair", plan_of, folder, text.replace("{target}.exr", "../b.exr"))
 
 
 def test_outputs_of_a_pair_may_add_to_one_layer(folder: Path) -> None:
@@ -215,8 +210,7 @@ def test_outputs_go_to_the_pairs_that_have_what_they_ask_for(folder: Path) -> No
     assert [task.outputs for task in baked] == [("a__b/b.png",)]
     assert baked[0].request["texture"] == str(folder / "a.png")
     assert len(plan.omitted_outputs) == 3
-    with pytest.raises(FormatError, match="two outputs of"):
-        plan_of(folder, HEAD + assets + PAIRS + 2 * output)
+    refuses(FormatError, "two outputs of", plan_of, folder, HEAD + assets + PAIRS + 2 * output)
     with pytest.raises(FormatError, match="two outputs of"):
         plan_of(folder, HEAD + assets + PAIRS + output + output.replace('"{target}.png"', '"./{target}.png"'))
     elsewhere = output.replace("{target}.png", "more/{target}.png")
@@ -260,14 +254,11 @@ def test_tasks_know_the_files_that_they_are_given(folder: Path) -> None:
         (("man", "Man", "b"), (("man", "b"), ("Man", "b"))),
     ],
 )
-def test_pairs_that_would_share_a_folder_are_refused(
-    names: tuple[str, ...], pairs: tuple[tuple[str, str], ...], folder: Path
-) -> None:
+def test_pairs_that_would_share_a_folder_are_refused(names, pairs, folder):
     text = HEAD + "".join(f'[[assets]]\nname = "{name}"\nfile = "a.obj"\n' for name in names)
     text += "".join(f'[[pairs]]\nsource = "{source}"\ntarget = "{target}"\n' for source, target in pairs)
     shown = [f"{source} -> {target}" for source, target in pairs]
-    with pytest.raises(FormatError, match=f"{shown[0]} and {shown[1]} would be written to one folder"):
-        plan_of(folder, text)
+    refuses(FormatError, f"{shown[0]} and {shown[1]} would be written to one folder", plan_of, folder, text)
 
 
 def test_a_tree_joins_all_along_shapes_that_are_alike(folder: Path) -> None:
@@ -289,8 +280,7 @@ def test_shapes_are_compared_whatever_their_place_and_size() -> None:
 
 def test_a_mesh_without_area_is_no_part_of_a_tree() -> None:
     flat = cube().with_positions(np.zeros((8, 3)))
-    with pytest.raises(InvalidMeshError, match="faces with an area"):
-        shape_distribution(flat)
+    refuses(InvalidMeshError, "faces with an area", shape_distribution, flat)
 
 
 def test_relative_files_start_from_the_job_file(folder: Path) -> None:
@@ -308,8 +298,7 @@ def test_a_mask_is_a_file_beside_the_job_and_counts_by_its_content(folder: Path,
         return next(task for task in plan_of(folder, text).tasks if task.kind == "match")
 
     text = HEAD + f'target_mask = "{prefix}m.csv"\nsource_mask = "object:head"\n' + ASSETS + PAIRS
-    with pytest.raises(FormatError, match=r"options\.target_mask: .*m\.csv does not exist"):
-        match(text)
+    refuses(FormatError, r"options\.target_mask: .*m\.csv does not exist", match, text)
     (folder / "m.csv").write_text("1\n")
     before = match(text)
     assert before.request["target_mask"] == f"{prefix}{folder / 'm.csv'}"
@@ -367,8 +356,7 @@ def test_schemes_of_assets_are_those_of_meshes() -> None:
 def test_tiles_are_files_of_an_asset_and_count_by_their_content(folder: Path, name: str) -> None:
     text = HEAD + ASSETS.replace('"a.obj"', f'"a.obj"\nfiles = {{ color = "{name}" }}') + PAIRS
     text += '[[outputs]]\ncommand = "transfer"\ntexture = "{source.color}"\noutput = "t.png"\n'
-    with pytest.raises(FormatError, match=r"assets\.0\.files\.color: .* does not exist"):
-        plan_of(folder, text)
+    refuses(FormatError, r"assets\.0\.files\.color: .* does not exist", plan_of, folder, text)
     keys = []
     for content in (b"one", b"two"):
         (folder / "a.1002.png").write_bytes(content)

@@ -41,6 +41,7 @@ from cagemap.tasks.wrap import run_wrap
 
 from example_once import example_pair
 from example_result import identity_result, textured_cube
+from refusals import refuses
 from transfer_command import transfer
 
 CUBE = """# modelled by hand
@@ -96,8 +97,7 @@ def test_a_folder_with_a_foreign_manifest_is_left_alone(place: Path) -> None:
     (work / "manifest.json").write_text('{"name": "a web app"}')
     (work / "sub" / "photo.raw").write_bytes(b"\0\1")
     before = contents(work)
-    with pytest.raises(FormatError, match=r"manifest\.json: exists.*force=True"):
-        write_result(work, identity_result())
+    refuses(FormatError, r"manifest\.json: exists.*force=True", write_result, work, identity_result())
     assert contents(work) == before
     write_result(work, identity_result(), force=True)
     assert (work / "sub" / "photo.raw").exists()
@@ -118,8 +118,7 @@ def test_a_rerun_keeps_the_users_files_in_the_result_folder(place: Path) -> None
 def test_a_manifest_that_somebody_edited_is_theirs(place: Path) -> None:
     file = place / "R" / MANIFEST
     file.write_text(file.read_text().replace('"made for other poses"', '"my own remark"'))
-    with pytest.raises(FormatError, match="changed since"):
-        write_result(place / "R", identity_result())
+    refuses(FormatError, "changed since", write_result, place / "R", identity_result())
     assert "my own remark" in file.read_text()
 
 
@@ -140,8 +139,7 @@ def test_match_refuses_a_foreign_folder_before_it_works(tmp_path: Path, monkeypa
     (tmp_path / "manifest.json").write_text("[]")
     mesh, pairs = tmp_path / "a.obj", tmp_path / "l.json"
     for output, words in ((tmp_path, "not overwritten"), (tmp_path / "none" / "R", "does not exist")):
-        with pytest.raises(FormatError, match=words):
-            run_match(MatchRequest(mesh, mesh, output, pairs), Stages())
+        refuses(FormatError, words, run_match, MatchRequest(mesh, mesh, output, pairs), Stages())
 
 
 def test_unwrapping_leaves_the_model_beside_the_image_alone(place: Path) -> None:
@@ -217,10 +215,8 @@ def test_a_foreign_material_file_is_not_replaced(place: Path) -> None:
     for name in ("fine.mtl", "a_unwrapped.mtl"):
         (place / name).write_text(PAINT)
     before = contents(place)
-    with pytest.raises(FormatError, match=r"fine\.mtl: exists"):
-        write_mesh(place / "fine.obj", textured_cube("box.obj"))
-    with pytest.raises(FormatError, match=r"a_unwrapped\.mtl: exists"):
-        texture_of(place, "a.png", unwrap=True)
+    refuses(FormatError, r"fine\.mtl: exists", write_mesh, place / "fine.obj", textured_cube("box.obj"))
+    refuses(FormatError, r"a_unwrapped\.mtl: exists", texture_of, place, "a.png", unwrap=True)
     assert contents(place) == before
     _, warnings = texture_of(place, "b.png", unwrap=True)
     assert "no groups, names or normals" in warnings[0]
@@ -249,11 +245,9 @@ def test_outputs_are_no_inputs(place: Path, force: bool) -> None:
         lambda: run_report(ReportRequest(place / "R", place / "t.png", place / "t.png", force), Stages()),
     ]
     for attempt in attempts:
-        with pytest.raises(FormatError, match=r"is an input too|expected the name of a page"):
-            attempt()
+        refuses(FormatError, r"is an input too|expected the name of a page", attempt)
     mesh = MatchRequest(place / "box.obj", place / "box.obj", place / "R", place / "R" / MANIFEST, force=force)
-    with pytest.raises(FormatError, match="is an input too"):
-        run_match(mesh, Stages())
+    refuses(FormatError, "is an input too", run_match, mesh, Stages())
     assert contents(place) == before
 
 
@@ -288,8 +282,7 @@ def test_what_a_match_read_is_no_output_of_what_follows(place: Path, force: bool
         lambda: wrapped(place / "w.obj", normal_map=place / "t.png", texture=place / "t.png", baked=place / "b.png"),
     ]
     for attempt in attempts:
-        with pytest.raises(FormatError, match="is an input too"):
-            attempt()
+        refuses(FormatError, "is an input too", attempt)
     with pytest.raises(FormatError, match=r"n\.png: two outputs have this name"):
         wrapped(place / "w.obj", normal_map=place / "n.png", displacement=place / "n.png")
     with pytest.raises(ParameterError, match="colours"):  # and no mesh without its image
@@ -298,8 +291,7 @@ def test_what_a_match_read_is_no_output_of_what_follows(place: Path, force: bool
         wrapped(place / "w.obj", normal_map=place / "n.png", detail=place / "gone.obj")
     with pytest.raises(FormatError, match=r"thesis\.tex"):  # nor without that of a damaged file
         wrapped(place / "w.obj", normal_map=place / "n.png", detail=place / "thesis.tex")
-    with pytest.raises(FormatError, match=r"bad\.png"):
-        wrapped(place / "w.obj", texture=place / "bad.png", baked=place / "n.png")
+    refuses(FormatError, r"bad\.png", wrapped, place / "w.obj", texture=place / "bad.png", baked=place / "n.png")
     assert contents(place) == before
 
 
@@ -322,8 +314,7 @@ def test_no_command_overwrites_what_it_did_not_write(place: Path) -> None:
         lambda: transfer(place / "mine.npz", attribute=place / "v.npy"),
     ]
     for attempt in attempts:
-        with pytest.raises(FormatError, match=r"was not written by cagemap.*force=True"):
-            attempt()
+        refuses(FormatError, r"was not written by cagemap.*force=True", attempt)
     assert contents(place) == before
     texture_of(place, "mine.png", force=True)
     transfer(place / "mine.npz", attribute=place / "v.npy", force=True)
@@ -382,12 +373,10 @@ def test_links_are_followed_and_permissions_kept(place: Path) -> None:
 
 def test_devices_and_read_only_files_are_not_replaced(place: Path) -> None:
     os.mkfifo(place / "pipe.png")
-    with pytest.raises(FormatError, match="device or a pipe"):
-        texture_of(place, "pipe.png", force=True)
+    refuses(FormatError, "device or a pipe", texture_of, place, "pipe.png", force=True)
     texture_of(place, "kept.png")
     (place / "kept.png").chmod(0o444)
-    with pytest.raises(FormatError, match="read-only"):
-        texture_of(place, "kept.png", force=True)
+    refuses(FormatError, "read-only", texture_of, place, "kept.png", force=True)
 
 
 def test_manifests_name_files_relative_to_themselves(place: Path) -> None:

@@ -16,7 +16,6 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.npz import write_npz
 from cagemap.files.result.folder import write_result
 
-from command_line import Run
 from example_result import identity_result, textured_cube
 from textured_files import write_textured_scene
 
@@ -297,9 +296,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("words", REFUSED, ids=str)
-def test_what_cannot_be_done_is_refused(
-    run: Run, place: Path, words: str | tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_done_is_refused(run, place, words, monkeypatch):
     monkeypatch.chdir(place)
     monkeypatch.setattr("cagemap.tasks.demo.TEXTURE_SIZE", 8)
     before = {path: path.read_bytes() for path in place.rglob("*") if path.is_file()}

@@ -59,9 +59,7 @@ def baked(session: Session, boxes: Path) -> Path:
     return image
 
 
-def test_a_bake_is_shown_though_its_map_cannot_be_compared(
-    opened: Session, boxes: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bake_is_shown_though_its_map_cannot_be_compared(opened, boxes, monkeypatch):
     monkeypatch.setattr("cagemap.studio.session.map_difference_notes", lambda *_: [][0])
     baked(opened, boxes)
     assert "error" in [message.kind for message in opened.state.messages[-3:]]
@@ -126,9 +124,7 @@ def test_what_a_bake_of_other_models_wrote_is_no_output_of_the_open_ones(opened:
         assert opened.state.outputs == (image,)
 
 
-def test_an_image_of_an_earlier_bake_is_drawn_and_downloaded_in_its_own_uv_set(
-    opened: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_image_of_an_earlier_bake_is_drawn_and_downloaded_in_its_own_uv_set(opened, monkeypatch):
     drawn = list[tuple[Path, str | None]]()
     monkeypatch.setattr(opened._preview, "show_baked", lambda image, _, uv_set: drawn.append((image, uv_set)))
     monkeypatch.setattr(opened._runner, "start", lambda _: None)

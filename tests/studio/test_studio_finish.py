@@ -8,7 +8,6 @@ import queue
 import zipfile
 from collections.abc import Callable
 from dataclasses import field, make_dataclass, replace
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Annotated, Any
 from unittest.mock import patch
@@ -65,6 +64,7 @@ from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import check_transfer
 
 from example_result import identity_result
+from refusals import refuses
 
 OPTIONS = all_options()
 SHOWN = (*(field.key for fold in SECTIONS for field in fold.fields), VERTICES_KEY, SIZE_KEY)
@@ -237,13 +237,11 @@ def test_links_that_lead_out_of_the_folders_are_neither_read_nor_written(tmp_pat
     workspace = Workspace.of(inside)
     (inside / "link.obj").symlink_to(outside / "secret.obj")
     for path in ("../out/secret.obj", str(outside / "secret.obj"), "link.obj"):
-        with pytest.raises(ParameterError, match="outside"):
-            workspace.resolve(path)
+        refuses(ParameterError, "outside", workspace.resolve, path)
     files = default_files(inside, inside / "cow.obj", inside / "spot.obj", inside / "spot.png")
 
     def refused(asked: FinishOptions) -> None:
-        with pytest.raises(ParameterError, match="outside"):
-            plan_commands(OPTIONS, workspace, files, asked, use_landmarks=False)
+        refuses(ParameterError, "outside", plan_commands, OPTIONS, workspace, files, asked, use_landmarks=False)
 
     shapes = FinishOptions(option_values=given_values(blend_shapes=(Path("shapes"),)))
     plan_commands(OPTIONS, workspace, files, shapes, use_landmarks=False)
@@ -276,8 +274,7 @@ def test_a_name_that_is_no_text_is_not_listed_and_refused_in_words_that_are(tmp_
         path.touch()
     workspace = Workspace.of(tmp_path)
     assert workspace.list_files((".obj",)) == ("caf\u00e9.obj",)
-    with pytest.raises(ParameterError, match="expected the name of a file"):
-        workspace.resolve(odd)
+    refuses(ParameterError, "expected the name of a file", workspace.resolve, odd)
     (message,) = add_message((), "error", f"{odd}: not found")
     assert message.text.encode()
 
@@ -385,9 +382,7 @@ def runs(tmp_path: Path) -> tuple[Command, ...]:
 
 
 @pytest.mark.slow
-def test_a_command_that_takes_its_process_along_leaves_the_others_theirs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_command_that_takes_its_process_along_leaves_the_others_theirs(tmp_path, monkeypatch):
     monkeypatch.setattr("cagemap.studio.runner.serve", die)
     runner, told, ended = runner_of()
     runner.start(runs(tmp_path))
@@ -399,9 +394,7 @@ def test_a_command_that_takes_its_process_along_leaves_the_others_theirs(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("serve", [leave, hang_up])
-def test_a_process_that_ends_after_its_command_leaves_the_next_one_another(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, serve: Callable[[Connection], None]
-) -> None:
+def test_a_process_that_ends_after_its_command_leaves_the_next_one_another(tmp_path, monkeypatch, serve):
     monkeypatch.setattr("cagemap.studio.runner.serve", serve)
 
     def wait(_: object) -> None:

@@ -25,6 +25,7 @@ from cagemap.studio.session import Session
 from cagemap.studio.state import Files
 from cagemap.tasks.requests.catalogue import Value
 
+from refusals import refuses
 from studio_boxes import add_landmarks, click, click_between, mapped, session_of, until
 
 
@@ -266,8 +267,7 @@ def test_files_are_added_under_free_names(session: Session, boxes: Path) -> None
 )
 def test_an_added_mesh_names_no_file_outside_the_folders(session: Session, boxes: Path, line: bytes) -> None:
     before = sorted(boxes.iterdir())
-    with pytest.raises(ParameterError, match="got one outside"):
-        session.workspace.add("x.obj", b"v 0 0 0\n" + line + b"\nv 1 0 0\n")
+    refuses(ParameterError, "got one outside", session.workspace.add, "x.obj", b"v 0 0 0\n" + line + b"\nv 1 0 0\n")
     assert sorted(boxes.iterdir()) == before
     added = session.workspace.add("x.obj", b"mtllib my own.mtl\n")
     added.unlink()
@@ -292,8 +292,7 @@ def test_an_added_usd_file_names_no_file_outside_the_folders(session: Session, b
     pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
     before = sorted(boxes.iterdir())
     text = "#usda 1.0\n" + words.replace("){}", "){\n}\n")
-    with pytest.raises(ParameterError, match="got one outside"):
-        session.workspace.add("x.usda", text.encode())
+    refuses(ParameterError, "got one outside", session.workspace.add, "x.usda", text.encode())
     assert sorted(boxes.iterdir()) == before
 
 
@@ -302,8 +301,7 @@ def test_an_added_usd_file_may_name_files_beside_it_and_a_package_its_own(sessio
     pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
     text = b'#usda 1.0\ndef "a" {\nasset f = @./textures/a.png@\n}\n'
     session.workspace.add("x.usda", text).unlink()
-    with pytest.raises(FormatError, match="cannot be read as USD"):
-        session.workspace.add("x.usda", b"no layer")
+    refuses(FormatError, "cannot be read as USD", session.workspace.add, "x.usda", b"no layer")
     layer, image, package = tmp_path / "a.usda", tmp_path / "a.png", tmp_path / "p.usdz"
     layer.write_bytes(text.replace(b"./textures/", b""))
     image.write_bytes(b"png")
@@ -314,8 +312,7 @@ def test_an_added_usd_file_may_name_files_beside_it_and_a_package_its_own(sessio
         if named:
             session.workspace.add("p.usdz", package.read_bytes()).unlink()
         else:
-            with pytest.raises(ParameterError, match=r"got one outside: a\.png"):
-                session.workspace.add("p.usdz", package.read_bytes())
+            refuses(ParameterError, r"got one outside: a\.png", session.workspace.add, "p.usdz", package.read_bytes())
 
 
 def test_an_autosave_names_the_files_that_its_landmarks_are_of(opened: Session) -> None:
@@ -323,8 +320,7 @@ def test_an_autosave_names_the_files_that_its_landmarks_are_of(opened: Session) 
     kept = autosave_path(opened.state.files.landmarks)
     assert json.loads(kept.read_text())["models"] == ["a.obj, 8 vertices", "b.obj, 8 vertices"]
     other = replace(opened.state.files, source=opened.state.files.source.with_name("b.glb"))
-    with pytest.raises(FormatError, match=r"b\.obj, 8 vertices"):
-        autosaved_landmarks(other, opened.scene, FileTracker())
+    refuses(FormatError, r"b\.obj, 8 vertices", autosaved_landmarks, other, opened.scene, FileTracker())
     opened.undo()
 
 
@@ -337,9 +333,7 @@ def test_a_loaded_landmark_file_of_a_model_with_another_ending_is_kept(opened: S
     assert landmarks.with_name(f"{landmarks.name}.before-studio").read_text() == theirs
 
 
-def test_landmarks_in_the_first_folder_are_read_where_there_are_none_beside_the_target(
-    opened: Session, boxes: Path, tmp_path: Path
-) -> None:
+def test_landmarks_in_the_first_folder_are_read_where_there_are_none_beside_the_target(opened, boxes, tmp_path):
     """Earlier versions saved them there, also for pairs of other folders."""
     name, folder, scene = "b__a.json", tmp_path / "anna", opened.scene
     folder.mkdir()

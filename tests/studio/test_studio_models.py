@@ -27,7 +27,6 @@ from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import cage_triangles
-from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.srgb import encode_srgb as to_display
 from cagemap.pictures import Y_UP, Z_UP
 from cagemap.studio.autosave import FileTracker
@@ -194,9 +193,7 @@ def test_pieces_that_are_set_aside_are_drawn_in_grey(tmp_path: Path) -> None:
         ("a.obj", cube(), Y_UP, [0, 1, 0]),
     ],
 )
-def test_a_model_stands_as_its_shape_or_its_format_tells(
-    tmp_path: Path, name: str, mesh: ControlMesh, turned: FloatArray, up: list[int]
-) -> None:
+def test_a_model_stands_as_its_shape_or_its_format_tells(tmp_path, name, mesh, turned, up):
     path, triangles = tmp_path / name, cage_triangles(mesh)[0]
     trimesh.Trimesh(mesh.positions @ turned, triangles, process=False).export(path)
     shape = open_model(path, "none", None, 300).shape
@@ -237,7 +234,6 @@ def test_a_usd_file_says_itself_which_axis_points_up(tmp_path: Path) -> None:
 def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     mesh = refine(creature(), 2).finest
     points = mesh.positions
-    assert mesh.faces is not None
     # Ahead of the creature stand vertices of a speck that is set aside.
     speck = ControlMesh.from_faces(
         np.concatenate([[[9.0, 0, 0], [9.1, 0, 0], [9.1, 0.1, 0], [9.0, 0.1, 0]], points]),
@@ -283,7 +279,6 @@ def test_a_click_at_a_control_vertex_means_it() -> None:
     corner = shape.to_view(shape.positions[3])
     ray = -corner / np.linalg.norm(corner)
     hit = pick(shape, corner - 3 * ray, ray)
-    assert hit is not None
     place = hit_place(shape, hit)
     np.testing.assert_allclose(place.position, shape.positions[3], atol=1e-9)
     np.testing.assert_allclose(np.array(place.weights) @ np.eye(8)[list(place.corners)], np.eye(8)[3], atol=1e-6)
@@ -458,7 +453,6 @@ def test_the_image_inside_a_usd_file_is_the_texture_where_none_is_named(tmp_path
 def test_seams_are_found_where_texture_coordinates_jump() -> None:
     shape = refined_shape(refine(unwrapped_cube(), 3))
     mapped = identity(len(shape.positions), shape.triangles)
-    assert shape.uvs is not None
     uvs = mapped.pull_back(shape.uv_triangles, shape.uvs)
     crossing = seam_triangles(shape, shape, mapped, shape.positions, uvs)
     # Under the identity a triangle crosses a seam if it has a vertex on one and lies on another face than its image.

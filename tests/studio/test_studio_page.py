@@ -46,7 +46,6 @@ def sent(session: Any, **message: Any) -> None:
 def test_every_stage_of_a_match_is_said_in_words_of_the_page(opened: Session) -> None:
     stages: list[str] = []
     opening = opened._preview.pair_files
-    assert opening is not None
     cache, _ = run_task(None, OpenModels(opening), stages.append)
     shapes = cache.target.shape, cache.source.shape
     pairs = [(0, 0), (2, 2), (5, 5), (6, 1)]

@@ -48,6 +48,7 @@ from cagemap.subdivision import refine
 from cagemap.tasks.requests.catalogue import all_options
 
 from example_result import identity_result
+from refusals import refuses
 from studio_boxes import Idle, session_of, unwrapped_cube
 from usd_scenes import stage_at
 
@@ -98,8 +99,7 @@ def test_the_largest_part_is_open_and_the_others_are_offered(folder: Path) -> No
         eye.shape.file_mesh.positions[eye.shape.to_file_vertices(np.arange(8))], 0.1 * cube().positions
     )
     assert eye.shape.to_control_vertices(np.array([7, 8])).tolist() == [7, -1]
-    with pytest.raises(ParameterError, match="named 'nose'"):
-        open_model(folder / "a.obj", None, None, 300, "nose")
+    refuses(ParameterError, "named 'nose'", open_model, folder / "a.obj", None, None, 300, "nose")
 
 
 def test_what_is_left_alone_is_drawn_apart(folder: Path) -> None:
@@ -222,7 +222,6 @@ def test_no_landmark_of_a_file_is_lost_by_opening_a_part(vertices: list[int], da
 
 def test_the_finish_matches_the_open_parts_into_a_folder_of_their_own(folder: Path) -> None:
     files = command_line_files(folder / "a.obj", folder / "b.obj", None, None, None, parts=("eye", None))
-    assert files is not None
     request = finish_commands(all_options(), files, FinishOptions(), use_landmarks=False)[0].request
     assert (request.target_part, request.source_part) == ("eye", None)
     results = {
@@ -258,9 +257,7 @@ def idle_session(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
     return session_of(folder)
 
 
-def test_the_whole_file_can_be_chosen_while_a_part_has_unsaved_landmarks(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_whole_file_can_be_chosen_while_a_part_has_unsaved_landmarks(folder, monkeypatch):
     files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
     session = idle_session(folder, monkeypatch)
     session.open(replace(files, parts=("object:eye", "object:eye")))
@@ -338,9 +335,7 @@ def dense(count: int) -> ControlMesh:
     return mesh
 
 
-def test_a_scan_is_offered_to_be_taken_as_it_is_and_is_where_it_is_no_cage(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scan_is_offered_to_be_taken_as_it_is_and_is_where_it_is_no_cage(tmp_path, monkeypatch):
     monkeypatch.setattr("cagemap.studio.models.MIN_SCAN_FACES", 1000)
     mesh = dense(1000)
     write_mesh(tmp_path / "scan.obj", mesh)

@@ -31,6 +31,7 @@ from cagemap.studio.state import Files, MapState, Message, Output, RunningJob, S
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.surface.closest_points import build_tree, closest_points
 
+from refusals import refuses
 from studio_boxes import Idle, add_landmarks, at_rest, click, click_between, mapped, until
 
 ANY_FILES = Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT"))
@@ -155,9 +156,7 @@ def test_a_match_from_the_start_is_one_also_after_an_edit_and_a_turn(slow_previe
     assert again.fresh
 
 
-def test_a_chosen_image_and_axis_that_are_not_drawn_yet_stay_when_models_are_opened_again(
-    opened: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_chosen_image_and_axis_that_are_not_drawn_yet_stay_when_models_are_opened_again(opened, monkeypatch):
     begun = list[Files]()
     monkeypatch.setattr(opened, "_open_pair", lambda files, _: begun.append(files))
     monkeypatch.setattr(opened._preview, "_request", lambda *_: None)
@@ -180,7 +179,6 @@ def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
     opened._change(map=known)
     turned = replace(source, rotation=source.rotation @ np.diag([-1.0, 1.0, -1.0]))
     opened._scene = scene = replace(opened.scene, source=turned)
-    assert opened._preview.pair_files is not None
     task = FindMap(opened._preview.pair_files, LandmarkList())
     rough = MapUpdate(
         replace(scene.preview_map, trust=np.ones(len(scene.preview_map.trust))),
@@ -247,9 +245,7 @@ def test_a_killed_computation_keeps_the_map_and_the_next_click_works(opened: Ses
     assert opened.scene.preview_map is not None
 
 
-def test_a_fault_of_ours_is_a_message_and_the_next_click_works(
-    opened: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fault_of_ours_is_a_message_and_the_next_click_works(opened, monkeypatch):
     def broken(*_: object) -> None:
         raise ZeroDivisionError("a slip")
 
@@ -327,9 +323,7 @@ def test_a_bake_has_the_vertices_of_the_map_shown_unless_others_or_a_level_are_a
         assert (request.vertices, request.level) == (count, given.get(level))
 
 
-def test_a_target_whose_uvs_are_missing_or_one_point_is_laid_out(
-    opened: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_target_whose_uvs_are_missing_or_one_point_is_laid_out(opened, monkeypatch):
     scene = opened.scene
     assert scene.target.uvs is None
     control = scene.target.control
@@ -378,8 +372,7 @@ def test_a_plain_target_gets_a_picture_and_no_wrap(opened: Session) -> None:
     opened._change(files=replace(files, texture=None, schemes=("none", None)))
     try:
         for options in (FinishOptions(wrap=True), FinishOptions(texture=False, wrap=True)):
-            with pytest.raises(ParameterError, match="open as a plain mesh, which cannot be wrapped"):
-                opened.plan(options)
+            refuses(ParameterError, "open as a plain mesh, which cannot be wrapped", opened.plan, options)
         occlusion = opened.plan(FinishOptions())[1].request
         assert occlusion.bake == ("ao",)
         assert occlusion.unwrap
@@ -558,9 +551,7 @@ def test_cancel_drops_the_map_that_waits_too(opened: Session, held_tasks: queue.
     assert opened.state.messages[-1].text == "cancelled"
 
 
-def test_cancelling_a_drawing_leaves_a_map_of_the_same_landmarks_checked(
-    opened: Session, boxes: Path, held_tasks: queue.Queue[Task]
-) -> None:
+def test_cancelling_a_drawing_leaves_a_map_of_the_same_landmarks_checked(opened, boxes, held_tasks):
     before, texture = opened.state.map, opened.state.files.texture
     opened.match_again()
     held_tasks.get(timeout=10)
@@ -575,9 +566,7 @@ def test_cancelling_a_drawing_leaves_a_map_of_the_same_landmarks_checked(
     assert opened.state.messages[-1].text == "cancelled; the map stays as it was"
 
 
-def test_no_bake_starts_while_a_chosen_alignment_is_computed(
-    opened: Session, held_tasks: queue.Queue[Task], started: list[Command]
-) -> None:
+def test_no_bake_starts_while_a_chosen_alignment_is_computed(opened, held_tasks, started):
     opened._change(map=replace(opened.state.map, answers=("as filed", "turned")))
     opened.choose_answer(1)
     held_tasks.get(timeout=10)
@@ -621,9 +610,7 @@ def test_earlier_outputs_stay_until_a_bake_replaces_them(opened: Session, starte
     assert opened.state.outputs == (Output(Path("R"), "the map"), Output(Path("c.png"), "texture"))
 
 
-def test_a_partly_failed_bake_of_a_new_map_leaves_no_outputs_of_the_map_before(
-    opened: Session, started: list[Command], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_partly_failed_bake_of_a_new_map_leaves_no_outputs_of_the_map_before(opened, started, monkeypatch):
     monkeypatch.setattr(opened._written_map, "remaining_commands", lambda commands, _: commands)
     earlier = (Output(Path("b.obj"), "wrap"), Output(Path("R"), "the map"))
     ends = {"Bake: cancelled": True, "Bake: not everything could be made: wrap": False}
@@ -657,9 +644,7 @@ def test_a_probe_ends_with_the_map_and_the_landmarks_that_it_was_made_of(opened:
     assert opened.state.probe is None
 
 
-def test_another_image_of_the_open_models_is_drawn_and_nothing_else_changes(
-    opened: Session, boxes: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_image_of_the_open_models_is_drawn_and_nothing_else_changes(opened, boxes, monkeypatch):
     write_image(boxes / "other.png", np.full((8, 8, 3), 10, dtype=np.uint8))
     (boxes / "broken.png").write_bytes(b"no image")
     opened._change(outputs=(Output(boxes / "a.png", "texture"),))

@@ -30,6 +30,7 @@ from cagemap.studio.state import (
 )
 
 from example_result import identity_result
+from refusals import refuses
 
 
 def place(x: float) -> Place:
@@ -183,8 +184,7 @@ def test_an_autosave_keeps_everything_and_is_checked(tmp_path: Path) -> None:
     assert read_autosave(file, (9, 9)).items[0].name == "?"
     for k, damaged in enumerate(("{", "[]", json.dumps({"format": "other"}), whole[:-20], whole.replace("7", "9"))):
         file.write_text(damaged)
-        with pytest.raises(FormatError, match="autosave"):
-            read_autosave(file, (9, 9))
+        refuses(FormatError, "autosave", read_autosave, file, (9, 9))
         # Out of the way of the next one, not lost.
         assert not file.exists()
         assert file.with_name(f"{file.name}.{k + 1}").read_text() == damaged
@@ -196,8 +196,7 @@ def test_a_result_names_its_models(tmp_path: Path) -> None:
     result = tmp_path / "RESULT"
     given = {"target": "cow.obj", "source": "spot.obj", "landmarks": "l.json"}
     inputs = stated_inputs({name: tmp_path / file for name, file in given.items()}, result)
-    with pytest.raises(FormatError, match="result folder"):
-        command_line_files(None, None, None, None, result)
+    refuses(FormatError, "result folder", command_line_files, None, None, None, None, result)
     write_result(result, replace(identity_result(1), provenance={"inputs": inputs}))
     files = command_line_files(None, None, None, None, result)
     names = (files.target, files.source, files.landmarks, files.result)
@@ -208,20 +207,16 @@ def test_a_result_names_its_models(tmp_path: Path) -> None:
     manifest = json.loads((result / "manifest.json").read_text())
     for entry, words in (({"inputs": [1]}, "inputs"), ({"format_version": 99}, "format version 99")):
         (result / "manifest.json").write_text(json.dumps(manifest | entry))
-        with pytest.raises(FormatError, match=words):
-            command_line_files(None, None, None, None, result)
+        refuses(FormatError, words, command_line_files, None, None, None, None, result)
     (result / "manifest.json").write_text(json.dumps(manifest))
     (tmp_path / "cow.obj").write_text("edited")
-    with pytest.raises(ParameterError, match="unchanged"):
-        command_line_files(None, None, None, None, result)
+    refuses(ParameterError, "unchanged", command_line_files, None, None, None, None, result)
 
 
 def test_files_are_named_as_a_pair_or_not_at_all(tmp_path: Path) -> None:
     assert command_line_files(None, None, None, None, None) is None
-    with pytest.raises(ParameterError, match="one of them"):
-        command_line_files(tmp_path / "a.obj", None, None, None, None)
-    with pytest.raises(ParameterError, match="beside"):
-        command_line_files(None, None, tmp_path / "a.json", None, None)
+    refuses(ParameterError, "one of them", command_line_files, tmp_path / "a.obj", None, None, None, None)
+    refuses(ParameterError, "beside", command_line_files, None, None, tmp_path / "a.json", None, None)
 
 
 def test_messages_do_not_pile_up() -> None:

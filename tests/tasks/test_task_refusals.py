@@ -142,9 +142,7 @@ def test_what_files_do_not_allow_is_refused(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("target", "options", "says"), [("a.glb", {}, "a cage to wrap"), ("a.obj", {"colors": "c.png"}, "colours")]
 )
-def test_what_cannot_be_wrapped_is_refused_before_the_match(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, target: str, options: dict[str, str], says: str
-) -> None:
+def test_what_cannot_be_wrapped_is_refused_before_the_match(tmp_path, monkeypatch, target, options, says):
     for name in (target, "b.obj"):
         write_mesh(tmp_path / name, textured_cube(name))
     monkeypatch.setattr("cagemap.tasks.match.match_inputs", lambda *_: pytest.fail("matched first"))

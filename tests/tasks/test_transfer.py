@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,6 +34,7 @@ from cagemap.transfer.overlapping_uvs import overlapping_materials
 
 from example_result import identity_result, textured_cube
 from ply_text import write_text_ply
+from refusals import refuses
 from textured_files import SKIN, write_skin, write_textured_scene, write_textured_usd
 from transfer_command import transfer
 
@@ -97,8 +97,7 @@ def test_the_image_that_a_model_file_names_is_baked(place: Path, name: str) -> N
     np.testing.assert_array_equal(read_image("out.png").pixels[4, 4], SKIN)
     assert Path("R/box_texture.png").is_file() == (name != "box.ply")
     if name == "box.ply":
-        with pytest.raises(FormatError, match="is an input too"):
-            transfer("my skin.png", texture=Path(name), force=True)
+        refuses(FormatError, "is an input too", transfer, "my skin.png", texture=Path(name), force=True)
 
 
 def test_each_material_of_a_gltf_file_is_baked_with_its_own_image(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -159,9 +158,7 @@ def baked_squares(control: ControlMesh, texture: str) -> NDArray[Any]:
     ],
     ids=["shifted", "turned", "mirrored"],
 )
-def test_a_texture_transform_and_mirrored_repetition_of_a_gltf_file_are_baked(
-    place: Path, changed: dict[str, Any], mirrored: bool, uvs: Callable[..., tuple[NDArray[Any], NDArray[Any]]]
-) -> None:
+def test_a_texture_transform_and_mirrored_repetition_of_a_gltf_file_are_baked(place, changed, mirrored, uvs):
     scene = write_textured_scene(place)
     y, x = np.mgrid[:64, :64]
     pixels = np.stack([4 * x, 4 * y, 2 * (x + y)], axis=2).astype(np.uint8)
@@ -225,9 +222,7 @@ def test_match_says_what_a_source_without_uvs_can_give(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("second", "shades"), [(1, [40, 200]), (5, [40, 231]), (-1, [40, 231]), (None, [40])], ids=str)
-def test_each_face_of_a_ply_file_of_several_images_has_its_own(
-    second: int | None, shades: list[int], tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_each_face_of_a_ply_file_of_several_images_has_its_own(second, shades, tmp_path, caplog):
     """``texnumber`` counts the images in the order of the header, others are grey; without it all have the first."""
     write_text_ply(tmp_path / "scan.ply", textured_cube("scan.ply"))
     head, end, body = (tmp_path / "scan.ply").read_text().partition("end_header\n")
@@ -271,12 +266,10 @@ def test_a_report_shows_the_only_image_of_a_model_file(place: Path, monkeypatch:
     np.testing.assert_array_equal(shown["texture"], read_image("skin.png").pixels)
     np.testing.assert_array_equal(shown["baked"], read_image("out.png").pixels)
     Path("box.gltf").write_text('{"asset": {"version": "2.0"}, "materials": [{"name": "red"}]}')
-    with pytest.raises(ParameterError, match=r"^--texture .*box\.gltf: expected a colour image on most of small\.obj"):
-        report()
+    refuses(ParameterError, r"^--texture .*box\.gltf: expected a colour image on most of small\.obj", report)
     manifest = Path("R") / MANIFEST
     manifest.write_text(manifest.read_text().replace("box_texture.png", "../box.gltf"))
-    with pytest.raises(ParameterError, match=r"^(?!--texture).*box\.gltf: expected a colour image"):
-        report(None)
+    refuses(ParameterError, r"^(?!--texture).*box\.gltf: expected a colour image", report, None)
 
 
 def test_a_report_writes_no_image_of_a_model_file(place: Path) -> None:
@@ -295,9 +288,7 @@ def test_a_report_writes_no_image_of_a_model_file(place: Path) -> None:
         ({"bake": ("normal", "ao"), "detail": Path("fine.obj")}, 2),
     ],
 )
-def test_a_bake_that_fails_leaves_the_unwrapped_mesh_and_all_images(
-    options: dict[str, Any], count: int, place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bake_that_fails_leaves_the_unwrapped_mesh_and_all_images(options, count, place, monkeypatch):
     write_image("skin.png", np.random.default_rng(1).integers(0, 255, (16, 16, 3)).astype(np.uint8))
     write_mesh("fine.obj", textured_cube("fine.obj"))
     transfer("out.png", unwrap=True, size=16, **options)
@@ -314,6 +305,5 @@ def test_a_bake_that_fails_leaves_the_unwrapped_mesh_and_all_images(
     monkeypatch.setattr(bake_tiles, "write_image", fail)
     larger = replace(textured_cube("large.obj", 2.0), positions=textured_cube("").positions * [2.0, 3.0, 4.0])
     write_pair(larger, textured_cube("small.obj"))
-    with pytest.raises(FormatError, match="cannot write there"):
-        transfer("out.png", unwrap=True, size=32, **options)
+    refuses(FormatError, "cannot write there", transfer, "out.png", unwrap=True, size=32, **options)
     assert {path: path.read_bytes() for path in Path().glob("out*")} == before
