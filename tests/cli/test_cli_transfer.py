@@ -92,13 +92,6 @@ def test_the_report_shows_all_tiles_of_an_image(run: Run, result_folder: Path) -
     assert 'width="64" height="32" alt="material colours: m.&lt;UDIM&gt;.png"' in page
 
 
-def test_bits_choose_the_number_type(run: Run, result_folder: Path) -> None:
-    place = result_folder.parent
-    assert run("transfer R --texture t.png --size 32 --bits 16 -o deep.png").code == 0
-    assert read_image(place / "deep.png").pixels.dtype == np.uint16
-    run.refused("transfer R --texture t.png --bits 32 -o deep.png", says="bits")
-
-
 def test_displacement_grows_with_the_model(run: Run, result_folder: Path) -> None:
     heights = np.full((32, 48, 1), 0.25, np.float32)
     write_image(result_folder.parent / "h.exr", heights)

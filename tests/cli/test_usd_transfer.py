@@ -117,18 +117,6 @@ def test_the_colour_space_of_an_image_is_noted(folder: Path) -> None:
     assert words[1] != words[0]
 
 
-def test_attributes_arrive_as_primvars(folder: Path) -> None:
-    rng = np.random.default_rng(2)
-    weights = rng.random((8, 3))
-    values = {"skel:jointWeights": weights / weights.sum(axis=1, keepdims=True), "fur": rng.random(8)}
-    np.savez(folder / "values.npz", **values)
-    transfer(folder / "carried.npz", attribute=folder / "values.npz", usd=folder / "rig.usda")
-    carried = read_usd_meshes(folder / "rig.usda")[0].attributes
-    for name, array in values.items():
-        np.testing.assert_allclose(carried[name], array, atol=1e-5)
-    assert complaints(folder / "rig.usda") == []
-
-
 def test_the_job_file_repeats_each_transfer_into_one_layer(folder: Path) -> None:
     write_mesh(folder / "small.obj", textured_cube("small.obj"))
     result = Path("R")

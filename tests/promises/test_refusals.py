@@ -53,6 +53,7 @@ REFUSED: dict[str | tuple[str, ...], str] = {
     },
     "transfer R --texture t.png --material-colors -o o.png": "expected one of",
     "transfer R --texture none.png -o o.png": "none.png: expected an image, there is no such file",
+    "transfer R --texture t.png --bits 32 -o o.png": "choose 8 or 16 bits",
     "transfer R --texture t.png -o o.exr": "choose 16 or 32 bits",
     "transfer R --texture t.png -o o.png --bits 12": "8, 16 or 32",
     "transfer R --texture t.png -o .": "got no suffix",

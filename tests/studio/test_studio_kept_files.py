@@ -201,17 +201,13 @@ def test_a_kill_of_the_session_loses_nothing(opened: Session, boxes: Path) -> No
         until(lambda: any("recovered" in message.text for message in other.state.messages), other)
 
 
-def test_errors_are_messages_and_paths_outside_are_refused(opened: Session, tmp_path: Path) -> None:
+def test_errors_are_messages_and_paths_outside_are_refused(opened: Session) -> None:
     opened.load(Path("../elsewhere.json"))
     assert opened.state.messages[-1].kind == "error"
     assert "got one outside" in opened.state.messages[-1].text
-    opened.save(tmp_path / "out.json")
-    assert not (tmp_path / "out.json").exists()
     opened.accept()  # nothing waits
     opened.mirror(1)  # nothing to mirror
     assert opened.state.messages[-1].kind == "error"
-    opened.finish(FinishOptions(option_values={("transfer", "displacement"): tmp_path / "secret.png"}))
-    assert opened.state.finish_job is None
 
 
 @pytest.mark.parametrize("path", ["../x.json", "/etc/passwd", "a/../../x.json", "bad\0name", "~/../../x"])

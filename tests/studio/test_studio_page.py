@@ -222,11 +222,6 @@ def test_what_no_page_of_ours_sends_is_refused_in_words(opened: Session, message
     assert "internal error" not in opened.state.messages[-1].text
 
 
-def test_a_refusal_is_shown_in_its_own_words(opened: Session) -> None:
-    Actions(opened).handle('{"do": "open", "target": "a.obj"}')
-    assert opened.state.messages[-1].text.startswith("expected a target and a source")
-
-
 def test_a_dropped_model_is_opened_in_place_of_the_other_one(opened: Session, boxes: Path) -> None:
     begun: list[Any] = []
     session = MagicMock(wraps=opened, workspace=opened.workspace, state=opened.state)
