@@ -18,6 +18,7 @@ from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
+from cagemap.files.result.manifest import stated_inputs
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.curves import CurvePair
@@ -313,13 +314,8 @@ def test_curves_alone_on_other_parts_are_kept_by_the_autosave(folder: Path) -> N
 
 
 def test_a_result_opens_the_parts_that_it_is_of(folder: Path) -> None:
-    from cagemap.files.result.manifest import file_hash
-
     result = folder / "RESULT"
-    inputs = {
-        side: {"file": name, "path": f"../{name}", "sha256": file_hash(folder / name)}
-        for side, name in (("target", "a.obj"), ("source", "b.obj"))
-    }
+    inputs = stated_inputs({"target": folder / "a.obj", "source": folder / "b.obj"}, result)
     for word, opens in (("object:eye", "object:eye"), ("each", None)):
         parameters = {"target_part": word, "source_part": None}
         write_result(result, replace(identity_result(1), provenance={"inputs": inputs, "parameters": parameters}))

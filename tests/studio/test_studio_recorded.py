@@ -49,8 +49,7 @@ def matched(folder: Path, **options: object) -> MatchRequest:
 
 
 def opened_result(result: Path) -> Files:
-    files = command_line_files(None, None, None, None, result)
-    return files
+    return command_line_files(None, None, None, None, result)
 
 
 def opened_session(folder: Path, files: Files) -> Session:
