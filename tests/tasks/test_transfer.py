@@ -47,11 +47,6 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def write_pair(*meshes: ControlMesh) -> None:
-    """Write R of a target and a source."""
-    write_result("R", identity_result(controls=(meshes[0], meshes[-1])))
-
-
 def write_source(mesh: ControlMesh) -> None:
     """Write R of a cube and a source with its vertices."""
     result = identity_result()
@@ -92,7 +87,7 @@ def test_the_image_that_a_model_file_names_is_baked(place: Path, name: str) -> N
         usd_utils = pytest.importorskip("pxr.UsdUtils", reason="usd-core is not installed")
         layer = write_textured_usd(place, identity_result().source.control)
         assert usd_utils.CreateNewUsdzPackage(str(layer), "box.usdz")
-        write_pair(read_mesh(name))
+        write_result("R", identity_result(controls=(read_mesh(name), read_mesh(name))))
     transfer("out.png", texture=Path(name))
     np.testing.assert_array_equal(read_image("out.png").pixels[4, 4], SKIN)
     assert Path("R/box_texture.png").is_file() == (name != "box.ply")
@@ -111,15 +106,14 @@ def test_each_material_of_a_gltf_file_is_baked_with_its_own_image(place: Path, m
     target = textured_cube("large.obj", 2.0)
     middles = target.uvs[target.uv_indices.reshape(target.n_faces, -1)].mean(axis=1)
     materials = np.arange(target.n_faces) % 3
-    write_source(
-        replace(
-            target,
-            uvs=0.5 + 1.4 * (target.uvs - 0.5),  # repeated
-            face_materials=materials,
-            material_names=("red", "green", "blue"),
-            material_colors=np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),
-        )
+    source = replace(
+        target,
+        uvs=0.5 + 1.4 * (target.uvs - 0.5),  # repeated
+        face_materials=materials,
+        material_names=("red", "green", "blue"),
+        material_colors=np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),
     )
+    write_source(source)
     _, warnings = transfer("out.png", texture=Path("box.gltf"), size=64)
     assert not any("lie over each other" in text or "multiply" in text for text in warnings)
     pixels = read_image("out.png").pixels
@@ -304,6 +298,6 @@ def test_a_bake_that_fails_leaves_the_unwrapped_mesh_and_all_images(options, cou
     written: list[Path] = []
     monkeypatch.setattr(bake_tiles, "write_image", fail)
     larger = replace(textured_cube("large.obj", 2.0), positions=textured_cube("").positions * [2.0, 3.0, 4.0])
-    write_pair(larger, textured_cube("small.obj"))
+    write_result("R", identity_result(controls=(larger, textured_cube("small.obj"))))
     refuses(FormatError, "cannot write there", transfer, "out.png", unwrap=True, size=32, **options)
     assert {path: path.read_bytes() for path in Path().glob("out*")} == before
