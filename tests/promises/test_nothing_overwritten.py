@@ -33,10 +33,8 @@ from cagemap.tasks.report import run_report
 from cagemap.tasks.requests.mesh_commands import RefineRequest
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.tasks.requests.suggest import SuggestRequest
-from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.suggest import run_suggest
-from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import run_wrap
 
 from example_once import example_pair
@@ -88,7 +86,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def texture_of(place: Path, output: str, **options: Any) -> tuple[str, list[str]]:
-    return transfer(place / output, texture=place / "t.png", size=16, **options)
+    return transfer(place / output, place / "R", texture=place / "t.png", size=16, **options)
 
 
 def test_a_folder_with_a_foreign_manifest_is_left_alone(place: Path) -> None:
@@ -266,7 +264,7 @@ def test_what_a_match_read_is_no_output_of_what_follows(place: Path, force: bool
     before = contents(place)
 
     def made(output: Path, **options: Any) -> object:
-        return run_transfer(TransferRequest(place / "R", output, force=force, **options), Stages())
+        return transfer(output, place / "R", force=force, **options)
 
     def wrapped(output: Path, **options: Any) -> object:
         return run_wrap(WrapRequest((place / "R",), output, force=force, **options), Stages())
