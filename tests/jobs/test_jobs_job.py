@@ -208,9 +208,11 @@ def test_outputs_of_a_pair_may_add_to_one_layer(folder: Path) -> None:
         text += f'[[outputs]]\ncommand = "transfer"\noutput = "{output}.png"\nusd = "layers/{{target}}.usda"\n'
     tasks = [task for task in real_plan(folder, text).tasks if task.kind == "transfer"]
     assert [task.outputs[1] for task in tasks] == 2 * ["a__b/layers/b.usda"]
-    assert [task.added_to for task in tasks] == ["a__b/layers/b.usda", ""]
+    assert [task.layer for task in tasks] == 2 * ["a__b/layers/b.usda"]
     with pytest.raises(FormatError, match=r"two outputs of a -> b write a__b/layers/b\.usda"):
         real_plan(folder, text + '[[outputs]]\ncommand = "wrap"\noutput = "layers/b.usda"\n')
+    with pytest.raises(FormatError, match=r"two outputs of a -> b write a__b/layers/b\.usdc\. .*\.usda"):
+        real_plan(folder, text.replace(".usda", ".usdc"))
 
 
 def refusal(folder: Path, text: str) -> str:
@@ -297,7 +299,7 @@ def test_the_same_pair_with_two_choices_is_refused(folder: Path) -> None:
     ("names", "pairs"),
     [
         (("man", "man__a", "a__b", "b"), (("man", "a__b"), ("man__a", "b"))),
-        (("man", "Man", "b"), (("man", "b"), ("Man", "b"))),
+        (("Man", "man__a", "a__b", "b"), (("Man", "a__b"), ("man__a", "b"))),
     ],
 )
 def test_pairs_that_would_share_a_folder_are_refused(
@@ -308,6 +310,11 @@ def test_pairs_that_would_share_a_folder_are_refused(
     shown = [f"{source} -> {target}" for source, target in pairs]
     with pytest.raises(FormatError, match=f"{shown[0]} and {shown[1]} would be written to one folder"):
         plan_of(folder, text)
+
+
+def test_assets_whose_names_differ_only_in_capitals_are_refused(folder: Path) -> None:
+    said = refusal(folder, HEAD + ASSETS.replace('"b"', '"A"') + '[[pairs]]\nsource = "a"\ntarget = "A"\n')
+    assert "assets.1.name: 'A' is taken" in said
 
 
 def test_a_tree_joins_all_along_shapes_that_are_alike(folder: Path) -> None:
