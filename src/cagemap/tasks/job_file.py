@@ -94,6 +94,14 @@ def stated_options(request: Any, folder: Path) -> dict[str, Any]:
     return options
 
 
+def noted_options(folder: Path) -> dict[str, Any] | None:
+    """Options of the match that the job file of a RESULT folder states; None if it is missing or was edited."""
+    try:
+        return dict(tomllib.loads((folder / JOB).read_text("utf-8"))["options"]) if is_own(folder / JOB) else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
 def _asset_name(path: Path) -> str:
     """A valid asset name from a mesh file's name."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", path.stem).strip("-._")[:60] or "model"
