@@ -235,8 +235,11 @@ def test_a_layer_about_another_mesh_is_refused(folder: Path) -> None:
     before = layer.read_bytes()
     with pytest.raises(FormatError, match=r"look\.usda: holds results about another mesh"):
         _run(attribute=folder / "values.npz", output=folder / "carried.npz", usd=layer)
+    with pytest.raises(FormatError, match=r"look\.usda: holds results about another mesh"):
+        _run(texture=folder / "skin.png", output=folder / "out.png", usd=layer)
     assert layer.read_bytes() == before
     assert not (folder / "carried.npz").exists()
+    assert not (folder / "out.png").exists()
     _run(attribute=folder / "values.npz", output=folder / "carried.npz", usd=layer, force=True)
     assert set(read_usd_meshes(layer)[0].attributes) == {"fur"}
 

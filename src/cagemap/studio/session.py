@@ -189,10 +189,8 @@ class Session(PreviewResults):
         files, scene = self._require_open()
         has_constraints = self._state.history.present.has_constraints
         answer, recorded = (0 if has_constraints else self._state.map.chosen_answer), files.recorded_match
-        if not has_constraints and recorded is not None and self._state.map.answer_name == recorded.answer_name != "":
-            answer = (
-                recorded.request.answer
-            )  # its number in the RESULT, whose vertices may order the alignments otherwise
+        if not has_constraints and recorded is not None and recorded.answer_name == self._state.map.answer_name:
+            answer = recorded.request.answer  # with the RESULT's numbers of vertices the order may be another one
         options = with_defaults(options, files, scene, self.vertices, answer)
         return plan_commands(self.options, self.workspace, files, options, use_landmarks=has_constraints)
 
