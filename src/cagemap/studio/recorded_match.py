@@ -143,12 +143,9 @@ def lost_welds(request: MatchRequest, welds: tuple[str | None, str | None]) -> l
     """Welding of a match that differs from how the studio welded target and source, in words."""
     lost = []
     for side, used in zip(("target", "source"), welds, strict=True):
-        own = getattr(request, f"{side}_weld")
-        asked = request.weld if own is None else own
-        if asked is None and used is not None:
-            lost.append(f"the {side} not welded, which is welded here ({_flag(f'{side}_weld')} {used})")
-        elif asked not in (None, AUTO, used) and (used is None or float(asked) != float(used)):
-            lost.append(f"{_flag(f'{side}_weld')} {asked}")
+        asked, flag = getattr(request, f"{side}_weld") or request.weld, _flag(f"{side}_weld")
+        if asked not in (AUTO, used) and not (asked and used and float(asked) == float(used)):
+            lost.append(f"{flag} {asked}" if asked else f"no {flag} {used}")
     return lost
 
 

@@ -172,11 +172,8 @@ def _table(path: Path, text: str) -> Named:
     rows = [row for row in all_rows if not row[0].startswith("#")]
     head = [cell.strip().lower() for cell in rows[0]] if rows else []
     if {"name", "label"} & set(head):
-        rows = [
-            row
-            for row in all_rows[all_rows.index(rows[0]) + 1 :]
-            if not row[0].startswith("#") or (len(row) >= len(head) and MARKED not in row[0])
-        ]
+        body = all_rows[all_rows.index(rows[0]) + 1 :]
+        rows = [row for row in body if not row[0].startswith("#") or (len(row) >= len(head) and MARKED not in row[0])]
     else:
         head = ["name", "x", "y", "z"]
     title = "name" if "name" in head else "label"
