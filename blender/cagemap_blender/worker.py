@@ -21,9 +21,8 @@ if __name__ == "__main__":
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.character.bones import humanoid_joints
-from cagemap.character.passengers import carry_passengers, unit_factor
-from cagemap.character.poses import aligned_pose
+from cagemap.character.passengers import carry_passengers, far_passenger, unit_factor
+from cagemap.character.retarget import bind_pose_difference
 from cagemap.character.skeleton import carry_rig
 from cagemap.character.values import Part, Rig
 from cagemap.errors import CagemapError, ParameterError
@@ -48,8 +47,6 @@ from cagemap.wrap import wrap
 
 # Texels around the islands of pieces that are not matched, which are theirs too.
 _BORDER = 4
-# Mean distance of a garment from the source, in sqrt(area), above which its place is doubtful.
-_FAR_GARMENT = 0.5
 
 Array = NDArray[Any]
 Values = dict[str, Any]
@@ -222,7 +219,7 @@ class Session:
         rows = matrices.transpose(0, 2, 1)
         rig = Rig(tuple(names), parents, rows, rows)
         carried = carry_rig(point_map, rig)
-        is_posed = bool(humanoid_joints(rig)) and not np.allclose(aligned_pose(carried, rig), carried.bind)
+        is_posed = bind_pose_difference(carried, rig) is not None
         matrices, tails = carried.bind.transpose(0, 2, 1), carry_joints(point_map, tails)[0]
         return {"matrices": matrices, "tails": tails, "is_posed": is_posed}
 
@@ -231,11 +228,11 @@ class Session:
         self._stages("clothes")
         result = self._matched().result
         carried, body = carry_passengers(result, [control_mesh(mesh) for mesh in meshes]), result.point_map.source
-        notes = [
-            f"{mesh['name']} is {one.distance:.1f} body sizes away from the source on average: check its place and size"
+        doubts = (
+            far_passenger(mesh["name"], "the source", one.distance, unit_factor(body, mesh["positions"]))
             for mesh, one in zip(meshes, carried, strict=True)
-            if one.distance > _FAR_GARMENT or unit_factor(body, mesh["positions"]) != 1.0
-        ]
+        )
+        notes = [f"{doubt}: check its place and size" for doubt in doubts if doubt]
         moved = [
             {name: one.carry_offsets(offsets) for name, offsets in own.items()}
             for one, own in zip(carried, shapes, strict=True)
@@ -288,7 +285,10 @@ class Session:
 
 
 def _baked(transfers: list[Transfer], image: Mapping[str, Any]) -> dict[int, Array]:
-    """An image by tile in the layout of the matched target, over it that of the pieces set aside."""
+    """An image by tile in the layout of the matched target, over it that of the pieces set aside.
+
+    UDIM tiles have no numbers below u = 0: a layout there is refused, since part of it would not be baked.
+    """
     carry, size = bake_normal_map if image["normals"] else bake_texture, image["size"]
     drawn: dict[int, Array] = {}
     tiles: dict[int, Array] = {}

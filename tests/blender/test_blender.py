@@ -201,6 +201,9 @@ def test_clothes_that_are_far_from_the_source_are_reported(worker: Any) -> None:
     (note,) = reply["notes"]
     assert note.startswith("hat is ")
     assert "check its place and size" in note
+    large = mesh | {"name": "coat", "positions": 100.0 * body.positions}
+    (note,) = answer(worker, "clothes", meshes=[large], shapes=[{}])[1]["notes"]
+    assert "(0.01 times as large it would lie on it)" in note
 
 
 @pytest.mark.slow

@@ -185,3 +185,11 @@ def test_welds_and_masks_of_a_given_map_are_repeated(folder: Path) -> None:
     assert masks[0] is not None
     assert masks[1] is not None
     np.testing.assert_array_equal(masks[0], masks[1])
+
+
+def test_models_whose_names_differ_only_in_capitals_get_different_names(folder: Path) -> None:
+    (folder / "new").mkdir()
+    for name in ("horse.obj", "new/Horse.obj"):
+        write_mesh(folder / name, textured_cube(name))
+    note_match(MatchRequest(folder / "horse.obj", folder / "new" / "Horse.obj", folder / "RESULT"))
+    assert [task.pair for task in noted_tasks(folder / "RESULT") if task.pair] == 2 * [("Horse-source", "horse-target")]

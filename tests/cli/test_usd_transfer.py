@@ -216,8 +216,11 @@ def test_a_layer_about_another_mesh_is_refused(folder: Path) -> None:
     before = layer.read_bytes()
     with pytest.raises(FormatError, match=r"look\.usda: holds results about another mesh"):
         transfer(folder / "carried.npz", attribute=folder / "values.npz", usd=layer)
+    with pytest.raises(FormatError, match=r"look\.usda: holds results about another mesh"):
+        transfer(folder / "out.png", texture=folder / "skin.png", usd=layer)
     assert layer.read_bytes() == before
     assert not (folder / "carried.npz").exists()
+    assert not (folder / "out.png").exists()
     transfer(folder / "carried.npz", attribute=folder / "values.npz", usd=layer, force=True)
     assert set(read_usd_meshes(layer)[0].attributes) == {"fur"}
 

@@ -354,3 +354,26 @@ def test_writing_does_not_change_the_umask(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(os, "umask", partial(fail_after, error=AssertionError))
     write_whole(tmp_path / "a.txt", "ours")
     assert (tmp_path / "a.txt").stat().st_mode == (tmp_path / "plain.txt").stat().st_mode
+
+
+def test_an_earlier_file_that_was_removed_as_a_leftover_hides_no_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    honest = os.replace
+    write_whole(tmp_path / "old.txt", f"{mark()} old")
+
+    def replaced(temporary: Path, place: Path) -> None:
+        if place.name == "last.txt":
+            for kept in tmp_path.glob(".old.*"):
+                kept.unlink()
+            raise PermissionError(errno.EACCES, "in use")
+        honest(temporary, place)
+
+    def write_both() -> None:
+        with all_or_nothing():
+            for name in ("old.txt", "last.txt"):
+                write_whole(tmp_path / name, f"{mark()} ours")
+
+    monkeypatch.setattr(os, "replace", replaced)
+    with pytest.raises(FormatError, match=r"last\.txt: cannot write there \(in use\)"):
+        write_both()

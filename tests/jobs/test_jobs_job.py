@@ -197,9 +197,11 @@ def test_outputs_of_a_pair_may_add_to_one_layer(folder: Path) -> None:
         text += table("outputs", command="transfer", output=f"{output}.png", usd="layers/{target}.usda")
     tasks = [task for task in plan_of(folder, text).tasks if task.kind == "transfer"]
     assert [task.outputs[1] for task in tasks] == 2 * ["a__b/layers/b.usda"]
-    assert [task.added_to for task in tasks] == ["a__b/layers/b.usda", ""]
+    assert [task.layer for task in tasks] == 2 * ["a__b/layers/b.usda"]
     with pytest.raises(FormatError, match=r"two outputs of a -> b write a__b/layers/b\.usda"):
         plan_of(folder, text + table("outputs", command="wrap", output="layers/b.usda"))
+    words = r"two outputs of a -> b write a__b/layers/b\.usdc\. .*\.usda"
+    refuses(FormatError, words, plan_of, folder, text.replace(".usda", ".usdc"))
 
 
 def test_outputs_go_to_the_pairs_that_have_what_they_ask_for(folder: Path) -> None:
@@ -251,7 +253,7 @@ def test_tasks_know_the_files_that_they_are_given(folder: Path) -> None:
     ("names", "pairs"),
     [
         (("man", "man__a", "a__b", "b"), (("man", "a__b"), ("man__a", "b"))),
-        (("man", "Man", "b"), (("man", "b"), ("Man", "b"))),
+        (("Man", "man__a", "a__b", "b"), (("Man", "a__b"), ("man__a", "b"))),
     ],
 )
 def test_pairs_that_would_share_a_folder_are_refused(names, pairs, folder):
@@ -259,6 +261,11 @@ def test_pairs_that_would_share_a_folder_are_refused(names, pairs, folder):
     text += "".join(f'[[pairs]]\nsource = "{source}"\ntarget = "{target}"\n' for source, target in pairs)
     shown = [f"{source} -> {target}" for source, target in pairs]
     refuses(FormatError, f"{shown[0]} and {shown[1]} would be written to one folder", plan_of, folder, text)
+
+
+def test_assets_whose_names_differ_only_in_capitals_are_refused(folder: Path) -> None:
+    text = HEAD + ASSETS.replace('"b"', '"A"') + '[[pairs]]\nsource = "a"\ntarget = "A"\n'
+    refuses(FormatError, r"assets\.1\.name: 'A' is taken", plan_of, folder, text)
 
 
 def test_a_tree_joins_all_along_shapes_that_are_alike(folder: Path) -> None:

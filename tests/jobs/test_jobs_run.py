@@ -19,6 +19,7 @@ import pytest
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import write_whole
 from cagemap.files.meshes.formats import referred_files
+from cagemap.files.ownership import mark
 from cagemap.files.result.manifest import file_hash, stated_inputs
 from cagemap.jobs.plan import Plan, Task, content_hash
 from cagemap.jobs.run import TaskOutcome, _outcome_of, execute, kept_outcome, missing_tasks, open_client, run_plan
@@ -73,13 +74,13 @@ def test_another_key_or_a_lost_output_means_that_it_is_done_again(tmp_path: Path
     assert kept_outcome(tmp_path, one) is None
 
 
-def test_a_file_to_which_a_later_task_adds_may_grow(tmp_path: Path) -> None:
-    one = replace(task(tmp_path, "one"), added_to="one/out.txt")
+def test_a_layer_to_which_another_task_adds_may_change_its_size(tmp_path: Path) -> None:
+    one = replace(task(tmp_path, "one"), layer="one/out.txt")
     execute(one, tmp_path, write_name)
-    with (tmp_path / "one" / "out.txt").open("a") as layer:
-        layer.write("more")
+    write_whole(tmp_path / "one" / "out.txt", f"{mark()} more", force=True)
     assert kept_outcome(tmp_path, one) is not None
-    (tmp_path / "one" / "out.txt").unlink()
+    with (tmp_path / "one" / "out.txt").open("a") as layer:
+        layer.write("edited")
     assert kept_outcome(tmp_path, one) is None
 
 

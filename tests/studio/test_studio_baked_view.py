@@ -137,3 +137,21 @@ def test_an_image_of_an_earlier_bake_is_drawn_and_downloaded_in_its_own_uv_set(o
     assert drawn == [(images["first"], None), (images["second"], "UVMap2"), (images["first"], None)]
     assert [image_uv_set(opened.state, image) for image in images.values()] == [None, "UVMap2"]
     opened.show_baked_image(None)
+
+
+def test_a_bake_shows_its_colours_rather_than_the_normals_before_them(
+    opened: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(opened._preview, "show_baked", lambda *_: None)
+    monkeypatch.setattr(opened._runner, "start", lambda _: None)
+    outputs = [Output(Path(name), title) for name, title in (("n_normal.png", "normal map"), ("c.png", "texture"))]
+    for looked_at in (False, True):
+        opened.finish(FinishOptions())
+        opened._on_output(outputs[0])
+        assert opened.state.view.baked == outputs[0].path
+        if looked_at:
+            opened.show_baked_image(None)  # what the user has chosen meanwhile stays
+        opened._on_output(outputs[1])
+        assert opened.state.view.baked == (None if looked_at else outputs[1].path)
+        opened._on_end(Message("note", "Bake: cancelled"), True)
+    opened.show_baked_image(None)

@@ -32,8 +32,8 @@ from cagemap.studio.compute import (
 from cagemap.studio.landmark_files import to_landmarks
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.places import vertex_place
+from cagemap.studio.recorded_match import number_duplicates
 from cagemap.studio.scene import Scene, map_place, mirror_place
-from cagemap.studio.state import number_duplicates
 from cagemap.studio.worker import CANCELLED_KIND, RESULT, Failure, Worker, serve_preview
 from cagemap.tasks.match import run_match
 from cagemap.tasks.progress import Stages

@@ -8,14 +8,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.manifest import read_manifest
 from cagemap.studio.finish import FinishOptions
 from cagemap.studio.finish_layout import VERTICES_KEY, sections
-from cagemap.studio.opening import command_line_files
+from cagemap.studio.opening import command_line_files, default_files
 from cagemap.studio.page.form import form_fields, read_form
-from cagemap.studio.recorded import FORM_FIELDS
+from cagemap.studio.page.shown import page_state
+from cagemap.studio.recorded_match import FORM_FIELDS
 from cagemap.studio.session import Session
 from cagemap.studio.state import Files
 from cagemap.tasks.match import match_files
@@ -63,9 +66,9 @@ def opened_session(folder: Path, files: Files) -> Session:
 def filled_form(files: Files) -> FinishOptions:
     """What a page sends whose form nobody has changed."""
     options = all_options()
-    form = form_fields(options, 300, files.recorded.form_values)["form"]
+    form = form_fields(options, 300, files.recorded_match.form_values)["form"]
     rows = [*form["first"], *(row for fold in form["folds"] for row in fold["fields"])]
-    return read_form(options, {row["key"]: row["value"] for row in rows if row.get("always")})
+    return read_form(options, {row["key"]: row["value"] for row in rows if row.get("always_sent")})
 
 
 def test_the_form_has_every_option_that_a_result_is_asked_for() -> None:
@@ -139,7 +142,7 @@ def test_a_result_is_not_replaced_by_a_match_without_its_options(folder: Path) -
             (folder / name).rename(folder / f"{name}.away")
         files = opened_result(folder / "R")
         assert files.result == folder / "R_studio", lost
-        (note,) = files.recorded.notes
+        (note,) = files.recorded_match.notes
         assert lost in note
         assert "R_studio" in note
         for name in ("curves.json", "mask.csv"):
@@ -147,20 +150,119 @@ def test_a_result_is_not_replaced_by_a_match_without_its_options(folder: Path) -
         shutil.rmtree(folder / "R")
     matched(folder)
     assert opened_result(folder / "R").result == folder / "R"
-    assert opened_result(folder / "R").recorded.notes == ()
+    assert opened_result(folder / "R").recorded_match.notes == ()
+
+
+def restated(result: Path, **entries: object) -> None:
+    """Change entries of a RESULT's manifest; None removes one."""
+    manifest = json.loads((result / "manifest.json").read_text()) | entries
+    kept = {name: entry for name, entry in manifest.items() if entry is not None}
+    (result / "manifest.json").write_text(json.dumps(kept))
 
 
 @pytest.mark.slow
-def test_the_alignment_of_a_result_is_chosen_where_the_preview_finds_it(folder: Path) -> None:
+def test_a_map_that_no_single_match_makes_is_not_replaced(folder: Path) -> None:
     matched(folder)
-    files = opened_result(folder / "R")
-    for answer in (1, 9):  # the preview has fewer than ten
-        recorded = replace(files.recorded, request=replace(files.recorded.request, answer=answer))
-        session = opened_session(folder, replace(files, recorded=recorded))
-        count = len(session.state.map.answers)
-        assert session.state.map.chosen_answer == (answer if answer < count else 0)
-        assert session.plan(FinishOptions())[0].request.answer == session.state.map.chosen_answer
+    parameters, inputs = (read_manifest(folder / "R")[name] for name in ("parameters", "inputs"))
+    (folder / "R" / "job.toml").write_text("# edited")
+    assert opened_result(folder / "R").result == folder / "R"
+    for entries, reason in (
+        ({"way": ["a", "c", "b"]}, "composed of the maps b -> c -> a"),
+        ({"parameters": None}, "does not say how"),
+        ({"inputs": inputs | {"map": inputs["target"]}}, "cagemap map"),
+        ({"parameters": parameters | {"spectral": parameters["spectral"] | {"restarts": 77}}}, "--set method.restarts"),
+    ):
+        restated(folder / "R", **({"way": None, "parameters": parameters, "inputs": inputs} | entries))
+        files = opened_result(folder / "R")
+        assert files.result == folder / "R_studio", reason
+        (note,) = files.recorded_match.notes
+        assert reason in note
+
+
+@pytest.mark.slow
+def test_a_result_of_other_welding_is_not_replaced(folder: Path) -> None:
+    box = read_mesh(folder / "b.obj")  # each face has vertices of its own
+    corners = box.positions[box.face_indices]
+    write_mesh(folder / "b.obj", replace(box, positions=corners, face_indices=np.arange(len(corners))))
+    for weld, kept in (({"source_weld": "0.01"}, False), ({"weld": "auto"}, True), ({"source_weld": "0.0"}, True)):
+        matched(folder, **weld)
+        session = opened_session(folder, opened_result(folder / "R"))
+        assert session.state.files.result == (folder / "R" if kept else folder / "R_studio"), weld
+        said = [message.text for message in session.state.messages if "--source-weld 0.01" in message.text]
+        assert len(said) == (not kept)
         session.close()
+        shutil.rmtree(folder / "R")
+
+
+@pytest.mark.slow
+def test_a_result_whose_landmarks_do_not_fit_any_more_is_not_replaced(folder: Path) -> None:
+    matched(folder, **{f"{side}_points": folder / f"{name}.points.json" for side, name in SIDES})
+    (folder / "a.points.json").write_text(json.dumps({"points": [{"name": "p0", "vertex": 99}]}))
+    session = opened_session(folder, opened_result(folder / "R"))
+    assert any(message.kind == "error" for message in session.state.messages)
+    assert session.state.files.result == folder / "R_studio"
+    session.close()
+
+
+@pytest.mark.slow
+def test_the_alignment_of_a_result_is_chosen_by_its_name(folder: Path) -> None:
+    box = read_mesh(folder / "b.obj")  # another shape, so that several alignments are possible
+    write_mesh(folder / "b.obj", box.with_positions(box.positions * [1.0, 1.5, 0.8]))
+    matched(folder)
+    readings = read_manifest(folder / "R")["confidence"]["readings"]
+    names = [reading["name"] for reading in readings]
+    assert len(set(names)) == len(names) > 1
+    parameters = read_manifest(folder / "R")["parameters"]
+    for answer, found in ((len(names), 1), (len(names) + 1, 0)):  # another place, and one that the preview lacks
+        more = [*readings, readings[1], {**readings[1], "name": "head over heels"}]
+        more[1] = {**readings[1], "name": "unknown"}
+        restated(
+            folder / "R",
+            parameters=parameters | {"answer": answer},
+            confidence=read_manifest(folder / "R")["confidence"] | {"readings": more},
+        )
+        session = opened_session(folder, opened_result(folder / "R"))
+        assert session.state.map.chosen_answer == found
+        request = session.plan(FinishOptions())[0].request
+        assert request.answer == (answer if found else 0)
+        assert request.output == (folder / "R" if found else folder / "R_studio")
+        assert any("head over heels" in message.text for message in session.state.messages) == (not found)
+        session.close()
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+def test_options_of_a_result_are_not_those_of_other_models(folder: Path, browser: Any) -> None:
+    asked = matched(folder, boundary="edge-only", target_mask=str(folder / "mask.csv"), mask_edge=0.1)
+    shutil.copy(folder / "b.obj", folder / "c.obj")
+    value = "return document.querySelector(`[data-key='match.${arguments[0]}'] :is(input, select)`).value"
+    with studio("--result", str(asked.output), "--vertices", "300", forks=True) as (_, address):
+        page = Page(browser, address)
+        page.until(lambda: page.revision() >= 1, "the first map")
+        assert [page.run(value, name) for name in ("boundary", "target_mask", "mask_edge")] == [
+            "edge-only",
+            str(folder / "mask.csv"),
+            "0.1",
+        ]
+        page.run("document.getElementById('open').click()")
+        page.run(
+            "const {elements} = document.querySelector('#models form'), at = elements.source;"
+            "at.value = 'c.obj'; at.dispatchEvent(new Event('change', {bubbles: true}));"
+            "document.getElementById('models').close('open')"
+        )
+        page.until(lambda: (page.state("files") or {}).get("source") == "c.obj", "the other source")
+        assert [page.run(value, name) for name in ("boundary", "target_mask", "mask_edge")] == ["", "", ""]
+
+
+@pytest.mark.slow
+def test_a_converted_model_is_still_the_one_that_was_opened(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    session = opened_session(folder, default_files(folder, folder / "a.obj", folder / "b.obj", None))
+    opened = session.state.models
+    assert opened == (folder / "a.obj", folder / "b.obj")
+    with session._lock:
+        session._change(files=replace(session.state.files, source=folder / "b2.glb"))
+    assert page_state(session.state, session.scene, session.workspace, {})["pair"] == ["a.obj", "b.obj"]
+    session.close()
 
 
 @pytest.mark.slow

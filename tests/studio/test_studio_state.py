@@ -197,7 +197,7 @@ def test_a_result_names_its_models(tmp_path: Path) -> None:
     given = {"target": "cow.obj", "source": "spot.obj", "landmarks": "l.json"}
     inputs = stated_inputs({name: tmp_path / file for name, file in given.items()}, result)
     refuses(FormatError, "result folder", command_line_files, None, None, None, None, result)
-    write_result(result, replace(identity_result(1), provenance={"inputs": inputs}))
+    write_result(result, replace(identity_result(1), provenance={"inputs": inputs, "parameters": {"level": 1}}))
     files = command_line_files(None, None, None, None, result)
     names = (files.target, files.source, files.landmarks, files.result)
     assert names == tuple(tmp_path / name for name in ("cow.obj", "spot.obj", "l.json", "RESULT"))

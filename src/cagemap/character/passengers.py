@@ -114,6 +114,18 @@ def carry_passengers(
     return carried
 
 
+# Mean distance of a passenger from the body, in sqrt(body area), above which its units or place are doubtful.
+MAX_BODY_DISTANCE = 0.5
+
+
+def far_passenger(name: str, body: str, distance: float, factor: float) -> str:
+    """What is said of a passenger that is far from the body or in another unit (`unit_factor`); '' for others."""
+    if distance <= MAX_BODY_DISTANCE and factor == 1.0:
+        return ""
+    scaled = f" ({factor:g} times as large it would lie on it)" if factor != 1.0 else ""
+    return f"{name} is {distance:.1f} body sizes away from {body} on average{scaled}"
+
+
 # Ratios of usual units, both ways; the first one is that of equal units.
 _UNIT_RATIOS = np.array([2.54, 10.0, 30.48, 1 / 0.0254, 100.0, 1000.0])
 _UNIT_FACTORS = np.concatenate([[1.0], np.column_stack([_UNIT_RATIOS, 1.0 / _UNIT_RATIOS]).ravel()])

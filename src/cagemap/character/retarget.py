@@ -82,12 +82,17 @@ def retarget(animation: Animation, source: Rig, target: Rig, *, reference: Float
 
 def retarget_all(animations: Sequence[Animation], source: Rig, target: Rig) -> tuple[tuple[Animation, ...], bool]:
     """Animations for another rig, and whether its bind pose differs (T pose, A pose)."""
-    reference = None
-    if animations and humanoid_joints(source):
-        pose = aligned_pose(target, source)
-        reference = None if np.allclose(pose, target.bind) else pose
+    reference = bind_pose_difference(target, source) if animations else None
     retargeted = tuple(retarget(animation, source, target, reference=reference) for animation in animations)
     return retargeted, reference is not None
+
+
+def bind_pose_difference(target: Rig, source: Rig) -> FloatArray | None:
+    """The target's bind pose (j, 4, 4) turned into the source's (T pose, A pose); None if they are equal or unknown."""
+    if not humanoid_joints(source):
+        return None
+    pose = aligned_pose(target, source)
+    return None if np.allclose(pose, target.bind) else pose
 
 
 def joint_pairs(source: Rig, target: Rig) -> dict[int, int]:

@@ -36,7 +36,7 @@ def run_studio(request: StudioRequest, stages: Stages) -> SummaryAndWarnings:
         for model in (files.target, files.source):
             if not model.is_file():
                 raise ParameterError(f"{model}: expected a mesh file, found none. Check the name.")
-        recorded = files.recorded.files if files.recorded else ()
+        recorded = files.recorded_match.files if files.recorded_match else ()
         input_paths = (files.landmarks, files.target, files.source, files.texture, files.result, *recorded)
         folders = (*request.folder, *(path.parent for path in input_paths if path is not None))
     serving = request.host, request.port, request.vertices, not request.no_browser

@@ -33,7 +33,7 @@ _MAX_LOCKED = 64
 _UMASK = os.umask(0o077)
 os.umask(_UMASK)
 _Check = Callable[[], None]
-_Move = Callable[[ExitStack | None], None]  # given a stack, it adds how the move is undone
+_Move = Callable[[ExitStack], None]  # adds how the move is undone
 
 Owned = Callable[[Path], bool]
 _written: ContextVar[list[Path] | None] = ContextVar("written", default=None)
@@ -62,8 +62,8 @@ def _tell(*files: Path) -> None:
 def all_or_nothing() -> Iterator[None]:
     """Move the files that `atomic_path` writes into place at the block's end; none after an error.
 
-    Inside another such block, at the end of the outer one. If a file cannot be moved, those before are put back, except
-    older files on disks without hard links.
+    Inside another such block, at the end of the outer one. If a move fails, earlier moves are undone; on disks without
+    hard links, replaced files cannot be restored.
     """
     if _together.get() is not None:
         yield
@@ -139,10 +139,10 @@ def atomic_path(
             seal(temporary)
             _flush(temporary)
 
-        def move(undone: ExitStack | None) -> None:
+        def move(undone: ExitStack) -> None:
             check()  # another program may have created the file meanwhile
             with _name_output_in_disk_errors(target):
-                if undone is not None and together is not None:
+                if together is not None:
                     _keep_earlier(target, undone, together[1])
                 if target.exists():
                     shutil.copymode(target, temporary)
@@ -150,7 +150,7 @@ def atomic_path(
             _tell(Path(final))
 
         if together is None:
-            move(None)
+            move(ExitStack())
         else:
             together[0].append((check, move))
             together[1].push(removed.pop_all())
@@ -165,7 +165,12 @@ def _keep_earlier(target: Path, undone: ExitStack, removed: ExitStack) -> None:
     with suppress(OSError):  # a disk without hard links
         os.link(target, kept)
         removed.callback(kept.unlink, missing_ok=True)
-        undone.callback(os.replace, kept, target)
+        undone.callback(_put_back, kept, target)
+
+
+def _put_back(kept: Path, target: Path) -> None:
+    with suppress(FileNotFoundError):  # another process may have removed it as a leftover
+        os.replace(kept, target)
 
 
 def write_whole(path: str | Path, content: str | bytes, *, force: bool = False, owned: Owned = is_own) -> None:

@@ -95,7 +95,9 @@ def find_problems(job: JobFile, folder: Path, commands: Mapping[str, CommandOpti
     names = [asset.name for asset in job.assets]
     yield from _folder_problems(("output",), folder, job.output)
     for i, asset in enumerate(job.assets):
-        if asset.name in names[:i]:
+        if asset.name.casefold() in map(
+            str.casefold, names[:i]
+        ):  # as names of files, which some disks do not tell apart
             yield ("assets", i, "name"), f"{asset.name!r} is taken. Give another name."
         yield from _missing(("assets", i, "file"), folder, asset.file)
         yield from _missing(("assets", i, "landmarks"), folder, asset.landmarks)

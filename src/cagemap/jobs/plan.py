@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,9 @@ from cagemap.files.images.image import texture_files
 from cagemap.files.meshes.formats import referred_files
 from cagemap.files.result.folder import ARRAYS
 from cagemap.files.result.manifest import file_hash
-from cagemap.jobs import LAYER_OPTION
 from cagemap.jobs.job import Job
 from cagemap.jobs.job_checks import resolve_files
-from cagemap.jobs.job_schema import MAP_OPTIONS, Asset, OutputRule, asset_names, fill_placeholders
+from cagemap.jobs.job_schema import LAYER_OPTION, MAP_OPTIONS, Asset, OutputRule, asset_names, fill_placeholders
 
 # Folder inside the output folder with prepared surfaces, notes of finished tasks and locks.
 STATE_FOLDER = ".cagemap"
@@ -53,7 +52,7 @@ class Task:
     predecessors: tuple[str, ...] = ()  # names of tasks that must have ended before, in success or failure
     # `content_hash` of the input files at planning
     input_hashes: dict[str, str] = field(default_factory=dict, repr=False)
-    added_to: str = ""  # the layer among its outputs if later tasks add to it
+    layer: str = ""  # the USD layer among its outputs, to which other tasks of the pair may add
 
     @property
     def slug(self) -> str:
@@ -104,22 +103,21 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
             if isinstance(task, str):
                 omitted_outputs.append(task)
                 continue
-            layer = _layer(task, job.output)
-            sharing = [other for other in earlier if layer and _layer(other, job.output) == layer]
-            overlap = {path for other in earlier for path in other.outputs if other not in sharing or path != layer}
-            overlap &= set(task.outputs)
+            overlap = next(
+                (path for other in earlier for path in other.outputs if not _may_share(path, task, other)), ""
+            )
             if overlap or task.name in tasks:
                 raise FormatError(
-                    f"{job.path}: two outputs of {pair[0]} -> {pair[1]} write {(overlap or {task.outputs[0]}).pop()}. "
-                    "Rename one."
+                    f"{job.path}: two outputs of {pair[0]} -> {pair[1]} write {overlap or task.outputs[0]}. Rename one"
+                    f"{', or name a .usda file, to which both can add' * overlap.lower().endswith('.usdc')}."
                 )
             if set(picture.outputs) & set(task.outputs):
                 raise FormatError(
                     f"{job.path}: an output of {pair[0]} -> {pair[1]} is called {PICTURE_FILE}, as the job's own "
                     "picture of each pair is. Rename it."
                 )
-            earlier = [replace(other, added_to=layer) if other in sharing else other for other in earlier] + [task]
-            tasks |= {one.name: one for one in earlier}
+            earlier.append(task)
+            tasks[task.name] = task
     return Plan(job.output, tuple(tasks.values()), tuple(pairs), tuple(omitted_outputs))
 
 
@@ -141,9 +139,9 @@ def _require_own_folders(job: Job, pairs: Iterable[PairNames]) -> None:
             )
 
 
-def _layer(task: Task, root: Path) -> str:
-    """The layer among a task's outputs; empty if it writes none."""
-    return next((path for path in task.outputs if task.request.get(LAYER_OPTION) == str(root / path)), "")
+def _may_share(path: str, task: Task, earlier: Task) -> bool:
+    """Whether a task may write a file of an earlier one: both add to it as a layer. A .usdc has no mark of cagemap."""
+    return path not in task.outputs or (path == task.layer == earlier.layer and not path.lower().endswith(".usdc"))
 
 
 def _rule_pairs(
@@ -300,4 +298,5 @@ class _Planner:
             match.pair,
             predecessors,
             input_hashes,
+            files.get(LAYER_OPTION, ""),
         )

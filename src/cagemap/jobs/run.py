@@ -105,11 +105,9 @@ def kept_outcome(root: Path, task: Task) -> TaskOutcome | None:
     note = read_own_note(_note_path(root, task))
     if note is None or note["key"] != task.key:
         return None
-    is_complete = all(
-        (root / path).is_file() and (path == task.added_to or (root / path).stat().st_size == size)
-        for path, size in note["outputs"].items()
-    )
-    if not is_complete:
+    sizes = {path: (root / path).stat().st_size if (root / path).is_file() else -1 for path in note["outputs"]}
+    changed = [path for path, size in note["outputs"].items() if sizes[path] != size]
+    if any(path != task.layer or not is_own(root / path) for path in changed):
         return None
     return TaskOutcome(task.name, "kept", "", note["seconds"], note["figures"], tuple(note["outputs"]))
 

@@ -29,7 +29,6 @@ from cagemap.pictures.render import Skin as Skin
 from cagemap.pictures.render import render as render
 from cagemap.pictures.render import render_skins as render_skins
 from cagemap.pictures.render import visible_points as visible_points
-from cagemap.pictures.textures import repeated_uvs as repeated_uvs
 from cagemap.pictures.textures import sample_texture as sample_texture
 from cagemap.surface.alignment import Y_UP as Y_UP
 from cagemap.surface.alignment import Z_UP as Z_UP

@@ -38,9 +38,10 @@ from cagemap.studio.preview_tasks import (
     Task,
     TaskResult,
 )
+from cagemap.studio.recorded_match import number_duplicates
 from cagemap.studio.shape import refined_shape
 from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_skin
-from cagemap.studio.state import MapState, number_duplicates
+from cagemap.studio.state import MapState
 from cagemap.studio.worker import logged_warnings, without_folders
 from cagemap.subdivision import refine
 from cagemap.tasks.match import ComputedMatch
@@ -178,8 +179,9 @@ def find_map(
     if task.answer is not None or not has_constraints or (answer and restarts):
         first_preview = preview if cache.result is None else None
         free_match = cache.free_match or match_pair(prepared_pair, progress=progress, preview=first_preview)
-        if task.answer is None and (free_match.confidence is None or answer >= len(free_match.confidence.answers)):
-            answer = 0  # of a RESULT with more vertices, which had more answers
+        if isinstance(answer, str):  # of a RESULT, whose numbers of vertices may have given other alignments
+            names = _answer_names(free_match)
+            answer = names.index(answer) if answer in names else 0
         result = other_answer(free_match, answer, progress=progress) if answer else free_match
         config = MatchConfig(answer=answer)
         cache = replace(cache, free_match=free_match, chosen_answer=answer, result=result, config=config)
@@ -221,14 +223,13 @@ def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:
     source = cache.source.with_shape(align_facing(cache.source.shape, target.shape, preview_map))
     rotated_skin = None if source is cache.source else source_skin(source)
     skin = target_skin(target, source, preview_map)
-    free = None if cache.free_match is None else cache.free_match.confidence
     character = _source_character(cache)
     cache = replace(cache, source=source, character=character)
     worst = max(rate_figures(result.quality.summary()), key=lambda rating: rating.severity)
     config = None if len(result.landmarks.curves) else cache.config
     computed = None if config is None else ComputedMatch(result, config)
     map_state = MapState(
-        answers=() if free is None else number_duplicates([answer.name for answer in free.answers]),
+        answers=_answer_names(cache.free_match),
         chosen_answer=cache.chosen_answer,
         poor=worst.finding if worst.verdict == "poor" else "",
         confidence="" if result.confidence is None or cache.chosen_answer else result.confidence.message,
@@ -240,6 +241,11 @@ def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:
         from_start=computed is not None,
     )
     return cache, MapUpdate(preview_map, (skin, rotated_skin), map_state, computed)
+
+
+def _answer_names(free_match: MatchResult | None) -> tuple[str, ...]:
+    confidence = None if free_match is None else free_match.confidence
+    return () if confidence is None else number_duplicates([answer.name for answer in confidence.answers])
 
 
 def _suggested_vertex(cache: PreviewCache, result: MatchResult) -> int | None:

@@ -13,11 +13,10 @@ from cagemap.files.meshes.formats import is_in_several_files
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST
 from cagemap.studio.finish import MAP_TITLE, Command
+from cagemap.studio.recorded_match import MASK_FIELDS
 from cagemap.studio.scene import Scene
 from cagemap.studio.state import Output, StudioState
 
-# Options that name files whose changes are not tracked.
-_MASK_FIELDS = ("target_mask", "source_mask")
 # Time of change in nanoseconds and size; None for a missing file.
 FileStamp = tuple[int, int] | None
 
@@ -47,7 +46,7 @@ class WrittenMap:
 def _match_inputs(match: Command, state: StudioState) -> object:
     """Everything that the map depends on; None if not all of it is tracked."""
     files = state.files
-    if files is None or any(getattr(match.request, name, None) for name in _MASK_FIELDS):
+    if files is None or any(getattr(match.request, name, None) for name in MASK_FIELDS):  # not tracked
         return None
     models = files.target, files.source
     if any(map(is_in_several_files, models)):  # the stamps do not include the further files

@@ -114,11 +114,11 @@ def autosave_models(files: Files, scene: Scene) -> tuple[str, str]:
 
 def recorded_landmarks(files: Files, scene: Scene, tracker: FileTracker) -> tuple[LandmarkList, list[str]] | None:
     """Landmarks and curves of an opened RESULT that are not in one file of pairs, and notes; None without any."""
-    recorded = files.recorded
-    if recorded is None or recorded.has_only_pairs:
+    match = files.recorded_match
+    if match is None or match.has_only_pairs:
         return None
-    landmarks, notes = read_given_landmarks(recorded.request, scene.target.file_mesh, scene.source.file_mesh)
-    if recorded.request.landmarks == files.landmarks:
+    landmarks, notes = read_given_landmarks(match.request, scene.target.file_mesh, scene.source.file_mesh)
+    if match.request.landmarks == files.landmarks:
         tracker.record(files.landmarks)
     return _to_list(landmarks, notes, scene)
 

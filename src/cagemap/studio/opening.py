@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import zlib
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +17,9 @@ from cagemap.files.result.manifest import MANIFEST, REMEDY, input_file, read_man
 from cagemap.files.schema import ResultRecord, SideRecord, parse_record
 from cagemap.mesh.parts import PART_KINDS
 from cagemap.studio.landmarks import SideNames
-from cagemap.studio.recorded import LANDMARK_FIELDS, recorded_match
+from cagemap.studio.recorded_match import LANDMARK_FIELDS, match_of_result
 from cagemap.studio.state import Files
+from cagemap.tasks.match_parts import EACH, MATERIAL
 
 BUILT_IN_FOLDER = Path("cagemap-studio")
 BUILT_IN_TEXTURE_SIZE = 1024
@@ -81,11 +83,11 @@ def command_line_files(
     """
     if target is None and source is None:
         if result is not None:
-            recorded = result_files(result, landmarks, texture)
+            files = result_files(result, landmarks, texture)
             return replace(
-                recorded,
-                schemes=(schemes[0] or recorded.schemes[0], schemes[1] or recorded.schemes[1]),
-                parts=(parts[0] or recorded.parts[0], parts[1] or recorded.parts[1]),
+                files,
+                schemes=(schemes[0] or files.schemes[0], schemes[1] or files.schemes[1]),
+                parts=(parts[0] or files.parts[0], parts[1] or files.parts[1]),
             )
         if landmarks or texture or any(schemes) or any(parts):
             raise ParameterError("expected --target and --source beside the other options. Name both models.")
@@ -117,25 +119,32 @@ def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> 
         )
     schemes = _recorded_scheme(record.target), _recorded_scheme(record.source)
     parts = _recorded_part(record, "target"), _recorded_part(record, "source")
-    match = recorded_match(result.resolve(), manifest, record, {"target": target, "source": source})
+    match = match_of_result(result.resolve(), manifest, record, {"target": target, "source": source})
     if landmarks is not None or match.has_only_pairs:
         landmarks = landmarks or match.request.landmarks
-        match = match.without(*LANDMARK_FIELDS)
+        match = match.with_defaults_of(*LANDMARK_FIELDS)
     files = _pair_files(target, source, landmarks, texture, result, schemes, parts)
-    if not match.lost:
-        return replace(files, recorded=match)
+    files, notes = keep_result(replace(files, recorded_match=match), match.lost_options)
+    return replace(files, recorded_match=replace(match, notes=(*match.notes, *notes)))
+
+
+def keep_result(files: Files, lost_options: Sequence[str]) -> tuple[Files, tuple[str, ...]]:
+    """Files with another RESULT folder, and a note, if some options of the opened RESULT are not taken over."""
+    match = files.recorded_match
+    if not lost_options or match is None or files.result != match.request.output:
+        return files, ()
     kept = files.result.with_name(f"{files.result.name}_studio")
     note = (
-        f"{result.name} was matched with options that the studio does not take over: {', '.join(match.lost)}. "
+        f"the studio cannot repeat the match of {files.result.name}: {', '.join(lost_options)}. "
         f"So Bake does not replace it, and writes {kept.name}"
     )
-    return replace(files, result=kept, recorded=replace(match, notes=(*match.notes, note)))
+    return replace(files, result=kept), (note,)
 
 
 def _recorded_part(record: ResultRecord, side: str) -> str | None:
     """Part of a model in a RESULT; None for all or several parts."""
     name = record.parameters.get(f"{side}_part")
-    return name if isinstance(name, str) and name not in ("each", "material") else None
+    return name if isinstance(name, str) and name not in (EACH, MATERIAL) else None
 
 
 def _recorded_scheme(side: SideRecord) -> str | None:

@@ -52,7 +52,7 @@ class Preview:
         self,
         vertices: int,
         folder: Path,
-        current_inputs: Callable[[], tuple[LandmarkList, PreviewMap | None, int]],
+        current_inputs: Callable[[], tuple[LandmarkList, PreviewMap | None, int | str]],
         on_job: Callable[[RunningJob], None],
         on_result: Callable[[Task, object], None],
     ) -> None:

@@ -12,7 +12,7 @@ from cagemap.studio.finish_layout import in_page_words
 from cagemap.studio.landmark_edits import LandmarkEdits
 from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, earlier_landmarks
 from cagemap.studio.landmarks import History, LandmarkList, SideNames
-from cagemap.studio.opening import with_parts
+from cagemap.studio.opening import keep_result, with_parts
 from cagemap.studio.preview import OPENING_TITLE, Preview
 from cagemap.studio.preview_tasks import (
     FindMap,
@@ -25,6 +25,7 @@ from cagemap.studio.preview_tasks import (
     ShowPosed,
     Task,
 )
+from cagemap.studio.recorded_match import lost_welds
 from cagemap.studio.scene import Scene, propose_place
 from cagemap.studio.skins import PreviewMap
 from cagemap.studio.state import (
@@ -85,15 +86,19 @@ class PreviewResults(LandmarkEdits):
         """Open models; if that fails, `_apply_failure` tries again with the requested parts."""
         with self._lock:
             self._scene, self._computed, self._requested_parts = None, None, requested_parts
-            job, fields = RunningJob(OPENING_TITLE), dict(INITIAL_FIELDS)
-            if files.recorded is not None:
-                fields["map"] = MapState(chosen_answer=files.recorded.request.answer)
+            job, fields, before = RunningJob(OPENING_TITLE), dict(INITIAL_FIELDS), self._state.files
+            models = files.target, files.source
+            if before is None or (before.target, before.source) != models:
+                fields["models"] = models
+            if files.recorded_match is not None:
+                fields["map"] = MapState(sought_answer=files.recorded_match.answer_name)
             self._change(files=files, view=map_view(self._state.view), preview_job=job, **fields)
             self._preview.open(files)
 
-    def _preview_inputs(self) -> tuple[LandmarkList, PreviewMap | None, int]:
+    def _preview_inputs(self) -> tuple[LandmarkList, PreviewMap | None, int | str]:
         state, scene = self._state, self._scene
-        return state.history.present, None if scene is None else scene.preview_map, state.map.chosen_answer
+        answer = state.map.sought_answer or state.map.chosen_answer
+        return state.history.present, None if scene is None else scene.preview_map, answer
 
     def _receive(self, task: Task, result: object) -> None:
         is_unchecked = isinstance(result, MapUpdate) and result.map_state.unchecked
@@ -165,7 +170,10 @@ class PreviewResults(LandmarkEdits):
             scene.warm_up()  # not earlier: the page loads the models first
         present, job = self._state.history.present, self._state.preview_job
         seconds = 0.0 if job is None else time.monotonic() - job.begun
-        map_state = update.map_state.rename_landmarks(task.landmarks, present).following(self._state.map, seconds)
+        sought, found = self._state.map.sought_answer, update.map_state
+        if sought and not found.unchecked and found.answer_name != sought:
+            self._keep_recorded_result(f"its alignment, {sought}, which the map here does not start from")
+        map_state = found.rename_landmarks(task.landmarks, present).following(self._state.map, seconds)
         self._change(map=map_state, proposal=propose_place(scene, present), probe=None)
 
     def _show_skins(self, skins: tuple[bytes, bytes]) -> None:
@@ -181,24 +189,36 @@ class PreviewResults(LandmarkEdits):
             files = with_parts(self._state.files, (target.part_choices.opened, source.part_choices.opened))
             schemes, welds = (target.scheme, source.scheme), (target.weld, source.weld)
             files = replace(files, target=target.path or files.target, source=source.path or files.source)
-            if files.recorded is not None:
-                self._say_all(files.recorded.notes)
-                files = replace(files, recorded=replace(files.recorded.without("answer"), notes=()))
+            if (recorded := files.recorded_match) is not None:
+                files, notes = keep_result(files, lost_welds(recorded.request, welds))
+                self._say_all((*recorded.notes, *notes))
+                files = replace(files, recorded_match=replace(recorded, notes=()))
             self._change(files=replace(files, schemes=schemes, welds=welds, texture=source.texture))
         self._say_all(tuple(map(in_page_words, target.notes + source.notes)))
         self._load_initial_landmarks()
+
+    def _keep_recorded_result(self, *lost_options: str) -> None:
+        """Write another folder than the opened RESULT, and say so, if its match cannot be repeated here."""
+        files, _ = self._require_open()
+        files, notes = keep_result(files, lost_options)
+        self._change(files=files)
+        self._say_all(notes)
 
     def _load_initial_landmarks(self) -> None:
         """Load unsaved landmarks, or else those of the pair's file or of earlier versions, and request the map."""
         files, scene = self._require_open()
         for read, saved in (*INITIAL_LANDMARK_READERS, (partial(earlier_landmarks, folder=self._folder), False)):
+            is_read = False
             with self.report_errors():
                 loaded = read(files, scene, self._tracker)
+                is_read = True
                 if loaded is not None:
                     landmarks, notes = loaded
                     self._change(history=History(landmarks), saved=saved)
                     self._say_all(notes)
                     break
+            if not is_read:
+                self._keep_recorded_result("landmarks that cannot be used")
         self._request_map(fresh=True)
 
     def _request_map(self, *, fresh: bool) -> None:

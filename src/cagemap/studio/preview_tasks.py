@@ -59,15 +59,15 @@ class FindMap:
         three landmarks.
     answer : int or None
         Choose one of the alignments that are found without landmarks.
-    chosen_answer : int
-        The one chosen before, for a process without a map.
+    chosen_answer : int or str
+        The one chosen before, for a process without a map; or the name of that of an opened RESULT.
     """
 
     pair_files: PairFiles
     landmarks: LandmarkList
     fresh: bool = False
     answer: int | None = None
-    chosen_answer: int = 0
+    chosen_answer: int | str = 0
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from cagemap.studio.landmark_files import load_landmarks, save_landmarks
 from cagemap.studio.landmarks import Side
 from cagemap.studio.opening import result_folder
 from cagemap.studio.preview_results import PreviewResults
-from cagemap.studio.recorded import LANDMARK_FIELDS
+from cagemap.studio.recorded_match import LANDMARK_FIELDS
 from cagemap.studio.runner import Runner
 from cagemap.studio.scene import Scene, probe_map
 from cagemap.studio.shape import pick
@@ -26,8 +26,8 @@ from cagemap.studio.state import (
     Files,
     Message,
     Output,
-    baked_images,
     baked_view,
+    first_image,
     map_view,
     update_view,
 )
@@ -141,7 +141,7 @@ class Session(PreviewResults):
             self._change(probe=None if scene is None or hit is None else probe_map(scene, side, hit))
 
     def change_view(self, **fields: object) -> None:
-        """Change fields of the view; mode "baked" shows the last baked image by default."""
+        """Change fields of the view; mode "baked" shows an image of colours by default, see `update_view`."""
         with self.report_errors(), self._lock:
             self.show(update_view(self._state, **fields))
 
@@ -188,7 +188,9 @@ class Session(PreviewResults):
         """
         files, scene = self._require_open()
         has_constraints = self._state.history.present.has_constraints
-        answer = 0 if has_constraints else self._state.map.chosen_answer
+        answer, recorded = (0 if has_constraints else self._state.map.chosen_answer), files.recorded_match
+        if not has_constraints and recorded is not None and recorded.answer_name == self._state.map.answer_name:
+            answer = recorded.request.answer  # with the RESULT's numbers of vertices the order may be another one
         options = with_defaults(options, files, scene, self.vertices, answer)
         return plan_commands(self.options, self.workspace, files, options, use_landmarks=has_constraints)
 
@@ -244,8 +246,8 @@ class Session(PreviewResults):
         if written == (target,):  # after two files of points the open file stays
             if target != files.landmarks and autosave_path(target).is_file():
                 move_aside(autosave_path(target))  # of an earlier session
-            recorded = files.recorded and files.recorded.without(*LANDMARK_FIELDS)
-            self._change(files=replace(files, landmarks=target, recorded=recorded), saved=True)
+            match = files.recorded_match and files.recorded_match.with_defaults_of(*LANDMARK_FIELDS)
+            self._change(files=replace(files, landmarks=target, recorded_match=match), saved=True)
             self._tracker.remove_autosave(files.landmarks)
 
     def _on_output(self, output: Output) -> None:
@@ -259,9 +261,10 @@ class Session(PreviewResults):
                 others = (other for other in earlier if output.path != other.path and output.title != other.title)
                 self._earlier_outputs = tuple(others)
                 self._change(outputs=(*before, output, *self._earlier_outputs))
-                images = baked_images((*before, output))
-                if images and not baked_images(before) and self._finish_inputs == self._state.map_inputs:
-                    self.show_baked_image(images[0])
+                shown, image = first_image(before), first_image((*before, output))
+                is_unchanged = shown is None or self._state.view.baked == shown
+                if image != shown and is_unchanged and self._finish_inputs == self._state.map_inputs:
+                    self.show_baked_image(image)
 
     @property
     def _finish_outputs(self) -> tuple[Output, ...]:

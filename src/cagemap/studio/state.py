@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -14,7 +14,7 @@ from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.images.image import UDIM_MARK
 from cagemap.files.usd.results import preview_inputs
 from cagemap.studio.landmarks import History, LandmarkList, Proposal, SideNames
-from cagemap.studio.recorded import RecordedMatch
+from cagemap.studio.recorded_match import RecordedMatch
 
 Mode = Literal["texture", "colours", "checker", "plain", "baked"]
 MODES: tuple[Mode, ...] = ("texture", "colours", "checker", "plain", "baked")
@@ -51,7 +51,7 @@ class Files:
         without a part sets this to its largest piece.
     welds : (str or None, str or None)
         Tolerance that each file was welded with when it was opened, as `cagemap match --weld` takes it.
-    recorded : RecordedMatch or None
+    recorded_match : RecordedMatch or None
         The match of an opened RESULT.
     """
 
@@ -64,7 +64,7 @@ class Files:
     ups: SideNames = (None, None)
     parts: SideNames = (None, None)
     welds: SideNames = (None, None)
-    recorded: RecordedMatch | None = None
+    recorded_match: RecordedMatch | None = None
 
 
 @dataclass(frozen=True)
@@ -115,6 +115,8 @@ class MapState:
         Names of the alignments found without landmarks, best first; empty if there was no such search.
     chosen_answer : int
         The one that the map started from.
+    sought_answer : str
+        Name of the one of an opened RESULT, until the first checked map; '' for none.
     confidence : str
         Message of the search about the first answer.
     strain : dict of str to float
@@ -140,6 +142,7 @@ class MapState:
     revision: int = 0
     answers: tuple[str, ...] = ()
     chosen_answer: int = 0
+    sought_answer: str = ""
     confidence: str = ""
     strain: dict[str, float] = field(default_factory=dict)
     contradictions: dict[str, str] = field(default_factory=dict)
@@ -150,6 +153,11 @@ class MapState:
     poor: str = ""
     poses: tuple[str, ...] = ()
     first_seconds: float = 0.0
+
+    @property
+    def answer_name(self) -> str:
+        """Name of the chosen answer; '' if there was no search."""
+        return self.answers[self.chosen_answer] if self.chosen_answer < len(self.answers) else ""
 
     def as_unchecked(self) -> MapState:
         """Return the state for a map that is not checked, with what is known of the last checked one."""
@@ -250,6 +258,8 @@ class StudioState:
     ----------
     files : Files or None
         None until two models are chosen.
+    models : tuple of Path
+        Target and source as they were chosen; ``files`` has the files that FBX models are converted to.
     history : History
     selected : int or None
         Number of the selected landmark.
@@ -269,6 +279,7 @@ class StudioState:
     """
 
     files: Files | None = None
+    models: tuple[Path, ...] = ()
     history: History = field(default_factory=History)
     selected: int | None = None
     proposal: Proposal | None = None
@@ -319,6 +330,12 @@ def color_images(outputs: Iterable[Output]) -> tuple[Path, ...]:
     return tuple(image for output in outputs for image in baked_images((output,)) if _is_of_colors(output.title, image))
 
 
+def first_image(outputs: Iterable[Output]) -> Path | None:
+    """The first baked image of colours, else of another kind; None without any."""
+    outputs = tuple(outputs)
+    return next(iter(color_images(outputs) or baked_images(outputs)), None)
+
+
 def _is_of_colors(title: str, image: Path) -> bool:
     """Whether an image of an output is one of colours; the names of a material's maps tell theirs."""
     kind = image.stem.removesuffix(f".{UDIM_MARK}").rpartition("_")[2]
@@ -359,18 +376,13 @@ def update_view(state: StudioState, **fields: object) -> View:
     view = replace(map_view(state.view) if fields.get("pose") else state.view, **fields)  # type: ignore[arg-type]
     if view.mode != "baked" or view.baked is not None:
         return view
-    if not state.baked_images:
+    image = first_image(state.outputs)
+    if image is None:
         raise ParameterError("Show: expected a baked image, there is none yet. Press Bake.")
-    return baked_view(view, (color_images(state.outputs) or state.baked_images)[0])
+    return baked_view(view, image)
 
 
 def add_message(messages: tuple[Message, ...], kind: MessageKind, text: str) -> tuple[Message, ...]:
     """Append a message; an equal earlier one is removed."""
     new = Message(kind, text.encode("utf-8", "backslashreplace").decode())  # file names may have invalid characters
     return (*(old for old in messages if old != new), new)[-MAX_MESSAGES:]
-
-
-def number_duplicates(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of answers, with a number after each repetition."""
-    counts = [names[: i + 1].count(name) for i, name in enumerate(names)]
-    return tuple(f"{name} ({count})" if count > 1 else name for name, count in zip(names, counts, strict=True))

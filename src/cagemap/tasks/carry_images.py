@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -86,9 +86,8 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
         size = request.size or base_size(request, name)
         if size is not None:  # a normal map is baked without its alpha
             require_base(request, result, size, (3, 4) if channels == 4 else (channels,), name)
-    prepared = prepare_bake(
-        request, result, stages, dict(zip((name or "texture" for name, *_ in maps), outputs, strict=True))
-    )
+    outputs_by_use = dict(zip((name or "texture" for name, *_ in maps), outputs, strict=True))
+    prepared = prepare_bake(request, result, stages, outputs_by_use)
     requests = [replace(request, output=output) for output in outputs]
     entries: list[dict[str, Any]] = []
     with all_or_nothing():
@@ -96,30 +95,34 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
             image = _bake_map(map_request, result, prepared, name, path, stages, texture)
             entry = _entry("texture", path if atlas is None or given is None else given, image)
             entries.append(entry | ({"map": name} if name else {}))
+        lines = [] if request.usd is None else [_write_layer(request.usd, request, result, prepared, outputs_by_use)]
     for map_request, entry in zip(requests, entries, strict=True):
         summary, warnings = record_bake(map_request, prepared, entry, stages)
     is_gltf = given is not None and given.suffix.lower() in GLTF_SUFFIXES
     if is_gltf and document is not None and (tinted := tinted_materials(document, source)):
         colors = f"the colours that multiply the images of {first_few(tinted)} are not baked"
         warnings = [*warnings, f"{given}: {colors}; set them in the target's materials"]
-    if request.usd is not None:
-        layer = request.usd
-        images_by_use = {
-            name or "texture": texture_reference(output if prepared.tiles == [0] else tile_pattern(output), layer)
-            for (name, *_), output in zip(maps, outputs, strict=True)
-        }
-        control = prepared.control
-        uvs = None
-        if request.unwrap and control.uvs is not None and control.uv_indices is not None:
-            uvs = ("cagemap_st", control.uvs, control.uv_indices)
-        results = UsdResults(textures=images_by_use, uvs=uvs)
-        warnings += unbound_maps(images_by_use)
-        summary += "\n" + write_usd_results(layer, request.result, result, results, force=request.force)
+    summary = "\n".join([summary, *lines])
     if len(maps) > 1:
         written = [*outputs, *([prepared.mesh] if prepared.mesh else [])]
         _, end, rest = summary.partition("\n")
         summary = f"wrote {len(maps)} maps: {', '.join(map(str, written))}{end}{rest}"
     return summary, warnings
+
+
+def _write_layer(
+    layer: Path, request: TransferRequest, result: MatchResult, prepared: Prepared, outputs_by_use: Mapping[str, Path]
+) -> str:
+    """Write a layer that binds baked images; returns a line for the terminal."""
+    images = {
+        use: texture_reference(output if prepared.tiles == [0] else tile_pattern(output), layer)
+        for use, output in outputs_by_use.items()
+    }
+    control, uvs = prepared.control, None
+    if request.unwrap and control.uvs is not None and control.uv_indices is not None:
+        uvs = ("cagemap_st", control.uvs, control.uv_indices)
+    prepared.warnings.extend(unbound_maps(images))
+    return write_usd_results(layer, request.result, result, UsdResults(textures=images, uvs=uvs), force=request.force)
 
 
 def _image_file(

@@ -16,7 +16,7 @@ from cagemap.files import INVERT_PREFIX
 from cagemap.files.atomic import one_at_a_time, write_whole
 from cagemap.files.ownership import is_own, mark
 from cagemap.files.result.manifest import stated, stated_path
-from cagemap.jobs import LAYER_OPTION
+from cagemap.jobs.job_schema import LAYER_OPTION
 from cagemap.tasks.masks import mask_file
 from cagemap.tasks.requests.catalogue import WRITTEN
 
@@ -34,7 +34,7 @@ def note_match(request: Any) -> None:
         return
     paths = {"source": request.source, "target": request.target}
     names = {side: _asset_name(path) for side, path in paths.items()}
-    if names["source"] == names["target"]:
+    if names["source"].casefold() == names["target"].casefold():
         names = {side: f"{name}-{side}" for side, name in names.items()}
     assets = [{"name": names[side], "file": stated_path(path, folder)} for side, path in paths.items()]
     options, pair = stated_options(request, folder), dict[str, Any](names)
@@ -59,7 +59,7 @@ def note_output(command: str, folder: Path, request: Any) -> None:
     with one_at_a_time(folder):
         data = tomllib.loads(place.read_text(encoding="utf-8"))
         outputs = [other for other in data.get("outputs", []) if other.get("output") not in files]
-        kept = [_without(other, files, str(entry.get(LAYER_OPTION))) for other in outputs]
+        kept = [_without(other, files - {entry.get(LAYER_OPTION)}) for other in outputs]  # each output adds to a layer
         _write(place, {**data, "outputs": [*kept, entry]})
 
 
@@ -74,14 +74,10 @@ def _path_in_pair(path: Path, folder: Path) -> str:
     return "/".join([*start, *steps[levels:], path.name])
 
 
-def _without(entry: dict[str, Any], files: set[str], layer: str) -> dict[str, Any]:
-    """An output entry without options that write one of ``files``, but for a ``layer`` to which each output adds."""
+def _without(entry: dict[str, Any], files: set[str]) -> dict[str, Any]:
+    """An output entry without options that write one of ``files``."""
     written = WRITTEN.get(entry.get("command", ""), ())
-    return {
-        name: value
-        for name, value in entry.items()
-        if name not in written or value not in files or (name == LAYER_OPTION and value == layer)
-    }
+    return {name: value for name, value in entry.items() if name not in written or value not in files}
 
 
 def stated_options(request: Any, folder: Path) -> dict[str, Any]:
@@ -96,6 +92,14 @@ def stated_options(request: Any, folder: Path) -> dict[str, Any]:
         prefix = INVERT_PREFIX if file is not None and value.startswith(INVERT_PREFIX) else ""
         options[field.name] = stated(value, folder) if file is None else prefix + stated_path(file, folder)
     return options
+
+
+def noted_options(folder: Path) -> dict[str, Any] | None:
+    """Options of the match that the job file of a RESULT folder states; None if it is missing or was edited."""
+    try:
+        return dict(tomllib.loads((folder / JOB).read_text("utf-8"))["options"]) if is_own(folder / JOB) else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def _asset_name(path: Path) -> str:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from cagemap.character.passengers import carry_passenger, unit_factor
+from cagemap.character.passengers import carry_passenger, far_passenger, unit_factor
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import (
     all_or_nothing,
@@ -43,7 +43,7 @@ from cagemap.tasks.masks import ASSUMED_AT_VERTICES, keep_base, to_file_values, 
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import refuse_unread
 from cagemap.tasks.requests.transfer import TransferRequest, require_map_names
-from cagemap.tasks.rig import MAX_MEAN_DISTANCE, transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
+from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
 from cagemap.tasks.usd_output import missing_file_warnings, texture_reference, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 
@@ -248,11 +248,6 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     factor = unit_factor(result.point_map.source, worn.positions)
     figures = {"vertices": mesh.n_vertices, "distance": carried.distance, "unit_factor": factor}
     stages.record(figures)
-    warnings = []
-    if carried.distance > MAX_MEAN_DISTANCE or factor != 1.0:
-        scaled = f" ({factor:g} times as large it would lie on it)" if factor != 1.0 else ""
-        warnings.append(
-            f"{request.passenger} is {carried.distance:.1f} body sizes away from "
-            f"{result.source.control.name} on average{scaled}: check that both have the same units and place"
-        )
+    doubt = far_passenger(str(request.passenger), result.source.control.name, carried.distance, factor)
+    warnings = [f"{doubt}: check that both have the same units and place"] if doubt else []
     return f"wrote {request.output}: {mesh.n_vertices} vertices on {result.target.control.name}", warnings

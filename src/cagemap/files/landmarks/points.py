@@ -117,7 +117,7 @@ def _markups(path: Path, markups: list[Any]) -> NamedPoints:
 
     Points of an open or closed curve become the curve, not landmarks.
     """
-    every: Named = []
+    all_points: Named = []
     curves: list[NamedCurve] = []
     for markup in markups:
         points = markup.get("controlPoints", []) if isinstance(markup, dict) else None
@@ -135,8 +135,8 @@ def _markups(path: Path, markups: list[Any]) -> NamedPoints:
             title = whole_characters(str(markup.get("name") or path.name.partition(".")[0]))
             curves.append(curve_through(path, title, [place for _, _, place in named], kind == "ClosedCurve"))
         else:
-            every += named
-    return _points(every, "", tuple(curves))
+            all_points += named
+    return _points(all_points, "", tuple(curves))
 
 
 def _rows(path: Path, text: str) -> list[list[str]]:
@@ -168,12 +168,12 @@ def _table(path: Path, text: str) -> Named:
 
     A row that begins with # is a comment; below a header only if it is shorter, or holds cagemap's mark.
     """
-    every = [row for row in _rows(path, text) if row]
-    rows = [row for row in every if not row[0].startswith("#")]
+    all_rows = [row for row in _rows(path, text) if row]
+    rows = [row for row in all_rows if not row[0].startswith("#")]
     head = [cell.strip().lower() for cell in rows[0]] if rows else []
     if {"name", "label"} & set(head):
-        below = every[every.index(rows[0]) + 1 :]
-        rows = [row for row in below if not row[0].startswith("#") or (len(row) >= len(head) and MARKED not in row[0])]
+        body = all_rows[all_rows.index(rows[0]) + 1 :]
+        rows = [row for row in body if not row[0].startswith("#") or (len(row) >= len(head) and MARKED not in row[0])]
     else:
         head = ["name", "x", "y", "z"]
     title = "name" if "name" in head else "label"

@@ -89,14 +89,17 @@ def stated_inputs(files: Mapping[str, Path], folder: Path) -> dict[str, dict[str
     }
 
 
+def stated_file(folder: str | Path, manifest: dict[str, Any], name: str) -> Path | None:
+    """An input file of a result, changed or not; None if it was moved."""
+    path = ((manifest.get("inputs") or {}).get(name) or {}).get("path")
+    file = Path(folder) / path if isinstance(path, str) else None
+    return file if file is not None and file.is_file() else None
+
+
 def input_file(folder: str | Path, manifest: dict[str, Any], side: str) -> Path | None:
     """The mesh file that a result was made from; None if it was moved or changed."""
-    entry = (manifest.get("inputs") or {}).get(side) or {}
-    path, digest = entry.get("path"), entry.get("sha256")
-    if not isinstance(path, str) or not isinstance(digest, str):
-        return None
-    file = Path(folder) / path
-    if not file.is_file():
+    file = stated_file(folder, manifest, side)
+    if file is None or not isinstance(digest := manifest["inputs"][side].get("sha256"), str):
         return None
     # Manifests of older versions contain the hash of the mesh file only, without the files that it refers to.
     return file if file_hash(file) == digest or _input_hash(file) == digest else None

@@ -129,10 +129,11 @@ class Actions:
         if all(stays):
             return replace(opened, texture=texture)
 
-        def kept(values: SideNames) -> SideNames:
+        def of_open_models(values: SideNames) -> SideNames:
             return values[0] if stays[0] else None, values[1] if stays[1] else None
 
-        return replace(files, schemes=kept(opened.schemes), ups=kept(opened.ups), parts=kept(opened.parts))
+        schemes, ups, parts = map(of_open_models, (opened.schemes, opened.ups, opened.parts))
+        return replace(files, schemes=schemes, ups=ups, parts=parts)
 
     def _show_baked(self, sent: Entries) -> None:
         images = self._session.state.baked_images

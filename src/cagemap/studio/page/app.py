@@ -140,8 +140,8 @@ class StudioApp:
     def _first_messages(self) -> Iterator[str]:
         workspace, options, vertices = self.session.workspace, self.session.options, self.session.vertices
         files = self.session.state.files or self._first_files  # a page may connect before these are open
-        recorded = files.recorded.form_values if files is not None and files.recorded is not None else {}
-        form = form_fields(options, vertices, recorded)
+        match = None if files is None else files.recorded_match
+        form = form_fields(options, vertices, {} if match is None else match.form_values)
         yield json.dumps(constant_entries() | listing_entries(workspace) | form)
         yield self._state()
 

@@ -93,17 +93,20 @@ function field({kind, label, value, choices, usual, suffixes, least, most, step}
   }
 }
 
-// Build the form; returns `values`, which gives changed options by key, and `clearFiles`, which empties names of files.
+// Build the form; returns `values`, which gives changed options by key, and `forgetModels`, which empties names of files
+// and gives options of an opened RESULT their defaults.
 export function buildForm({first, folds}, above, below) {
-  const asked = {}, usual = {}, ofPair = [], always = new Set();
+  const asked = {}, usual = {}, ofModels = [], alwaysSent = new Set();
   const line = one => {
     const [made, value] = field(one);
     asked[one.key] = value;
-    if (one.always) always.add(one.key);
+    if (one.always_sent) alwaysSent.add(one.key);
     usual[one.key] = JSON.stringify(value());
     const name = element('span', {textContent: one.label});
     const several = one.kind === 'several', holder = element(several ? 'div' : 'label', {title: one.hint}, name, made);
-    if (one.kind.includes('file') || one.key === 'name') ofPair.push(...made.matches('input, select') ? [made] : made.querySelectorAll('input, select'));
+    const inputs = made.matches('input, select') ? [made] : [...made.querySelectorAll('input, select')];
+    if (one.kind.includes('file') || one.key === 'name') ofModels.push(...inputs.map(input => [input, '']));
+    else if ('default' in one) ofModels.push([inputs[0], one.default]);
     for (const input of made.matches('input, select') ? [made] : made.querySelectorAll('input:not([type=checkbox])'))
       input.setAttribute('aria-label', one.label);
     holder.dataset.key = one.key;
@@ -115,7 +118,7 @@ export function buildForm({first, folds}, above, below) {
     element('details', {}, element('summary', {textContent: title}), ...fields.map(line))));
   return {
     values: () => Object.fromEntries(Object.entries(asked).map(([key, value]) => [key, value()])
-      .filter(([key, value]) => JSON.stringify(value) !== usual[key] || always.has(key))),
-    clearFiles: () => { for (const input of ofPair) input.value = ''; },
+      .filter(([key, value]) => JSON.stringify(value) !== usual[key] || alwaysSent.has(key))),
+    forgetModels: () => { for (const [input, value] of ofModels) input[input.type === 'checkbox' ? 'checked' : 'value'] = value; },
   };
 }

@@ -26,7 +26,9 @@ _DEFAULTS = FinishOptions()
 def form_fields(
     options: Options, vertices: int, recorded: Mapping[Key, Value] = MappingProxyType({})
 ) -> dict[str, Any]:
-    """Entries of the form: key, label, hint, kind, value, choices and suffixes; ``always`` is sent unchanged too.
+    """Entries of the form: key, label, hint, kind, value, choices and suffixes; ``always_sent``: unchanged too.
+
+    Options of an opened RESULT have a ``default`` for other models.
 
     Parameters
     ----------
@@ -46,8 +48,8 @@ def form_fields(
             hint="width and height in texels; default: as the source's image",
             choices=SIZES,
         ),
-        _option_entry(options, Field(VERTICES_KEY, "Vertices", (), vertices_hint, 1000), value=vertices, always=True)
-        | _recorded_entry(recorded, VERTICES_KEY),
+        _option_entry(options, Field(VERTICES_KEY, "Vertices", (), vertices_hint, 1000), recorded, value=vertices)
+        | {"always_sent": True},
     ]
     finish_entries: dict[str, list[dict[str, Any]]] = {
         MORE_IMAGES: [_entry("maps", "Maps", "named files", "", _MAPS_HINT, suffixes=IMAGE_SUFFIXES)],
@@ -63,7 +65,7 @@ def form_fields(
         {
             "title": section.title,
             "fields": finish_entries.get(section.title, [])
-            + [_option_entry(options, field) | _recorded_entry(recorded, field.key) for field in section.fields],
+            + [_option_entry(options, field, recorded) for field in section.fields],
         }
         for section in sections(options)
     ]
@@ -109,11 +111,9 @@ def _entry(key: str, label: str, kind: str, value: Any, hint: str, **more: Any) 
     return {"key": key, "label": label, "kind": kind, "value": value, "hint": hint} | more
 
 
-def _recorded_entry(recorded: Mapping[Key, Value], key: Key) -> dict[str, Any]:
-    return {"value": recorded[key], "always": True} if key in recorded else {}
-
-
-def _option_entry(options: Options, field: Field, **other: Any) -> dict[str, Any]:
+def _option_entry(
+    options: Options, field: Field, recorded: Mapping[Key, Value] = MappingProxyType({}), **other: Any
+) -> dict[str, Any]:
     option = options[field.key]
     value = "" if option.default is None or isinstance(option.default, tuple) else option.default
     kind = {"output": "flag", "whole": "number"}.get(option.kind, option.kind)
@@ -126,7 +126,10 @@ def _option_entry(options: Options, field: Field, **other: Any) -> dict[str, Any
     if kind == "number":
         other = {"least": option.least, "most": option.most, "step": field.step} | other
     entry = _entry(".".join(field.key), field.label, kind, value, field.hint or option.help)
-    return entry | other
+    entry |= other
+    if field.key in recorded:
+        entry |= {"value": recorded[field.key], "default": entry["value"], "always_sent": True}
+    return entry
 
 
 def _read_value(option: CommandOption, label: str, sent: Any) -> Value:

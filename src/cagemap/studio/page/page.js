@@ -5,7 +5,7 @@ import {Views} from './view.js';
 const $ = id => document.getElementById(id);
 const SIDES = ['target', 'source'], BOXES = ['doubts', 'cages', 'linked', 'other_parts', 'symmetric'], AGAIN = 500, AS_FILED = [['', 'as the file says']];
 let socket = null, state = null, fixed = null, listing = [], shownFiles = '', shownPair = '', picked = false, typed = null, received = 0;
-let bakeForm = {values: () => ({}), clearFiles: () => {}};
+let bakeForm = {values: () => ({}), forgetModels: () => {}};
 
 const hint = (...texts) => $('empty').replaceChildren(...texts.map(words => element('p', {textContent: words})));
 hint('This browser draws no 3D. Turn WebGL on, or open the page in another browser.');
@@ -202,8 +202,8 @@ function showBake() {
 }
 
 function showModels() {
-  const {files, models} = state, dialog = $('models').querySelector('form'), pair = files ? `${files.target}\n${files.source}` : shownPair;
-  if (shownPair && pair !== shownPair) bakeForm.clearFiles();  // those of the bake belong to the models before
+  const {files, models} = state, dialog = $('models').querySelector('form'), pair = state.pair.join('\n');
+  if (shownPair && pair !== shownPair) bakeForm.forgetModels();  // options of the bake belong to the models before
   shownPair = pair;
   for (const side of SIDES) {
     const model = models?.[side], parts = model?.parts ?? [];

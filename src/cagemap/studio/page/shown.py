@@ -53,6 +53,7 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "verdict": verdict(state, scene),
         "messages": [{"kind": message.kind, "text": confidence_text(message.text)} for message in state.messages],
         "files": None if state.files is None else _file_entries(state.files, workspace),
+        "pair": [workspace.display_name(path) for path in state.models],
         "models": None if scene is None else {side: _model_entry(scene, side) for side in SIDES},
         "symmetric": scene is not None and scene.has_mirrors,
         "drawn": keys,

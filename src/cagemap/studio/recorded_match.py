@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files import INVERT_PREFIX
-from cagemap.files.ownership import is_own
-from cagemap.files.result.manifest import MANIFEST, REMEDY, input_file
-from cagemap.files.schema import ResultRecord
-from cagemap.tasks.job_file import JOB
+from cagemap.files.result.manifest import MANIFEST, REMEDY, input_file, stated_file
+from cagemap.files.schema import ResultRecord, parse_json, to_json
+from cagemap.match_config import MatchConfig
+from cagemap.tasks.job_file import noted_options
 from cagemap.tasks.masks import mask_file
 from cagemap.tasks.match_parts import EACH, MATERIAL
+from cagemap.tasks.method import used_parameters
 from cagemap.tasks.requests.catalogue import Key, Value, request_of
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.options import option_fields
+from cagemap.tasks.requests.settings import moved_options
+from cagemap.tasks.subdivision import AUTO
 
 # Fields of a match that the page's form takes over.
 MASK_FIELDS = ("target_mask", "source_mask")
@@ -28,12 +30,12 @@ FORM_FIELDS = (
 )
 LANDMARK_FILES = ("landmarks", "target_points", "source_points", "curves")
 LANDMARK_FIELDS = (*LANDMARK_FILES, "exchange_landmarks")
-# Fields whose values the files of the pair have; parts and welding tolerances are looked at one by one.
-_OPENING_FIELDS = (
+_WELD_FIELDS = ("weld", "target_weld", "source_weld")
+# Fields that are taken over or compared: schemes and parts are those of the open files.
+_KNOWN_FIELDS = {
+    *(*FORM_FIELDS, *LANDMARK_FIELDS, *_WELD_FIELDS, "answer", "cache"),
     *("scheme", "target_scheme", "source_scheme", "part", "target_part", "source_part"),
-    *("weld", "target_weld", "source_weld"),
-)
-_TAKEN = {*FORM_FIELDS, *LANDMARK_FIELDS, *_OPENING_FIELDS, "answer", "cache"}
+}
 # Options that a manifest notes and the page does not have.
 _RESEARCH_FIELDS = ("method", "symmetry", "target_vertices", "source_vertices")
 
@@ -46,13 +48,16 @@ class RecordedMatch:
     ----------
     request : MatchRequest
         Options and files that are taken over; paths are absolute.
-    lost : tuple of str
-        Options that are not taken over, in words.
+    answer_name : str
+        Name of the alignment that the map started from.
+    lost_options : tuple of str
+        Options that are not taken over, and other reasons why the studio cannot repeat the match, in words.
     notes : tuple of str
     """
 
     request: MatchRequest
-    lost: tuple[str, ...] = ()
+    answer_name: str = ""
+    lost_options: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -73,12 +78,12 @@ class RecordedMatch:
         """Whether all landmarks are in one file of pairs for this direction."""
         return not any(getattr(self.request, name) for name in LANDMARK_FIELDS if name != "landmarks")
 
-    def without(self, *names: str) -> RecordedMatch:
+    def with_defaults_of(self, *names: str) -> RecordedMatch:
         """The match with the defaults of some fields."""
         return replace(self, request=replace(self.request, **{name: getattr(MatchRequest, name) for name in names}))
 
 
-def recorded_match(
+def match_of_result(
     result: Path, manifest: dict[str, Any], record: ResultRecord, sides: Mapping[str, Path]
 ) -> RecordedMatch:
     """The match of a RESULT folder.
@@ -97,19 +102,19 @@ def recorded_match(
     FormatError
         If an option has an impossible value.
     """
-    parameters, lost, notes = record.parameters, _lost_options(result, record.parameters), list[str]()
-    names = (*FORM_FIELDS, "exchange_landmarks", "answer")
+    parameters, lost, notes = record.parameters, _lost_options(result, manifest, record), list[str]()
+    names = (*FORM_FIELDS, *_WELD_FIELDS, "exchange_landmarks", "answer")
     values = {name: parameters[name] for name in names if parameters.get(name) is not None}
     for name in LANDMARK_FILES:
         if name in record.inputs:
-            file = _recorded_file(result, manifest, record, name, notes)
+            file = _recorded_file(result, manifest, name, notes)
             lost += [] if file else [f"{_flag(name)} {record.inputs[name].file} (there is no such file any more)"]
             values[name] = file
     for name in MASK_FIELDS:
         file = mask_file(text) if isinstance(text := values.get(name), str) else None
         if file is not None:
             found = next((entry for entry in record.inputs if entry.startswith(f"{name}_")), "")
-            first = _recorded_file(result, manifest, record, found, notes) if found else None
+            first = _recorded_file(result, manifest, found, notes) if found else None
             lost += [] if first else [f"{_flag(name)} {file.name} (there is no such file any more)"]
             inverted = INVERT_PREFIX if values[name].startswith(INVERT_PREFIX) else ""
             values[name] = f"{inverted}{first.with_name(file.name)}" if first else None
@@ -123,48 +128,59 @@ def recorded_match(
         request: MatchRequest = request_of("match", {**values, **sides, "output": result})  # type: ignore[assignment]
     except ParameterError as error:
         raise FormatError(f"{result / MANIFEST}: {error} {REMEDY}") from None
-    return RecordedMatch(request, tuple(lost), tuple(notes))
+    answers = () if record.confidence is None else number_duplicates([one.name for one in record.confidence.readings])
+    name = "".join(answers[request.answer : request.answer + 1]) if request.answer else ""
+    return RecordedMatch(request, name, tuple(lost), tuple(notes))
 
 
-def _recorded_file(
-    result: Path, manifest: dict[str, Any], record: ResultRecord, name: str, notes: list[str]
-) -> Path | None:
+def number_duplicates(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of answers, with a number after each repetition."""
+    counts = [names[: i + 1].count(name) for i, name in enumerate(names)]
+    return tuple(f"{name} ({count})" if count > 1 else name for name, count in zip(names, counts, strict=True))
+
+
+def lost_welds(request: MatchRequest, welds: tuple[str | None, str | None]) -> list[str]:
+    """Welding of a match that differs from how the studio welded target and source, in words."""
+    lost = []
+    for side, used in zip(("target", "source"), welds, strict=True):
+        asked, flag = getattr(request, f"{side}_weld") or request.weld, _flag(f"{side}_weld")
+        if asked not in (AUTO, used) and not (asked and used and float(asked) == float(used)):
+            lost.append(f"{flag} {asked}" if asked else f"no {flag} {used}")
+    return lost
+
+
+def _recorded_file(result: Path, manifest: dict[str, Any], name: str, notes: list[str]) -> Path | None:
     """An input file where it was, with a note if it was changed since; None if there is none."""
-    stated = record.inputs[name].path
-    path = None if stated is None else (result / stated).resolve()
-    if path is None or not path.is_file():
-        return None
-    if input_file(result, manifest, name) is None:
+    path = stated_file(result, manifest, name)
+    if path is not None and input_file(result, manifest, name) is None:
         notes.append(f"{path.name} was changed since {result.name} was computed; it is used as it is now")
-    return path
+    return None if path is None else path.resolve()
 
 
-def _lost_options(result: Path, parameters: Mapping[str, Any]) -> list[str]:
-    """Options of the match that the page has no place for, in words."""
+def _lost_options(result: Path, manifest: dict[str, Any], record: ResultRecord) -> list[str]:
+    """Options of the match that the page has no place for, and other reasons why it cannot be repeated, in words."""
+    parameters = record.parameters
+    if "way" in manifest:
+        return [f"it is composed of the maps {' -> '.join(map(str, reversed(manifest['way'])))}"]
+    if not parameters:
+        return ["it does not say how it was computed"]
+    if "map" in record.inputs:
+        return ["it is a map that `cagemap map` read from a file"]
     defaults = {name: getattr(MatchRequest, name) for name in _RESEARCH_FIELDS}
     names = {name for name, default in defaults.items() if parameters.get(name, default) not in (default, None)}
-    names |= _job_options(result) - _TAKEN
+    options = noted_options(result)
+    names |= set(options or ()) - _KNOWN_FIELDS
     lost = [_flag(name) + (f" {parameters[name]}" if name == "method" else "") for name in sorted(names)]
+    if options is None and "method" not in names:  # the job file was edited; the manifest has all parameters
+        usual = parse_json(to_json(used_parameters(MatchConfig())), result / MANIFEST, REMEDY)
+        used = parameters.get("spectral") or {}
+        lost += [f"--set method.{name}" for name in used if name not in usual or used[name] != usual[name]]
     parts = {parameters.get(f"{side}_part") for side in ("target", "source")}
-    lost += [f"{_flag('part')} {word}" for word in (EACH, MATERIAL) if word in parts]
-    weld = parameters.get("weld")
-    return lost if weld in (None, "auto") else [*lost, f"{_flag('weld')} {weld}"]
-
-
-def _job_options(result: Path) -> set[str]:
-    """Names of the options that the RESULT's job file states; none if it was edited."""
-    try:
-        options = tomllib.loads((result / JOB).read_text(encoding="utf-8"))["options"] if is_own(result / JOB) else {}
-        return set(options)
-    except (OSError, ValueError, KeyError, TypeError):
-        return set()
+    return lost + [f"{_flag('part')} {word}" for word in (EACH, MATERIAL) if word in parts]
 
 
 def _flag(name: str) -> str:
     """An option as it is typed; a research option as ``--set NAME``."""
-    options = {field.name: option for field, _, option in option_fields(MatchRequest)}
-    option = options.get(name)
-    if option is None or not option.setting:
-        return f"--{name.replace('_', '-')}" if option is None else option.flag(name)
-    side, _, rest = name.partition("_")
-    return f"--set {side}.{rest}" if side in ("target", "source") else f"--set {name}"
+    flags = {field.name: option.flag(field.name) for field, _, option in option_fields(MatchRequest)}
+    flag = flags.get(name, name)
+    return moved_options(MatchRequest).get(flag, flag).partition("=")[0]
