@@ -19,8 +19,8 @@ from cagemap.maps.coincident_map import coincident_map
 from cagemap.maps.hypotheses.confidence import (
     answer_confidence,
     jump_lengths,
+    kept_confidence,
     prolong_answers,
-    remaining_doubt,
     turned_limb_answers,
 )
 from cagemap.maps.hypotheses.search import distinct_answers, search_from_source, search_placements
@@ -234,7 +234,8 @@ def update_match(
 
     The map responds elastically to the landmarks; its error is within a few percent of that of a new match
     (docs/lab/fit_experiments.md). If landmarks change which parts correspond (an arm instead of a leg), match again.
-    With fewer than three landmarks the ``confidence`` is that of the match before, without answers that they exclude.
+    The ``confidence`` of the match before stays while there are fewer than three landmarks, none was moved or removed,
+    and every answer fits all of them; else the result has none.
 
     Parameters
     ----------
@@ -274,8 +275,8 @@ def update_match(
             places = linear_update(trusted, point_map)
             progress("closest points")
             point_map = map_of_places(trusted, places)
-            if max(len(before.landmarks), len(landmarks)) < FEWEST_LANDMARKS:
-                confidence = remaining_doubt(before.confidence, trusted)
+            if len(landmarks) < FEWEST_LANDMARKS and not len(before.landmarks.new_since(landmarks)):
+                confidence = kept_confidence(before.confidence, trusted)
     if preview is not None:
         preview(point_map)
     progress("quality")
