@@ -263,7 +263,7 @@ def update_match(
     timings: dict[str, float] = {}
     problem, confidence = Problem.of_landmarks(prepared, landmarks), None
     with one_blas_thread(), _timed(timings, "map"):
-        if config.check_landmarks:
+        if config.check_landmarks and len(landmarks) >= FEWEST_LANDMARKS:
             check = check_changes(problem, landmarks.new_since(before.landmarks), check, point_map)
         trusted = problem.without(check.left_out)
         coincident = coincident_map(trusted)
