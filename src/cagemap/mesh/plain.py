@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh.checks import extra_faces
+from cagemap.mesh.checks import extra_faces, inside_out_problem, zero_area_problem
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.extent_checks import inside_out_problem, zero_area_problem
 from cagemap.mesh.faces import (
     degenerate_faces,
     duplicate_faces,

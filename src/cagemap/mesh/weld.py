@@ -89,8 +89,7 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
 
 def file_copies(mesh: ControlMesh, joined: IndexArray, vertex_of: IndexArray) -> IndexArray | None:
     """``file_copies`` of a mesh whose vertices (k,) were joined; ``vertex_of`` (n,): new numbers, -1 if removed."""
-    file_numbers = joined if mesh.file_vertices is None else mesh.file_vertices[joined]
-    pairs = np.column_stack([vertex_of[joined], file_numbers])
+    pairs = np.column_stack([vertex_of[joined], mesh.file_numbers[0][joined]])
     earlier = renumbered_copies(mesh.file_copies, vertex_of)
     pairs = pairs[pairs[:, 0] >= 0] if earlier is None else np.concatenate([pairs[pairs[:, 0] >= 0], earlier])
     return pairs if len(pairs) else None
