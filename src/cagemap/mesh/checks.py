@@ -84,7 +84,7 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
     blank = MeshReport(mesh.name, len(mesh.positions), None, max(len(mesh.face_offsets) - 1, 0))
     broken = structure_problems(mesh)
     if broken:
-        return replace(blank, problems=broken)
+        return replace(blank, problems=tuple(_with_places(problem, mesh) for problem in broken))
     degenerate, duplicates = degenerate_faces(mesh), duplicate_faces(mesh)
     kept = np.delete(np.arange(mesh.n_faces), duplicates)
     single = keep_faces(mesh, kept) if len(duplicates) else mesh
@@ -150,15 +150,14 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
 def _with_places(problem: MeshProblem, mesh: ControlMesh) -> MeshProblem:
     """The problem in the file's numbers, with the coordinates of the elements that its message lists."""
     listed = np.array(problem.elements[:LISTED], dtype=np.int64)
-    if not len(listed):
+    if not len(listed) or problem.kind == "broken data":  # whose elements may be UVs
         return problem
     with np.errstate(over="ignore", invalid="ignore"):  # positions may be of any size
         if listed.ndim == 2:
             places = mesh.positions[listed].mean(axis=1)
         else:
             places = (mesh.positions if problem.of_vertices else face_centres(mesh))[listed]
-    of_faces = listed.ndim == 1 and not problem.of_vertices
-    numbers = mesh.file_numbers[int(of_faces)][np.array(problem.elements)]
+    numbers = mesh.file_numbers[int(listed.ndim == 1 and not problem.of_vertices)][np.array(problem.elements)]
     elements = [tuple(row) for row in numbers.tolist()] if listed.ndim == 2 else numbers.tolist()
     return replace(problem, elements=tuple(elements), places=tuple(map(place_text, places)))
 

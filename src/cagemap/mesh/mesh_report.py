@@ -100,7 +100,8 @@ class MeshReport:
     euler_characteristic: int | None = None  #: vertices - edges + faces
     genus: int | None = None  #: number of handles, boundary loops counted as closed; summed over components
     boundary_edges: int | None = None  #: edges of one face
-    boundary_loops: tuple[tuple[int, ...], ...] | None = None  #: vertices along every loop, as `MeshProblem`'s
+    #: vertices along every loop, 0-based, in the file's numbering
+    boundary_loops: tuple[tuple[int, ...], ...] | None = None
     component_sizes: tuple[int, ...] = ()  #: number of faces of every connected component, in file order
     valence_range: tuple[int, int] | None = None  #: fewest and most edges at a vertex that has faces
     uv_islands: int | None = None  #: None without texture coordinates
