@@ -61,8 +61,9 @@ def plain_mesh(mesh: MeshLike) -> RepairedMesh:
     )
     representative = coincident_vertices(work, collapse=True)
     joined = np.flatnonzero(representative != np.arange(mesh.n_vertices))
-    colors, color_notes = mean_colors(mesh, representative)
+    averaged = 0
     if len(joined):
+        colors, averaged = mean_colors(mesh, representative)
         work = replace(work, face_indices=representative[work.face_indices], vertex_colors=colors)
     holes = np.zeros(0, dtype=np.int64) if mesh.hole_faces is None else mesh.hole_faces
     work = keep_faces(work, np.delete(np.arange(mesh.n_faces), holes)) if len(holes) else work
@@ -95,6 +96,7 @@ def plain_mesh(mesh: MeshLike) -> RepairedMesh:
     repairs = replace(
         aside,
         joined_vertices=len(joined),
+        averaged_colors=averaged,
         split_faces=split,
         dropped_faces=len(bad) + len(holes),
         fins=fins,
@@ -124,7 +126,7 @@ def plain_mesh(mesh: MeshLike) -> RepairedMesh:
         file_copies=file_copies(mesh, joined, vertex_of),
     )
     notes = tuple(f"{ready.name}: {sentence}" for sentence in repairs.sentences())
-    return RepairedMesh(ready, vertex_of, (*notes, *color_notes), repairs)
+    return RepairedMesh(ready, vertex_of, notes, repairs)
 
 
 def _of_one_face_size(mesh: ControlMesh) -> tuple[ControlMesh, int]:
