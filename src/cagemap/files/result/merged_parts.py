@@ -22,7 +22,7 @@ from cagemap.mesh import ControlMesh, Loop, Plain
 from cagemap.mesh.faces import faces_of_one_size, split_into_fans
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
-from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.spectral import Surface
 from cagemap.subdivision import refine
 from cagemap.subdivision.topology import control_topology
@@ -50,18 +50,22 @@ def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> M
     last, provenance = parts[-1], parts[-1].provenance | provenance
     if len(parts) == 1:
         return replace(last, provenance=provenance)
-    target, target_numbers = _merge_sides([part.target for part in parts])
-    source, source_numbers = _merge_sides([part.source for part in parts])
+    targets, sources = [part.target for part in parts], [part.source for part in parts]
+    target, target_numbers = _merge_sides(targets)
+    source, source_numbers = _merge_sides(sources)
+    notes = [
+        f"{merged.control.name}: faces of different sizes are split into triangles"
+        for merged, sides in ((target, targets), (source, sources))
+        if merged.control.n_faces > sum(side.control.n_faces for side in sides)
+    ]
+    if notes:
+        provenance["notes"] = [*provenance.get("notes", ()), *notes]
     target_surface, source_surface = target.finest_triangles, source.finest_triangles
-    splits = [2 if part.source.faces.shape[1] == 4 else 1 for part in parts]
-    counts = np.empty(sum(len(rows.faces) for rows in source_numbers), dtype=np.int64)  # triangles of every face
-    for rows, split in zip(source_numbers, splits, strict=True):
-        counts[rows.faces] = split
-    first_triangles = offsets_of(counts)
+    split = 2 if source.faces.shape[1] == 4 else 1  # triangles of a face
     triangle, barycentric = np.empty(target_surface.n, dtype=np.int64), np.empty((target_surface.n, 3))
-    for part, split, target_rows, source_rows in zip(parts, splits, target_numbers, source_numbers, strict=True):
+    for part, target_rows, source_rows in zip(parts, target_numbers, source_numbers, strict=True):
         faces, halves = np.divmod(part.triangle, split)
-        triangle[target_rows.vertices] = first_triangles[source_rows.faces[faces]] + halves
+        triangle[target_rows.vertices] = split * source_rows.faces[faces] + halves
         barycentric[target_rows.vertices] = part.barycentric
     point_map = PointMap.from_arrays(target_surface, source_surface, triangle, barycentric)
     landmarks, check = _merged_landmarks(parts), _merged_checks(parts)
@@ -177,11 +181,11 @@ def _merge_sides(sides: Sequence[Surface]) -> tuple[Surface, list[_Numbers]]:
         raise ParameterError(
             "parts: expected all to have the same level and scheme, got different ones; match one by one"
         )
-    control = replace(join_meshes([side.control for side in sides]), scheme=scheme)
-    # Of plain meshes, those of the parts before faces of different sizes are split.
-    numbers = part_numbers([side.control for side in sides], level, loop=isinstance(scheme, Loop))
+    controls = [side.control for side in sides]
+    control = replace(join_meshes(controls), scheme=scheme)
     if isinstance(scheme, Plain) and faces_of_one_size(control) is None:
-        control = split_into_fans(control)
+        control, controls = split_into_fans(control), [split_into_fans(part) for part in controls]
+    numbers = part_numbers(controls, level, loop=isinstance(scheme, Loop))
     return Surface(refine(control, level, scheme), sides[0].config), numbers
 
 
