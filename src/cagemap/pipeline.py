@@ -45,7 +45,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, one_blas_thread
 from cagemap.paper.hfm import hfm_map
 from cagemap.paper.method import paper_map, search_levels
-from cagemap.paper.symmetries import paired_mirrors, refuse_plain_symmetries
+from cagemap.paper.symmetries import paired_mirrors
 from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
 from cagemap.spectral.surface import DEFAULT_VERTICES, Surface
 from cagemap.spectral.surface import ENOUGH as ENOUGH
@@ -379,8 +379,6 @@ def other_answer(
 @arrays_accepted
 def pair_of(target: Surface, source: Surface, landmarks: LandmarksLike, config: MatchConfig = MatchConfig()) -> Pair:
     """Pair of two surfaces with landmarks, and with symmetries, given or found for "paper" (5.2)."""
-    if config.symmetries:
-        refuse_plain_symmetries(target, source)
     pair = Pair(target, source, point_pairs(target, source, landmarks), config.symmetries)
     if config.method != "paper" or not config.use_symmetry or config.symmetries:
         return pair

@@ -58,7 +58,7 @@ from cagemap.paper.method import (
     search_level,
     search_levels,
 )
-from cagemap.paper.symmetries import check_symmetry, refuse_plain_symmetries
+from cagemap.paper.symmetries import check_symmetry
 from cagemap.pipeline import MAP_BASIS, MatchResult, prepare_pair, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule
@@ -136,8 +136,6 @@ def make_pair(
         )
     if not all(isinstance(pair, Sequence) and len(pair) == 2 for pair in symmetries):
         raise ParameterError("symmetries: expected pairs of arrays, the target's images and the source's, got others")
-    if len(symmetries):
-        refuse_plain_symmetries(target, source)
     self_maps = [tuple(whole_numbers(side, "symmetries") for side in pair) for pair in symmetries]
     for on_target, on_source in self_maps:
         check_symmetry(on_target, target.control)

@@ -48,7 +48,7 @@ REFUSED = {
             MatchConfig(method="paper", symmetries=((np.arange(12), np.arange(12)),)),
         ),
         "symmetries: ",
-        "expected none with a plain mesh (scheme none)",
+        "a plain mesh (scheme none) takes no symmetries",
         "Leave them out.",
     ),
 }
