@@ -169,6 +169,7 @@ def run_refine(request: RefineRequest, stages: Stages) -> SummaryAndWarnings:
     mesh, notes = _with_quads(welded.mesh, welded.notes) if request.quads else (welded.mesh, welded.notes)
     options = SubdivisionRequest(request.scheme, request.boundary, request.uv_interpolation, request.creasing)
     control = options.apply(mesh)
+    notes = (*notes, *options.unused_notes([control]))
     check_outputs(mesh_files(output, control, path), [path], force=request.force)
     if level == 0 and isinstance(control.scheme, Plain) and not structure_problems(control):
         write_mesh(output, control, like=path, force=request.force)
