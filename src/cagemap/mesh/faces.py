@@ -54,7 +54,10 @@ def with_corners_of(mesh: ControlMesh, faces: IndexArray, offsets: IndexArray, c
 
 
 def split_into_fans(mesh: ControlMesh) -> ControlMesh:
-    """Return the mesh with all faces split into fans, see `fan_triangles`; its file numbers are those of the faces."""
+    """Return the mesh with all faces split into fans, see `fan_triangles`.
+
+    Triangles have the file numbers of their faces.
+    """
     corners, faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
     vertex_numbers, face_numbers = mesh.file_numbers
     numbered = replace(mesh, file_vertices=vertex_numbers, file_faces=face_numbers)
