@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,10 @@ from cagemap.jobs.plan import Task
 from cagemap.jobs.run import kept_outcome
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap, MatchResult
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.checks import check_mesh
 from cagemap.mesh.landmarks import on_cage
+from cagemap.mesh.parts import extract_faces, list_parts
 from cagemap.pipeline import prepare_surface
 from cagemap.report import build_page
 from cagemap.report.figures import Gallery
@@ -49,6 +53,7 @@ from cagemap.spectral import BasisConfig
 from cagemap.studio.autosave import read_autosave, read_autosave_parts, write_autosave
 from cagemap.studio.landmarks import Landmark, LandmarkList, Place
 from cagemap.studio.opening import result_files
+from cagemap.subdivision import limit_positions, refine
 from cagemap.tasks.masks import read_mask
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
@@ -58,8 +63,10 @@ from cagemap.tasks.transfer import run_transfer
 
 from damage import mutated_arrays, mutated_bytes, mutated_entries, outcome, refused_share
 from example_once import example_pair
-from example_result import change_result, identity_result, textured_cube
+from example_result import change_result, identity_result, rewrite_arrays, textured_cube
 from ply_text import write_text_ply
+from refusals import refuses
+from usd_scenes import full_cube
 
 TASK = Task("match", "a", "k", (), {}, ())
 MATCHES = {"match": "k"}
@@ -134,6 +141,17 @@ def write_states(place: Path) -> None:
     write_shapes(place / "shapes.npz", {"smile": np.ones((8, 3))}, shapes.cube(), [])
 
 
+def write_assets(place: Path) -> None:
+    """A mesh with all that a file keeps; a package is made of a crate as USD's own tool does."""
+    from pxr import UsdUtils
+
+    parts = {"face_objects": np.array([0, 0, 0, 1, 1, 1]), "face_groups": np.array([0, 1, 0, 1, 0, 1])}
+    mesh = replace(full_cube(), **parts, object_names=("a", "b"), group_names=("g", "h"))
+    for suffix in (".obj", ".usda", ".usdc"):
+        write_mesh(place / f"full{suffix}", mesh)
+    assert UsdUtils.CreateNewUsdzPackage(str(place / "full.usdc"), str(place / "full.usdz"))
+
+
 def use_autosave(path: Path) -> None:
     """What the studio reads when it opens; a damaged file is moved aside."""
     read_autosave_parts(path)
@@ -185,6 +203,8 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save_surface(place / "s.npz", prepare_surface(shapes.cube(), 2, BasisConfig(count=6)))
     write_guests(place)
     write_states(place)
+    if ASSETS:
+        write_assets(place)
     return place
 
 
@@ -201,12 +221,25 @@ def use_map(path: Path) -> None:
     read_images(path, surface.triangles(surface.finest_level))
 
 
-def use_mesh(path: Path) -> None:
+def use_mesh(path: Path) -> ControlMesh:
     """What is read has finite positions and names no vertex that is not there."""
     mesh = read_mesh(path)
     assert mesh.face_indices.min() >= 0
     assert mesh.face_indices.max() < mesh.n_vertices
     assert np.isfinite(mesh.positions).all()
+    return mesh
+
+
+def use_asset(path: Path) -> None:
+    """What a check lets through is refined without trouble."""
+    mesh = use_mesh(path)
+    if problems := check_mesh(mesh).problems:
+        raise FormatError("; ".join(problem.found for problem in problems))
+    for part in list_parts(mesh)[:4]:
+        extract_faces(mesh, part.faces)
+    refinement = refine(mesh, 1)
+    assert np.isfinite(refinement.finest.positions).all()
+    limit_positions(refinement, 1)
 
 
 def use_points(path: Path) -> None:
@@ -235,6 +268,9 @@ STATES: dict[str, Callable[[Path], object]] = {
     "joints.json": read_skeleton,
     "shapes.npz": lambda path: read_shapes([path], shapes.cube()),
 }
+ASSETS: dict[str, Callable[[Path], object]] = {}
+if find_spec("pxr"):
+    ASSETS = {f"full{suffix}": use_asset for suffix in (".obj", ".usda", ".usdc", ".usdz")}
 JSON_STATES = [name for name in STATES if name.endswith(".json")]
 READERS: dict[str, Callable[[Path], object]] = {
     "box.obj": use_mesh,
@@ -254,6 +290,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "s.npz": load_surface,
     **GUESTS,
     **STATES,
+    **ASSETS,
     f"R/{MANIFEST}": lambda path: use_result(path.parent),
     f"R/{ARRAYS}": lambda path: use_result(path.parent),
 }
@@ -288,7 +325,8 @@ def test_changed_entries(scene: Path, tmp_path: Path, name: str) -> None:
     rng = np.random.default_rng([SEED, 11])
     place = shutil.copytree(scene, tmp_path / "work")
     entries = json.loads((scene / name).read_text())
-    refused_share(place / name, READERS[name], lambda: json.dumps(mutated_entries(entries, rng)).encode(), 80)
+    share = refused_share(place / name, READERS[name], lambda: json.dumps(mutated_entries(entries, rng)).encode(), 80)
+    assert share > 0.25
 
 
 # Where each format keeps width and height, as a pattern before them, and their bytes.
@@ -321,8 +359,7 @@ def test_images_without_texels_and_cut_short_are_refused_by_name(tmp_path: Path,
         outcome(lambda: read_image_form(file))
     for changed in (empty, b"", content[: len(content) // 3]):
         file.write_bytes(changed)
-        with pytest.raises(FormatError, match=name):
-            read_image(file)
+        refuses(FormatError, name, read_image, file)
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
@@ -350,13 +387,18 @@ def test_a_damaged_prepared_surface_is_made_again_with_a_word(tmp_path: Path, ca
     control, config = shapes.cube(), BasisConfig(count=6)
     first = load_or_prepare(tmp_path, control, 2, config)
     (file,) = tmp_path.iterdir()
-    with np.load(file) as stored:
-        arrays = dict(stored)
-    np.savez(file, **arrays | {"indices": np.full(len(arrays["indices"]), np.nan)})
-    again = load_or_prepare(tmp_path, control, 2, config)
-    np.testing.assert_array_equal(again.basis.eigenvalues, first.basis.eigenvalues)
-    assert "is prepared again" in caplog.text
-    caplog.clear()
+    flipped = bytearray(file.read_bytes())
+    flipped[len(flipped) // 2] ^= 1
+    changes = (
+        lambda: rewrite_arrays(file, indices=lambda array: np.full(len(array), np.nan)),
+        lambda: file.write_bytes(flipped),
+    )
+    for change in changes:
+        change()
+        again = load_or_prepare(tmp_path, control, 2, config)
+        np.testing.assert_array_equal(again.basis.eigenvalues, first.basis.eigenvalues)
+        assert "is prepared again" in caplog.text
+        caplog.clear()
     load_or_prepare(tmp_path, control, 2, config)
     assert caplog.text == ""
 
@@ -390,5 +432,4 @@ def test_arrays_that_do_not_fit_are_refused_by_name_before_native_code_reads_the
     for arrays, words in cases:
         write_result(tmp_path / "R", result, force=True)
         change_result(tmp_path / "R", **arrays)
-        with pytest.raises(CagemapError, match=words):
-            read_result(tmp_path / "R")
+        refuses(CagemapError, words, read_result, tmp_path / "R")

@@ -14,6 +14,7 @@ from cagemap.deform.config import GraphConfig, Stage
 from cagemap.deform.energy import ElasticEnergy, Terms, VertexTerms, any_map, bounded_maps, minimise
 from cagemap.deform.graph import cluster_graph, extrapolate, mesh_graph
 from cagemap.deform.update import displacement_response
+from cagemap.errors import SolverError
 from cagemap.subdivision import Refinement, level_triangles, refine
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import normalize_rows
@@ -229,3 +230,22 @@ def test_positions_are_adjusted_in_every_iteration(energy: ElasticEnergy, pulled
     found = minimised(energy, pulled, energy.graph.positions, Stage(4, (1e-3, 1e-3), 1e-2, momentum=0.5), adjust)
     assert len(seen) == 4
     assert abs(found[:, 2]).max() == 0.0
+
+
+def test_a_start_that_nothing_of_the_source_faces_stays_where_it_is(
+    energy: ElasticEnergy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Translations are free then; the factorisation refuses some of these matrices, here all of them."""
+    graph, real = energy.graph, energies.factor
+    shift = np.tile(np.eye(3), (graph.n, 1))
+
+    def refusing(matrix: Any, **named: Any) -> object:
+        if abs(matrix @ shift).max() < 1e-9 * abs(matrix).max():
+            raise SolverError("expected a non-singular matrix")
+        return real(matrix, **named)
+
+    monkeypatch.setattr(energies, "factor", refusing)
+    start = graph.positions + 0.5
+    nothing = VertexTerms(energy, np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3)))
+    found = minimised(energy, nothing, start, Stage(3, (1e-3, 1e-3), 1e-3))
+    np.testing.assert_allclose(found, start, atol=1e-5)  # factors of single precision

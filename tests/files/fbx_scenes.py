@@ -86,9 +86,9 @@ class Fbx:
             self.connect(number, to, by)
         return number
 
-    def named(self, kind: str) -> Node:
-        """The first object of a kind."""
-        return next(one for one in self.objects if one.name == kind)
+    def named(self, kind: str, of: str = "") -> Node:
+        """The first object of a kind, and of a kind within it."""
+        return next(one for one in self.objects if one.name == kind and of in ("", one.properties[2]))
 
     def connect(self, number: int, to: int, by: str = "") -> None:
         """Connect an object to another one, or to a property of it."""
@@ -138,7 +138,7 @@ def geometry(points: np.ndarray, faces: Sequence[Sequence[int]], *elements: Node
 
 def add_layer(made: Fbx, element: Node) -> None:
     """Add a layer element, in a layer of its own, to the first mesh."""
-    inside = next(one.inside for one in made.objects if (one.name, one.properties[2]) == ("Geometry", "Mesh"))
+    inside = made.named("Geometry", "Mesh").inside
     element.properties = (sum(one.name == element.name for one in inside),)
     named = Node("LayerElement", (), [Node("Type", (element.name,)), Node("TypedIndex", element.properties)])
     number = sum(one.name == "Layer" for one in inside)
@@ -243,7 +243,6 @@ def fbx_file(folder: Path, made: Fbx, name: str = "arm.fbx") -> Path:
 
 def half_a_second_in(character: Character) -> np.ndarray:
     """Positions of the first part at 0.5 s of the first animation."""
-    assert character.rig is not None
     return skinned_positions(character.parts[0], character.rig, pose_at(character.rig, character.animations[0], 0.5))
 
 

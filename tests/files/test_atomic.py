@@ -39,6 +39,7 @@ from cagemap.subdivision import refine
 from cagemap.subdivision.refinement import finest_mesh
 
 from example_result import identity_result
+from refusals import refuses
 
 NAMES = ("map.npz", "manifest.json")
 
@@ -189,14 +190,11 @@ def test_files_that_go_together_are_all_left_where_one_may_not_be_replaced(tmp_p
                 write_whole(tmp_path / name, "ours")
             (tmp_path / "second.txt").write_text("somebody else's")
 
-    with pytest.raises(FormatError, match="not overwritten"):
-        write_both()
+    refuses(FormatError, "not overwritten", write_both)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"second.txt": "somebody else's"}
 
 
-def test_files_that_go_together_are_all_left_where_one_cannot_be_moved(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_that_go_together_are_all_left_where_one_cannot_be_moved(tmp_path, monkeypatch):
     """As where another program has the last one open, on Windows."""
     honest = os.replace
     write_whole(tmp_path / "old.txt", f"{mark()} old")
@@ -214,8 +212,7 @@ def test_files_that_go_together_are_all_left_where_one_cannot_be_moved(
 
     with monkeypatch.context() as windows:
         windows.setattr(os, "replace", replaced)
-        with pytest.raises(FormatError, match=r"last\.txt: cannot write there \(in use\)"):
-            write_all()
+        refuses(FormatError, r"last\.txt: cannot write there \(in use\)", write_all)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
     write_all()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["last.txt", "new.txt", "old.txt"]
@@ -241,10 +238,8 @@ def test_places_that_cannot_be_written_are_named(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="got a folder"), atomic_path(tmp_path):
         pass
     for length in (245, 300):  # with the temporary name, and without
-        with pytest.raises(FormatError, match="name is too long"):
-            require_own_folder(tmp_path / ("n" * length), NAMES)
-    with pytest.raises(FormatError, match="does not exist"):
-        require_replaceable(tmp_path / ("n" * 300) / "a.txt")
+        refuses(FormatError, "name is too long", require_own_folder, tmp_path / ("n" * length), NAMES)
+    refuses(FormatError, "does not exist", require_replaceable, tmp_path / ("n" * 300) / "a.txt")
     full = OSError(errno.ENOSPC, "No space left on device")
     with pytest.raises(FormatError, match=r"cannot write there \(No space left"), atomic_path(tmp_path / "a.txt"):
         fail_after(0, full)
@@ -292,9 +287,7 @@ def test_other_folders_and_files_are_never_overwritten(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["late", "work"]
 
 
-def test_a_folder_without_permission_is_refused_by_a_name_that_it_would_get(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_without_permission_is_refused_by_a_name_that_it_would_get(tmp_path, monkeypatch):
     monkeypatch.setattr("os.access", lambda *_: False)
     with pytest.raises(FormatError, match=r"a\.txt: cannot write to the folder"), atomic_folder(tmp_path, ["a.txt"]):
         pass
@@ -304,8 +297,7 @@ def test_of_a_link_the_folder_that_cannot_be_written_is_named(tmp_path: Path, mo
     (tmp_path / "a.txt").symlink_to(tmp_path / "closed" / "b.txt")
     (tmp_path / "closed").mkdir()
     monkeypatch.setattr("os.access", lambda path, _: Path(path).name != "closed")
-    with pytest.raises(FormatError, match=r"a\.txt: cannot write to the folder .*closed\."):
-        require_replaceable(tmp_path / "a.txt")
+    refuses(FormatError, r"a\.txt: cannot write to the folder .*closed\.", require_replaceable, tmp_path / "a.txt")
 
 
 def test_of_two_writers_of_a_new_folder_both_are_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -343,8 +335,7 @@ def test_an_obj_and_its_materials_are_written_together(tmp_path: Path, monkeypat
     before = [path.read_bytes() for path in sorted(tmp_path.iterdir())]
     assert len(before) == 2
     monkeypatch.setattr(obj_write, "write_whole", lambda *_, **__: fail_after(0, FormatError("full")))
-    with pytest.raises(FormatError, match="full"):
-        write_mesh(tmp_path / "box.obj", replace(red, material_names=("blue",)))
+    refuses(FormatError, "full", write_mesh, tmp_path / "box.obj", replace(red, material_names=("blue",)))
     assert [path.read_bytes() for path in sorted(tmp_path.iterdir())] == before
 
 

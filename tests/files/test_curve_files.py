@@ -26,6 +26,7 @@ from cagemap.tasks.match_parts import PartInputs, ready_inputs
 
 from command_line import Run
 from curved_bar import bar, ends_of, ring, rings_of, slid
+from refusals import refuses
 
 
 @settings(max_examples=50)
@@ -47,8 +48,7 @@ def test_edges_in_any_order_make_the_chain(count: int, closed: bool, seed: int) 
                         ([[0, 1], [1, 2], [2, 0], [5, 6], [6, 7], [7, 5]], "pieces")]
 )  # fmt: skip
 def test_edges_of_more_than_one_chain_are_refused(edges: list, said: str) -> None:
-    with pytest.raises(InvalidLandmarksError, match=said):
-        chain_of_edges(np.array(edges))
+    refuses(InvalidLandmarksError, said, chain_of_edges, np.array(edges))
 
 
 def test_every_fault_of_curves_is_named() -> None:
@@ -76,8 +76,7 @@ def test_every_fault_of_curves_is_named() -> None:
     assert "curves of the target with a length, got all points at one place: a at (1, 2, 3)" in flat
     chain = around[[0, 2, 3]]
     broken = replace(Landmarks.none(), curves=(CurvePair.of_vertices("a", chain, chain, closed=True),))
-    with pytest.raises(InvalidLandmarksError, match="joined by edges"):
-        check_landmarks(broken, mesh, mesh)
+    refuses(InvalidLandmarksError, "joined by edges", check_landmarks, broken, mesh, mesh)
 
 
 def test_files_of_pairs_hold_curves(tmp_path: Path) -> None:
@@ -116,8 +115,7 @@ def test_curves_are_read_as_chains_edges_and_loops_that_come_back(tmp_path: Path
 )  # fmt: skip
 def test_entries_of_another_form_are_refused_by_number(entry: object, tmp_path: Path) -> None:
     (tmp_path / "c.json").write_text(json.dumps({"curves": [entry]}))
-    with pytest.raises(FormatError, match="curve"):
-        read_landmarks(tmp_path / "c.json", "t.obj", "s.obj")
+    refuses(FormatError, "curve", read_landmarks, tmp_path / "c.json", "t.obj", "s.obj")
 
 
 def test_files_of_one_mesh_hold_curves_and_missing_ones_are_reported(tmp_path: Path) -> None:
@@ -134,8 +132,7 @@ def test_files_of_one_mesh_hold_curves_and_missing_ones_are_reported(tmp_path: P
     again = read_points(tmp_path / "c.json")
     assert [curve.name for curve in again.curves] == ["belt", "hem"]
     assert [curve.closed for curve in again.curves] == [True, False]
-    with pytest.raises(FormatError, match="MeshLab"):
-        write_points(tmp_path / "c.pp", theirs, mesh)
+    refuses(FormatError, "MeshLab", write_points, tmp_path / "c.pp", theirs, mesh)
 
 
 @pytest.mark.parametrize("closed", [False, True])

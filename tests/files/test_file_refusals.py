@@ -20,7 +20,7 @@ from cagemap.files.gltf.character import character_of
 from cagemap.files.gltf.document import read_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import with_copied_materials
-from cagemap.files.images.image import image_of_bytes, read_image, write_image
+from cagemap.files.images.image import image_of_bytes, read_image, read_texture, write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.arrays import curves_from_arrays
@@ -121,6 +121,17 @@ def picture(name: str, kind: Any, **stated: int) -> Callable[[Path], object]:
     return read
 
 
+def tile(content: bytes) -> Callable[[Path], object]:
+    """Reads a set of two tiles, of which the second holds this."""
+
+    def read(place: Path) -> object:
+        write_image(place / "t.1001.png", np.zeros((4, 4, 3), dtype=np.uint8))
+        (place / "t.1002.png").write_bytes(content)
+        return read_texture(place / "t.<UDIM>.png")
+
+    return read
+
+
 def enlarged() -> Document:
     """A scene with a ball that two nodes scale."""
     nodes = arm().json["nodes"]
@@ -157,6 +168,14 @@ REFUSED = {
         picture("w.exr", oiio.FLOAT, full_width=1 << 17),
         "w.exr: expected a display window ... found 131072 x 4 ... Export it again.",
     ),
+    "a set without tiles": Refusal(
+        lambda place: read_texture(place / "t.<UDIM>.png"),
+        "t.<UDIM>.png: expected tiles such as ... t.1001.png, found none",
+        "Check the name.",
+    ),
+    "a tile without content": Refusal(tile(b""), "t.1002.png: "),
+    "a tile that is cut short": Refusal(tile(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"), "t.1002.png: "),
+    "a tile of another kind": Refusal(tile(b"P6 0 0 255\n"), "t.1002.png: "),
     "curves between vertices in a file of pairs": Refusal(
         between_vertices,
         "l.json: expected curves of control vertices ... got 'lips' with points between them",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import cube, icosahedron, pyramid
+from examples.shapes import cube, icosahedron
 from scipy.spatial import cKDTree
 
 from cagemap.character.values import Character, Part
@@ -42,15 +42,6 @@ def test_a_refined_mesh_with_uvs_and_materials(tmp_path: Path) -> None:
     normals = pieces[0].vertex_normals
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-6)
     assert np.einsum("nx,nx->n", normals, pieces[0].vertices).min() > 0  # a cube about the origin: outwards
-
-
-def test_another_library_reads_it(tmp_path: Path) -> None:
-    trimesh = pytest.importorskip("trimesh")
-    path = tmp_path / "box.glb"
-    write_mesh(path, finest_mesh(refine(pyramid(), 2)))
-    read = trimesh.load(path, force="mesh")
-    assert read.is_watertight
-    assert len(read.faces) == 2 * 4 * sum(pyramid().face_sizes)
 
 
 def test_polygons_below_a_mirrored_node_are_reversed_with_their_uvs(tmp_path: Path) -> None:

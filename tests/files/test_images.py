@@ -10,15 +10,9 @@ import numpy as np
 import pytest
 
 from cagemap.errors import FormatError
-from cagemap.files.images.image import (
-    Image,
-    pixel_type,
-    read_image,
-    read_texture,
-    udim_path,
-    unpremultiply,
-    write_image,
-)
+from cagemap.files.images.image import Image, pixel_type, read_image, unpremultiply, write_image
+
+from refusals import refuses
 
 
 def noise(dtype: str, channels: int, shape: tuple[int, int] = (5, 7)) -> np.ndarray:
@@ -86,13 +80,11 @@ def test_two_dimensional_16_bit_pixels_are_one_channel(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_image(tmp_path / "a.png").pixels[:, :, 0], pixels)
 
 
-def test_jpeg_is_close_and_takes_no_alpha(tmp_path: Path) -> None:
+def test_jpeg_is_close(tmp_path: Path) -> None:
     ramp = np.repeat(np.linspace(0, 255, 64).astype(np.uint8)[None, :, None], 64, axis=0).repeat(3, axis=2)
     write_image(tmp_path / "a.jpg", ramp)
     # Quality 95: quantisation steps of a few grey values.
     assert np.abs(read_image(tmp_path / "a.jpg").pixels.astype(int) - ramp).max() <= 4
-    with pytest.raises(FormatError, match="JPEG holds no alpha"):
-        write_image(tmp_path / "b.jpg", noise("uint8", 4))
 
 
 def test_a_file_system_that_reserves_no_room_takes_a_jpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,29 +102,33 @@ def test_channel_names_are_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "dtype", "remedy"),
-    [("a.png", "float32", r"Write \.tif"), ("a.exr", "uint8", r"Write \.png"), ("a.jpg", "uint16", "choose 8 bits"),
-     ("a.bmp", "uint8", "ending in"), ("a", "uint8", "no suffix"), ("a.png", "int32", "Choose 8 or 16 bits")],
-)  # fmt: skip
-def test_what_a_format_cannot_hold_is_refused(tmp_path: Path, name: str, dtype: str, remedy: str) -> None:
-    with pytest.raises(FormatError, match=remedy):
-        write_image(tmp_path / name, np.zeros((2, 2, 3), dtype=dtype))
+    ("name", "dtype", "channels", "remedy"),
+    [
+        ("a.png", "float32", 3, r"Write \.tif"),
+        ("a.exr", "uint8", 3, r"Write \.png"),
+        ("a.jpg", "uint16", 3, "choose 8 bits"),
+        ("a.jpg", "uint8", 4, "JPEG holds no alpha"),
+        ("a.bmp", "uint8", 3, "ending in"),
+        ("a", "uint8", 3, "no suffix"),
+        ("a.png", "int32", 3, "Choose 8 or 16 bits"),
+        ("a.tif", "uint8", 5, "1 to 4 channels, got 5"),
+    ],
+)
+def test_what_a_format_cannot_hold_is_refused(tmp_path, name, dtype, channels, remedy):
+    refuses(FormatError, remedy, write_image, tmp_path / name, np.zeros((2, 2, channels), dtype=dtype))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_without_permission_is_said_to_be_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_image(tmp_path / "closed.png", noise("uint8", 3))
     monkeypatch.setattr("os.access", lambda path, mode: False)
-    with pytest.raises(FormatError, match=r"closed\.png: cannot be read .* Check its permissions"):
-        read_image(tmp_path / "closed.png")
+    refuses(FormatError, r"closed\.png: cannot be read .* Check its permissions", read_image, tmp_path / "closed.png")
 
 
 def test_unreadable_files_are_named(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="no such file"):
-        read_image(tmp_path / "missing.png")
+    refuses(FormatError, "no such file", read_image, tmp_path / "missing.png")
     (tmp_path / "text.png").write_text("not an image")
-    with pytest.raises(FormatError, match=r"text\.png: expected an image"):
-        read_image(tmp_path / "text.png")
+    refuses(FormatError, r"text\.png: expected an image", read_image, tmp_path / "text.png")
     whole = noise("uint8", 3, (64, 64))
     for suffix in (".png", ".jpg"):  # the JPEG library fills the rest with grey
         write_image(tmp_path / f"whole{suffix}", whole)
@@ -149,27 +145,9 @@ def test_the_content_says_whether_colours_are_multiplied_by_alpha_not_the_name(s
     assert read_image(tmp_path / "a.png").associated
 
 
-def test_more_than_four_channels_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="1 to 4 channels, got 5"):
-        write_image(tmp_path / "a.tif", noise("uint8", 5))
-
-
-def test_udim_tiles_are_found_by_their_numbers(tmp_path: Path) -> None:
-    for tile in (1001, 1012):
-        write_image(udim_path(tmp_path / "skin.<UDIM>.png", tile), np.full((2, 2, 3), tile % 256, dtype=np.uint8))
-    write_image(tmp_path / "skin.other.png", np.zeros((2, 2, 3), dtype=np.uint8))
-    tiles = read_texture(tmp_path / "skin.<UDIM>.png")
-    assert isinstance(tiles, dict)
-    assert sorted(tiles) == [1001, 1012]
-    assert (tiles[1012].pixels == 1012 % 256).all()
-    with pytest.raises(FormatError, match=r"hide\.1001\.png"):
-        read_texture(tmp_path / "hide.<UDIM>.png")
-
-
 def test_bits_choose_the_number_type() -> None:
     assert pixel_type(8, ".png") == np.uint8
     assert pixel_type(16, ".png") == np.uint16
     assert pixel_type(16, ".exr") == np.float16
     assert pixel_type(32, ".exr") == np.float32
-    with pytest.raises(FormatError, match="8, 16 or 32"):
-        pixel_type(12, ".png")
+    refuses(FormatError, "8, 16 or 32", pixel_type, 12, ".png")

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from cagemap import Surface, match, prepare_surface, update_match
 from cagemap.deform.config import StartConfig
 from cagemap.errors import DirectionError, FormatError, InvalidLandmarksError
-from cagemap.files.landmarks.point_formats import POINT_FORMS, PointForm, write_points
+from cagemap.files.landmarks.point_formats import POINT_FORMS, write_points
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.ownership import mark
 from cagemap.maps.pair import NEAR_VERTICES
@@ -26,6 +26,7 @@ from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_lan
 
 from plain_meshes import bent
 from quick_match import QUICK
+from refusals import refuses
 
 NOWHERE = (np.nan,) * 3
 
@@ -41,9 +42,7 @@ NAMES = st.text(st.characters(exclude_categories=("C", "Z")), min_size=1, max_si
 @settings(max_examples=20)
 @given(st.data())
 @pytest.mark.parametrize("form", POINT_FORMS, ids=lambda form: form.ending)
-def test_what_is_written_reads_back(
-    tmp_path_factory: pytest.TempPathFactory, form: PointForm, data: st.DataObject
-) -> None:
+def test_what_is_written_reads_back(tmp_path_factory, form, data):
     mesh = creature()
     names = tuple(data.draw(st.lists(NAMES, unique=True, max_size=6)))
     some = st.lists(st.integers(0, mesh.n_vertices - 1), min_size=len(names), max_size=len(names), unique=True)
@@ -87,8 +86,7 @@ def test_markups_say_what_they_are(tmp_path: Path) -> None:
 
 def test_a_form_that_is_not_known_is_refused(tmp_path: Path) -> None:
     for name in ("points.md", "points"):
-        with pytest.raises(FormatError, match=r"\.fcsv"):
-            write_points(tmp_path / name, some_points(), cube())
+        refuses(FormatError, r"\.fcsv", write_points, tmp_path / name, some_points(), cube())
     assert not list(tmp_path.iterdir())
 
 
@@ -131,10 +129,8 @@ def test_wrap_s_points_are_triangles_of_the_mesh(tmp_path: Path) -> None:
     a, b, c = mesh.positions[cage_triangles(mesh)[0][3]]
     np.testing.assert_allclose(found.positions[0], 0.25 * a + 0.25 * b + 0.5 * c)
     (tmp_path / "far.json").write_text("[[99, 0, 0]]")
-    with pytest.raises(FormatError, match="triangle from 0 to 11"):
-        read_points(tmp_path / "far.json", mesh)
-    with pytest.raises(FormatError, match="the mesh beside"):
-        read_points(tmp_path / "wrap.json")
+    refuses(FormatError, "triangle from 0 to 11", read_points, tmp_path / "far.json", mesh)
+    refuses(FormatError, "the mesh beside", read_points, tmp_path / "wrap.json")
 
 
 @pytest.mark.parametrize(
@@ -156,8 +152,7 @@ def test_wrap_s_points_are_triangles_of_the_mesh(tmp_path: Path) -> None:
 )
 def test_what_is_broken_is_refused_by_name(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
-    with pytest.raises(FormatError, match=name):
-        read_points(tmp_path / name)
+    refuses(FormatError, name, read_points, tmp_path / name)
 
 
 @pytest.mark.parametrize(
@@ -211,8 +206,7 @@ def test_points_that_say_they_are_the_other_meshs_are_refused() -> None:
     assert len(pair_by_name(both, replace(both, mesh_name="base"), target, source)[0]) == 2
     assert len(pair_by_name(of_target, of_target, target, replace(target))[0]) == 2
     for exchanged in ((of_source, of_target), (both, of_target), (of_source, both)):
-        with pytest.raises(DirectionError, match="the other mesh"):
-            pair_by_name(*exchanged, target, source)
+        refuses(DirectionError, "the other mesh", pair_by_name, *exchanged, target, source)
 
 
 def test_points_far_away_and_wrong_vertices_are_refused() -> None:
@@ -229,8 +223,7 @@ def test_points_in_another_unit_are_refused_where_all_of_them_are_near() -> None
     places = body.positions[[0, 3, 6]]
     assert on_cage(NamedPoints(names, between, places), body).vertices.tolist() == [0, 3, 6]
     for scale in (0.1, 0.01):
-        with pytest.raises(InvalidLandmarksError, match="in another unit"):
-            on_cage(NamedPoints(names, between, scale * places), body)
+        refuses(InvalidLandmarksError, "in another unit", on_cage, NamedPoints(names, between, scale * places), body)
     # Three places beside each other, picked a little off the surface, are what they are.
     close = places[:1] + 0.004 * np.eye(3)
     on_cage(NamedPoints(names, between, close), body)
@@ -246,8 +239,7 @@ def test_landmarks_keep_their_points_through_reversal_and_selection() -> None:
     assert back.source_points is between
     assert landmarks.without([1]).target_points.weights.tolist() == [[0.5, 0.25, 0.25]]
     wrong = Landmarks(("p",), np.array([-1]), np.array([0]))
-    with pytest.raises(InvalidLandmarksError, match="target vertices from 0 to 7"):
-        check_landmarks(wrong, cube(), cube())
+    refuses(InvalidLandmarksError, "target vertices from 0 to 7", check_landmarks, wrong, cube(), cube())
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.parts import extract_faces
-from cagemap.mesh.schemes import Bilinear, CatmullClark, Loop, Plain, Scheme
+from cagemap.mesh.schemes import Bilinear, CatmullClark, Loop, Plain
 from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks import RefineRequest, run
 
@@ -81,9 +81,7 @@ MESHES = {
 
 
 @pytest.mark.parametrize(("read", "written"), list(itertools.product(MESHES, FORMATS)))
-def test_values_of_a_mesh_are_kept_or_named(
-    read: str, written: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_values_of_a_mesh_are_kept_or_named(read, written, tmp_path, caplog):
     if ".usda" in (Path(read).suffix, written):
         pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
     write_mesh(tmp_path / read, MESHES[read])
@@ -105,9 +103,7 @@ def test_values_of_a_mesh_are_kept_or_named(
         (icosahedron(), Plain()),
     ],
 )
-def test_usual_schemes_are_not_missed(
-    shape: ControlMesh, scheme: Scheme | None, suffix: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_usual_schemes_are_not_missed(shape, scheme, suffix, tmp_path, caplog):
     write_mesh(tmp_path / f"m{suffix}", replace(shape, scheme=scheme))
     assert "scheme" not in caplog.text
 

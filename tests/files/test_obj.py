@@ -25,6 +25,7 @@ from cagemap.mesh.landmarks import pair_by_name
 from cagemap.mesh.parts import find_part
 
 from example_result import textured_cube
+from refusals import refuses
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 # What str.splitlines and friends take for line ends or blanks may stand inside a name.
@@ -211,7 +212,6 @@ def test_materials_of_one_name_stay_two(tmp_path: Path) -> None:
 
 def test_missing_material_file_leaves_colours_unknown(tmp_path: Path) -> None:
     mesh = read_text(tmp_path, "mtllib gone.mtl\n" + SQUARE + "usemtl a\nf 1 2 3\n")
-    assert mesh.material_colors is not None
     assert np.isnan(mesh.material_colors).all()
 
 
@@ -267,8 +267,7 @@ BAD_FILES = {
 @pytest.mark.parametrize("case", BAD_FILES)
 def test_bad_files_are_refused_with_the_place(tmp_path: Path, case: str) -> None:
     text, message = BAD_FILES[case]
-    with pytest.raises(FormatError, match=r"(?s)mesh\.obj.*" + message):
-        read_text(tmp_path, text)
+    refuses(FormatError, r"(?s)mesh\.obj.*" + message, read_text, tmp_path, text)
 
 
 def test_faces_without_texture_coordinates_lie_in_one_point(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -280,29 +279,23 @@ def test_faces_without_texture_coordinates_lie_in_one_point(tmp_path: Path, capl
 @pytest.mark.parametrize("color", ["red", "0.1 0.2", "nan 0 0", ""])
 def test_malformed_colour_names_line_of_the_material_file(tmp_path: Path, color: str) -> None:
     (tmp_path / "m.mtl").write_text(f"newmtl a\n\nKd {color}\n")
-    with pytest.raises(FormatError, match=r"m\.mtl, line 3"):
-        read_text(tmp_path, "mtllib m.mtl\n" + SQUARE + "usemtl a\nf 1 2 3\n")
+    refuses(FormatError, r"m\.mtl, line 3", read_text, tmp_path, "mtllib m.mtl\n" + SQUARE + "usemtl a\nf 1 2 3\n")
 
 
 def test_missing_file_folder_and_unknown_extension(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="no such file"):
-        read_mesh(tmp_path / "none.obj")
+    refuses(FormatError, "no such file", read_mesh, tmp_path / "none.obj")
     (tmp_path / "folder.obj").mkdir()
-    with pytest.raises(FormatError, match="folder"):
-        read_mesh(tmp_path / "folder.obj")
+    refuses(FormatError, "folder", read_mesh, tmp_path / "folder.obj")
     for call in (read_mesh, check_mesh_path):
-        with pytest.raises(FormatError, match=r"\.obj, \.ply, .*, got '\.blend'"):
-            call(tmp_path / "mesh.blend")
-    with pytest.raises(FormatError, match=r"\.obj, \.ply"):
-        write_mesh(tmp_path / "mesh", cube())
-    with pytest.raises(FormatError, match="cannot be read"):
-        read_obj("nul\0byte.obj")
+        refuses(FormatError, r"\.obj, \.ply, .*, got '\.blend'", call, tmp_path / "mesh.blend")
+    for name in ("mesh", "mesh.usdz"):
+        refuses(FormatError, r"\.obj, \.ply", write_mesh, tmp_path / name, cube())
+    refuses(FormatError, "cannot be read", read_obj, "nul\0byte.obj")
 
 
 def test_names_that_cannot_stand_on_a_line_are_refused(tmp_path: Path) -> None:
     mesh = replace(cube(), face_materials=np.zeros(6, dtype=np.int64), material_names=("two\nlines",))
-    with pytest.raises(FormatError, match="line breaks"):
-        write_obj(tmp_path / "mesh.obj", mesh)
+    refuses(FormatError, "line breaks", write_obj, tmp_path / "mesh.obj", mesh)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -319,9 +312,7 @@ def test_names_that_cannot_stand_on_a_line_are_refused(tmp_path: Path) -> None:
         "a\u0308.mtl",
     ],
 )
-def test_material_files_are_named_from_the_folder_of_a_copy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, names: str, folder: str, on_another_drive: bool
-) -> None:
+def test_material_files_are_named_from_the_folder_of_a_copy(tmp_path, monkeypatch, names, folder, on_another_drive):
     scene = tmp_path / folder
     for place in (scene, tmp_path / "mats", tmp_path / "deep/er"):
         place.mkdir(parents=True)
@@ -344,8 +335,7 @@ def test_a_layout_over_a_file_of_others_writes_nothing(tmp_path: Path) -> None:
     mesh = textured_cube("a.obj")
     write_mesh(tmp_path / "a.obj", mesh)
     (tmp_path / "o.obj").write_text("mine")
-    with pytest.raises(FormatError, match="not written by cagemap"):
-        write_obj_layout(tmp_path / "o.obj", tmp_path / "a.obj", mesh, {})
+    refuses(FormatError, "not written by cagemap", write_obj_layout, tmp_path / "o.obj", tmp_path / "a.obj", mesh, {})
     assert not (tmp_path / "o.mtl").exists()
 
 

@@ -41,8 +41,6 @@ def test_each_material_of_an_obj_file_is_baked_with_its_own_image(mostly_blue: b
     """Two materials whose images lie over each other in the layout, and one with a colour alone, also on most faces."""
     result = identity_result()
     target = result.target.control
-    assert target.uvs is not None
-    assert target.uv_indices is not None
     middles = target.uvs[target.uv_indices.reshape(target.n_faces, -1)].mean(axis=1)
     materials = np.arange(target.n_faces).clip(0, 2) if mostly_blue else np.arange(target.n_faces) % 3
     source = replace(
@@ -70,9 +68,7 @@ def test_each_material_of_an_obj_file_is_baked_with_its_own_image(mostly_blue: b
         ("-bm 0.5 -mm 0 1 -o 0.25 -imfchan l C:\\work\\head.png # of the head", (1, 1), (0.25, 0), (10497, 10497)),
     ],
 )
-def test_options_of_an_image(
-    stated: str, scale: tuple[float, float], offset: tuple[float, float], wraps: tuple[int, int], tmp_path: Path
-) -> None:
+def test_options_of_an_image(stated, scale, offset, wraps, tmp_path):
     document = obj_document(write_obj_with_images(tmp_path, head=stated))
     (image,) = material_images(document, "green")
     np.testing.assert_array_equal(read_material_image(document, image).pixels[0, 0], COLORS["head"])
@@ -107,9 +103,7 @@ def test_a_scale_that_is_no_finite_number_is_said(tmp_path: Path, caplog: pytest
 
 
 @pytest.mark.parametrize(("content", "problem"), [(None, "is not found"), (b"none", "cannot be read as an image")])
-def test_an_image_that_cannot_be_read_is_said(
-    content: bytes | None, problem: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_image_that_cannot_be_read_is_said(content, problem, tmp_path, caplog):
     path = write_obj_with_images(tmp_path, head="hat.png")
     if content is not None:
         (tmp_path / "hat.png").write_bytes(content)

@@ -17,6 +17,8 @@ from cagemap.files.meshes.obj import read_obj
 from cagemap.files.meshes.obj_write import write_obj
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Scheme
 
+from refusals import refuses
+
 # A cube as OpenSubdiv's shape files have it: tags are 0-based, faces 1-based.
 TAGGED = """\
 o box
@@ -147,8 +149,7 @@ def test_malformed_tags_are_refused(line: str, expected: str, tmp_path: Path) ->
 @pytest.mark.parametrize("values", ["0.5 green 1", "1 1 1 x"])
 def test_a_malformed_vertex_colour_is_named(values: str, tmp_path: Path) -> None:
     (tmp_path / "bad.obj").write_text(TAGGED.replace("0.5 0.25 1", values))
-    with pytest.raises(FormatError, match="three colour values"):
-        read_obj(tmp_path / "bad.obj")
+    refuses(FormatError, "three colour values", read_obj, tmp_path / "bad.obj")
 
 
 def test_polypaint_becomes_vertex_colours(tmp_path: Path) -> None:
@@ -180,9 +181,7 @@ def test_polypaint_becomes_vertex_colours(tmp_path: Path) -> None:
         (["0 0 0 .1 .2 .3 1", "1 0 0", "0 1 0 .5 .5 .5"], [0.1, 0.2, 0.3]),
     ],
 )
-def test_a_colour_with_opacity_or_a_weighted_position_is_read(
-    tmp_path: Path, lines: list[str], first: list[float]
-) -> None:
+def test_a_colour_with_opacity_or_a_weighted_position_is_read(tmp_path, lines, first):
     (tmp_path / "a.obj").write_text("".join(f"v {line}\n" for line in lines) + "f 1 2 3\n")
     colors = read_obj(tmp_path / "a.obj").vertex_colors
     np.testing.assert_allclose(colors[0], first)

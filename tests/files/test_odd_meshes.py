@@ -32,7 +32,10 @@ _PLY = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty floa
 _FACE = "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
 _ROWS = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n"
 _END = "4 0 1 2 3\n"
+_PLAIN = _PLY + _FACE + _ROWS + _END
 PLY = {
+    "lines of Windows": _PLAIN.replace("\n", "\r\n"),
+    "lines of an old Mac": _PLAIN.replace("\n", "\r"),
     "a comment that has the last word of a header": _PLY.replace("ply\n", "ply\ncomment no end_header\n", 1)
     + (_FACE + _ROWS + _END),
     "faces first": "ply\nformat ascii 1.0\nelement face 1\nproperty list char float vertex_index\n"
@@ -49,6 +52,11 @@ OFF = {
     "with normals and texture coordinates": "STNOFF\n4 1 0\n" + _ROWS.replace(" 0\n", " 0 0 0 1 .5 .5\n") + _END,
     "counts right behind the first word": "OFF4 1 0\n" + _ROWS + _END,
     "small letters": "off 4 1\n" + _ROWS + _END,
+    "comments, and colours of faces": "OFF # a square\n# by hand\u2028 9 9 9\n4 1 0\n"
+    + _ROWS
+    + "\n4 0 1 2 3 255 0 0\n",
+    "texture coordinates first": "STCNOFF\n4 1 0\n" + _ROWS.replace(" 0\n", " 0 0.5 0.5 9 9 9 255 0 0 1\n") + _END,
+    "of MeshLab": "NCSTOFF\n4 1 0\n" + _ROWS.replace(" 0\n", " 0 0 0 1 255 0 0 1 .5 .5\n") + _END,
 }
 FILES = {"obj": OBJ, "ply": PLY, "off": OFF}
 
@@ -77,9 +85,7 @@ def test_binary_ply_of_both_byte_orders_and_any_line_ends(tmp_path: Path, order:
     [("uchar", 255, 1 / 255), ("ushort", 65535, 1 / 65535), ("float", 1, 1.0), ("float", 255, 1 / 255)],
 )
 @pytest.mark.parametrize("prefix", ["", "diffuse_"])
-def test_colours_of_ply_are_shares_of_what_their_type_holds(
-    tmp_path: Path, kind: str, full: int, one: float, prefix: str
-) -> None:
+def test_colours_of_ply_are_shares_of_what_their_type_holds(tmp_path, kind, full, one, prefix):
     channels = "".join(f"property {kind} {prefix}{name}\n" for name in ("red", "green", "blue"))
     for top in {full, 1} if kind != "float" else {full}:
         rows = _ROWS.replace(" 0\n", f" 0 {top} 1 0\n")

@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from examples.shapes import creature, cube, icosahedron, triangulated
+from examples.shapes import creature, cube, icosahedron, pyramid, triangulated
 
 from cagemap.errors import FormatError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.usd.prims import transform_points
 from cagemap.files.usd.space import to_standard
 from cagemap.mesh import ControlMesh, Plain
+
+from refusals import refuses
 
 BOX = """OFF # a square and a triangle
 # by hand
@@ -30,31 +32,13 @@ BOX = """OFF # a square and a triangle
 """
 
 
-@pytest.mark.parametrize("mesh", [cube(), icosahedron(), triangulated(creature())])
+@pytest.mark.parametrize("mesh", [cube(), icosahedron(), pyramid(), triangulated(creature())])
 def test_what_is_written_is_read(mesh, tmp_path: Path) -> None:
     write_mesh(tmp_path / "m.off", mesh)
     again = read_mesh(tmp_path / "m.off")
     np.testing.assert_array_equal(again.positions, mesh.positions)
     np.testing.assert_array_equal(again.face_indices, mesh.face_indices)
     np.testing.assert_array_equal(again.face_offsets, mesh.face_offsets)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        BOX,
-        BOX.replace("OFF # a square and a triangle\n# by hand\n", "OFF "),
-        BOX.replace("by hand", "by hand\u2028 9 9 9"),
-        BOX.replace("OFF", "STCNOFF", 1),
-        BOX.replace("OFF", "NCSTOFF", 1),  # MeshLab
-    ],
-)
-def test_comments_colours_and_counts_on_the_first_line_are_read(text: str, tmp_path: Path) -> None:
-    (tmp_path / "m.off").write_text(text)
-    mesh = read_mesh(tmp_path / "m.off")
-    assert mesh.face_offsets.tolist() == [0, 4, 7]
-    assert mesh.face_indices.tolist() == [0, 1, 2, 3, 3, 2, 4]
-    assert mesh.positions[3].tolist() == [0, 1, 0.5]
 
 
 @pytest.mark.parametrize(
@@ -73,8 +57,7 @@ def test_comments_colours_and_counts_on_the_first_line_are_read(text: str, tmp_p
 )
 def test_what_is_wrong_is_named(was: str, now: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "m.off").write_text(BOX.replace(was, now))
-    with pytest.raises(FormatError, match=said):
-        read_mesh(tmp_path / "m.off")
+    refuses(FormatError, said, read_mesh, tmp_path / "m.off")
 
 
 def _corners(mesh: ControlMesh) -> np.ndarray:
@@ -117,11 +100,8 @@ def test_stl_corners_at_one_place_are_one_vertex(tmp_path: Path) -> None:
         np.testing.assert_array_equal([0, 0, 1] @ found.upright, [0, 1, 0])  # most STL files have +Z up
         assert found.scheme == Plain()
     file.write_text(text)
-    with pytest.raises(FormatError, match="cut short"):
-        read_mesh(file)
+    refuses(FormatError, "cut short", read_mesh, file)
     file.write_text(text.replace("vertex", "vertex x", 1) + "endsolid")
-    with pytest.raises(FormatError, match="three vertices"):
-        read_mesh(file)
+    refuses(FormatError, "three vertices", read_mesh, file)
     file.write_text("solid nothing\nendsolid nothing\n")
-    with pytest.raises(FormatError, match="expected triangles"):
-        read_mesh(file)
+    refuses(FormatError, "expected triangles", read_mesh, file)

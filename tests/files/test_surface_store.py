@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from importlib import resources
@@ -15,13 +14,14 @@ from examples import shapes
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.result.manifest import code_version
-from cagemap.files.result.surface_store import SUFFIX, load_or_prepare, load_surface, save_surface, surface_key
+from cagemap.files.result.surface_store import load_or_prepare, load_surface, save_surface, surface_key
 from cagemap.mesh import CatmullClark
 from cagemap.pipeline import MatchConfig, match, prepare_surface, prepare_surfaces
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.surface import Surface
 
 from example_result import edit_header, rewrite_arrays
+from refusals import refuses
 
 CONFIG = BasisConfig(count=20)
 LEVEL = 2
@@ -98,8 +98,7 @@ def test_operators_may_end_below_the_finest_level(surface, tmp_path):
 def test_operators_of_another_config_are_refused(surface, tmp_path):
     other = replace(surface.config, laplacian="alexa-wardetzky")
     named = Surface.of(surface.hierarchy, surface.operators, surface.basis, other)
-    with pytest.raises(ParameterError, match="its operators are not those of its config"):
-        save_surface(tmp_path / "s.npz", named)
+    refuses(ParameterError, "its operators are not those of its config", save_surface, tmp_path / "s.npz", named)
     assert not (tmp_path / "s.npz").exists()
 
 
@@ -143,10 +142,6 @@ def test_the_key_depends_on_all_that_matters_and_on_nothing_else():
 
 
 DAMAGE = {
-    "cut": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
-    "empty": lambda path: path.write_bytes(b""),
-    "a flipped byte": lambda path: flip(path),
-    "another zip": lambda path: another_zip(path),
     "newer": lambda path: edit_header(path, lambda header: header.update(format_version=99)),
     "older": lambda path: edit_header(path, lambda header: header.update(format_version=0)),
     "something else": lambda path: edit_header(path, lambda header: header.update(format="cagemap-result")),
@@ -154,40 +149,17 @@ DAMAGE = {
     "unknown scheme": lambda path: edit_header(path, lambda header: header.update(scheme={"name": "doo-sabin"})),
     "another level": lambda path: edit_header(path, lambda header: header.update(level=1)),
     "a band missing": lambda path: rewrite_arrays(path, band_0=None),
-    "a short array": lambda path: rewrite_arrays(path, indices=lambda array: array[:-1]),
 }
 
 
-def flip(path):
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
-
-
-def another_zip(path):
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("hello.txt", "hello")
-
-
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_damaged_files_are_refused_by_name_and_prepared_again(damage, surface, tmp_path):
-    place = tmp_path / (surface_key(shapes.creature(), LEVEL, None, CONFIG) + SUFFIX)
-    save_surface(place, surface)
-    DAMAGE[damage](place)
-    with pytest.raises(FormatError, match=place.name):
-        load_surface(place)
-    calls = []
-    again = load_or_prepare(
-        tmp_path, shapes.creature(), LEVEL, CONFIG, prepare=lambda *a, **o: calls.append(a) or surface
-    )
-    assert len(calls) == 1
-    assert_same(again, surface)
-    assert_same(load_surface(place), surface)
+def test_another_content_is_refused_by_name(damage, stored):
+    DAMAGE[damage](stored)
+    refuses(FormatError, stored.name, load_surface, stored)
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(FormatError, match="no such file"):
-        load_surface(tmp_path / "absent.npz")
+    refuses(FormatError, "no such file", load_surface, tmp_path / "absent.npz")
 
 
 def test_an_unusable_folder_is_named_before_any_work(tmp_path):
@@ -213,8 +185,7 @@ def test_a_broken_write_leaves_the_old_file(stored, surface, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("cagemap.files.result.surface_store.write_npz", half)
-    with pytest.raises(FormatError, match="No space left"):
-        save_surface(stored, surface)
+    refuses(FormatError, "No space left", save_surface, stored, surface)
     assert stored.read_bytes() == before
     assert [path.name for path in stored.parent.iterdir()] == [stored.name]
 

@@ -38,6 +38,7 @@ from cagemap.tasks.mesh_commands import run_check
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest
 
+from refusals import refuses
 from usd_characters import lively, painted, posed, with_shape_weights
 from usd_scenes import complaints, stage_at
 
@@ -50,7 +51,6 @@ def _written(path: Path, made: Character, document: Document | None = None, **op
 def _as_gltf_says(made: Character, scene: Scene, number: int, seconds: float) -> dict[str, np.ndarray]:
     """Skinned and shaped points of all parts, by linear blend skinning as glTF defines it."""
     keys = read_shape_keys(scene, number)
-    assert made.rig is not None
     transforms = pose_at(made.rig, made.animations[number], seconds)
     found = {}
     for part in made.parts:
@@ -200,8 +200,7 @@ def test_images_are_those_of_the_document(tmp_path: Path) -> None:
     content = bytearray((tmp_path / "P.usdz").read_bytes())
     content[-300] ^= 1
     (tmp_path / "P.usdz").write_bytes(content)
-    with pytest.raises(FormatError, match="changed since"):
-        _written(tmp_path / "P.usdz", made, document)
+    refuses(FormatError, "changed since", _written, tmp_path / "P.usdz", made, document)
     _written(tmp_path / "P.usdz", made, document, force=True)
 
 
@@ -215,8 +214,7 @@ def test_files_of_others_stay(tmp_path: Path) -> None:
     assert "OUT_body_normal1.png" in (tmp_path / "OUT.usda").read_text()
     assert not (tmp_path / "OUT_body_normal2.png").exists()
     (tmp_path / "NEW.usda").write_text("mine")
-    with pytest.raises(FormatError, match="not written by cagemap"):
-        _written(tmp_path / "NEW.usda", made, document)
+    refuses(FormatError, "not written by cagemap", _written, tmp_path / "NEW.usda", made, document)
     assert (tmp_path / "NEW.usda").read_text() == "mine"
     assert not list(tmp_path.glob("NEW_*"))
 
@@ -230,8 +228,7 @@ def test_an_incomplete_file_is_not_moved_into_place(tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(usd_character, "export_layer", shortened)
     for name in ("OUT.usdc", "OUT.usdz"):
-        with pytest.raises(FormatError, match="could not be written whole"):
-            _written(tmp_path / name, made, document)
+        refuses(FormatError, "could not be written whole", _written, tmp_path / name, made, document)
         assert not (tmp_path / name).exists()
 
 

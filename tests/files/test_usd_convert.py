@@ -43,8 +43,17 @@ from cagemap.tasks.mesh_commands import run_check
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest
 
+from refusals import refuses
 from usd_characters import lively, painted, posed, with_shape_weights
-from usd_scenes import stage_at, usd_mesh
+from usd_scenes import skinned_points, stage_at, usd_mesh
+
+
+@pytest.fixture
+def painted_path(tmp_path: Path) -> Path:
+    """C.usda: a character with a material that has every slot."""
+    made, document = painted()
+    write_usd_character(tmp_path / "C.usda", made, read_scene(document))
+    return tmp_path / "C.usda"
 
 
 def test_a_written_character_comes_back(tmp_path: Path) -> None:
@@ -146,9 +155,7 @@ def _with_sets(*names: str) -> ControlMesh:
         (("TEXCOORD_1",), "TEXCOORD_1", "TEXCOORD_1", True),
     ],
 )
-def test_an_image_belongs_to_the_uv_set_that_its_shader_names(
-    names: tuple[str, ...], image: str, in_use: str, fits: bool, tmp_path: Path
-) -> None:
+def test_an_image_belongs_to_the_uv_set_that_its_shader_names(names, image, in_use, fits, tmp_path):
     path = tmp_path / "box.usda"
     _with_image(path, _with_sets(*names), image)
     control = read_mesh(path).with_uv_set(in_use)
@@ -180,17 +187,12 @@ def test_a_material_of_meshes_whose_uv_sets_differ_is_named(tmp_path: Path, capl
     assert "red: its UV set st1 has another number in some of its meshes" in caplog.text
 
 
-def test_shaders_of_one_image_that_repeat_it_differently_are_not_one_texture(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_shaders_of_one_image_that_repeat_it_differently_are_not_one_texture(painted_path, caplog):
     """glTF has one texture for roughness and metalness."""
-    made, document = painted()
-    path = tmp_path / "C.usda"
-    write_usd_character(path, made, read_scene(document))
-    with stage_at(path) as stage:
+    with stage_at(painted_path) as stage:
         roughness = UsdShade.Shader(stage.GetPrimAtPath("/Asset/materials/body/roughness_texture"))
         roughness.GetInput("wrapS").Set("clamp")
-    found = usd_document(path)
+    found = usd_document(painted_path)
     base = found.entry("materials", 0)["pbrMetallicRoughness"]
     assert "metallicRoughnessTexture" not in base
     assert (base["metallicFactor"], base["roughnessFactor"]) == (0.0, 0.5)  # not those of the images
@@ -199,17 +201,14 @@ def test_shaders_of_one_image_that_repeat_it_differently_are_not_one_texture(
 
 @pytest.mark.parametrize("left_handed", [False, True])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_hard_edges_of_reversed_faces_stay(tmp_path: Path, left_handed: bool, sign: float) -> None:
+def test_hard_edges_of_reversed_faces_stay(painted_path: Path, left_handed: bool, sign: float) -> None:
     """Faces are reversed if they are left-handed or mirrored, but not if they are both."""
-    made, document = painted()
-    path = tmp_path / "C.usda"
-    write_usd_character(path, made, read_scene(document))
-    with stage_at(path) as stage:
+    with stage_at(painted_path) as stage:
         prim = stage.GetPrimAtPath("/Asset/hat")
         UsdGeom.Mesh(prim).CreateOrientationAttr("leftHanded" if left_handed else "rightHanded")
         UsdSkel.BindingAPI(prim).CreateGeomBindTransformAttr().Set(Gf.Matrix4d().SetScale((sign, 1.0, 1.0)))
-    found = next(part for part in read_usd_character(path).parts if part.name == "hat")
-    hat = made.parts[1]
+    found = next(part for part in read_usd_character(painted_path).parts if part.name == "hat")
+    hat = painted()[0].parts[1]
     corners = np.arange(len(hat.normals))
     corners = corners if left_handed == (sign < 0) else reversed_corners(hat.mesh.face_offsets)
     np.testing.assert_array_equal(found.mesh.face_indices, hat.mesh.face_indices[corners])
@@ -247,9 +246,7 @@ def test_normals_of_every_interpolation_are_read(tmp_path: Path, kind: str, inde
 
 
 @pytest.mark.parametrize("normals", [[(0, 0, 1)] * 5, [(np.nan, 0, 1)] * 8])
-def test_normals_that_do_not_fit_are_left_out_aloud(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, normals: list[tuple[float, float, float]]
-) -> None:
+def test_normals_that_do_not_fit_are_left_out_aloud(tmp_path, caplog, normals):
     with stage_at(tmp_path / "cube.usda") as stage:
         prim = usd_mesh(stage, "/cube", cube())
         prim.CreateSubdivisionSchemeAttr("none")
@@ -273,7 +270,6 @@ def test_units_axes_and_transforms_become_metres_with_y_up(tmp_path: Path) -> No
         bound = UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/hat")).GetGeomBindTransformAttr()
         bound.Set(Gf.Matrix4d().SetTranslate((0.0, 0.25, 0.0)))
     found = character_of(usd_document(path))
-    assert found.rig is not None
     expected = posed(path, "walk | fast", 0.5)
     # Skinned points are in the space of the skeleton, others in that of their prim: here /Asset's for both.
     for part in found.parts:
@@ -284,19 +280,17 @@ def test_units_axes_and_transforms_become_metres_with_y_up(tmp_path: Path) -> No
     np.testing.assert_allclose(alone[0].mesh.positions, found.parts[0].mesh.positions, atol=1e-6)
 
 
-def test_missing_layers_and_damaged_images_are_named_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    made, document = painted()
-    path = tmp_path / "C.usda"
-    write_usd_character(path, made, read_scene(document))
-    path.write_text(path.read_text().replace("(\n", "(\n    subLayers = [@./gone.usda@]\n", 1))
+def test_missing_layers_and_damaged_images_are_named_once(painted_path, tmp_path, caplog):
+    painted_path.write_text(painted_path.read_text().replace("(\n", "(\n    subLayers = [@./gone.usda@]\n", 1))
     (tmp_path / "C_body_emissive.png").unlink()
     with caplog.at_level(logging.WARNING):
-        found = usd_document(path)
+        found = usd_document(painted_path)
     assert caplog.text.count("Could not load sublayer") == 1
     said = "C.usda: body: the image of its emissiveColor (./C_body_emissive.png) is not found or cannot be read"
     assert caplog.text.count(said) == 1
     assert "emissiveTexture" not in {one.slot for one in material_images(found, "body")}
     assert found.entry("materials", 0)["emissiveFactor"] == [0.0, 0.0, 0.0]
+    made, document = painted()
     write_usd_character(tmp_path / "P.usdz", made, read_scene(document))
     content = (tmp_path / "P.usdz").read_bytes()
     image = content.index(b"\x89PNG")
@@ -329,32 +323,24 @@ def test_an_uneven_scale_of_a_skeleton_is_said(tmp_path: Path, caplog: pytest.Lo
         ("occlusion", "bias", (0, 0, 0, 0)),
     ],
 )
-def test_images_that_gltf_reads_otherwise_are_named(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, shader: str, setting: str, value: object
-) -> None:
-    made, document = painted()
-    write_usd_character(tmp_path / "C.usda", made, read_scene(document))
-    usd_document(tmp_path / "C.usda")
+def test_images_that_gltf_reads_otherwise_are_named(painted_path, caplog, shader, setting, value):
+    usd_document(painted_path)
     assert not caplog.records
-    with stage_at(tmp_path / "C.usda") as stage:
+    with stage_at(painted_path) as stage:
         texture = UsdShade.Shader(stage.GetPrimAtPath(f"/Asset/materials/body/{shader}_texture"))
         texture.CreateInput(setting, getattr(Sdf.ValueTypeNames, "Token" if isinstance(value, str) else "Float4")).Set(
             value
         )
-    usd_document(tmp_path / "C.usda")
+    usd_document(painted_path)
     (said,) = (one.getMessage() for one in caplog.records)
     assert f"body: the image of its {shader} is taken as it is" in said
 
 
-def test_several_skeletons_are_refused(tmp_path: Path) -> None:
-    made, document = painted()
-    path = tmp_path / "C.usda"
-    write_usd_character(path, made, read_scene(document))
-    with stage_at(path) as stage:
+def test_several_skeletons_are_refused(painted_path: Path) -> None:
+    with stage_at(painted_path) as stage:
         other = UsdSkel.Skeleton.Define(stage, "/Asset/other")
         UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/hat")).GetSkeletonRel().SetTargets([other.GetPath()])
-    with pytest.raises(FormatError, match="expected one skeleton, got /Asset/skeleton, /Asset/other"):
-        usd_document(path)
+    refuses(FormatError, "expected one skeleton, got /Asset/skeleton, /Asset/other", usd_document, painted_path)
 
 
 def test_bindings_above_a_mesh_and_with_indices_skin_as_in_usd(tmp_path: Path) -> None:
@@ -387,20 +373,14 @@ def test_bindings_above_a_mesh_and_with_indices_skin_as_in_usd(tmp_path: Path) -
         indices.Set([1, 0])
         indices.SetIndices([0, 1] * 4)
         own.CreateJointWeightsPrimvar(False, 1).Set([1.0] * 8)
-    cache = UsdSkel.Cache()
-    cache.Populate(UsdSkel.Root(stage.GetPrimAtPath("/R")), Usd.PrimDefaultPredicate)
-    query = cache.GetSkelQuery(joints)
     found = read_usd_character(path)
-    assert found.rig is not None
     assert min(track.times[0] for track in found.animations[0].tracks) == 0.0
     for part in found.parts:
         prim = stage.GetPrimAtPath(f"/R/group/{part.name}")
         for frame in (-12.0, 0.0, 12.0):
-            points = UsdGeom.Mesh(prim).GetPointsAttr().Get()
-            transforms = query.ComputeSkinningTransforms(frame)
-            assert cache.GetSkinningQuery(prim).ComputeSkinnedPoints(transforms, points, frame)
             posed_at = pose_at(found.rig, found.animations[0], (frame + 12.0) / 24.0)
-            np.testing.assert_allclose(skinned_positions(part, found.rig, posed_at), points, atol=1e-6)
+            got = skinned_positions(part, found.rig, posed_at)
+            np.testing.assert_allclose(got, skinned_points(prim, frame), atol=1e-6)
     skeleton = read_usd_skeleton(path, place_in_world(read_usd_meshes(path)[0]).control)
     np.testing.assert_allclose(skeleton.heads[:, 1], [-0.5, 0.5, 1.5])
 
@@ -413,15 +393,11 @@ def test_a_character_of_another_program(shared_data: Path) -> None:
     (animation,) = found.animations
     stage = Usd.Stage.Open(str(path))
     prim = next(one for one in stage.Traverse() if one.IsA(UsdGeom.Mesh))
-    root = UsdSkel.Root.Find(prim)
-    cache = UsdSkel.Cache()
-    cache.Populate(root, Usd.PrimDefaultPredicate)
-    query = cache.GetSkelQuery(UsdSkel.BindingAPI(prim).GetInheritedSkeleton())
-    to_world = np.array(UsdGeom.XformCache().GetLocalToWorldTransform(query.GetPrim()))
+    skeleton = UsdSkel.BindingAPI(prim).GetInheritedSkeleton()
+    to_world = np.array(UsdGeom.XformCache().GetLocalToWorldTransform(skeleton.GetPrim()))
     for frame in (0.0, 12.0, 30.0):
-        points = UsdGeom.Mesh(prim).GetPointsAttr().Get()
-        assert cache.GetSkinningQuery(prim).ComputeSkinnedPoints(query.ComputeSkinningTransforms(frame), points, frame)
-        expected = np.column_stack([np.array(points), np.ones(len(points))]) @ to_world
+        points = skinned_points(prim, frame)
+        expected = np.column_stack([points, np.ones(len(points))]) @ to_world
         seconds = frame / stage.GetTimeCodesPerSecond()
         got = skinned_positions(found.parts[0], found.rig, pose_at(found.rig, animation, seconds))
         np.testing.assert_allclose(got, expected[:, :3], atol=1e-5)
@@ -429,9 +405,7 @@ def test_a_character_of_another_program(shared_data: Path) -> None:
 
 @pytest.mark.parametrize("left_handed", [False, True])
 @pytest.mark.parametrize("kind", ["uniform", "vertex", "faceVarying"])
-def test_display_colors_and_opacity_of_every_interpolation_are_read(
-    tmp_path: Path, kind: str, left_handed: bool
-) -> None:
+def test_display_colors_and_opacity_of_every_interpolation_are_read(tmp_path, kind, left_handed):
     mesh = cube()
     rows = {"uniform": mesh.corner_faces, "vertex": mesh.face_indices}.get(kind, np.arange(len(mesh.face_indices)))
     values = np.random.default_rng(3).uniform(size=(rows.max() + 1, 4)).astype(np.float32)
@@ -497,9 +471,7 @@ def test_faces_of_two_corners_are_refused_by_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("with_image", [False, True])
-def test_display_colors_beside_an_image_are_named(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, with_image: bool
-) -> None:
+def test_display_colors_beside_an_image_are_named(tmp_path, caplog, with_image):
     with stage_at(tmp_path / "cube.usda", ("Y", 1.0)) as stage:
         prim = usd_mesh(stage, "/cube", cube())
         prim.CreateDisplayColorPrimvar("vertex").Set([(0.5, 0.2, 0.1)] * 8)
@@ -513,24 +485,21 @@ def test_display_colors_beside_an_image_are_named(
 
 
 @pytest.mark.parametrize("only", [("roughness",), ("metallic", "roughness")])
-def test_grey_images_of_roughness_and_metalness_become_one(tmp_path: Path, only: tuple[str, ...]) -> None:
+def test_grey_images_of_roughness_and_metalness_become_one(painted_path: Path, only: tuple[str, ...]) -> None:
     """Of any sizes; an input without an image keeps its value."""
-    made, document = painted()
-    path = tmp_path / "C.usda"
-    write_usd_character(path, made, read_scene(document))
     sizes = {"metallic": (2, 2, 1), "roughness": (4, 4, 3)}
     pixels = {name: np.arange(np.prod(size), dtype=np.uint8).reshape(size) for name, size in sizes.items()}
-    with stage_at(path) as stage:
+    with stage_at(painted_path) as stage:
         for name in only:
             texture = UsdShade.Shader(stage.GetPrimAtPath(f"/Asset/materials/body/{name}_texture"))
-            write_image(tmp_path / f"{name}.png", pixels[name])
+            write_image(painted_path.with_name(f"{name}.png"), pixels[name])
             texture.GetInput("file").Set(f"./{name}.png")
             surface = UsdShade.Shader(stage.GetPrimAtPath("/Asset/materials/body/surface"))
             surface.GetInput(name).ConnectToSource(texture.CreateOutput("r", Sdf.ValueTypeNames.Float))
         if "metallic" not in only:
             surface.GetInput("metallic").ClearSources()
             surface.GetInput("metallic").Set(0.75)
-    found = usd_document(path)
+    found = usd_document(painted_path)
     base = found.entry("materials", 0)["pbrMetallicRoughness"]
     assert base["roughnessFactor"] == pytest.approx(0.4)
     assert base["metallicFactor"] == pytest.approx(0.3 if "metallic" in only else 0.75)

@@ -34,11 +34,13 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 from cagemap.files.meshes.arrays import control_from_arrays, control_to_arrays
 from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.read import read_usd, read_usd_meshes
+from cagemap.files.usd.results import define_material
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
 from plain_meshes import marks_at
 from usd_scenes import complaints, full_cube, stage_at, usd_mesh
 
+BODY_START = poles(6).n_vertices  # vertices of the eye come first
 PLACE = np.array([[0, 2.0, 0, 0], [-2.0, 0, 0, 0], [0, 0, 2.0, 0], [5, 6, 7, 1]])
 
 
@@ -62,8 +64,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("usd parts")
     scene, hero = _scene(), place / "hero.usda"
     _stage(hero, scene)
-    first = scene.n_vertices - creature().n_vertices
-    picked = first + np.linspace(0, creature().n_vertices - 1, 9).astype(int)
+    picked = BODY_START + np.linspace(0, creature().n_vertices - 1, 9).astype(int)
     write_landmarks(place / "landmarks.json", marks_at(picked, "hero", "hero"))
     request = MatchRequest(hero, hero, place / "R", place / "landmarks.json", level=1, k=30, part="component:1")
     run_match(request, Stages())
@@ -73,12 +74,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_layers_about_a_part_of_a_prim_fit_the_prim(folder: Path) -> None:
     scene = _scene()
-    first = scene.n_vertices - creature().n_vertices
     side = np.linspace(0.1, 0.9, scene.n_vertices)
     np.savez(folder / "side.npz", side=side)
     np.savez(folder / "skin.npz", hip=side, head=1 - side)
     smile = np.zeros((scene.n_vertices, 3))
-    smile[first + 4] = (0, 0.1, 0)
+    smile[BODY_START + 4] = (0, 0.1, 0)
     np.savez(folder / "smile.npz", smile=smile)
     result = folder / "R"
     for name, options in (
@@ -90,15 +90,15 @@ def test_layers_about_a_part_of_a_prim_fit_the_prim(folder: Path) -> None:
         run_transfer(TransferRequest(result, folder / f"{name}_out.npz", usd=layer, **options), Stages())
         assert complaints(layer) == [], name
     read = {name: read_usd_meshes(folder / f"{name}.usda")[0] for name in ("side", "weights", "shapes")}
-    np.testing.assert_allclose(read["side"].attributes["side"][first:], side[first:], atol=1e-5)
-    assert not read["side"].attributes["side"][:first].any()
+    np.testing.assert_allclose(read["side"].attributes["side"][BODY_START:], side[BODY_START:], atol=1e-5)
+    assert not read["side"].attributes["side"][:BODY_START].any()
     weights = read["weights"].attributes["skel:jointWeights"]
-    np.testing.assert_allclose(weights[first:, 0], side[first:], atol=1e-5)
+    np.testing.assert_allclose(weights[BODY_START:, 0], side[BODY_START:], atol=1e-5)
     np.testing.assert_allclose(read["shapes"].attributes["blendShape:smile"], smile, atol=1e-5)
     run_wrap(WrapRequest((result,), folder / "wrapped.usda"), Stages())
     assert complaints(folder / "wrapped.usda") == []
     wrapped = read_usd(folder / "wrapped.usda")
-    np.testing.assert_allclose(wrapped.positions[:first], scene.positions[:first], atol=1e-6)
+    np.testing.assert_allclose(wrapped.positions[:BODY_START], scene.positions[:BODY_START], atol=1e-6)
     assert np.abs(wrapped.positions - scene.positions).max() < 0.05 * np.ptp(scene.positions)
 
 
@@ -110,7 +110,7 @@ def test_a_new_layout_of_a_part_fits_the_prim(folder: Path) -> None:
     assert complaints(folder / "look.usda") == []
     (mesh,) = read_usd_meshes(folder / "look.usda")
     layout = mesh.control.with_uv_set("cagemap_st")
-    outside = layout.face_indices < _scene().n_vertices - creature().n_vertices
+    outside = layout.face_indices < BODY_START
     assert np.ptp(layout.uvs[layout.uv_indices[~outside]], axis=0).min() > 0.5
     assert not np.ptp(layout.uvs[layout.uv_indices[outside]], axis=0).any()
 
@@ -268,9 +268,7 @@ def test_a_target_that_is_gone_has_no_units_and_that_is_said(folder: Path, tmp_p
     assert any("units, up axis and transform are not known" in text for text in warnings)
 
 
-def test_values_under_a_changed_name_take_no_other_primvars_place(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_values_under_a_changed_name_take_no_other_primvars_place(tmp_path, capfd):
     mesh = full_cube()
     write_usd(tmp_path / "cube.usda", mesh, UsdResults(attributes={"fur_length": np.arange(8.0)}))
     given = {"fur length": -np.arange(8.0), mesh.uv_name or "st": np.zeros((8, 2))}
@@ -282,17 +280,19 @@ def test_values_under_a_changed_name_take_no_other_primvars_place(
     np.testing.assert_allclose(read.control.uvs[read.control.uv_indices], mesh.uvs[mesh.uv_indices])  # type: ignore[index]
 
 
+def _paint(shape: Any, path: str, color: tuple[int, int, int]) -> None:
+    """Bind a new material of a colour to a mesh or subset."""
+    material, surface = define_material(shape.GetPrim().GetStage(), path)
+    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
+    UsdShade.MaterialBindingAPI.Apply(shape.GetPrim()).Bind(material)
+
+
 def test_materials_of_one_name_in_two_scopes_stay_apart(tmp_path: Path) -> None:
     with stage_at(tmp_path / "looks.usda") as stage:
         mesh = usd_mesh(stage, "/m", cube())
         for scope, faces, color in (("a", [0, 1, 2], (1, 0, 0)), ("b", [3, 4, 5], (0, 0, 1))):
-            material = UsdShade.Material.Define(stage, f"/{scope}/metal")
-            shader = UsdShade.Shader.Define(stage, f"/{scope}/metal/surface")
-            shader.CreateIdAttr("UsdPreviewSurface")
-            shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
-            material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
             subset = UsdGeom.Subset.CreateUniqueGeomSubset(mesh, f"of_{scope}", "face", faces, "materialBind")
-            UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(material)
+            _paint(subset, f"/{scope}/metal", color)
     read = read_usd(tmp_path / "looks.usda")
     assert read.material_names == ("metal", "/b/metal")
     colors = read.material_colors[read.face_materials]  # type: ignore[index]
@@ -303,13 +303,7 @@ def test_materials_of_one_name_on_two_meshes_stay_apart(tmp_path: Path) -> None:
     """Each mesh has its own scope, as of assets put together; copies of an instance have one material."""
     stage = Usd.Stage.CreateNew(str(tmp_path / "looks.usda"))
     for number, color in enumerate([(1, 0, 0), (0, 0, 1)]):
-        mesh = usd_mesh(stage, f"/asset{number}/mesh", cube())
-        material = UsdShade.Material.Define(stage, f"/asset{number}/looks/metal")
-        shader = UsdShade.Shader.Define(stage, f"/asset{number}/looks/metal/surface")
-        shader.CreateIdAttr("UsdPreviewSurface")
-        shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
-        material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
-        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+        _paint(usd_mesh(stage, f"/asset{number}/mesh", cube()), f"/asset{number}/looks/metal", color)
     stage.Save()
     read = read_usd(tmp_path / "looks.usda")
     assert read.material_names == ("metal", "/asset1/looks/metal")
@@ -360,9 +354,7 @@ def test_materials_are_those_that_usd_resolves(tmp_path: Path) -> None:
     }
 
 
-def test_curves_copies_and_values_of_as_many_faces_as_vertices_are_left_out_aloud(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_curves_copies_and_values_of_as_many_faces_as_vertices_are_left_out_aloud(tmp_path, caplog):
     ring = torus()
     assert ring.n_faces == ring.n_vertices
     with stage_at(tmp_path / "ring.usda") as stage:
@@ -399,9 +391,7 @@ def test_values_of_vertices_stay_with_them_where_there_are_as_many_corners(orien
     np.testing.assert_array_equal(again.attributes["back"], np.arange(6))
 
 
-def test_values_of_corners_that_would_be_taken_for_vertices_are_left_out(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_values_of_corners_that_would_be_taken_for_vertices_are_left_out(tmp_path, caplog):
     """As many vertices as corners, of which two share one and one is in no face."""
     with stage_at(tmp_path / "m.usda") as stage:
         corners = np.array([0, 1, 2, 2, 1, 3])
@@ -453,9 +443,7 @@ def test_creasing_that_usd_has_no_word_for_is_left_out_aloud(tmp_path: Path, cap
 
 
 @pytest.mark.parametrize(("scale", "said"), [((-2, 2, 2), "mirrors"), ((1, 1, 3), "distorts"), ((-2, -2, 2), "")])
-def test_a_transform_that_changes_the_shape_of_an_only_mesh_is_said(
-    scale: tuple[float, float, float], said: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_transform_that_changes_the_shape_of_an_only_mesh_is_said(scale, said, tmp_path, caplog):
     with stage_at(tmp_path / "scaled.usda") as stage:
         UsdGeom.Xform.Define(stage, "/x").AddScaleOp().Set(scale)
         usd_mesh(stage, "/x/box", cube())
@@ -471,7 +459,6 @@ def test_a_mirrored_mesh_is_shown_upright(tmp_path: Path) -> None:
         mesh.AddRotateYOp().Set(90.0)
         mesh.AddScaleOp().Set((-1.0, 2.0, 3.0))
     turn = read_usd(tmp_path / "mirrored.usda").upright
-    assert turn is not None
     np.testing.assert_allclose(np.linalg.det(turn), 1.0)
     np.testing.assert_allclose([1, 0, 0] @ turn, [0, 1, 0], atol=1e-12)
 
@@ -489,9 +476,7 @@ def test_several_meshes_are_upright_as_their_world(tmp_path: Path) -> None:
         np.testing.assert_array_equal([0, 0, 1] @ mesh.upright, [0, 1, 0])
 
 
-def test_a_binding_without_its_schema_is_read_without_a_word_of_usd(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_binding_without_its_schema_is_read_without_a_word_of_usd(tmp_path, capfd):
     with stage_at(tmp_path / "cube.usda") as stage:
         prim = usd_mesh(stage, "/cube", cube()).GetPrim()
         UsdShade.Material.Define(stage, "/red")
@@ -531,9 +516,7 @@ def test_groups_come_back_by_the_names_that_were_written(tmp_path: Path) -> None
     assert read_usd(tmp_path / "box.usda").group_names == ("arm.L", "leg")
 
 
-def test_subsets_of_faces_that_are_not_there_are_left_out_aloud(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_subsets_of_faces_that_are_not_there_are_left_out_aloud(tmp_path, caplog):
     with stage_at(tmp_path / "asset.usda") as stage:
         mesh = usd_mesh(stage, "/A/m", cube())
         UsdGeom.Subset.CreateGeomSubset(mesh, "one", "face", [0, 5], "picked")

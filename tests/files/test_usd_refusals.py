@@ -14,6 +14,7 @@ import pytest
 from examples.shapes import creature, cube
 
 from cagemap.character.joints import Skeleton
+from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.usd.read import read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import stage_units
@@ -103,6 +104,10 @@ REFUSED = {
     "a layer over another prim": Refusal(
         lambda place: over(place, "/Asset/other"),
         "a.usda: expected a mesh prim /Asset/other ... there is none ... Match again with this file.",
+    ),
+    "a layer that is not of cagemap": Refusal(
+        lambda place: ((place / "own.usda").write_text("#usda 1.0\n"), write_mesh(place / "own.usda", cube())),
+        "own.usda: exists ... force=True",
     ),
     "points of another mesh": Refusal(
         lambda place: over(place, points=creature().positions),

@@ -37,7 +37,8 @@ from cagemap.files.usd.space import StageSpace, between_spaces, to_standard, uni
 from cagemap.files.usd.transforms import local_to_world
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
-from usd_scenes import complaints, stage_at, usd_mesh
+from refusals import refuses
+from usd_scenes import complaints, skinned_points, stage_at, usd_mesh
 
 TURN = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
 
@@ -68,27 +69,17 @@ def _write(
     smile[2] = [0, 0, scale]
     attributes = {"skel:jointWeights": weights / weights.sum(axis=1, keepdims=True), "blendShape:smile": smile}
     write_usd(path, cube, UsdResults(attributes=attributes, skeleton=skeleton))
-    with stage_at(path) as stage:
+    with stage_at(path, units) as stage:
         if matrix is not None:
             UsdGeom.Xformable(stage.GetPrimAtPath("/Asset")).AddTransformOp().Set(Gf.Matrix4d(*matrix.ravel().tolist()))
-        if units is not None:
-            UsdGeom.SetStageUpAxis(stage, units[0])
-            UsdGeom.SetStageMetersPerUnit(stage, units[1])
 
 
 def _at_rest(path: Path, prim_path: str) -> np.ndarray:
     """What USD's own skinning makes of the points of a mesh, in world space, with every joint where it was bound."""
     stage = Usd.Stage.Open(str(path))
     prim = stage.GetPrimAtPath(prim_path)
-    cache = UsdSkel.Cache()
-    root = UsdSkel.Root.Find(prim)
-    cache.Populate(root, Usd.PrimDefaultPredicate)
-    query = cache.GetSkinningQuery(prim)
-    skeleton = cache.GetSkelQuery(UsdSkel.BindingAPI(prim).GetInheritedSkeleton())
-    transforms = skeleton.ComputeSkinningTransforms(Usd.TimeCode.Default())
-    points = UsdGeom.Mesh(prim).GetPointsAttr().Get()
-    assert query.ComputeSkinnedPoints(transforms, points, Usd.TimeCode.Default())
-    return transform_points(np.array(points, dtype=np.float64), local_to_world(skeleton.GetPrim()))
+    to_world = local_to_world(UsdSkel.BindingAPI(prim).GetInheritedSkeleton().GetPrim())
+    return transform_points(skinned_points(prim, Usd.TimeCode.Default()), to_world)
 
 
 def test_a_skeleton_comes_back_from_usd_and_skins_to_rest(tmp_path: Path) -> None:
@@ -161,20 +152,17 @@ def test_the_parent_of_a_joint_is_its_nearest_listed_ancestor(tmp_path: Path) ->
 def test_a_mesh_without_a_skeleton_and_a_damaged_one(tmp_path: Path) -> None:
     write_usd(tmp_path / "bare.usda", textured_cube("bare.usda"))
     assert read_usd_skeleton(tmp_path / "bare.usda") is None
-    with pytest.raises(FormatError, match="bound to none"):
-        read_skeleton(tmp_path / "bare.usda")
+    refuses(FormatError, "bound to none", read_skeleton, tmp_path / "bare.usda")
     path = tmp_path / "rigged.usda"
     _write(path, "rigged.usda")
     stage = Usd.Stage.Open(str(path))
     UsdSkel.Skeleton(stage.GetPrimAtPath("/Asset/skeleton")).GetBindTransformsAttr().Set([Gf.Matrix4d(1.0)] * 3)
     stage.Save()
-    with pytest.raises(FormatError, match="got 4 joints and 3 transforms"):
-        read_usd_skeleton(path)
+    refuses(FormatError, "got 4 joints and 3 transforms", read_usd_skeleton, path)
     UsdSkel.Skeleton(stage.GetPrimAtPath("/Asset/skeleton")).GetJointsAttr().Set(["hips"])
     UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/mesh")).GetJointsAttr().Clear()
     stage.Save()
-    with pytest.raises(FormatError, match="of 1, or joints that the skeleton has not"):
-        read_usd_meshes(path)
+    refuses(FormatError, "of 1, or joints that the skeleton has not", read_usd_meshes, path)
 
 
 def test_joints_without_an_identifier_of_their_own_stay_apart(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, cKDTree
 
+from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import (
@@ -252,6 +253,53 @@ def test_coverage_from_a_coarser_level_is_that_of_the_finest() -> None:
     assert measured[0].coverage == pytest.approx(0.5, abs=0.02)
     assert measured[1].coverage == pytest.approx(measured[0].coverage, abs=0.005)
     assert measured[1].flipped_area == measured[0].flipped_area
+
+
+def part_in_place(side: int) -> tuple[PointMap, Masks]:
+    """A corner of a unit square, side / 40 wide, on its own place; and the shared area."""
+    whole, part = surface_from(grid(41)), surface_from(grid(side + 1))
+    cell = np.round(whole.positions[:, :2] * 40).astype(int)
+    inside = (cell <= side).all(axis=1)
+    found = PointMap.from_vertices(part, whole, np.flatnonzero(inside))
+    on_source = np.where(inside, np.prod(np.where(cell == side, 0.5, 1.0), axis=1), 0.0)
+    return found, WHOLE.within(Masks(np.ones(part.n), on_source))
+
+
+@pytest.mark.parametrize("side", [4, 12, 30])
+def test_a_part_on_its_own_place_is_not_stretched(side: int) -> None:
+    """Parts of 1, 9 and 56 % of the source's area."""
+    found, masks = part_in_place(side)
+    figures = measure_quality(found, masks=masks)
+    np.testing.assert_allclose(figures.trust, 1)
+    np.testing.assert_allclose(figures.area_ratios, 1, rtol=0.02)
+    assert figures.dirichlet == pytest.approx(1, rel=0.02)
+    assert not any("stretches" in warning for warning in figures.warnings)
+    # A mask of a user says nothing about sizes.
+    masked = measure_quality(found, masks=Masks(masks.target, masks.source))
+    assert masked.dirichlet == pytest.approx((side / 40) ** 2, rel=1e-6)
+
+
+def test_where_a_part_is_stretched_it_is_told() -> None:
+    found, masks = part_in_place(12)
+    places = found.images.positions * np.array([0.3, 1.0, 1.0])
+    figures = measure_quality(PointMap(found.target, SurfacePoints.nearest(found.source, places)), masks=masks)
+    np.testing.assert_allclose(figures.trust, (2.0 * 0.3) ** 2, rtol=0.05)
+    assert figures.warnings[-1].startswith("the map stretches strongly over 100 % of the target")
+
+
+def test_shared_area_leaves_the_figures_of_two_wholes() -> None:
+    positions, triangles = sphere(400, (1.0, 0.6, 0.4))
+    surface = surface_from((positions, triangles))
+    bent = surface.positions + 0.05 * np.sin(5 * surface.positions[:, [1, 2, 0]])
+    found = PointMap(surface, SurfacePoints.nearest(surface, bent))
+    every = np.ones(surface.n)
+    one, other = (measure_quality(found, masks=masks) for masks in (WHOLE, WHOLE.within(Masks(every, every))))
+    np.testing.assert_array_equal(one.trust, other.trust)
+    assert one.summary() == other.summary()
+    nearly = np.where(np.arange(surface.n) < 3, 0.0, 1.0)
+    assert WHOLE.within(Masks(nearly, every)).length_ratio(surface, surface) == 1.0
+    nothing = np.where(np.arange(surface.n) < 3, 1e-6, 0.0)
+    assert WHOLE.within(Masks(every, nothing)).length_ratio(surface, surface) == 1.0
 
 
 def test_a_mirrored_map_is_called_inside_out_and_missed_landmarks_are_named() -> None:

@@ -147,6 +147,17 @@ def test_a_strip_s_last_third_on_its_first_jumps_on_both() -> None:
     assert not jump_lengths(pair, PointMap(mesh, SurfacePoints.nearest(mesh, little))).any()
 
 
+def test_a_small_part_on_its_own_place_does_not_jump() -> None:
+    """The end of a strip, 5 % of it: along the part it is far, along the whole it is not."""
+    strip, end = prepare_surface(grid(80, 4), 1), prepare_surface(grid(16, 1), 1)
+    mesh, whole = end.triangles(end.finest_level), strip.triangles(strip.finest_level)
+    found = PointMap(mesh, SurfacePoints.nearest(whole, mesh.positions / mesh.scale * whole.scale))
+    shared = Masks(np.ones(mesh.n), ((strip.vertices[:, 0] < 16) & (strip.vertices[:, 1] < 1)).astype(np.float64))
+    pair = prepare_pair(end, strip)
+    assert not jump_lengths(pair, found, shared).any()
+    assert jump_share(pair, jump_lengths(pair, found)) > 0.3  # as a whole it is compressed
+
+
 def test_half_a_bar_turned_about_its_axis_is_its_sides() -> None:
     """Twelve cells of a square bar; the sides of the last half have 24 of all 50 faces, the end has one."""
     bar = voxels([(0, 0, z) for z in range(12)])

@@ -11,7 +11,9 @@ from cagemap.errors import ParameterError
 from cagemap.paper.embeddings import nearest_candidates, strongest_parents, vertex_to_point
 from cagemap.subdivision import refine, triangles
 
-from search_reference import closest_on_triangle, nearest_candidates_reference, vertex_to_point_reference
+from closest_reference import closest_on_triangle
+from refusals import refuses
+from search_reference import nearest_candidates_reference, vertex_to_point_reference
 
 RNG = np.random.default_rng(271)
 
@@ -63,8 +65,7 @@ def test_rows_that_are_not_finite_are_refused():
     good, bad = rows_of(refinement.finest.positions), rows_of(np.nan * refinement.finest.positions)
     parents, match = strongest_parents(refinement.matrices[0]), np.arange(refinement.control.n_vertices)
     order = in_blocks(refinement.finest.n_vertices)
-    with pytest.raises(ParameterError, match="not finite"):
-        nearest_candidates(good, bad, order, parents, refinement.matrices[0], match)
+    refuses(ParameterError, "not finite", nearest_candidates, good, bad, order, parents, refinement.matrices[0], match)
     with pytest.raises(ParameterError, match="not finite"):
         vertex_to_point(good, bad, order, triangles(refinement.finest.faces), np.arange(refinement.finest.n_vertices))
 

@@ -11,6 +11,8 @@ from cagemap.errors import ParameterError
 from cagemap.paper.equations import extend_functional_map, laplacian_penalties, solve_functional_map
 from cagemap.paper.functional_constraints import Constraints, MapWeights, SpectralData
 
+from refusals import refuses
+
 RNG = np.random.default_rng(20190)
 LITERAL = MapWeights(laplacian=0.1, operators=0.3, decay=0.0)
 
@@ -167,13 +169,10 @@ def test_own_descriptors_and_operators_are_added():
 
 
 def test_data_that_cannot_be_compared_are_refused():
-    with pytest.raises(ParameterError, match="as many target as source descriptors, got 4 and 5"):
-        Constraints(data(3, 4), data(3, 5))
+    refuses(ParameterError, "as many target as source descriptors, got 4 and 5", Constraints, data(3, 4), data(3, 5))
     with pytest.raises(ParameterError, match="as many target as source operators, got 1 and 0"):
         Constraints(data(3, 4, np.eye(3)), data(3, 4))
-    with pytest.raises(ParameterError, match="source: expected 3 rows"):
-        Constraints(data(3, 4, np.eye(3)), data(3, 4, np.eye(4)))
-    with pytest.raises(ParameterError, match="decay: expected a number of at least 0, got -1"):
-        MapWeights(decay=-1.0)
+    refuses(ParameterError, "source: expected 3 rows", Constraints, data(3, 4, np.eye(3)), data(3, 4, np.eye(4)))
+    refuses(ParameterError, "decay: expected a number of at least 0, got -1", MapWeights, decay=-1.0)
     with pytest.raises(ParameterError, match="known block"):
         solve_functional_map(Constraints(data(3, 4), data(3, 4)), MapWeights(), known=np.zeros((4, 2)))

@@ -13,6 +13,8 @@ from cagemap.paper.descriptors import heat_filters, heat_times, landmark_descrip
 from cagemap.spectral import BasisConfig, exact_basis, hierarchical_basis
 from cagemap.subdivision import refine
 
+from refusals import refuses
+
 # The paper proves equalities; dense eigenpairs of a few hundred unknowns keep them to a few hundred roundings.
 EXACT = 1e-10
 COUNT = 12
@@ -204,5 +206,4 @@ def test_definition_2_literally():
 
 
 def test_a_literal_band_needs_a_schedule():
-    with pytest.raises(ParameterError, match="literal"):
-        BasisConfig(literal=True)
+    refuses(ParameterError, "literal", BasisConfig, literal=True)

@@ -27,6 +27,7 @@ from cagemap.tasks.transfer import run_transfer
 
 from example_once import example_pair
 from example_result import change_result, edit_manifest, identity_result
+from refusals import refuses
 
 
 @pytest.fixture(scope="module")
@@ -75,10 +76,8 @@ def test_a_level_is_a_result_of_its_own(matched):
     assert len(coarse.landmark_errors) == len(result.landmarks)
     assert np.abs(coarse.landmark_errors - result.landmark_errors).max() > 1e-3
     assert result.at_level(1) is result
-    with pytest.raises(ParameterError, match="level 2: expected one of the target's levels with a map, 0, 1"):
-        result.at_level(2)
-    with pytest.raises(ParameterError, match="level 1: expected one of the target's levels with a map, 3"):
-        identity_result().at_level(1)
+    refuses(ParameterError, "level 2: expected one of the target's levels with a map, 0, 1", result.at_level, 2)
+    refuses(ParameterError, "level 1: expected one of the target's levels with a map, 3", identity_result().at_level, 1)
 
 
 @pytest.mark.slow
@@ -135,11 +134,9 @@ def test_damaged_levels_are_refused(copied, name):
     """An array that is gone or counts past its surface."""
     wrong = np.full((3, 3, 3), 0.5) if name.endswith("map") else np.full_like(np.load(copied / ARRAYS)[name], 10**7)
     change_result(copied, **{name: None})
-    with pytest.raises(FormatError, match=f"lacks '{name}'"):
-        read_result(copied)
+    refuses(FormatError, f"lacks '{name}'", read_result, copied)
     change_result(copied, **{name: wrong})
-    with pytest.raises(FormatError, match=name):
-        read_result(copied)
+    refuses(FormatError, name, read_result, copied)
 
 
 def test_points_of_levels_lie_in_their_triangles_but_for_rounding(copied):
@@ -149,12 +146,10 @@ def test_points_of_levels_lie_in_their_triangles_but_for_rounding(copied):
     assert read_result(copied).level_maps[0].points.barycentric[0, 0] == -1e-17
     places[0] = -0.5, 0.5, 1.0
     change_result(copied, level_0_barycentric=places)
-    with pytest.raises(FormatError, match="level_0_barycentric lie outside"):
-        read_result(copied)
+    refuses(FormatError, "level_0_barycentric lie outside", read_result, copied)
 
 
 @pytest.mark.parametrize("levels", [[(0, 0), (1, 1)], [(0, 0), (2, 1), (1, 2)], [(0, 0), (1, 1), (1, 1)]])
 def test_levels_that_do_not_end_at_the_finest_are_refused(copied, levels):
     edit_manifest(copied, files={}, level_maps=[{"target": one, "source": other} for one, other in levels])
-    with pytest.raises(FormatError, match=r"end at \(1, 2\)"):
-        read_result(copied)
+    refuses(FormatError, r"end at \(1, 2\)", read_result, copied)

@@ -25,6 +25,7 @@ from cagemap.surface.surface_points import SurfacePoints
 
 from judged_pairs import Judged
 from plain_meshes import marks_at
+from refusals import refuses
 
 
 @pytest.mark.slow
@@ -180,11 +181,8 @@ def test_match_keeps_the_maps_of_all_levels():
 
 
 def test_wrong_parameters_are_refused():
-    with pytest.raises(ParameterError, match="rounds: expected a whole number of at least 0, got -1"):
-        PaperConfig(rounds=-1)
-    with pytest.raises(ParameterError, match="first functions"):
-        HfmConfig(zoomout=ZoomOutSchedule(first=2))
-    with pytest.raises(ParameterError, match="normal_weight: expected a number of at least 0"):
-        HfmConfig(normal_weight=-1.0)
+    refuses(ParameterError, "rounds: expected a whole number of at least 0, got -1", PaperConfig, rounds=-1)
+    refuses(ParameterError, "first functions", HfmConfig, zoomout=ZoomOutSchedule(first=2))
+    refuses(ParameterError, "normal_weight: expected a number of at least 0", HfmConfig, normal_weight=-1.0)
     with pytest.raises(ParameterError, match="map: expected a PointMap, a functional map"):
         paper_map(creature_pair(), start=np.arange(3))

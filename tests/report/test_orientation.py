@@ -18,7 +18,6 @@ from cagemap.pictures import Y_UP, Z_UP, Orientation, find_orientation, matching
 from cagemap.report import draw_gallery
 from cagemap.report.figures import Gallery
 
-from command_line import Run
 from example_once import example_pair
 from example_result import identity_result
 
@@ -98,9 +97,7 @@ def test_reports_show_a_model_alike_whatever_axes_its_file_has(turned: FloatArra
         ("Z", ("--up", "y"), "+y is up and +z in front, as asked"),
     ],
 )
-def test_the_report_takes_what_a_usd_file_or_the_user_says(
-    run: Run, axis: str, words: tuple[str, ...], said: str
-) -> None:
+def test_the_report_takes_what_a_usd_file_or_the_user_says(run, axis, words, said):
     pytest.importorskip("pxr", reason="usd-core is not installed")
     write_mesh("a.usda", cube())
     file = Path("a.usda")

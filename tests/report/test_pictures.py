@@ -26,6 +26,8 @@ from cagemap.pictures import (
     visible_points,
 )
 
+from refusals import refuses
+
 ray_casting = sys.modules[render.__module__]
 SIZE = {"width": 96, "height": 72}
 STRAIGHT = View("straight", 0.0, 0.0)
@@ -207,12 +209,9 @@ def test_equal_points_have_equal_map_colours() -> None:
     ],
 )
 def test_skins_that_do_not_fit_are_refused(skin: Skin, words: str) -> None:
-    with pytest.raises(ParameterError, match=words):
-        render(cube(), skin, frame(cube().positions), **SIZE)
+    refuses(ParameterError, words, render, cube(), skin, frame(cube().positions), **SIZE)
 
 
 def test_nothing_to_draw_is_refused() -> None:
-    with pytest.raises(ParameterError, match="triangles"):
-        Model(np.zeros((3, 3)), np.zeros((0, 3), np.int64))
-    with pytest.raises(ParameterError, match="finite"):
-        frame(np.full((2, 3), np.nan))
+    refuses(ParameterError, "triangles", Model, np.zeros((3, 3)), np.zeros((0, 3), np.int64))
+    refuses(ParameterError, "finite", frame, np.full((2, 3), np.nan))

@@ -21,15 +21,7 @@ from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import FileVertex
-from cagemap.report import (
-    CarriedData,
-    CarriedItem,
-    Gallery,
-    Weights,
-    build_page,
-    draw_carried,
-    draw_gallery,
-)
+from cagemap.report import CarriedData, CarriedItem, Gallery, Weights, build_page, draw_carried, draw_gallery
 from cagemap.report.figures import BACKGROUND, display_image
 from cagemap.report.rig_panels import MAX_PANEL_POSES, cage_edges, control_edges
 from cagemap.subdivision.refinement import finest_mesh
@@ -223,9 +215,7 @@ def test_two_answers_stand_side_by_side(result: MatchResult) -> None:
         assert not draw_gallery(sure, size=(30, 20)).answers
 
 
-def test_how_sure_a_map_is_reads_alike_on_terminal_in_manifest_and_report(
-    result: MatchResult, gallery: Gallery, tmp_path: Path
-) -> None:
+def test_how_sure_a_map_is_reads_alike_on_terminal_in_manifest_and_report(result, gallery, tmp_path):
     places, none = result.point_map.images.positions, np.zeros(0, dtype=np.int64)
     answers = (Placement(places, 1e-4, name="one"), Placement(places, 1.1e-4, name="another"))
     free = replace(

@@ -19,6 +19,8 @@ from cagemap.spectral.basis import label_clusters, new_directions
 from cagemap.spectral.config import MIN_VERTICES, SOLVER, VERTICES_PER_FUNCTION
 from cagemap.subdivision import refine
 
+from refusals import refuses
+
 # Counts end at gaps of the spectrum, so that "the lowest k" is one space and not a choice inside a cluster.
 SURFACES = {
     "cube": (shapes.cube, 4, 16),
@@ -210,14 +212,10 @@ def test_refused_parameters(creature, options, message):
 
 def test_refused_questions(creature):
     _, _, basis = creature
-    with pytest.raises(ParameterError, match="level from 0 to 3"):
-        basis.at(4)
-    with pytest.raises(ParameterError, match="vertices: expected 0 to 153"):
-        basis.rows(0, np.array([154]))
-    with pytest.raises(ParameterError, match="154 rows"):
-        basis.project(np.ones(7), 0)
-    with pytest.raises(ParameterError, match="1 to 45"):
-        basis.project(np.ones(154), 0, count=46)
+    refuses(ParameterError, "level from 0 to 3", basis.at, 4)
+    refuses(ParameterError, "vertices: expected 0 to 153", basis.rows, 0, np.array([154]))
+    refuses(ParameterError, "154 rows", basis.project, np.ones(7), 0)
+    refuses(ParameterError, "1 to 45", basis.project, np.ones(154), 0, count=46)
 
 
 @pytest.mark.slow
@@ -249,10 +247,8 @@ def test_a_schedule_may_skip_a_level(creature, literal):
 def test_a_basis_belongs_to_its_levels(creature):
     _, _, basis = creature
     other = refine(shapes.icosahedron(), 3)
-    with pytest.raises(ParameterError, match="the hierarchy and the operators"):
-        replace(basis, hierarchy=other)
-    with pytest.raises(ParameterError, match="the hierarchy and the operators"):
-        replace(basis, operators=build_operators(other))
+    refuses(ParameterError, "the hierarchy and the operators", replace, basis, hierarchy=other)
+    refuses(ParameterError, "the hierarchy and the operators", replace, basis, operators=build_operators(other))
 
 
 @pytest.mark.slow

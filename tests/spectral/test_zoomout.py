@@ -21,6 +21,7 @@ from cagemap.spectral.zoomout import (
 from cagemap.subdivision import Refinement
 
 from elastic_shapes import fitted_map, unit_refinement
+from refusals import refuses
 
 RNG = np.random.default_rng(271)
 
@@ -44,8 +45,7 @@ def test_zoomout_reaches_the_end_in_small_steps():
     assert ratios.min() > 1.0
     assert ZoomOutSchedule(30, 100).sizes(20) == [20]
     for wrong in ({"first": 0}, {"first": 200}, {"factor": 1.0}):
-        with pytest.raises(ParameterError, match="a factor above 1"):
-            ZoomOutSchedule(**wrong)
+        refuses(ParameterError, "a factor above 1", ZoomOutSchedule, **wrong)
 
 
 def test_samples_spread_over_the_numbering():

@@ -15,11 +15,12 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import fan_triangles, surface_area, triangles
 
+from refusals import refuses
+
 
 @pytest.fixture(scope="module")
 def surface() -> TriangleSurface:
     level = refine(creature(), 1).finest
-    assert level.faces is not None
     return TriangleSurface.from_faces(7.0 * level.positions, level.faces)
 
 
@@ -119,9 +120,7 @@ def test_points_of_the_surface_are_nearest_to_themselves(surface: TriangleSurfac
 
 
 @pytest.mark.parametrize("asked", [(), ("positions",), ("positions", "normals")])
-def test_places_and_normals_are_those_of_the_points_that_took_others_place(
-    surface: TriangleSurface, asked: tuple[str, ...]
-) -> None:
+def test_places_and_normals_are_those_of_the_points_that_took_others_place(surface, asked):
     points, others = some_points(surface, 9, 5), some_points(surface, 2, 6)
     known = [getattr(points, name) for name in asked]
     changed = points.replaced(np.array([8, 1]), others)
@@ -139,8 +138,7 @@ def test_some_points_and_points_in_place_of_others(surface: TriangleSurface) -> 
     kept = np.setdiff1d(np.arange(9), [8, 1])
     np.testing.assert_array_equal(changed.at(kept).positions, points.positions[kept])
     elsewhere = TriangleSurface(surface.positions, surface.triangles)
-    with pytest.raises(ParameterError, match="another surface"):
-        points.replaced(np.arange(9), some_points(elsewhere, 9, 6))
+    refuses(ParameterError, "another surface", points.replaced, np.arange(9), some_points(elsewhere, 9, 6))
 
 
 @pytest.mark.parametrize(
@@ -154,25 +152,19 @@ def test_some_points_and_points_in_place_of_others(surface: TriangleSurface) -> 
         ([0, 1], [[1, 0, 0]], "barycentric"),
     ],
 )
-def test_what_is_no_point_is_refused(
-    surface: TriangleSurface, triangle: list[int], barycentric: list[list[float]], match: str
-) -> None:
-    with pytest.raises(ParameterError, match=match):
-        SurfacePoints(surface, np.array(triangle), np.array(barycentric, dtype=float))
+def test_what_is_no_point_is_refused(surface, triangle, barycentric, match):
+    refuses(ParameterError, match, SurfacePoints, surface, np.array(triangle), np.array(barycentric, dtype=float))
 
 
 def test_triangles_of_missing_vertices_are_refused() -> None:
-    with pytest.raises(ParameterError, match="vertices 0 to 2"):
-        TriangleSurface(np.eye(3), np.array([[0, 1, 3]]))
-    with pytest.raises(ParameterError, match="area"):
-        TriangleSurface.from_faces(np.zeros((3, 3)), np.array([[0, 1, 2]]))
+    refuses(ParameterError, "vertices 0 to 2", TriangleSurface, np.eye(3), np.array([[0, 1, 3]]))
+    refuses(ParameterError, "area", TriangleSurface.from_faces, np.zeros((3, 3)), np.array([[0, 1, 2]]))
 
 
 def test_vertices_without_a_triangle_are_no_points() -> None:
     loose = TriangleSurface(np.random.default_rng(8).random((4, 3)), np.array([[0, 1, 2]]))
     for vertex in (3, 4, -1):
-        with pytest.raises(ParameterError, match="that have a triangle"):
-            SurfacePoints.from_vertices(loose, np.array([vertex]))
+        refuses(ParameterError, "that have a triangle", SurfacePoints.from_vertices, loose, np.array([vertex]))
 
 
 def test_a_map_pulls_values_of_its_own_source_back_and_no_others(surface: TriangleSurface) -> None:
@@ -185,7 +177,5 @@ def test_a_map_pulls_values_of_its_own_source_back_and_no_others(surface: Triang
     np.testing.assert_allclose(found.to_sparse() @ values, found.pull_back(values), atol=1e-14)
     assert found.source is surface
     for count in (target.n, surface.n - 1, surface.n + 1):
-        with pytest.raises(ParameterError, match="other surface"):
-            found.pull_back(np.zeros(count))
-    with pytest.raises(ParameterError, match="exchanged"):
-        PointMap(surface, points)
+        refuses(ParameterError, "other surface", found.pull_back, np.zeros(count))
+    refuses(ParameterError, "exchanged", PointMap, surface, points)

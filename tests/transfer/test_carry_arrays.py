@@ -6,10 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from examples.shapes import creature, torus
+from examples.shapes import creature, grid, torus
 
 import cagemap
+from cagemap.deform.problem import Problem
 from cagemap.errors import ParameterError
+from cagemap.maps.landmarks.check import LandmarkCheck
+from cagemap.maps.masks import Masks
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.result import result_of_fit
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.pipeline import prepare_pair, prepare_surface
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.tasks.carry_arrays import trusted_vertices
 
 from example_result import identity_result
 
@@ -59,6 +68,22 @@ def test_weights_and_shapes_come_back(itself: cagemap.MatchResult) -> None:
     np.testing.assert_allclose(shapes["up"], lifted, atol=1e-6)
     np.testing.assert_allclose(shapes["still"], 0.0, atol=1e-9)
     np.testing.assert_array_equal(cagemap.carry_shapes(itself, lifted), shapes["up"])
+
+
+def test_a_small_part_takes_the_weights_of_its_place() -> None:
+    """A glove on a body: 1 % of the source's area."""
+    part, whole = (prepare_surface(mesh, 1) for mesh in (grid(2, 2), grid(20, 20)))
+    target, source = part.finest_triangles, whole.finest_triangles
+    places = target.positions / target.scale * source.scale
+    found = PointMap(target, SurfacePoints.nearest(source, places))
+    on_source = (whole.vertices[:, :2] <= 2).all(axis=1).astype(np.float64)
+    problem = Problem.of_landmarks(prepare_pair(part, whole), Landmarks.none())
+    shared = Masks(np.ones(target.n), on_source)
+    result = result_of_fit(problem, found, Landmarks.none(), LandmarkCheck(), {}, shared)
+    assert trusted_vertices(result).all()
+    given = RANDOM.dirichlet(np.ones(3), whole.control.n_vertices)
+    same = [np.flatnonzero((whole.control.positions == at).all(axis=1))[0] for at in part.control.positions]
+    np.testing.assert_allclose(cagemap.carry_weights(result, given), given[same], atol=1e-6)
 
 
 def test_arrays_that_do_not_fit_are_refused(itself: cagemap.MatchResult) -> None:

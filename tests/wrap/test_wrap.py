@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import cube, disk, torus
+from examples.shapes import cube, disk, grid, torus
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import read_image
@@ -173,6 +173,32 @@ def test_what_lies_behind_a_squeezed_part_follows_where_nothing_else_is(lid: boo
     else:
         assert (follow[within] == 1).mean() > 0.8
     assert (follow[point_map.target.positions[:, 2] < 0] == 1).all()
+
+
+def in_place(side: int, of: int) -> tuple[Refinement, PointMap]:
+    """A square of some columns of a larger square grid, and its exact map to its place there."""
+    part, whole = grid(side, side), grid(of, of)
+    target, source = refine(part, 2), refine(whole, 2)
+    return target, nearest_map(target, source)
+
+
+@pytest.mark.parametrize("side", [2, 3, 5])
+def test_a_small_part_has_a_counterpart_everywhere(side: int) -> None:
+    """Parts of 1, 2.2 and 6.2 % of the whole, on their own places."""
+    target, point_map = in_place(side, 20)
+    np.testing.assert_array_equal(counterpart_mask(point_map), 1.0)
+    np.testing.assert_array_equal(wrap(target, point_map).follow, 1.0)
+
+
+def test_what_a_small_part_squeezes_has_no_counterpart() -> None:
+    _, point_map = in_place(5, 20)
+    places = point_map.images.positions.copy()
+    x = places[:, 0] - places[:, 0].min()
+    half = x.max() / 2
+    places[:, 0] -= np.maximum(x - half, 0.0) * 0.999  # the other half on a line
+    mask = counterpart_mask(PointMap(point_map.target, SurfacePoints.nearest(point_map.source, places)))
+    assert (mask[x < 0.8 * half] == 1).all()
+    assert (mask[x > 1.5 * half] == 0).all()
 
 
 def ring_and_ball(size: float) -> tuple[ControlMesh, int]:

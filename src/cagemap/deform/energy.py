@@ -18,6 +18,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from cagemap.deform.config import GraphConfig, Stage
 from cagemap.deform.graph import ElasticGraph
+from cagemap.errors import SolverError
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, nearest_rotations
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.numerics.threads import ThreadPool, kept
@@ -62,6 +63,8 @@ class LinearSystem:
 # Added to the matrices of maps, as a share of their mean diagonal: a flat ring does not determine the normal direction
 # of its map. The smoothing does; this is for safety.
 RIDGE = 1e-9
+# The same for a system of positions whose matrix is singular; single precision keeps it.
+DAMPING = 1e-4
 
 # From maps (n, 3, 3) and rest normals (n, 3) to the nearest admissible maps, and which of them were bounded (b,).
 Admissible = Callable[[FloatArray, FloatArray], tuple[FloatArray, IndexArray]]
@@ -127,7 +130,12 @@ class VertexTerms:
             return LinearSystem(factor(matrix, like=like))
         if before is not None:
             return LinearSystem(before.factors, matrix, stage)
-        return LinearSystem(factor(matrix, like=like, dtype=np.float32), matrix)
+        try:
+            return LinearSystem(factor(matrix, like=like, dtype=np.float32), matrix)
+        except SolverError:  # a motion is free, as where nothing of the source faces the positions: damp it
+            ridge = DAMPING * float(abs(matrix.diagonal()).mean()) * np.eye(3)
+            damped = self.energy.graph.block_matrix(alpha, self.blocks + ridge)
+            return LinearSystem(factor(damped, like=like, dtype=np.float32), matrix)
 
 
 # Maps (n, 3, 3) of positions, and which of them were bounded (b,).

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import sparse
@@ -17,8 +17,10 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import row_lengths
 
-# Least mean of a mask; below it nothing is left to match.
+# Least mean of a mask, and least share of area; below it nothing is left to match.
 LEAST = 1e-4
+# Shares of both areas from which two surfaces correspond as wholes.
+WHOLE_SHARE = 0.98
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +34,8 @@ class Masks:
     #: (n1,) weights of the target's finest vertices; in a fit, of its level's vertices. None: all weights are 1.
     target: FloatArray | None = None
     source: FloatArray | None = None  #: (n2,) the same of the source
+    #: area with a counterpart that these masks are `within`; None if it is not known
+    shared: Masks | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         for side, mask in (("target", self.target), ("source", self.source)):
@@ -90,7 +94,19 @@ class Masks:
             return self
         target = self.of_target(len(shared.target)) * shared.target
         source = self.of_source(len(shared.source)) * shared.source
-        return Masks(target, source) if target.any() and source.any() else self
+        return Masks(target, source, shared=shared) if target.any() and source.any() else self
+
+    def length_ratio(self, target: TriangleSurface, source: TriangleSurface) -> float:
+        """Length on the source of a unit length on the target, if the map keeps the size of the shared area.
+
+        1 if both surfaces correspond as wholes, next to nothing is shared, or the shared area is not known.
+        """
+        if self.shared is None:
+            return 1.0
+        on_target, on_source = self.shared.shares(target, source)
+        if min(on_target, on_source) >= WHOLE_SHARE or min(on_target, on_source) < LEAST:
+            return 1.0
+        return float(np.sqrt(on_source / on_target))
 
     def require_fit(self, n_target: int, n_source: int) -> None:
         """ParameterError for masks of the wrong length, values outside [0, 1], and masks that leave nothing."""

@@ -240,6 +240,7 @@ def measure_quality(
     is_joined = bool(counted.any())
     counted = counted if is_joined else masks.of_target(target.n)
     areas = target.areas * counted[target.triangles].mean(axis=1)
+    sized = target.positions * masks.length_ratio(target, point_map.source)  # the shared area at the source's size
 
     flipped, stretch = np.empty(len(areas), dtype=np.bool_), np.empty((2, len(areas)))
     largest, smallest = stretch
@@ -247,7 +248,7 @@ def measure_quality(
     def fill(part: slice) -> None:
         chosen = target.triangles[part]
         flipped[part] = inverted_triangles(image, normals, chosen)
-        stretch[:, part] = stretches(target.positions, image, chosen)
+        stretch[:, part] = stretches(sized, image, chosen)
 
     with ThreadPool(1) as pool:
         asked = target.triangles if coarse_triangles is None else coarse_triangles

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -255,22 +257,37 @@ def _write_shapes(
     sources = [Path(result.source.control.name) for result in results]
     files = shape_files(request, Path(results[0].target.control.name), sources)
     names = [source.stem for source in sources]
-    request.output.mkdir(exist_ok=True)
-    check_outputs(files, _meshes_read(request, results), force=request.force)
-    lines, warnings = [f"wrote {files[0]}: the target"], []
-    for file, name, result, folder in zip(files[1:], names, results, request.results, strict=True):
-        wrapped = _wrap(request, result, config, stages)
-        original = input_file(folder, result.manifest, "target")
-        if file == files[1]:
-            rest = replace(wrapped, mesh=level_mesh(result.target.refinement, wrapped.level))
-            _write(replace(request, amount=1.0), rest, result, original, files[0])
-        warnings += _write(
-            request, _in_target_space(wrapped, _source_to_target(folder, result)), result, original, file
-        )[1]
-        figures = wrap_figures(wrapped)
-        stages.record(figures, of=name)
-        lines.append(f"wrote {file}\n{distances_text(figures)}")
-        warnings += [f"{name}: {message}" for message in fold_warnings(figures)]
-    for folder in request.results:
+    lines, warnings, entries = [f"wrote {files[0]}: the target"], list[str](), list[dict[str, Any]]()
+    with _new_folder(request.output), all_or_nothing():
+        check_outputs(files, _meshes_read(request, results), force=request.force)
+        for file, name, result, folder in zip(files[1:], names, results, request.results, strict=True):
+            wrapped = _wrap(request, result, config, stages)
+            original = input_file(folder, result.manifest, "target")
+            if file == files[1]:
+                rest = replace(wrapped, mesh=level_mesh(result.target.refinement, wrapped.level))
+                _write(replace(request, amount=1.0), rest, result, original, files[0])
+            placed = _in_target_space(wrapped, _source_to_target(folder, result))
+            warnings += _write(request, placed, result, original, file)[1]
+            figures = wrap_figures(wrapped)
+            stages.record(figures, of=name)
+            entries.append({"kind": "wrap", "output": file, "amount": request.amount, **figures})
+            lines.append(f"wrote {file}\n{distances_text(figures)}")
+            warnings += [f"{name}: {message}" for message in fold_warnings(figures)]
+    for folder, entry in zip(request.results, entries, strict=True):
+        note_transfer(folder, entry)
         note_output("wrap", folder, request)
     return "\n".join(lines), list(dict.fromkeys(warnings))
+
+
+@contextmanager
+def _new_folder(folder: Path) -> Iterator[None]:
+    """Make a folder if there is none; after an error it is removed again, if nothing is in it."""
+    made = not folder.exists()
+    folder.mkdir(exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        if made:
+            with suppress(OSError):
+                folder.rmdir()
+        raise

@@ -12,7 +12,7 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.images.image import check_writable, read_image_form, texture_files, tile_files
-from cagemap.files.meshes.formats import check_mesh_path, read_whole
+from cagemap.files.meshes.formats import MESH_SUFFIXES, check_mesh_path, read_whole
 from cagemap.files.meshes.mhclo import check_mhclo_path
 from cagemap.files.result.folder import ARRAYS
 from cagemap.files.result.manifest import MANIFEST
@@ -76,7 +76,11 @@ def check_wrap(request: WrapRequest) -> None:
     if request.mhclo is not None:
         check_mhclo_path(request.mhclo)
     texture = request.texture or request.detail_texture
-    if texture is not None and request.baked is not None:
+    if request.baked is None or texture is None:
+        return
+    if texture == request.texture and texture.suffix.lower() in MESH_SUFFIXES:  # a model's images are read later
+        check_writable(request.baked, np.dtype(np.uint8), 3)
+    else:
         # Every tile must be readable.
         forms = [read_image_form(file) for file in tile_files(texture).values()]
         dtype, channels, _ = forms[0]

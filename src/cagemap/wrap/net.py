@@ -238,21 +238,38 @@ class SampleTerms:
 
 
 def counterpart_mask(point_map: PointMap, config: WrapConfig = WrapConfig()) -> FloatArray:
-    """(n1,) 1 where the source has a counterpart, 0 where the map squeezes the target or overlaps."""
+    """(n1,) 1 where the source has a counterpart, 0 where the map squeezes the target or overlaps.
+
+    A part of a whole is squeezed where its area is small relative to its typical `_size_on_source`.
+    """
     target = point_map.target
     image = triangle_areas(point_map.images.positions, target.triangles)
     sums = corner_sums(target.triangles, np.column_stack([target.areas, image]), target.n)
+    size = _size_on_source(sums) if target.is_open else 1.0
     # A vertex in a squeezed part has squeezed neighbours as well; single slivers do not count.
     for _ in range(2):
         sums = corner_sums(target.triangles, sums[target.triangles].mean(axis=1), target.n)
     ratio = np.divide(sums[:, 1], sums[:, 0], out=np.ones(target.n), where=sums[:, 0] > 0)
-    mask = np.clip((ratio - config.squeezed) / (config.whole - config.squeezed), 0.0, 1.0)
-    mask[_hollow_parts(point_map, mask >= 0.5, config)] = 0.0
+    mask = np.clip((ratio / size - config.squeezed) / (config.whole - config.squeezed), 0.0, 1.0)
+    mask[_hollow_parts(point_map, mask >= 0.5, config, np.sqrt(size))] = 0.0
     return mask
 
 
-def _hollow_parts(point_map: PointMap, whole: NDArray[np.bool_], config: WrapConfig) -> NDArray[np.bool_]:
-    """(n1,) squeezed parts (not ``whole``), and parts that these cut off, if their images overlap the rest."""
+def _size_on_source(areas: FloatArray) -> float:
+    """Area ratio (source to target) typical of a map, at most 1; 1 for two wholes.
+
+    ``areas`` (n1, 2) are those of vertices on the target and of their images. The mean is weighted by the areas of
+    images: that of a map onto a whole source is at least 1 (Cauchy and Schwarz), and squeezed area has no weight.
+    """
+    own, image = areas[areas[:, 0] > 0].T
+    return float(np.clip((image**2 / own).sum() / max(image.sum(), 1e-12), 1e-12, 1.0))
+
+
+def _hollow_parts(point_map: PointMap, whole: NDArray[np.bool_], config: WrapConfig, unit: float) -> NDArray[np.bool_]:
+    """(n1,) squeezed parts (not ``whole``), and parts that these cut off, if their images overlap the rest.
+
+    ``unit`` is the length of distances between images.
+    """
     target, images = point_map.target, point_map.images.positions
     nowhere = np.zeros(target.n, dtype=np.bool_)
     if whole.all():
@@ -265,7 +282,7 @@ def _hollow_parts(point_map: PointMap, whole: NDArray[np.bool_], config: WrapCon
     if target.vertex_areas[behind].sum() < config.min_area:
         return nowhere
     distance, _ = cKDTree(images[whole & ~behind]).query(images[behind])
-    near = np.bincount(part[behind], distance <= config.overlap_distance, len(areas)) > 0.5 * np.bincount(
+    near = np.bincount(part[behind], distance <= unit * config.overlap_distance, len(areas)) > 0.5 * np.bincount(
         part, minlength=len(areas)
     )
     laid_over = behind & near[part]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,15 +13,7 @@ from cagemap.files.gltf.entries import image_bytes
 from cagemap.files.gltf.material_images import material_images
 from cagemap.files.meshes.formats import read_mesh
 
-from fbx_scenes import (
-    PNG,
-    Node,
-    add_layer,
-    fbx_arm,
-    fbx_file,
-    layer,
-    properties,
-)
+from fbx_scenes import PNG, Node, add_layer, fbx_arm, fbx_file, layer, properties
 
 pytest.importorskip("ufbx")
 pytestmark = pytest.mark.usefixtures("fbx_server")
@@ -33,8 +24,7 @@ def test_a_texture_inside_the_file_or_beside_it(where: str, tmp_path: Path) -> N
     made = fbx_arm(image=PNG if where == "inside" else b"")
     if where != "inside":
         material = made.named("Material").properties[0]
-        named = fbx_arm(image=PNG).objects
-        texture = next(one for one in named if one.name == "Texture")
+        texture = fbx_arm(image=PNG).named("Texture")
         made.add("Texture", "skin", "", *texture.inside, to=material, by="DiffuseColor")
         folder = tmp_path / "textures"
         folder.mkdir()
@@ -45,9 +35,7 @@ def test_a_texture_inside_the_file_or_beside_it(where: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(("angle", "across", "deep"), [(30.0, 4.0, 1), (0.0, 2.0, 0), (30.0, 2.0, 1), (0.0, 0.0, 1)])
-def test_a_texture_that_is_moved_turned_and_scaled(
-    angle: float, across: float, deep: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_texture_that_is_moved_turned_and_scaled(angle, across, deep, tmp_path, caplog):
     """In FBX the image is scaled, turned and moved over the coordinates: not always what glTF can say.
 
     The third scale has no effect; assimp writes 0.
@@ -86,21 +74,13 @@ def test_a_texture_of_another_uv_set(named: str, coordinates: int, layered: bool
 
 def test_further_layers_of_a_texture_are_said_to_be_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     made = fbx_arm(image=PNG)
-    material, texture = (
-        next(one.properties[0] for one in made.objects if one.name == name) for name in ("Material", "Texture")
-    )
+    material, texture = (made.named(kind).properties[0] for kind in ("Material", "Texture"))
     above = made.add("LayeredTexture", "layers", "", to=material, by="DiffuseColor")
     made.connections = [one for one in made.connections if one.properties[1:3] != (texture, material)]
     made.connect(texture, above)
     named = [Node("FileName", ("dirt.png",)), Node("RelativeFilename", ("dirt.png",))]
-    made.add(
-        "Video",
-        "dirt",
-        "Clip",
-        *named,
-        Node("Content", (PNG + b"2",)),
-        to=made.add("Texture", "dirt", "", *named, to=above),
-    )
+    dirt = made.add("Texture", "dirt", "", *named, to=above)
+    made.add("Video", "dirt", "Clip", *named, Node("Content", (PNG + b"2",)), to=dirt)
     assert len(material_images(read_document(fbx_file(tmp_path, made)), "skin")) == 1
     assert "material skin: baseColorTexture: has 2 layers, the first is used" in caplog.text
 
@@ -142,9 +122,7 @@ def test_a_texture_that_cannot_be_read_is_said(tmp_path: Path, caplog: pytest.Lo
         ({"TransparencyFactor": 1.0, "TransparentColor": (1.0, 1.0, 1.0)}, 1.0, True),
     ],
 )
-def test_opacity_is_kept(
-    skin: dict[str, Any], alpha: float, said: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_opacity_is_kept(skin, alpha, said, tmp_path, caplog):
     with caplog.at_level(logging.WARNING):
         document = read_document(fbx_file(tmp_path, fbx_arm(**skin)))
     (material,) = document.json["materials"]

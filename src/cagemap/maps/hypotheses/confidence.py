@@ -48,8 +48,11 @@ WARNING_SIGNS: dict[str, WarningSign] = {
     ),
     # Share of the target's area at which the map jumps: distant parts of the target are on one place of the source.
     "jumps": WarningSign(0.03, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
-    # Median `distortion`, by the target's area.
-    "stretched": WarningSign(1.55, "it stretches or compresses half of the target {value:.1f} times or more"),
+    # Median `distortion`, by the target's area. Both surfaces have unit area, parts too: relative to the shared area,
+    # wrong places of small parts were 'sure' (docs/lab/parts.md).
+    "stretched": WarningSign(
+        1.55, "with both at equal area, it stretches or compresses half of the target {value:.1f} times or more"
+    ),
     # Share of the target's area that another answer of nearly equal cost turns by `TURNED_DEGREES` degrees or more.
     "limb_turned": WarningSign(0.08, "a map that rotates {percent:.0f} % of the target otherwise fits almost as well"),
     # Cost x 1e4 of an answer that turns the files' axes; 0 for others.
@@ -250,22 +253,23 @@ def median_distortion(found: PointMap, weights: FloatArray | None = None) -> flo
 
 
 def jump_lengths(prepared: PreparedPair, found: PointMap, shared: Masks | None = None) -> FloatArray:
-    """(n,) lengths of a map's jumps at the vertices of the deformed level, of sqrt(area); else 0.
+    """(n,) lengths of a map's jumps at the vertices of the deformed level, of sqrt(target area); else 0.
 
     A map jumps where vertices far apart along the target have images near each other along the source. No cost shows
     this where parts touch. Only unmasked vertices are compared, and only shared area.
     """
     target, source = prepared.graphs
     images = found.images.at(prepared.vertices)
-    pairs = image_pairs(images.positions, images.normals)
     masks = prepared.masks.within(shared)
+    ratio = masks.length_ratio(found.target, found.source)
+    pairs = image_pairs(images.positions / ratio, images.normals)
     pairs = pairs[(masks.of_target(found.target.n)[prepared.vertices] > 0)[pairs].all(axis=1)]
     on_target = distances_apart(target.station_distances, pairs)
     pairs, on_target = pairs[on_target > JUMP], on_target[on_target > JUMP]  # few are left, of most maps none
     ends, rows = np.unique(pairs, return_inverse=True)
     tree = cKDTree(np.hstack([source.positions, NORMAL_WEIGHT * source.normals]))
     at = tree.query(np.hstack([images.positions, NORMAL_WEIGHT * images.normals])[ends])[1]
-    beyond = on_target - 2 * distances_apart(source.station_distances[:, at], rows.reshape(-1, 2))
+    beyond = on_target - 2 / ratio * distances_apart(source.station_distances[:, at], rows.reshape(-1, 2))
     farthest = np.zeros(target.n)
     np.maximum.at(farthest, pairs, np.where(beyond > JUMP, beyond, 0.0)[:, None])
     return farthest

@@ -77,7 +77,9 @@ class WrapRequest:
     )
     occlusion: Annotated[Path | None, Option("Image to write: the source's ambient occlusion.", IMAGES)] = None
     colors: Annotated[Path | None, Option("Image to write: the source's vertex colours.", IMAGES)] = None
-    texture: Annotated[Path | None, Option("The source's texture, to bake into the target's layout.", IMAGES)] = None
+    texture: Annotated[Path | None, Option("Source image, or model file with one, to bake into --baked.", IMAGES)] = (
+        None
+    )
     baked: Annotated[Path | None, Option("Image to write: the baked texture.", IMAGES)] = None
     detail: Annotated[Path | None, Option("More detailed mesh to bake from, instead of the source.", IMAGES)] = None
     detail_texture: Annotated[Path | None, Option("Image of the detailed mesh, baked into --baked.", IMAGES)] = None
@@ -86,7 +88,12 @@ class WrapRequest:
     rays: Annotated[int, Option("Occlusion: rays per vertex.", IMAGES, min=1)] = 128
     size: Annotated[
         int | None,
-        Option("Width and height of the images.  [default: --detail-texture's, or 2048]", IMAGES, min=1, max=32767),
+        Option(
+            "Width and height.  [default: --detail-texture's, or 2048; --texture's for --baked]",
+            IMAGES,
+            min=1,
+            max=32767,
+        ),
     ] = None
     mhclo: Annotated[Path | None, Option("Clothes file to write for MakeHuman and MPFB: .mhclo, .proxy.", OUTPUT)] = (
         None
