@@ -136,13 +136,13 @@ def make_pair(
         )
     if not all(isinstance(pair, Sequence) and len(pair) == 2 for pair in symmetries):
         raise ParameterError("symmetries: expected pairs of arrays, the target's images and the source's, got others")
-    self_maps = [tuple(whole_numbers(side, "symmetries") for side in pair) for pair in symmetries]
+    self_maps = tuple(
+        (whole_numbers(one, "symmetries"), whole_numbers(other, "symmetries")) for one, other in symmetries
+    )
     for on_target, on_source in self_maps:
         check_symmetry(on_target, target.control)
         check_symmetry(on_source, source.control)
-    return Pair.of_vertices(
-        target, source, vertices[0], vertices[1], tuple((on_target, on_source) for on_target, on_source in self_maps)
-    )
+    return Pair.of_vertices(target, source, vertices[0], vertices[1], self_maps)
 
 
 def eigenfunctions(surface: Surface, level: int) -> tuple[FloatArray, FloatArray]:

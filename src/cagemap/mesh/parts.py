@@ -223,11 +223,10 @@ def renumbered_copies(copies: IndexArray | None, number: IndexArray) -> IndexArr
 
 def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
     """(n,) vertex of the part for every vertex of the mesh, -1 if absent; the part may be the whole mesh, welded."""
-    assert part.file_vertices is not None
     file_numbers, _ = mesh.file_numbers
     number = np.full(int(file_numbers.max()) + 1, -1, dtype=np.int64)
     # In reverse, so that the first copy of a split vertex is kept.
-    number[part.file_vertices[::-1]] = np.arange(part.n_vertices)[::-1]
+    number[part.file_numbers[0][::-1]] = np.arange(part.n_vertices)[::-1]
     if part.file_copies is not None:
         welded, copies = part.file_copies[part.file_copies[:, 1] < len(number)].T
         number[copies] = welded

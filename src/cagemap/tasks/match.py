@@ -219,9 +219,8 @@ def read_inputs(request: MatchRequest) -> Inputs:
     named = names != (None, None)
     whole = PartInputs(target, source, landmarks)
     chosen, left_alone = select_parts(target, source, landmarks, *names) if named else ((whole,), ())
-    notes = (*notes, *_unused_notes(request, chosen))
     parts = tuple(ready_inputs(part) for part in chosen)
-    notes = (*notes, *left_alone, *(note for part in parts for note in part.notes))
+    notes = (*notes, *_unused_notes(request, chosen), *left_alone, *(note for part in parts for note in part.notes))
     return Inputs(target, source, parts, named, masks, notes)
 
 

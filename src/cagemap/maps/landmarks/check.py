@@ -125,13 +125,8 @@ class LandmarkCheck:
         changed = [f"'{name}'" for name, _ in was - remaining]
         outdated = () if was == remaining else ON_ALL_PAIRS
         notes = tuple(note for note in self.notes if note not in outdated and not any(name in note for name in changed))
-        if not len(self.strains):
-            return LandmarkCheck(kept, notes)
-        strains = np.zeros(len(now))
-        for pair, strain_before in zip(before.places, self.strains, strict=True):
-            if pair in places:
-                strains[places[pair]] = strain_before
-        return LandmarkCheck(kept, notes, strains)
+        known = dict(zip(before.places, self.strains.tolist(), strict=False))  # no strains: unknown
+        return LandmarkCheck(kept, notes, np.array([known.get(pair, 0.0) for pair in now.places if known]))
 
     def summary(self) -> dict[str, Any]:
         """The check as plain values for a manifest; every suspect with its sentence as ``message``."""
