@@ -87,8 +87,9 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
         return replace(blank, problems=tuple(_with_places(problem, mesh) for problem in broken))
     degenerate, duplicates = degenerate_faces(mesh), duplicate_faces(mesh)
     kept = np.delete(np.arange(mesh.n_faces), duplicates)
-    single = keep_faces(mesh, kept) if len(duplicates) else mesh
-    file_vertices, file_faces = mesh.file_numbers
+    vertices, faces = mesh.file_numbers
+    numbered = replace(mesh, file_vertices=vertices, file_faces=faces)
+    single = keep_faces(numbered, kept) if len(duplicates) else numbered
     topology = mesh_topology(single)
     fans, turned = corner_fans(topology), turned_faces(topology)
     loops = boundary_loops(topology, fans)
@@ -119,7 +120,7 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
     ]
     if not len(degenerate):
         problems += [
-            _edge_manifold_problem(single, topology, file_vertices, file_faces[kept]),
+            _edge_manifold_problem(single, topology),
             problem_at(
                 "non-manifold vertices",
                 f"expected the faces around every vertex to form one fan, got {len(touching)} vertex/vertices where "
@@ -208,14 +209,12 @@ def _counts(
     )
 
 
-def _edge_manifold_problem(
-    mesh: ControlMesh, topology: Topology, vertices: IndexArray, faces: IndexArray
-) -> MeshProblem | None:
-    """Edges of more than two faces, and their remedies; ``vertices`` (n,), ``faces`` (m,): numbers in the file."""
+def _edge_manifold_problem(mesh: ControlMesh, topology: Topology) -> MeshProblem | None:
+    """Edges of more than two faces, and their remedies."""
     bad = topology.face_counts > 2
     if not bad.any():
         return None
-    edges, extra = topology.edge_vertices, extra_faces(topology)
+    edges, extra, (vertices, faces) = topology.edge_vertices, extra_faces(topology), mesh.file_numbers
     remaining = bad & (topology.face_counts - _counts_of(topology, extra) > 2)
     tiny = remaining & _tiny_edges(mesh, topology)
     split = remaining & ~tiny

@@ -136,8 +136,6 @@ class MeshReport:
         return "\n".join(lines)
 
     def _faces_by_size(self) -> str:
-        if not self.face_sizes:
-            return ""
         parts = [
             count_noun(count, {3: "triangle", 4: "quad"}[size]) for size, count in self.face_sizes if size in (3, 4)
         ]
@@ -147,7 +145,7 @@ class MeshReport:
             parts.append(f"{count_noun(sum(count for _, count in large), 'n-gon')} of up to {large[-1][0]} corners")
         if small:
             parts.append(f"{small} of fewer than 3 corners")
-        return f"  ({', '.join(parts)})"
+        return f"  ({', '.join(parts)})" if parts else ""
 
     def _loops(self) -> str:
         if self.boundary_loops is None:

@@ -89,10 +89,10 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
 
 def file_copies(mesh: ControlMesh, joined: IndexArray, vertex_of: IndexArray) -> IndexArray | None:
     """``file_copies`` of a mesh whose vertices (k,) were joined; ``vertex_of`` (n,): new numbers, -1 if removed."""
-    pairs = np.column_stack([vertex_of[joined], mesh.file_numbers[0][joined]])
-    earlier = renumbered_copies(mesh.file_copies, vertex_of)
-    pairs = pairs[pairs[:, 0] >= 0] if earlier is None else np.concatenate([pairs[pairs[:, 0] >= 0], earlier])
-    return pairs if len(pairs) else None
+    copies = np.column_stack([joined, mesh.file_numbers[0][joined]])
+    if mesh.file_copies is not None:
+        copies = np.concatenate([copies, mesh.file_copies])
+    return renumbered_copies(copies, vertex_of)
 
 
 def _relabelled(mesh: ControlMesh, first: IndexArray) -> ControlMesh:
