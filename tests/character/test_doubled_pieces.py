@@ -55,9 +55,7 @@ def test_a_piece_of_the_target_stands_for_one_piece() -> None:
         ([(0.0, 1.1)], []),  # a suit around all of it
     ],
 )
-def test_a_piece_that_the_surface_of_the_target_has_itself_is_found(
-    pieces: list[tuple[float, float]], doubled: list[int]
-) -> None:
+def test_a_piece_that_the_surface_of_the_target_has_itself_is_found(pieces, doubled):
     """The map takes one end of a ball to a point: the source lacks it."""
     whole = ball("body", np.zeros(3), 1.0)
     surface = TriangleSurface.from_faces(whole.positions, whole.face_indices.reshape(-1, 3))

@@ -45,12 +45,9 @@ def test_edited_normals_stay_or_keep_their_tilt() -> None:
     body, rng = creature(), np.random.default_rng(4)
     part = Part("body", body, normals=_unit(rng, len(body.face_indices)))
     still = move_vertices(part, body.positions)
-    assert still.normals is not None
-    assert part.normals is not None
     np.testing.assert_allclose(still.normals, part.normals, atol=1e-9)
     turn = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
     turned = move_vertices(part, body.positions @ turn.T)
-    assert turned.normals is not None
     # A corner with a normal of its own has one face's geometry: compare with that.
     before, after = (_corner_normals(body, mesh.positions) for mesh in (body, turned.mesh))
     np.testing.assert_allclose(
@@ -78,8 +75,6 @@ def test_normals_of_a_file_come_back(tmp_path: Path) -> None:
     write_document(tmp_path / "body.glb", character_glb(Character((part,))))
     (read,) = read_character(tmp_path / "body.glb").parts
     assert read.mesh.n_vertices == body.n_vertices
-    assert read.normals is not None
-    assert part.normals is not None
     np.testing.assert_array_equal(read.mesh.face_indices, body.face_indices)
     np.testing.assert_allclose(read.normals, part.normals, atol=2e-3)
     document = read_document(tmp_path / "body.glb")

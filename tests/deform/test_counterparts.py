@@ -53,9 +53,7 @@ def test_round_trips_count_more_inside_than_outside() -> None:
 
 
 @pytest.mark.slow
-def test_a_pocket_that_the_source_lacks_drags_nothing_along(
-    graph: tuple[ElasticGraph, np.ndarray, TriangleSurface],
-) -> None:
+def test_a_pocket_that_the_source_lacks_drags_nothing_along(graph):
     smooth, faces, mesh = graph
     # Push a finger into the flattest place: the pocket's walls face each other, nothing on the source is like them.
     near = cKDTree(smooth.positions).query_ball_point(smooth.positions, 0.1)

@@ -200,15 +200,13 @@ def test_a_minimum_is_stationary(energy: ElasticEnergy, pulled: VertexTerms) -> 
     np.testing.assert_allclose(again, found, atol=1e-6)  # factors of single precision; the residual is double
 
 
-def test_constant_terms_are_factored_once_and_others_as_the_stage_says(
-    energy: ElasticEnergy, pulled: VertexTerms, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_constant_terms_are_factored_once_and_others_as_the_stage_says(energy, pulled, monkeypatch):
     made: list[object] = []
     _, real = energy.factors, energies.factor  # the maps are factored at first use, maybe by another test
 
     def counted(*given: object, **named: object) -> object:
         made.append(given)
-        return real(*given, **named)  # type: ignore[arg-type]
+        return real(*given, **named)
 
     monkeypatch.setattr(energies, "factor", counted)
     stage = Stage(9, (1e-3, 1e-3), 1e-2)

@@ -68,9 +68,7 @@ def test_same_shape_other_cage_gives_the_identity(creature_at_3: tuple[Refinemen
     assert figures.coverage > 0.99
 
 
-def test_what_source_vertices_ask_is_the_sum_over_their_triangles_corners(
-    creature_at_3: tuple[Refinement, float],
-) -> None:
+def test_what_source_vertices_ask_is_the_sum_over_their_triangles_corners(creature_at_3):
     refinement, scale = creature_at_3
     graph, mesh = graph_of(refinement, scale, 1)
     sheet, split = mesh_of(refinement, scale, 3), mesh.triangles
@@ -148,9 +146,7 @@ def test_momentum_gets_as_far_in_half_the_iterations(creature_at_3: tuple[Refine
 
 
 @pytest.mark.slow
-def test_steps_with_the_factors_of_an_earlier_iteration_end_at_the_same_place(
-    creature_at_3: tuple[Refinement, float],
-) -> None:
+def test_steps_with_the_factors_of_an_earlier_iteration_end_at_the_same_place(creature_at_3):
     def start(graph: ElasticGraph) -> np.ndarray:
         return graph.positions + 0.02 * np.sin(7 * graph.positions[:, [1, 2, 0]])
 

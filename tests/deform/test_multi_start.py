@@ -43,7 +43,6 @@ def test_each_part_is_taken_from_where_it_costs_less(graph: ElasticGraph) -> Non
     second = placed(moved(graph, behind), 1e-4 + 1e-3 * behind)
     assert first.cost < second.cost
     mixed = best_parts(graph, [first, second], CONFIG)
-    assert mixed is not None
     np.testing.assert_allclose(mixed, graph.positions, atol=1e-12)
 
 
@@ -61,9 +60,7 @@ def test_nothing_is_taken_that_is_dearer_small_or_near(graph: ElasticGraph) -> N
     assert best_parts(graph, [best, Placement(moved(graph, one), 1.0, cheaper)], CONFIG) is None
 
 
-def test_refined_placements_count_and_the_best_parts_of_all_come_first(
-    graph: ElasticGraph, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_refined_placements_count_and_the_best_parts_of_all_come_first(graph, monkeypatch):
     """Stages that change nothing, and costs that are distances: one placement is wrong in front, another one behind."""
     along = graph.positions[:, 2]
     front = moved(graph, along > np.quantile(along, 0.9))

@@ -96,9 +96,7 @@ def test_one_limb_is_posed_where_the_body_stands_as_it_did(energy: ElasticEnergy
 
 
 @pytest.mark.parametrize("angle", [0.9 * LIMB_POSED, 1.1 * LIMB_POSED])
-def test_placements_that_agree_are_doubted_where_a_limb_is_posed(
-    bent: PreparedPair, monkeypatch: pytest.MonkeyPatch, angle: float
-) -> None:
+def test_placements_that_agree_are_doubted_where_a_limb_is_posed(bent, monkeypatch, angle):
     problem = problem_of(bent)
     at_rest = Placement(problem.coarse_clusters.energy.graph.positions, 1.0)
     monkeypatch.setattr(multi_start, "coarse_fit", lambda *given: at_rest)
@@ -178,9 +176,7 @@ def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypat
 
 
 @pytest.mark.parametrize("angle", [0.9 * POSES_DIFFER, 1.1 * POSES_DIFFER])
-def test_only_poses_that_differ_are_fitted_in_the_other_pose(
-    bent: PreparedPair, monkeypatch: pytest.MonkeyPatch, angle: float
-) -> None:
+def test_only_poses_that_differ_are_fitted_in_the_other_pose(bent, monkeypatch, angle):
     problem = problem_of(bent)
     asked: list[tuple[PreparedPair, list[float], int]] = []
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -170,9 +169,7 @@ def test_an_update_keeps_the_shared_area(found: dict[str, tuple[MatchResult, np.
 
 
 @pytest.mark.slow
-def test_a_result_keeps_its_shared_area(
-    found: dict[str, tuple[MatchResult, np.ndarray, np.ndarray]], tmp_path: Path
-) -> None:
+def test_a_result_keeps_its_shared_area(found, tmp_path):
     result = found["whole"][0]
     write_result(tmp_path / "result", result)
     read = read_result(tmp_path / "result")

@@ -14,11 +14,12 @@ from examples.shapes import creature, cube, poles, torus
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import write_landmarks
+from cagemap.files.result.folder import write_result
 from cagemap.files.values.attributes import read_attributes
 from cagemap.mesh import CatmullClark, ControlMesh
 from cagemap.mesh.parts import extract_faces, find_part, join_meshes
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.tasks.match import MatchRequest, run_match
+from cagemap.tasks.match import MatchRequest, read_inputs, run_match
 from cagemap.tasks.mesh_commands import run_refine
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import RefineRequest
@@ -37,6 +38,7 @@ from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.results import define_material
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
+from example_result import identity_result
 from plain_meshes import marks_at
 from usd_scenes import complaints, full_cube, stage_at, usd_mesh
 
@@ -414,12 +416,18 @@ def test_a_part_has_the_uv_set_of_its_mesh_in_use(tmp_path: Path, caplog: pytest
             given = Sdf.Layer.FindOrOpen(str(tmp_path / f"{name}.usda"))
             Sdf.CopySpec(given, "/Asset/mesh", stage.GetRootLayer(), f"/{name}_mesh")
     pair = read_usd(tmp_path / "pair.usda")
-    assert "pair.usda: /UVMap_mesh has no UV set st" in caplog.text
-    assert "/st_mesh has" not in caplog.text
+    assert "UV set" not in caplog.text, "no image is asked for"
     for name in ("st", "UVMap"):
         part = extract_faces(pair, find_part(pair, f"{name}_mesh").faces)
         assert part.uv_name == name
         assert part.has_layout
+    request = MatchRequest(tmp_path / "st.usda", tmp_path / "pair.usda", tmp_path / "R", source_part="UVMap_mesh")
+    assert not [note for note in read_inputs(request).notes if "uv-set" in note]
+    (note,) = (note for note in read_inputs(replace(request, source_uv_set="st")).notes if "uv-set" in note)
+    assert note.startswith("--source-uv-set st: pair.usda: the part has no texture coordinates there, UVMap is used")
+    write_result(tmp_path / "R", identity_result(1, (pair, pair)))
+    bake = TransferRequest(tmp_path / "R", tmp_path / "o.png", bake=("ao",), rays=1, size=8)
+    assert any("6 faces of pair.usda have no texture coordinates" in text for text in run_transfer(bake, Stages())[1])
 
 
 def test_large_whole_numbers_are_written_unchanged(tmp_path: Path) -> None:

@@ -12,12 +12,16 @@ from examples.shapes import triangulated
 
 from cagemap.character.joints import Skeleton
 from cagemap.errors import FormatError
+from cagemap.files.images.image import read_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.files.result.manifest import file_hash
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.rigs import read_shapes, read_skeleton, write_skeleton
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import CatmullClark, ControlMesh
+from cagemap.mesh.parts import extract_faces
+from cagemap.mesh.plain import turn_faces
+from cagemap.subdivision import refine
 from cagemap.surface.alignment import Z_UP
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest
@@ -31,7 +35,7 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 from cagemap.files.usd.prims import transform_points
-from cagemap.files.usd.read import read_usd_meshes
+from cagemap.files.usd.read import UsdMesh, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import StageSpace, between_spaces, to_standard, unit_notes
 from cagemap.files.usd.transforms import local_to_world
@@ -346,3 +350,86 @@ def test_a_cage_wrapped_on_a_glb_is_in_the_targets_own_units(folder: Path) -> No
         between_spaces(Path("large.usda"), glb_source), np.linalg.inv(to_standard(Path("large.usda")))
     )
     np.testing.assert_allclose(between_spaces(glb_source, Path("large.usda")), to_standard(Path("large.usda")))
+
+
+@pytest.mark.parametrize("output", ["worn.usda", "worn.glb"])
+@pytest.mark.parametrize("given", ["hat.usda", "hat.glb"])
+def test_a_passenger_with_units_fits_a_target_that_has_only_an_up_axis(given: str, output: str, tmp_path: Path) -> None:
+    """Its places are in the axes of its own file, as a cage that is wrapped."""
+    target, source = textured_cube("target.stl", 2.0), textured_cube("small.obj")
+    write_result(tmp_path / "RESULT", identity_result(2, (replace(target, upright=Z_UP), source)))
+    shift = np.eye(4)
+    shift[3, :3] = [0, 3, 0]
+    if given == "hat.usda":
+        write_usd(tmp_path / given, _lifted_cube(), space=StageSpace("Z", 0.01, shift))
+    else:
+        write_mesh(tmp_path / given, _lifted_cube())
+    request = TransferRequest(tmp_path / "RESULT", tmp_path / "worn.obj", passenger=tmp_path / given, kind="rigid")
+    run_transfer(request, Stages())
+    expected = read_mesh(tmp_path / "worn.obj").positions @ Z_UP * (0.01 if given == "hat.usda" else 1.0)
+    run_transfer(replace(request, output=tmp_path / output), Stages())
+    found = transform_points(read_mesh(tmp_path / output).positions, to_standard(tmp_path / output))
+    np.testing.assert_allclose(np.sort(found, axis=0), np.sort(expected, axis=0), atol=1e-5)
+
+
+def test_a_detailed_mesh_of_a_wrap_is_in_the_units_that_its_file_states(folder: Path) -> None:
+    _write(folder / "cm.usda", "small.usda", 100.0, None, ("Z", 0.01))
+    request = WrapRequest((folder / "RESULT",), folder / "wrapped.usda", detail=folder / "cm.usda", size=16)
+    run_wrap(replace(request, normal_map=folder / "n.png"), Stages())
+    assert np.median(read_image(folder / "n.png").pixels[:, :, 2] / 65535) > 0.9
+
+
+def _mirrored(mesh: ControlMesh) -> ControlMesh:
+    """The mirror image of a mesh, with outward faces."""
+    flipped = mesh.with_positions(mesh.positions * [-1.0, 1.0, 1.0])
+    return turn_faces(flipped, np.ones(mesh.n_faces, dtype=bool))
+
+
+def _signed_volume(mesh: ControlMesh) -> float:
+    corners = mesh.positions[mesh.face_indices.reshape(mesh.n_faces, -1)[:, :3]]
+    return float(np.linalg.det(corners - mesh.positions.mean(axis=0)).sum())
+
+
+def test_what_lies_on_a_mirrored_source_keeps_its_faces_outwards(folder: Path) -> None:
+    """The transform of the source's prim mirrors; its points are taken as they are."""
+    _write(folder / "small.usda", "small.usda", 1.0, np.diag([-1.0, 1, 1, 1]), ("Y", 1.0))
+    result = identity_result()
+    inputs = {"source": {"file": "small.usda", "path": "../small.usda", "sha256": file_hash(folder / "small.usda")}}
+    provenance = {**result.provenance, "inputs": inputs}
+    write_result(folder / "RESULT", replace(result, provenance=provenance), force=True)
+    surface = refine(textured_cube("small"), 3, CatmullClark()).finest
+    write_mesh(folder / "detail.glb", _mirrored(ControlMesh.from_faces(surface.positions, surface.faces.tolist())))
+    options = {"bake": ("normal",), "detail": folder / "detail.glb", "size": 32}
+    run_transfer(TransferRequest(folder / "RESULT", folder / "n.png", **options), Stages())
+    assert np.median(read_image(folder / "n.png").pixels[:, :, 2] / 65535) > 0.9
+    write_mesh(folder / "hat.glb", _mirrored(_lifted_cube()))
+    run_transfer(TransferRequest(folder / "RESULT", folder / "hat.obj", passenger=folder / "hat.glb"), Stages())
+    assert _signed_volume(read_mesh(folder / "hat.obj")) > 0
+
+
+def test_joints_of_a_whole_body_are_right_for_its_part(folder: Path) -> None:
+    controls = [textured_cube("large.usda", 2.0), textured_cube("small.usda")]
+    target, source = (extract_faces(control, np.arange(5)) for control in controls)
+    write_result(folder / "RESULT", identity_result(1, (target, source)), force=True)
+    skeleton = replace(_skeleton(), heads=_skeleton().heads - 4.0)
+    write_skeleton(folder / "rig.json", skeleton)
+    _, warnings = run_transfer(
+        TransferRequest(folder / "RESULT", folder / "o.json", joints=folder / "rig.json"), Stages()
+    )
+    assert not [text for text in warnings if "same units and place" in text]
+
+
+def test_weights_are_read_with_their_joints_without_the_source_s_file(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reads: list[str] = []
+
+    def read(path: str | Path) -> tuple[UsdMesh, ...]:
+        reads.append(Path(path).name)
+        return read_usd_meshes(path)
+
+    for module in ("values.attributes", "usd.skeleton", "usd.space"):
+        monkeypatch.setattr(f"cagemap.files.{module}.read_usd_meshes", read)
+    request = TransferRequest(folder / "RESULT", folder / "weights.npz", weights=folder / "small.usda")
+    run_transfer(request, Stages())
+    assert reads.count("small.usda") <= 2

@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from cagemap import ControlMesh, Landmarks, Surface, match, prepare_surface, read_mesh, refine, update_match
 from cagemap.deform.problem import Problem
-from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps import coincidence
 from cagemap.maps.coincidence import SAME, Coincidence, unit_ratio
 from cagemap.maps.coincident_map import coincident_map, same_surface
@@ -65,19 +64,6 @@ def test_a_surface_on_itself_is_the_identity_with_and_without_landmarks(surface:
 
 
 @pytest.mark.slow
-def test_a_plain_mesh_on_itself_is_the_identity(tmp_path: Path) -> None:
-    scan = prepare_surface(animal(3), 0)
-    found = match(scan, scan)
-    assert found.prepared.mesh.n < len(found.point_map.triangle)
-    assert is_identity(found)
-    np.testing.assert_allclose(
-        found.confidence.answers[0].positions[:5], found.point_map.images.positions[:5], atol=0.05
-    )
-    write_result(tmp_path / "RESULT", found)
-    assert is_identity(read_result(tmp_path / "RESULT"))
-
-
-@pytest.mark.slow
 def test_another_shape_other_faces_or_contrary_landmarks_are_matched(pony: ControlMesh, surface: Surface) -> None:
     thicker = prepare_surface(pony.with_positions(pony.positions * [1.05, 1.0, 1.0]), 1)
     faces = np.split(pony.face_indices, pony.face_offsets[1:-1])[::-1]
@@ -121,9 +107,7 @@ def retopology(pony: ControlMesh) -> Surface:
 
 
 @pytest.mark.slow
-def test_values_between_cages_that_lie_on_each_other_are_those_of_the_same_places(
-    pony: ControlMesh, surface: Surface, retopology: Surface
-) -> None:
+def test_values_between_cages_that_lie_on_each_other_are_those_of_the_same_places(pony, surface, retopology):
     for target, source in ((surface, retopology), (retopology, surface)):
         found = match(target, source)
         assert found.confidence.verdict == SURE
@@ -136,9 +120,7 @@ def test_values_between_cages_that_lie_on_each_other_are_those_of_the_same_place
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [100.0, 1 / 25.4])
-def test_a_retopology_in_other_units_lies_on_the_same_places(
-    surface: Surface, retopology: Surface, factor: float
-) -> None:
+def test_a_retopology_in_other_units_lies_on_the_same_places(surface, retopology, factor):
     control = retopology.control
     found = match(prepare_surface(control.with_positions(control.positions / factor), 1), surface)
     assert found.confidence.verdict == SURE
@@ -194,9 +176,7 @@ def test_flat_surfaces_and_tiny_triangles_have_finite_images() -> None:
 
 
 @pytest.mark.parametrize(("level", "times"), [(0, 1), (1, 2)])
-def test_plain_meshes_are_compared_once(
-    level: int, times: int, pony: ControlMesh, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_plain_meshes_are_compared_once(level, times, pony, monkeypatch):
     compared = []
     monkeypatch.setattr(coincidence, "_gap", lambda *given: compared.append(given) or 0.0)
     surface = prepare_surface(pony if level else animal(1), level)
@@ -295,9 +275,7 @@ def test_clothes_lie_on_the_body_that_wears_them(shared_data: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("posed", ["female1605_male_young_crouch", "proxy741_female_old_heavy_sit"])
-def test_weights_of_a_posed_body_under_another_mesh_are_as_good_as_of_its_nearest_faces(
-    shared_data: Path, posed: str
-) -> None:
+def test_weights_of_a_posed_body_under_another_mesh_are_as_good_as_of_its_nearest_faces(shared_data, posed):
     """MakeHuman's rig; by the map that was fitted, weights differed by 0.10. Truth is the nearest point at rest."""
     mesh, rest = posed.split("_", 1)
     target, source = (

@@ -183,7 +183,7 @@ def test_ends_of_open_curves_pull_at_each_other() -> None:
 @pytest.mark.parametrize(("mesh", "scheme"), [(cube(), CatmullClark()), (icosahedron(), Loop()), (cube(), Bilinear())])
 def test_edge_vertices_are_the_rows_of_their_edges(mesh: ControlMesh, scheme: object) -> None:
     """In its row of S^l an edge's vertex has both ends at their largest weight."""
-    refinement = refine(mesh, 3, scheme)  # type: ignore[arg-type]
+    refinement = refine(mesh, 3, scheme)
     edges = mesh_topology(mesh).edge_vertices
     found = refined_edges(refinement, edges, 1)[:, 1]
     rows = refinement.matrices[0].toarray()[found]

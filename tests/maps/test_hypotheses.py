@@ -29,7 +29,6 @@ from cagemap.mesh import Bilinear
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import FileVertex
 from cagemap.mesh.parts import extract_faces, join_meshes
-from cagemap.numerics.arrays import FloatArray
 from cagemap.pipeline import MatchConfig, match, prepare_pair, prepare_surface
 from cagemap.surface.alignment import Z_UP, axis_rotations
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -59,9 +58,7 @@ ABOUT_X, ABOUT_Y, ABOUT_Z = (Rotation.from_rotvec(np.pi * axis).as_matrix().roun
         ((Z_UP, Z_UP), [1.0, 1.3, 1.3, 1.3, 1.1, 1.3, 1.3]),
     ],
 )
-def test_rotations_between_the_axes_that_the_files_state_have_no_penalty(
-    up_axes: tuple[FloatArray | None, FloatArray | None], penalties: list[float]
-) -> None:
+def test_rotations_between_the_axes_that_the_files_state_have_no_penalty(up_axes, penalties):
     prepared = prepare_pair(*(prepare_surface(replace(creature(), upright=upright), 1) for upright in up_axes))
     rotations = (np.eye(3), Z_UP.T, Z_UP, ABOUT_Y, ABOUT_Z, ABOUT_X, ABOUT_Y @ Z_UP.T)
     assert [rotation_penalty(matrix, prepared) for matrix in rotations] == penalties

@@ -48,18 +48,14 @@ def found(
     return search.search_placements(problem, start=start), asked
 
 
-def test_other_starts_compete_with_landmarks_whose_fits_disagree(
-    prepared: PreparedPair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_starts_compete_with_landmarks_whose_fits_disagree(prepared, monkeypatch):
     placements, asked = found(prepared, monkeypatch, agree=False)
     np.testing.assert_array_equal(placements[0].positions, prepared.energy.graph.positions)
     assert len(placements) == 2
     assert asked == [False]  # landmarks need no rotations
 
 
-def test_landmarks_whose_fits_agree_and_starts_that_are_given_decide_alone(
-    prepared: PreparedPair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_landmarks_whose_fits_agree_and_starts_that_are_given_decide_alone(prepared, monkeypatch):
     assert found(prepared, monkeypatch, agree=True)[1] == []
     placements, asked = found(prepared, monkeypatch, agree=False, start=np.zeros((1, 3)))
     assert len(placements) == 1

@@ -17,12 +17,7 @@ from cagemap.files.result.manifest import landmark_messages
 from cagemap.maps.hypotheses.confidence import TWO
 from cagemap.maps.landmarks import check
 from cagemap.maps.landmarks.check import DISTANCES, SIDES, LandmarkCheck, LandmarkSuspect, large_handles
-from cagemap.maps.landmarks.outliers import (
-    exchanged_sides,
-    misplaced_pairs,
-    orientation_agreement,
-    place_by_distances,
-)
+from cagemap.maps.landmarks.outliers import exchanged_sides, misplaced_pairs, orientation_agreement, place_by_distances
 from cagemap.maps.pair import Pair, no_progress, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
@@ -416,9 +411,7 @@ def test_landmarks_of_another_mesh_are_asked_about(pair):
 @pytest.mark.parametrize(
     ("folded", "count", "asked"), [(0.2, 23, True), (0.02, 23, False), (0.2, 0, False), (0.9, 9, False)]
 )
-def test_the_question_whose_landmarks_these_are_is_asked_of_maps_that_fold(
-    folded: float, count: int, asked: bool
-) -> None:
+def test_the_question_whose_landmarks_these_are_is_asked_of_maps_that_fold(folded, count, asked):
     warnings = check.foreign_warnings(folded, count, 2)
     assert bool(warnings) == asked
     if asked:

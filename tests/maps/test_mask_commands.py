@@ -232,9 +232,7 @@ def test_a_bake_has_the_size_of_its_base(scene: Path) -> None:
 @pytest.mark.parametrize(
     ("size", "channels", "options"), [(16, 4, {}), (8, 3, {"size": 16}), (8, 1, {"bake": ("colors",)})]
 )
-def test_a_base_that_does_not_fit_is_refused_before_the_bake(
-    scene: Path, monkeypatch: pytest.MonkeyPatch, size: int, channels: int, options: dict[str, object]
-) -> None:
+def test_a_base_that_does_not_fit_is_refused_before_the_bake(scene, monkeypatch, size, channels, options):
     monkeypatch.setattr("cagemap.tasks.carry_images.prepare_bake", lambda *given: pytest.fail("it was prepared"))
     write_image(scene / f"base{channels}.png", np.zeros((size, size, channels), dtype=np.uint8))
     options = {"bases": (("", scene / f"base{channels}.png"),), "texture": scene / "texture.png", **options}
@@ -243,9 +241,7 @@ def test_a_base_that_does_not_fit_is_refused_before_the_bake(
         _run_transfer(scene, "never.png", **options)
 
 
-def test_a_mask_of_as_many_vertices_as_faces_is_said_to_be_at_vertices(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_mask_of_as_many_vertices_as_faces_is_said_to_be_at_vertices(tmp_path, caplog):
     ring = torus()
     assert ring.n_vertices == ring.n_faces
     np.save(tmp_path / "m.npy", np.linspace(0.0, 1.0, ring.n_faces))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import cube, icosahedron
+from examples.shapes import cube, icosahedron, pyramid
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -31,6 +31,7 @@ from cagemap.transfer.displacement import to_grey
 from cagemap.transfer.masks import bake_mask, blend, painted_mask, with_alpha
 
 from example_result import identity_result
+from refusals import refuses
 from transfer_scenes import identity_map, plane
 
 
@@ -49,10 +50,10 @@ def test_a_set_of_faces_does_not_leak_and_a_vertex_group_is_refined() -> None:
     assert np.all(mask[inside] == 1)
     group = np.array([0, 0, 0, 0, 1, 1, 1, 1.0])
     np.testing.assert_allclose(vertex_mask(refinement, group), refinement.prolong(group, 0, 3), atol=1e-15)
-    with pytest.raises(ParameterError, match="8 numbers from 0 to 1, one a control vertex"):
-        vertex_mask(refinement, np.full(8, 1.5))
-    with pytest.raises(ParameterError, match="6 numbers from 0 to 1, one a control face"):
-        face_mask(refinement, np.ones(8))
+    refuses(ParameterError, "8 numbers from 0 to 1, one a control vertex", vertex_mask, refinement, np.full(8, 1.5))
+    refuses(ParameterError, "6 numbers from 0 to 1, one a control face", face_mask, refinement, np.ones(8))
+    words = "face mask: expected a mesh refined at least once, got its control mesh. Refine it once"
+    refuses(ParameterError, words, face_mask, refine(pyramid(), 0), np.ones(5))
 
 
 def test_masks_that_the_map_does_not_join_leave_the_figures_of_the_target_s_mask() -> None:
@@ -84,12 +85,9 @@ def test_a_soft_edge_lies_inside_and_rises_no_faster_than_its_width(width: float
 
 def test_masks_of_other_surfaces_and_of_nothing_are_refused() -> None:
     masks = Masks(np.ones(5), None)
-    with pytest.raises(ParameterError, match="target mask: expected 6 numbers"):
-        masks.require_fit(6, 3)
-    with pytest.raises(ParameterError, match="source mask: expected some"):
-        Masks(None, np.zeros(3)).require_fit(6, 3)
-    with pytest.raises(ParameterError, match="method elastic"):
-        MatchConfig(method="hfm", masks=masks)
+    refuses(ParameterError, "target mask: expected 6 numbers", masks.require_fit, 6, 3)
+    refuses(ParameterError, "source mask: expected some", Masks(None, np.zeros(3)).require_fit, 6, 3)
+    refuses(ParameterError, "method elastic", MatchConfig, method="hfm", masks=masks)
     with pytest.raises(ParameterError, match="finite width"):
         soft_edge(TriangleSurface(np.eye(3), np.array([[0, 1, 2]])), np.zeros(3), np.inf)
 
@@ -168,8 +166,7 @@ def test_a_bake_is_blended_by_both_masks() -> None:
     np.testing.assert_array_equal(faded[..., 3:], np.rint(255 * weight))
     half = np.full((64, 64, 1), 0.5, dtype=np.float32)
     np.testing.assert_array_equal(with_alpha(faded, half)[..., 3], np.rint(0.5 * faded[..., 3]))
-    with pytest.raises(ParameterError, match="base image: expected 64 x 64"):
-        blend(baked, base[:32], weight)
+    refuses(ParameterError, "base image: expected 64 x 64", blend, baked, base[:32], weight)
 
 
 def test_options_name_parts_files_and_images(tmp_path: Path) -> None:
@@ -198,10 +195,8 @@ def test_options_name_parts_files_and_images(tmp_path: Path) -> None:
         (str(tmp_path / "long.npy"), "8 numbers from 0 to 1"),
         (str(tmp_path / "painted.png"), "no texture coordinates"),
     ):
-        with pytest.raises(ParameterError, match=message):
-            read(text)
-    with pytest.raises(FormatError, match="no such file"):
-        read(str(tmp_path / "missing.npz"))
+        refuses(ParameterError, message, read, text)
+    refuses(FormatError, "no such file", read, str(tmp_path / "missing.npz"))
     with pytest.raises(ParameterError, match="--mask-edge"):
         read_masks(TransferRequest(here, here, mask_edge=0.1), (mesh, mesh), (here, here))
 
@@ -213,8 +208,7 @@ def test_blending_goes_by_bands_of_rows() -> None:
     np.testing.assert_array_equal(blend(baked, base, weight), np.rint(base + weight * (baked - base.astype(float))))
     late = np.zeros((600, 4, 3), dtype=np.uint8)
     late[-1, -1, 0] = 90
-    with pytest.raises(ParameterError, match="grey image"):
-        to_grey(late)
+    refuses(ParameterError, "grey image", to_grey, late)
 
 
 def test_a_damaged_mask_is_refused(tmp_path: Path) -> None:
@@ -225,5 +219,4 @@ def test_a_damaged_mask_is_refused(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_result(tmp_path / "GOOD").masks.target, mask)
     bad = replace(result, masks=Masks(mask * 2))
     write_result(tmp_path / "BAD", bad)
-    with pytest.raises(FormatError, match="target_mask holds numbers outside 0 to 1"):
-        read_result(tmp_path / "BAD")
+    refuses(FormatError, "target_mask holds numbers outside 0 to 1", read_result, tmp_path / "BAD")

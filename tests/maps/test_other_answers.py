@@ -57,7 +57,6 @@ def test_another_answer_of_an_open_plain_mesh_whose_coarse_level_is_deformed() -
 def two_answers(mesh: ControlMesh, level: int, *, first_is_right: bool = True) -> MatchResult:
     """`result_of_two_answers` of a mesh on itself; the right answer, and one mirrored at a vertex in the middle."""
     before = result_of_two_answers(mesh, level, Landmarks.none(), LandmarkCheck())
-    assert before.confidence is not None
     right, wrong = before.confidence.answers
     shift = 2 * wrong.positions[np.abs(mesh.positions[:, 0]).argmin()] * [1.0, 0.0, 0.0]
     mirrored = replace(wrong, positions=wrong.positions * [-1.0, 1.0, 1.0] + shift)
@@ -72,8 +71,6 @@ def test_an_update_keeps_the_confidence_until_an_answer_misses_a_landmark(mesh: 
     given = two_answers(mesh, level).confidence
     mirrored_first = two_answers(mesh, level, first_is_right=False).confidence
     before = two_answers(mesh, level)
-    assert before.prepared is not None
-    assert given is not None
 
     def updated(confidence: Confidence | None, *vertices: int) -> Confidence | None:
         return kept_confidence(confidence, Problem.of_landmarks(before.prepared, marks_at(np.array(vertices))))
@@ -95,7 +92,6 @@ def test_an_update_with_few_landmarks_has_a_confidence() -> None:
     surface = prepare_surface(bent, 1)
     apart = replace(before, source=surface, prepared=prepare_pair(before.target, surface, QUICK))
     found = update_match(apart, one, QUICK)
-    assert found.confidence is not None
     assert found.confidence.verdict == TWO
     enough = marks_at(np.arange(0, 35, 5))
     assert update_match(apart, enough, QUICK).confidence is None

@@ -63,9 +63,7 @@ def test_unfolding_repairs_folds_and_leaves_the_rest_alone(creature_at_3: tuple[
 
 
 @pytest.mark.parametrize("seed", [3, 4])
-def test_unfolding_knows_what_still_folds_however_far_folds_spread(
-    creature_at_3: tuple[Refinement, float], seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unfolding_knows_what_still_folds_however_far_folds_spread(creature_at_3, seed, monkeypatch):
     refinement, scale = creature_at_3
     surface = mesh_of(refinement, scale, 3)
     positions, faces = surface.positions, surface.triangles

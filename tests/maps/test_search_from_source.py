@@ -21,9 +21,7 @@ from cagemap.pipeline import prepare_pair, prepare_surface
     [(1.0, 0.5, 2, True), (1.0, 2.0, 2, False), (1e-4, 1e-5, 1, False)],
     ids=["costs less", "costs more", "is cheap already"],
 )
-def test_the_inverse_of_a_cheaper_reverse_placement_is_taken(
-    monkeypatch: pytest.MonkeyPatch, forward: float, backward: float, searches: int, takes_inverse: bool
-) -> None:
+def test_the_inverse_of_a_cheaper_reverse_placement_is_taken(monkeypatch, forward, backward, searches, takes_inverse):
     surface = prepare_surface(torus(12, 8), 1)
     problem = Problem.of_landmarks(prepare_pair(surface, surface), Landmarks.none())
     truth = problem.prepared.mesh.positions

@@ -102,9 +102,7 @@ def test_what_is_masked_or_has_a_landmark_is_no_tip(surface: Surface) -> None:
 
 
 @pytest.mark.slow
-def test_a_fit_is_led_to_tips_that_it_missed(
-    surface: Surface, prepared: PreparedPair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fit_is_led_to_tips_that_it_missed(surface, prepared, monkeypatch):
     held = []
 
     def fitted(problem: Problem, start: FloatArray, clusters: Clusters, samples: SourceSamples) -> Placement:

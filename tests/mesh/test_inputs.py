@@ -15,6 +15,7 @@ from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.mesh.inputs import control_mesh, landmark_pairs
 
 from quick_match import QUICK
+from refusals import refuses
 
 MESH = creature()
 ARRAYS = MESH.positions, MESH.face_indices.reshape(-1, 4)
@@ -114,18 +115,14 @@ def test_landmarks_are_pairs_of_target_and_source_vertices() -> None:
     assert (found.target.tolist(), found.source.tolist()) == ([5, 1], [7, 0])
     assert found.names == ("point 0", "point 1")
     assert len(landmark_pairs(np.zeros((0, 2)))) == 0
-    with pytest.raises(InvalidLandmarksError, match=r"\(2, 3\). Transpose it"):
-        landmark_pairs([[1, 2, 3], [4, 5, 6]])
-    with pytest.raises(ParameterError, match="landmarks: expected whole numbers"):
-        landmark_pairs([[0.5, 1.0]])
+    refuses(InvalidLandmarksError, r"\(2, 3\). Transpose it", landmark_pairs, [[1, 2, 3], [4, 5, 6]])
+    refuses(ParameterError, "landmarks: expected whole numbers", landmark_pairs, [[0.5, 1.0]])
 
 
 def test_values_of_cagemap_and_others_are_no_meshes() -> None:
     surface = cagemap.prepare_surface(ARRAYS, 1, cagemap.BasisConfig(count=20))
     for wrong in (surface, surface.refinement.finest, 3, "a.obj", SimpleNamespace(vertices=ARRAYS[0])):
-        with pytest.raises(ParameterError, match="control: expected ControlMesh, got"):
-            cagemap.prepare_surface(wrong, 1)
+        refuses(ParameterError, "control: expected ControlMesh, got", cagemap.prepare_surface, wrong, 1)
     with pytest.raises(ParameterError, match=r"control: expected positions \(n, 3\)"):
         cagemap.prepare_surface((ARRAYS[0][:, :2], ARRAYS[1]), 1)
-    with pytest.raises(TypeError, match=r"^refine\(\) missing 1 required"):
-        cagemap.refine(ARRAYS)  # type: ignore[call-arg]
+    refuses(TypeError, r"^refine\(\) missing 1 required", cagemap.refine, ARRAYS)

@@ -16,7 +16,7 @@ from test_obj import QUICK
 from cagemap.errors import DirectionError, FormatError, InvalidLandmarksError
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
 from cagemap.files.meshes.formats import read_mesh
-from cagemap.mesh.landmarks import CagePoints, Landmarks, check_landmarks
+from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_landmarks, pair_by_name
 
 PAIRS = [{"name": name, "source": 2 * i, "target": i} for i, name in enumerate(("nose", "tail", "left hoof", "navel"))]
 
@@ -205,7 +205,7 @@ def test_pairs_without_names_are_numbered(tmp_path: Path) -> None:
 )
 def test_landmarks_that_do_not_fit_are_named(change: dict[str, object], message: str) -> None:
     with pytest.raises(InvalidLandmarksError, match=message):
-        check_landmarks(replace(landmarks(), **change), cube(), torus())  # type: ignore[arg-type]
+        check_landmarks(replace(landmarks(), **change), cube(), torus())
 
 
 def test_several_faults_at_once_and_no_number_of_pairs_is_one() -> None:
@@ -216,3 +216,9 @@ def test_several_faults_at_once_and_no_number_of_pairs_is_one() -> None:
         InvalidLandmarksError, match=r"(?s)from 0 to 7.*target vertex in one pair.*source vertex in one"
     ):
         check_landmarks(both, cube(), torus())
+
+
+def test_a_name_twice_on_one_side_is_refused() -> None:
+    twice = NamedPoints(("nose", "nose"), np.arange(2), np.full((2, 3), np.nan))
+    with pytest.raises(InvalidLandmarksError, match=r"target points: .*once, got these again: nose.*Rename them"):
+        pair_by_name(twice, twice, cube(), cube())

@@ -21,13 +21,7 @@ from cagemap.files.result.folder import read_result
 from cagemap.files.result.merged_parts import part_numbers
 from cagemap.mesh import CatmullClark, ControlMesh, Loop
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.mesh.parts import (
-    connected_parts,
-    extract_faces,
-    find_part,
-    join_meshes,
-    list_parts,
-)
+from cagemap.mesh.parts import connected_parts, extract_faces, find_part, join_meshes, list_parts
 from cagemap.studio.models import open_model
 from cagemap.subdivision import refine, with_options
 from cagemap.tasks import mesh_commands
@@ -42,14 +36,12 @@ from cagemap.tasks.requests.mesh_commands import CheckRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 
-from plain_meshes import marks_at
+from plain_meshes import marks_at, named
+from refusals import refuses
 
 
 def _named(mesh: ControlMesh, name: str, shift: float = 0.0) -> ControlMesh:
-    objects = np.zeros(mesh.n_faces, dtype=np.int64)
-    return replace(
-        mesh.with_positions(mesh.positions + np.array([shift, 0, 0])), face_objects=objects, object_names=(name,)
-    )
+    return named(mesh.with_positions(mesh.positions + np.array([shift, 0, 0])), name)
 
 
 def _scene() -> ControlMesh:
@@ -89,11 +81,9 @@ def test_parts_are_found_by_name() -> None:
     np.testing.assert_array_equal(find_part(scene, "eye_left").faces, np.arange(6, 26))
     np.testing.assert_array_equal(find_part(scene, "material:cloth").faces, [3, 4, 5])
     assert len(find_part(scene, "largest").faces) == 20
-    with pytest.raises(ParameterError, match="there is none\\. It has object:body"):
-        find_part(scene, "nose")
+    refuses(ParameterError, "there is none\\. It has object:body", find_part, scene, "nose")
     both = replace(scene, group_names=("body", "rest"), face_groups=np.repeat([1, 0], [6, 40]))
-    with pytest.raises(ParameterError, match="object:body, group:body"):
-        find_part(both, "body")
+    refuses(ParameterError, "object:body, group:body", find_part, both, "body")
     paths = replace(scene, object_names=("/hero/body", "/hero/eye_left", "/hero/eye_right"))
     for name in ("eye_right", "hero/eye_right"):
         assert find_part(paths, name).name == "/hero/eye_right"
@@ -120,9 +110,7 @@ def test_the_largest_part_has_most_area_among_those_of_about_as_many_faces(scale
     ],
 )
 @pytest.mark.parametrize("kind", ["object", "group", "material"])
-def test_the_largest_part_is_not_named_like_clothes(
-    kind: str, body: str, clothes: str, scheme: str, faces: int
-) -> None:
+def test_the_largest_part_is_not_named_like_clothes(kind, body, clothes, scheme, faces):
     large = triangulated(cube())
     scene = join_meshes([icosahedron(), large.with_positions(2 * large.positions)])
     labels = {f"face_{kind}s": np.repeat([0, 1], [20, 12]), f"{kind}_names": (body, clothes)}
@@ -131,9 +119,7 @@ def test_the_largest_part_is_not_named_like_clothes(
 
 @pytest.mark.parametrize("suffix", ["glb", "obj"])
 @pytest.mark.parametrize("part", [None, "largest"])
-def test_of_a_clothed_file_without_subdivision_the_body_is_matched(
-    tmp_path: Path, suffix: str, part: str | None
-) -> None:
+def test_of_a_clothed_file_without_subdivision_the_body_is_matched(tmp_path, suffix, part):
     body, jeans = _named(triangulated(creature()), "body"), _named(triangulated(cube()), "jeans")
     jeans = jeans.with_positions(0.5 * np.ptp(body.positions, axis=0).max() * jeans.positions)
     path = tmp_path / f"figure.{suffix}"
@@ -340,8 +326,7 @@ def _match(folder: Path, name: str, **options: object) -> tuple[str, list[str]]:
 
 
 def test_a_file_of_several_pieces_says_how_to_go_on(folder: Path) -> None:
-    with pytest.raises(InvalidMeshError, match="`find_part` NAME"):
-        _match(folder, "REFUSED")
+    refuses(InvalidMeshError, "`find_part` NAME", _match, folder, "REFUSED")
 
 
 @pytest.mark.slow
@@ -387,9 +372,7 @@ def test_one_part_can_be_matched_alone(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("sides", [("triangles", "mixed"), ("mixed", "triangles")])
-def test_plain_parts_of_quads_and_of_triangles_become_one_mesh_of_triangles(
-    tmp_path: Path, sides: tuple[str, str]
-) -> None:
+def test_plain_parts_of_quads_and_of_triangles_become_one_mesh_of_triangles(tmp_path, sides):
     ball = _named(triangulated(poles(6)), "ball", 9.0)
     scenes = {name: join_meshes([_named(body, "body"), ball]) for name, body in _bodies().items()}
     for name, scene in scenes.items():
@@ -402,7 +385,6 @@ def test_plain_parts_of_quads_and_of_triangles_become_one_mesh_of_triangles(
     np.testing.assert_allclose(result.image(), result.target.vertices, rtol=0, atol=1e-6)
     for side in (result.target, result.source):
         assert side.control.is_triangle_mesh
-        assert side.control.file_faces is not None
         assert set(side.control.file_faces) == set(range(scenes[sides[side is result.source]].n_faces))
     request = TransferRequest(tmp_path / "R", tmp_path / "carried.npz", attribute=tmp_path / "numbers.npy")
     run_transfer(request, Stages())

@@ -21,6 +21,7 @@ from cagemap.surface.closest_points import closest_among
 
 from closest_reference import closest_points_slowly
 from plain_meshes import ball, soup
+from refusals import refuses
 
 
 def test_a_sound_mesh_keeps_its_numbers() -> None:
@@ -77,9 +78,7 @@ def test_what_scans_have_is_mended_or_set_aside_and_said() -> None:
         ("object", ("suit", "head"), 0.4, 0),  # the body is deleted
     ],
 )
-def test_the_piece_that_is_kept_is_not_named_like_clothes(
-    kind: str, names: tuple[str, str], scale: float, kept: int
-) -> None:
+def test_the_piece_that_is_kept_is_not_named_like_clothes(kind, names, scale, kept):
     small, large = ball(), cube()
     scene = join_meshes([small, large.with_positions(scale * large.positions)])
     labels = {f"face_{kind}s": np.repeat([0, 1], [small.n_faces, 6]), f"{kind}_names": names}
@@ -158,13 +157,13 @@ def test_colours_of_joined_vertices_are_averaged_and_said() -> None:
     first, second = np.flatnonzero(plain.vertex_of == 0)[:2]
     colors[first] = np.nan
     found = plain_mesh(replace(sphere, vertex_colors=colors)).mesh.vertex_colors
-    np.testing.assert_allclose(found, 0.5)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found, 0.5)
     colors[first], colors[second] = 0.5, 1.0
     count = int((plain.vertex_of == 0).sum())
     averaged = plain_mesh(replace(sphere, vertex_colors=colors))
     assert f"{sphere.name}: colours of {count} joined vertices differ and are averaged" in averaged.notes
     assert averaged.repairs.averaged_colors == count
-    np.testing.assert_allclose(averaged.mesh.vertex_colors[0], 0.5 + 0.5 / count)  # type: ignore[index]
+    np.testing.assert_allclose(averaged.mesh.vertex_colors[0], 0.5 + 0.5 / count)
 
 
 def test_concave_polygons_are_split_inside() -> None:
@@ -229,13 +228,16 @@ def test_holes_stay_and_uv_sets_come_along() -> None:
 )
 def test_what_is_no_surface_is_refused_by_name(faces: list[list[int]], message: str) -> None:
     positions = np.random.default_rng(0).normal(size=(6, 3))
-    with pytest.raises(InvalidMeshError, match=message):
-        plain_mesh(ControlMesh.from_faces(positions, faces))
+    refuses(InvalidMeshError, message, plain_mesh, ControlMesh.from_faces(positions, faces))
     with pytest.raises(InvalidMeshError, match="no holes, got none"):
         plain_mesh(replace(ControlMesh.from_faces(positions, [[0, 1, 2]]), hole_faces=np.array([0])))
     positions[2] = np.nan
-    with pytest.raises(InvalidMeshError, match="finite positions"):
-        plain_mesh(ControlMesh.from_faces(positions, [[0, 1, 2]]))
+    refuses(InvalidMeshError, "finite positions", plain_mesh, ControlMesh.from_faces(positions, [[0, 1, 2]]))
+    line = ControlMesh.from_faces(np.arange(4.0)[:, None] * [1.0, 0.0, 0.0], [(0, 1, 2), (2, 1, 3)], name="scan.obj")
+    with pytest.raises(
+        InvalidMeshError, match=r"scan\.obj: expected a surface with an area, got 2 faces.*Repair it in"
+    ):
+        plain_mesh(line)
 
 
 def test_a_mesh_of_skew_quads_looks_outwards_once_it_is_turned_round() -> None:

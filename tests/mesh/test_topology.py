@@ -15,14 +15,7 @@ from hypothesis import strategies as st
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh
 from cagemap.mesh.faces import cage_triangles, duplicate_faces, face_areas, face_extents, keep_faces, signed_volume
-from cagemap.mesh.topology import (
-    boundary_loops,
-    corner_fans,
-    face_components,
-    mesh_topology,
-    turned_faces,
-    uv_islands,
-)
+from cagemap.mesh.topology import boundary_loops, corner_fans, face_components, mesh_topology, turned_faces, uv_islands
 
 from mesh_faults import faces_of, flip, kinds
 

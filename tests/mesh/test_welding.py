@@ -45,7 +45,6 @@ def test_a_mesh_split_at_seams_becomes_the_one_before() -> None:
 def test_every_file_vertex_is_named_once() -> None:
     split = split_at_seams(creature())
     welded = weld_mesh(split)
-    assert welded.mesh.file_vertices is not None
     named = np.concatenate([welded.mesh.file_vertices, welded.mesh.file_copies[:, 1]])
     np.testing.assert_array_equal(np.sort(named), np.arange(split.n_vertices))
     np.testing.assert_array_equal(welded.vertex_of[welded.mesh.file_copies[:, 1]], welded.mesh.file_copies[:, 0])
@@ -119,12 +118,12 @@ def test_colours_of_welded_vertices_are_averaged_and_said() -> None:
     body = creature()
     split = split_at_seams(replace(body, vertex_colors=np.full((body.n_vertices, 3), 0.5)))
     assert len(weld_mesh(split).notes) == 1
-    first = weld_mesh(split).mesh.file_copies[0]  # type: ignore[index]
+    first = weld_mesh(split).mesh.file_copies[0]
     colors = np.array(split.vertex_colors)
     colors[first[1]] = 1.0
     welded = weld_mesh(replace(split, vertex_colors=colors))
     assert any("colours of 2 joined vertices differ" in note for note in welded.notes)
-    np.testing.assert_allclose(welded.mesh.vertex_colors[first[0]], 0.75)  # type: ignore[index]
+    np.testing.assert_allclose(welded.mesh.vertex_colors[first[0]], 0.75)
 
 
 @pytest.mark.parametrize("tolerance", [-1.0, 0.5, np.nan, np.inf])

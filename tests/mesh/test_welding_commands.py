@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
 from cagemap.files.landmarks.points import symmetry_on
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
-from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
 from cagemap.mesh.topology import used_vertices
@@ -77,9 +75,7 @@ def test_check_names_the_tolerance_and_takes_it(run: Run, folder: Path, monkeypa
     ],
     ids=["soup", "two pieces", "inside out", "one-sided"],
 )
-def test_check_takes_the_plain_meshes_that_match_takes(
-    run: Run, tmp_path: Path, build: Callable[[], ControlMesh], usable: bool, said: str
-) -> None:
+def test_check_takes_the_plain_meshes_that_match_takes(run, tmp_path, build, usable, said):
     write_mesh(tmp_path / "plain.obj", build())
     checked = run("check plain.obj --scheme none")
     assert checked.code == (0 if usable else 1)
@@ -89,9 +85,7 @@ def test_check_takes_the_plain_meshes_that_match_takes(
 
 
 @pytest.mark.slow
-def test_a_welded_match_carries_values_in_the_numbering_of_the_file(
-    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_welded_match_carries_values_in_the_numbering_of_the_file(run, folder, monkeypatch):
     monkeypatch.chdir(folder)
     words = ["match", "-t", "split.obj", "-s", "whole.obj", "--landmarks", "pairs.json", "--level", 1, "-k", 30]
     run.refused(*words, "-o", "R", says="--weld 0")
@@ -114,9 +108,7 @@ def test_a_welded_match_carries_values_in_the_numbering_of_the_file(
 
 
 @pytest.mark.slow
-def test_a_welded_source_gives_values_numbered_as_its_file(
-    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_welded_source_gives_values_numbered_as_its_file(run, folder, monkeypatch):
     monkeypatch.chdir(folder)
     words = ["match", "-t", "whole.obj", "-s", "split.obj", "--landmarks", "pairs.json", "--exchange-landmarks"]
     assert run(*words, "--level", 1, "-k", 30, "--weld", "auto", "-o", "S").code == 0
@@ -129,9 +121,7 @@ def test_a_welded_source_gives_values_numbered_as_its_file(
 
 
 @pytest.mark.slow
-def test_a_symmetry_of_the_file_is_one_of_the_welded_mesh(
-    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_symmetry_of_the_file_is_one_of_the_welded_mesh(run, folder, monkeypatch):
     monkeypatch.chdir(folder)
     split, body = read_mesh("split.obj"), read_mesh("whole.obj")
     places = np.linalg.norm(split.positions[:, None] - body.positions[None], axis=2).argmin(axis=1)

@@ -16,6 +16,8 @@ from cagemap.numerics.threads import ThreadPool, core_count, in_threads, kept, o
 from cagemap.pipeline import prepare_surface, prepare_surfaces
 from cagemap.spectral import BasisConfig
 
+from refusals import refuses
+
 CONFIG = BasisConfig(count=12)
 
 
@@ -77,8 +79,7 @@ def test_a_thread_limit_holds_inside_and_in_the_threads_started_there():
             assert in_threads(lambda _: threading.get_ident(), range(4)) == [threading.get_ident()] * 4
             with ThreadPool(2) as pool:
                 assert pool.submit(threading.get_ident).result() == threading.get_ident()
-                with pytest.raises(ParameterError, match="item 2"):
-                    pool.submit(fail_at_two, 2).result()
+                refuses(ParameterError, "item 2", pool.submit(fail_at_two, 2).result)
         assert core_count() == 3
         with ThreadPoolExecutor(1) as foreign:  # a user's own thread has its own setting
             assert foreign.submit(core_count).result() == before
@@ -92,8 +93,7 @@ def test_an_environment_variable_limits_threads(monkeypatch):
         assert core_count() == 2
     for wrong in ("0", "many", "1.5"):
         monkeypatch.setenv("CAGEMAP_THREADS", wrong)
-        with pytest.raises(ParameterError, match="CAGEMAP_THREADS"):
-            core_count()
+        refuses(ParameterError, "CAGEMAP_THREADS", core_count)
 
 
 @pytest.mark.parametrize("wrong", [0, -1, 1.5, "two"])
@@ -127,8 +127,7 @@ def test_a_pair_prepared_at_once_is_what_each_is_alone():
 
 
 def test_a_bad_mesh_of_a_pair_is_refused_as_it_is_alone():
-    with pytest.raises(ParameterError, match="level"):
-        prepare_surfaces(shapes.creature(), shapes.creature(), (1, 0), CONFIG)
+    refuses(ParameterError, "level", prepare_surfaces, shapes.creature(), shapes.creature(), (1, 0), CONFIG)
 
 
 class Kept:

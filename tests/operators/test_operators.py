@@ -13,12 +13,7 @@ from scipy import sparse
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.operators import (
-    build_operators,
-    named_laplacian,
-    stiffness,
-    vertex_areas,
-)
+from cagemap.operators import build_operators, named_laplacian, stiffness, vertex_areas
 from cagemap.operators.laplacian import QUAD_PAIRS, TRIANGLE_PAIRS, assemble_stiffness, face_terms
 from cagemap.spectral import exact_basis
 from cagemap.subdivision import refine

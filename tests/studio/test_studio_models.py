@@ -16,7 +16,7 @@ import numpy as np
 import pygltflib
 import pytest
 import trimesh
-from examples.shapes import creature, cube
+from examples.shapes import creature, cube, triangulated
 from scipy.spatial import cKDTree
 
 from cagemap.files.gltf.document import read_document
@@ -396,6 +396,15 @@ def test_a_download_of_a_usd_model_is_in_metres_with_y_up(layout: bool, tmp_path
     matrix = np.reshape(document.nodes[0].matrix, (4, 4))
     np.testing.assert_allclose([0.0, 0.0, 0.0, 1.0] @ matrix, [1.0, 2.0, 0.0, 1.0], atol=1e-12)
     np.testing.assert_allclose([0.0, 0.0, 1.0, 0.0] @ matrix, [0.0, 0.01, 0.0, 0.0], atol=1e-12)
+
+
+def test_a_download_of_a_model_with_z_up_is_turned_with_a_new_layout_too(tmp_path: Path) -> None:
+    mesh = triangulated(unwrapped_cube())
+    trimesh.Trimesh(mesh.positions, mesh.face_indices.reshape(-1, 3)).export(tmp_path / "scan.stl")
+    write_mesh(tmp_path / "t_unwrapped.obj", mesh)
+    document = _downloaded(tmp_path, tmp_path / "scan.stl", tmp_path / "t_unwrapped.obj")
+    matrix = np.reshape(document.nodes[0].matrix, (4, 4))
+    np.testing.assert_allclose([0.0, 0.0, 1.0, 1.0] @ matrix, [0.0, 1.0, 0.0, 1.0], atol=1e-12)
 
 
 def test_the_image_inside_a_glb_is_the_texture_where_none_is_named(tmp_path: Path) -> None:

@@ -134,9 +134,7 @@ def test_holes_shape_the_surface_and_are_no_part_of_it() -> None:
 
 
 @pytest.mark.parametrize(("sharpness", "shown"), [(10.0, [4, 8]), (9.9, [4])])
-def test_a_boundary_face_is_no_hole_if_all_boundary_edges_at_it_are_infinitely_sharp(
-    sharpness: float, shown: list[int]
-) -> None:
+def test_a_boundary_face_is_no_hole_if_all_boundary_edges_at_it_are_infinitely_sharp(sharpness, shown):
     """As in OpenSubdiv: the last face of nine, of which four boundary edges are creases."""
     mesh = grid(3, 3)
     boundary = np.array([[11, 15], [7, 11], [14, 15], [13, 14]])

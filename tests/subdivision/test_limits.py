@@ -11,6 +11,8 @@ from cagemap.mesh import CatmullClark, ControlMesh, Loop
 from cagemap.subdivision import limit_matrix, limit_normals, limit_positions, refine, triangles
 from cagemap.subdivision.limit import limit_tangents
 
+from refusals import refuses
+
 SHAPES = [
     cube(),
     pyramid(),
@@ -69,36 +71,6 @@ def test_normals_are_those_of_the_refined_triangles(mesh: ControlMesh) -> None:
     # 2^-5 of a control edge subtends a few degrees of a curved shape.
     assert np.rad2deg(np.arccos(cosine.min())) < 12
     assert np.rad2deg(np.arccos(np.minimum(cosine, 1)).mean()) < 2
-
-
-def test_limit_of_a_linear_function_on_a_flat_grid_is_itself() -> None:
-    # With sharp corners and B-spline boundaries a regular flat grid keeps linear functions inside.
-    refinement = refine(grid(5, 5), 2)
-    inside = np.all((refinement.finest.positions[:, :2] >= 1) & (refinement.finest.positions[:, :2] <= 4), axis=1)
-    assert inside.sum() > 100
-    limits = limit_positions(refinement, 2)
-    np.testing.assert_allclose(limits[inside], refinement.finest.positions[inside], rtol=0, atol=1e-14)
-    np.testing.assert_allclose(limit_normals(refinement, 2), [[0, 0, 1]] * len(limits), rtol=0, atol=1e-14)
-
-
-def test_limit_rows_sum_to_one() -> None:
-    for mesh in SHAPES:
-        matrix = limit_matrix(refine(mesh, 1), 1)
-        np.testing.assert_allclose(matrix.sum(axis=1), 1, atol=1e-14)
-
-
-def test_known_masks() -> None:
-    # [HKD93]: (n^2 v + 4 sum e + sum f) / (n (n + 5)) at the pole of valence 5, and cubic B-splines on the boundary.
-    closed = refine(poles(5), 1)
-    row = limit_matrix(closed, 0)[[0]].toarray()[0]
-    assert row[0] == pytest.approx(25 / 50)
-    assert sorted(row[row > 0]) == pytest.approx([1 / 50] * 5 + [4 / 50] * 5 + [25 / 50])
-    opened = limit_matrix(refine(grid(3, 3), 1), 0).toarray()
-    assert sorted(opened[1][opened[1] > 0]) == pytest.approx([1 / 6, 1 / 6, 2 / 3])
-    assert opened[0, 0] == 1
-    # [HDD94] with Loop's weight at n = 3, b = 3/16: 1 / (3 + 2) for each neighbour.
-    row = limit_matrix(refine(bipyramid(3), 1), 0)[[0]].toarray()[0]
-    assert sorted(row[row > 0]) == pytest.approx([1 / 5, 1 / 5, 1 / 5, 2 / 5])
 
 
 def _boundary_ring_matrix(valence: int, scheme: CatmullClark | Loop) -> np.ndarray:
@@ -170,9 +142,6 @@ def test_a_collapsed_shape_has_zero_normals_not_nan() -> None:
 
 def test_levels_that_are_not_there_are_refused() -> None:
     refinement = refine(pyramid(), 1)
-    with pytest.raises(ParameterError, match="expected 0 to 1, got 2"):
-        limit_positions(refinement, 2)
-    with pytest.raises(ParameterError, match="use level 1"):
-        limit_matrix(refinement, 0)
-    with pytest.raises(ParameterError, match="refine once"):
-        limit_positions(refine(pyramid(), 0), 0)
+    refuses(ParameterError, "expected 0 to 1, got 2", limit_positions, refinement, 2)
+    refuses(ParameterError, "use level 1", limit_matrix, refinement, 0)
+    refuses(ParameterError, "refine once", limit_positions, refine(pyramid(), 0), 0)

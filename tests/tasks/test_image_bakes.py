@@ -18,6 +18,7 @@ from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import WrapRequest, run_wrap
+from cagemap.transfer.texture import SmoothTile
 
 from example_result import identity_result, textured_cube
 
@@ -105,7 +106,8 @@ def test_a_map_named_height_is_carried_unscaled_with_a_warning(place: Path, name
     write_image(place / "h.png", np.full((8, 8, 1), 140, dtype=np.uint8))
     _, _, warnings = transfer("o.png", maps=((name, place / "h.png"),))
     assert any("the target is 2 times as large as the source" in text and "--displacement" in text for text in warnings)
-    assert transfer("c.png", maps=((name, place / "h.png"),), as_color=True)[2] == []
+    assert any("heights are 2 times too small there" in text for text in warnings)
+    assert transfer("c.png", maps=((name, place / "h.png"),), as_color=True)[2] == warnings
     cubes = textured_cube("large.obj"), textured_cube("small.obj")
     write_result(place / "RESULT", identity_result(3, cubes), force=True)
     assert transfer("s.png", maps=((name, place / "h.png"),))[2] == []
@@ -172,3 +174,63 @@ def test_a_bake_has_the_size_of_the_detail_s_image_or_of_any_base(place: Path) -
     wrapped = WrapRequest((Path("RESULT"),), Path("w.obj"), baked=Path("w.png"), **scan)
     run_wrap(wrapped, Stages())
     assert read_image(place / "w.png").pixels.shape == (96, 96, 3)
+
+
+def test_the_size_of_the_detail_s_image_is_that_of_its_own_bake_alone(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cagemap.tasks.detail_bakes.DEFAULT_SIZE", 16)
+    write_mesh(place / "scan.obj", textured_cube("scan.obj"))
+    write_image(place / "scan.png", np.full((96, 48, 3), 90, dtype=np.uint8))
+    scan = {"detail": place / "scan.obj", "detail_texture": place / "scan.png", "rays": 1}
+    run_wrap(
+        WrapRequest((Path("RESULT"),), Path("w.obj"), baked=Path("w.png"), occlusion=Path("ao.png"), **scan), Stages()
+    )
+    transfer("t.png", bake=("texture", "ao"), **scan)
+    sizes = {
+        name: read_image(place / name).pixels.shape[:2] for name in ("w.png", "ao.png", "t_texture.png", "t_ao.png")
+    }
+    assert sizes == {"w.png": (96, 96), "t_texture.png": (96, 96), "ao.png": (16, 16), "t_ao.png": (16, 16)}
+
+
+def test_smooth_lookups_of_the_detail_s_image_are_prepared_once(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not for each tile of the target, and of the tiles in use alone."""
+    target, scan = textured_cube("large.obj", 2.0), textured_cube("scan.obj")
+    assert target.uvs is not None
+    cubes = replace(target, uvs=target.uvs * [3, 1]), textured_cube("small.obj")
+    write_result(place / "RESULT", identity_result(2, cubes), force=True)
+    write_mesh(place / "scan.obj", scan)
+    for tile in (1001, 1002):
+        write_image(place / f"scan.{tile}.png", np.full((32, 32, 3), 90, dtype=np.uint8))
+    prepared, of = [], SmoothTile.of
+
+    def prepare(pixels: np.ndarray, covered: np.ndarray) -> SmoothTile:
+        prepared.append(pixels)
+        return of(pixels, covered)
+
+    monkeypatch.setattr(SmoothTile, "of", prepare)
+    scan_files = {"detail": place / "scan.obj", "detail_texture": place / "scan.<UDIM>.png"}
+    transfer("t.<UDIM>.png", bake=("texture",), size=16, **scan_files)
+    assert sorted(file.name for file in place.glob("t.*.png")) == ["t.1001.png", "t.1002.png", "t.1003.png"]
+    assert len(prepared) == 1
+
+
+def test_vertices_of_no_face_are_not_counted_as_grey(place: Path) -> None:
+    detail = textured_cube("scan.obj")
+    positions = np.vstack([detail.positions, np.zeros((2, 3))])
+    colors = np.vstack([np.full((8, 3), 0.5), np.full((2, 3), np.nan)])
+    write_mesh(place / "scan.obj", replace(detail, positions=positions, vertex_colors=colors))
+    *_, warnings = transfer("o.png", bake=("colors",), detail=place / "scan.obj", size=8)
+    assert not [text for text in warnings if "grey" in text]
+
+
+def test_a_bake_between_vertices_fades_into_its_base_with_any_filter(place: Path) -> None:
+    write_mesh(place / "scan.obj", replace(textured_cube("scan.obj"), vertex_colors=np.full((8, 3), 0.5)))
+    write_image(place / "own.png", np.zeros((32, 32, 3), dtype=np.uint8))
+    masked = {"target_mask": "red", "mask_edge": 0.2, "bases": (("", place / "own.png"),), "size": 32}
+    baked = {
+        kind: transfer(f"{kind}.png", bake=("colors",), detail=place / "scan.obj", filter=kind, **masked)[0]
+        for kind in ("smooth", "nearest")
+    }
+    assert len(np.unique(baked["smooth"])) > 3
+    np.testing.assert_array_equal(baked["nearest"], baked["smooth"])

@@ -42,6 +42,7 @@ from cagemap.transfer.rays import ambient_occlusion
 from cagemap.transfer.texels import texel_coordinates
 
 from command_line import Run
+from refusals import refuses
 from transfer_scenes import crossed_cube, identity_map, plane
 
 SIZE = 64
@@ -93,8 +94,7 @@ def test_a_height_field_over_a_plane_gives_its_heights_and_its_slopes(flat: Leve
     assert np.einsum("kd,kd->k", normals.reshape(-1, 3), expected).min() > 0.999
     down = bake_detail_normals(transfer, wavy, size=SIZE, green="down", dtype=np.float32, options=PLAIN)
     np.testing.assert_allclose(2.0 * down - 1.0, normals * (1, -1, 1), atol=1e-6)
-    with pytest.raises(ParameterError, match="up or down"):
-        bake_detail_normals(transfer, wavy, size=SIZE, green="left", options=PLAIN)  # type: ignore[arg-type]
+    refuses(ParameterError, "up or down", bake_detail_normals, transfer, wavy, size=SIZE, green="left", options=PLAIN)
 
 
 @pytest.mark.parametrize("space", ["tangent", "object"])
@@ -293,16 +293,14 @@ def test_occlusion_is_the_hidden_part_of_the_sky() -> None:
 def test_without_embreex_occlusion_says_so(monkeypatch: pytest.MonkeyPatch, wavy: Detail) -> None:
     monkeypatch.setitem(sys.modules, "embreex", None)
     monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
-    with pytest.raises(MissingLibraryError, match="ambient occlusion"):
-        ambient_occlusion(wavy.surface)
+    refuses(MissingLibraryError, "ambient occlusion", ambient_occlusion, wavy.surface)
 
 
 def test_detail_elsewhere_is_refused(flat: Level) -> None:
     surface = own_transfer(flat).point_map.source
     fine = plane(20, 20)
     for places in (100.0 * fine.positions + np.array([0, 0, 30]), fine.positions + np.array([5.0, 0, 0])):
-        with pytest.raises(ParameterError, match="lies on the source"):
-            detail_over(surface, places, triangles(np.asarray(fine.faces)))
+        refuses(ParameterError, "lies on the source", detail_over, surface, places, triangles(np.asarray(fine.faces)))
 
 
 @pytest.mark.slow
@@ -329,23 +327,25 @@ def test_through_the_command_line(run: Run, result_folder: Path) -> None:
     normals = read_image(place / "o_normal.png").pixels / 65535
     assert (2 * normals[:, :, 2] - 1).mean() > 0.7
     assert normals[:, :, 0].std() > 0.01
-    assert run("wrap R -o w.obj --detail high.obj").code
+    run.refused("wrap R -o w.obj --detail high.obj", says="expected an image to bake")
     u, v = np.meshgrid((np.arange(256) + 0.5) / 256, 1 - (np.arange(256) + 0.5) / 256)
     write_image(place / "skin.png", np.rint(255 * np.stack([u, v, u * 0], axis=2)).astype(np.uint8))
     write_mesh(place / "scan.obj", detailed.with_uvs(colors[:, :2], faces.ravel()))
     own = ("--detail", "scan.obj", "--size", "64")
-    assert run("transfer R --bake texture", *own, "-o", "t.png").code
-    assert run("transfer R --bake normal --detail-texture skin.png", *own, "-o", "t.png").code
+    run.refused("transfer R --bake texture", *own, "-o", "t.png", says="expected both or neither")
+    run.refused(
+        "transfer R --bake normal --detail-texture skin.png", *own, "-o", "t.png", says="expected both or neither"
+    )
     run.done("transfer R --bake texture --detail-texture skin.png", *own, "-o", "t.png")
     baked, expected = (read_image(place / name).pixels.astype(float) for name in ("t.png", "o_colors.png"))
     assert np.median(np.abs(baked - expected)[:, :, :2]) < 2
     spots = np.random.default_rng(8).integers(0, 2, (256, 256, 1), dtype=np.uint8) * np.uint8(77)
     write_image(place / "spots.png", spots)
     asked = ("transfer", "R", "--bake", "texture", "--detail-texture", "spots.png", *own, "-o", "s.png", "--filter")
-    assert not run(*asked, "nearest").code
+    run.done(*asked, "nearest")
     assert set(np.unique(read_image(place / "s.png").pixels)) == {0, 77}
     assert "for '--filter'" in run(*asked, "cubic").err
-    assert run("wrap R -o w.obj --detail-texture skin.png --baked b.png").code
+    run.refused("wrap R -o w.obj --detail-texture skin.png --baked b.png", says="expected --detail, and no --texture")
     run.done("wrap R -o w2.obj --detail-texture skin.png --baked b.png", *own)
     assert read_image(place / "b.png").pixels.shape == (64, 64, 3)
     done = run.done("wrap R -o w.obj --normal-map wn.png --vector-displacement wv.exr --size 64")

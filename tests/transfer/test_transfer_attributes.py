@@ -28,6 +28,7 @@ from cagemap.transfer import (
 )
 from cagemap.transfer.vectors import bake_vector_displacement
 
+from refusals import refuses
 from transfer_scenes import crossed_cube, identity_map, plane, plane_map
 
 
@@ -86,8 +87,7 @@ def test_grey_in_colour_channels_is_taken_and_colour_refused(tripled: Transfer) 
     np.testing.assert_array_equal(bake_displacement(tripled, with_alpha, size=20).pixels, grey)
     colour = with_alpha.copy()
     colour[3, 4, 1] ^= 128
-    with pytest.raises(ParameterError, match="vector displacement"):
-        bake_displacement(tripled, colour, size=20)
+    refuses(ParameterError, "vector displacement", bake_displacement, tripled, colour, size=20)
 
 
 def test_vertex_values_keep_bounds_sums_and_linear_functions() -> None:
@@ -99,15 +99,13 @@ def test_vertex_values_keep_bounds_sums_and_linear_functions() -> None:
     np.testing.assert_allclose(pulled.sum(axis=1), 1, rtol=0, atol=1e-12)
     linear = transfer.point_map.pull_back(source.positions @ (1.0, -2.0, 0.0))
     np.testing.assert_allclose(linear, (0.2 + 0.7 * target.positions[:, :2]) @ (1.0, -2.0), rtol=0, atol=1e-12)
-    with pytest.raises(ParameterError, match="a value for each of the"):
-        transfer.point_map.pull_back(weights[:-1])
+    refuses(ParameterError, "a value for each of the", transfer.point_map.pull_back, weights[:-1])
 
 
 def test_face_values_of_another_mesh_are_refused() -> None:
     level = refine(cube(), 3).finest
     transfer = prepare_transfer(level, level, identity_map(level))
-    with pytest.raises(ParameterError, match="one for every control face"):
-        pull_back_faces(transfer, np.arange(5))
+    refuses(ParameterError, "one for every control face", pull_back_faces, transfer, np.arange(5))
 
 
 def test_a_face_over_several_takes_the_largest_label_and_the_mean_value() -> None:
@@ -122,7 +120,6 @@ def test_a_face_over_several_takes_the_largest_label_and_the_mean_value() -> Non
 
 def test_a_target_face_without_area_takes_the_value_at_its_image() -> None:
     source = plane(4, 4)
-    assert source.faces is not None
     positions = source.positions.copy()
     positions[source.faces[5]] = positions[source.faces[5, 0]]
     surfaces = (TriangleSurface.from_faces(places, source.faces) for places in (positions, source.positions))
@@ -188,8 +185,7 @@ def test_srgb_encoding_has_its_known_values() -> None:
 
 def test_face_colours_come_from_materials() -> None:
     shape: ControlMesh = cube()
-    with pytest.raises(ParameterError, match=r"\.mtl"):
-        face_colors(shape)
+    refuses(ParameterError, r"\.mtl", face_colors, shape)
     materials = np.array([0, 1, 1, 0, 0, 1])
     known = replace(
         shape,
@@ -249,23 +245,17 @@ def test_columns_may_be_separated_as_spreadsheets_do(tmp_path: Path, delimiter: 
 )
 def test_bad_attribute_files_are_refused(tmp_path: Path, name: str, content: bytes, message: str) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(FormatError, match=message):
-        read_attributes(tmp_path / name)
+    refuses(FormatError, message, read_attributes, tmp_path / name)
 
 
 def test_attributes_that_do_not_fit_their_file_are_refused(tmp_path: Path) -> None:
     two = {"a": np.zeros(2), "b": np.zeros(3)}
-    with pytest.raises(FormatError, match="one array"):
-        write_attributes(tmp_path / "a.npy", two)
-    with pytest.raises(FormatError, match="equally many"):
-        write_attributes(tmp_path / "a.csv", two)
-    with pytest.raises(FormatError, match="no such file"):
-        read_attributes(tmp_path / "none.csv")
+    refuses(FormatError, "one array", write_attributes, tmp_path / "a.npy", two)
+    refuses(FormatError, "equally many", write_attributes, tmp_path / "a.csv", two)
+    refuses(FormatError, "no such file", read_attributes, tmp_path / "none.csv")
     np.save(tmp_path / "words.npy", np.array(["a", "b"]))
-    with pytest.raises(FormatError, match="expected numbers"):
-        read_attributes(tmp_path / "words.npy")
+    refuses(FormatError, "expected numbers", read_attributes, tmp_path / "words.npy")
     np.save(tmp_path / "vast.npy", np.array([2**63], np.uint64))
-    with pytest.raises(FormatError, match="below 2\\^63"):
-        read_attributes(tmp_path / "vast.npy")
+    refuses(FormatError, "below 2\\^63", read_attributes, tmp_path / "vast.npy")
     (tmp_path / "long.csv").write_text("x\n12345678901234567890\n1\n")
     np.testing.assert_array_equal(read_attributes(tmp_path / "long.csv")["x"], [1.2345678901234567e19, 1.0])

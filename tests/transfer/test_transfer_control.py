@@ -18,13 +18,7 @@ from cagemap.subdivision.face_varying import corner_triangles, interpolate_linea
 from cagemap.subdivision.refinement import truncate_refinement
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.transfer import (
-    carry_uvs,
-    combine,
-    control_weights,
-    corner_weights,
-    prepare_transfer,
-)
+from cagemap.transfer import carry_uvs, combine, control_weights, corner_weights, prepare_transfer
 
 from transfer_scenes import identity_map
 
@@ -103,8 +97,6 @@ def stacked(control: ControlMesh, rows: int) -> ControlMesh:
 def test_values_that_vertices_share_are_interpolated_on_each_of_their_faces(shape, level: int) -> None:
     control = stacked(shape(), 5)
     refined = refine(control, level)
-    assert control.uvs is not None
-    assert control.uv_indices is not None
     values, nodes = merged_corners(control.face_indices, control.uvs[control.uv_indices])
     linear = interpolate_linearly(control, nodes, len(values), level, refined.scheme)
     assert linear.matrix.data.min() > 0

@@ -48,14 +48,16 @@ def test_colours_come_back(crumpled: Level) -> None:
     np.testing.assert_array_equal(baked[inside], texture[inside])
 
 
+@pytest.mark.parametrize(("green", "dtype"), [("up", np.uint8), ("down", np.uint16)])
 @pytest.mark.parametrize("space", ["tangent", "object"])
-def test_directions_come_back(crumpled: Level, space: str) -> None:
+def test_directions_come_back(crumpled: Level, space: str, green: str, dtype: type) -> None:
     transfer = prepare_transfer(crumpled, crumpled, identity_map(crumpled))
     rng = np.random.default_rng(1)
     vectors = normalize_rows(rng.standard_normal((SIZE * SIZE, 3)) + np.array([0.0, 0.0, 2.0])).reshape(SIZE, SIZE, 3)
     inside = covered(crumpled, SIZE)
-    normals = np.rint((0.5 * vectors + 0.5) * 255).astype(np.uint8)
-    baked = bake_normal_map(transfer, normals, size=SIZE, space=space)
+    normals = np.rint((0.5 * vectors + 0.5) * np.iinfo(dtype).max).astype(dtype)
+    baked = bake_normal_map(transfer, normals, size=SIZE, space=space, green=green)
+    # Rounded vectors are not of unit length; normalising them moves a value by one level at most.
     assert np.abs(baked[inside].astype(int) - normals[inside]).max() <= 1
     moved = bake_vector_displacement(transfer, vectors.astype(np.float32), size=SIZE, space=space)
     np.testing.assert_allclose(moved.pixels[inside], vectors[inside], rtol=0, atol=1e-6)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from examples.shapes import torus
@@ -12,19 +10,13 @@ from cagemap.errors import ParameterError
 from cagemap.mesh.control_mesh import MIN_UV_AREA, ControlMesh
 from cagemap.subdivision import Level, refine
 from cagemap.surface.triangles import triangle_areas, triangle_neighbors
-from cagemap.transfer import (
-    BakeOptions,
-    bake_face_colors,
-    bake_texture,
-    prepare_transfer,
-    target_tiles,
-    unwrap,
-)
+from cagemap.transfer import BakeOptions, bake_face_colors, bake_texture, prepare_transfer, target_tiles, unwrap
 from cagemap.transfer import baking as bake_module
 from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.textured_surface import TexturedSurface
 
 from bake_images import BARE, noise, ramps
+from refusals import refuses
 from transfer_reference import look_up_slowly
 from transfer_scenes import crossed_cube, face_texture, identity_map, plane, plane_map
 
@@ -176,17 +168,21 @@ def test_background_takes_the_nearest_island() -> None:
 
 def test_udim_tiles_of_the_source_and_of_the_target() -> None:
     plain, size = plane(8, 8), 48
-    wide = plane(8, 8, lambda points: points * (2, 1))
-    texture = noise(size, 2 * size, 3, "uint8")
-    tiles = {1001: texture[:, :size], 1002: texture[:, size:]}
+    wide = plane(8, 8, lambda points: points * 2)
+    texture = noise(2 * size, 2 * size, 3, "uint8")
+    upper, lower = np.split(texture, 2)
+    quarters = *np.split(lower, 2, axis=1), *np.split(upper, 2, axis=1)
+    tiles = dict(zip((1001, 1002, 1011, 1012), quarters, strict=True))
     transfer = prepare_transfer(plain, wide, identity_map(plain))
-    expected = bake_texture(prepare_transfer(plain, plain, identity_map(plain)), texture, size=(size, 2 * size))
-    baked = bake_texture(transfer, tiles, size=(size, 2 * size))
+    expected = bake_texture(prepare_transfer(plain, plain, identity_map(plain)), texture, size=2 * size)
+    baked = bake_texture(transfer, tiles, size=2 * size)
     # At the border between two tiles the bilinear filter is cut off.
     np.testing.assert_array_equal(baked, expected)
 
     assert target_tiles(TexturedSurface.from_level(plain)) == [0]
-    assert target_tiles(TexturedSurface.from_level(wide)) == [1001, 1002]
+    assert target_tiles(TexturedSurface.from_level(wide)) == sorted(tiles)
+    holes = (wide.uvs[wide.uv_indices] <= 1).all(axis=(1, 2))
+    assert target_tiles(TexturedSurface.from_level(wide, holes)) == sorted(tiles)[1:]
     back = prepare_transfer(wide, plain, identity_map(plain))
     for tile, pixels in tiles.items():
         part = bake_texture(back, texture, size=size, options=BakeOptions(tile=tile))
@@ -218,9 +214,7 @@ def test_missing_tiles_and_islands_outside_the_grid_are_refused() -> None:
         (lambda points: points, 1002, "UDIM tile 1002, got 32 triangles"),
     ],
 )
-def test_a_layout_that_covers_nothing_is_refused(
-    layout: Callable[[np.ndarray], np.ndarray], tile: int, found: str
-) -> None:
+def test_a_layout_that_covers_nothing_is_refused(layout, tile, found):
     plain, target = plane(4, 4), plane(4, 4, layout)
     transfer = prepare_transfer(target, plain, identity_map(plain))
     with pytest.raises(ParameterError, match=found):
@@ -239,7 +233,6 @@ def test_the_least_area_of_a_layout_is_the_same_for_a_mesh_and_for_a_bake(share:
 
 def test_tiles_that_only_points_lie_in_are_none() -> None:
     level = plane(4, 4)
-    assert level.layout is not None
     uvs, corners = level.layout
     corners = corners.copy()
     corners[0] = len(uvs)
@@ -249,23 +242,16 @@ def test_tiles_that_only_points_lie_in_are_none() -> None:
 
 def test_wrong_input_is_refused_with_its_remedy() -> None:
     level = plane(4, 4)
-    assert level.faces is not None
     naked = Level(level.positions, level.faces, level.face_parents)
     texture = noise(8, 8, 3, "uint8")
     with pytest.raises(ParameterError, match="`unwrap`"):
         bake_texture(prepare_transfer(naked, level, identity_map(level)), texture, size=8)
-    with pytest.raises(ParameterError, match="target and source exchanged"):
-        prepare_transfer(plane(3, 3), level, identity_map(level))
-    with pytest.raises(ParameterError, match="target and source exchanged"):
-        prepare_transfer(level, plane(1, 1), identity_map(level))
+    refuses(ParameterError, "target and source exchanged", prepare_transfer, plane(3, 3), level, identity_map(level))
+    refuses(ParameterError, "target and source exchanged", prepare_transfer, level, plane(1, 1), identity_map(level))
     transfer = prepare_transfer(level, level, identity_map(level))
-    with pytest.raises(ParameterError, match="size: expected"):
-        bake_texture(transfer, texture, size=0)
-    with pytest.raises(ParameterError, match="image of shape"):
-        bake_texture(transfer, texture[None], size=8)
-    with pytest.raises(ParameterError, match="unsigned integers or floats"):
-        bake_texture(transfer, texture.astype(np.int32), size=8)
-    with pytest.raises(ParameterError, match="supersample"):
-        bake_texture(transfer, texture, size=8, options=BakeOptions(supersample=99))
+    refuses(ParameterError, "size: expected", bake_texture, transfer, texture, size=0)
+    refuses(ParameterError, "image of shape", bake_texture, transfer, texture[None], size=8)
+    refuses(ParameterError, "unsigned integers or floats", bake_texture, transfer, texture.astype(np.int32), size=8)
+    refuses(ParameterError, "supersample: expected 1 to 16", BakeOptions, supersample=99)
     with pytest.raises(ParameterError, match="refine it once"):
         prepare_transfer(Level(level.positions, None, level.face_parents), level, identity_map(level))

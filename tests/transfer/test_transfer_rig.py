@@ -32,6 +32,7 @@ from cagemap.transfer.skin import (
     with_chosen_joints,
 )
 
+from refusals import refuses
 from transfer_scenes import same_vertices, surface_of
 
 
@@ -67,8 +68,7 @@ def test_untrusted_vertices_are_filled_in_between_their_neighbours(ring: Refinem
     np.testing.assert_array_equal(filled[known], values[known])
     assert filled.min() >= 0
     np.testing.assert_allclose(filled.sum(axis=1), 1, rtol=0, atol=1e-6)
-    with pytest.raises(ParameterError, match="trusted nowhere"):
-        fill_unknown(values, net_of(ring.control), np.zeros(n, dtype=bool))
+    refuses(ParameterError, "trusted nowhere", fill_unknown, values, net_of(ring.control), np.zeros(n, dtype=bool))
 
 
 def test_skin_that_is_none_is_refused(ring: Refinement) -> None:
@@ -81,10 +81,8 @@ def test_skin_that_is_none_is_refused(ring: Refinement) -> None:
         (np.ones((n - 1, 1)), "one a vertex"),
         (unknown, r"first \[3\]"),
     ):
-        with pytest.raises(ParameterError, match=message):
-            carry_skin(weights, skin, net, everywhere)
-    with pytest.raises(ParameterError, match="influences"):
-        carry_skin(weights, np.ones((n, 1)), net, everywhere, influences=0)
+        refuses(ParameterError, message, carry_skin, weights, skin, net, everywhere)
+    refuses(ParameterError, "influences", carry_skin, weights, np.ones((n, 1)), net, everywhere, influences=0)
 
 
 def test_weights_whose_sums_are_a_little_off_are_normalised_and_said(ring: Refinement) -> None:
@@ -100,8 +98,7 @@ def test_weights_whose_sums_are_a_little_off_are_normalised_and_said(ring: Refin
     assert "from 0.999 to 1.059" in said
     assert normalise_skin(skin) == (pytest.approx(skin, abs=0), "")
     for wrong in (0.85 * skin, 2 * skin, 100 * skin):
-        with pytest.raises(ParameterError, match=r"0\.9 to 1\.1 is normalised"):
-            normalise_skin(wrong)
+        refuses(ParameterError, r"0\.9 to 1\.1 is normalised", normalise_skin, wrong)
 
 
 def test_joints_follow_an_affine_map_exactly(ring: Refinement) -> None:
@@ -121,8 +118,7 @@ def test_a_shape_of_zeros_stays_zero(ring: Refinement) -> None:
     np.testing.assert_allclose(carry_shape(carrier, 0 * shape), 0, rtol=0, atol=1e-12)
     # Constants have no gradient, so that the sum is the anchor's: the ridge is nothing beside it.
     assert 0 < carrier.ridge.sum() < 1e-6 * carrier.matrix.sum()
-    with pytest.raises(ParameterError, match="one a control vertex"):
-        carry_shape(carrier, shape[1:])
+    refuses(ParameterError, "one a control vertex", carry_shape, carrier, shape[1:])
 
 
 def test_shapes_turn_and_scale_with_the_target(ring: Refinement) -> None:
@@ -193,8 +189,7 @@ def test_maps_come_back_from_files(tmp_path: Path, ring: Refinement, suffix: str
     again = read_images(file, surface)
     atol = 0.2 if suffix in (".npy", ".vts") else 1e-12  # those hold vertices only
     np.testing.assert_allclose(again.positions, point_map.images.positions, rtol=0, atol=atol)
-    with pytest.raises(FormatError, match="each vertex of the target"):
-        dense_map(again.at(slice(100)), ring, surface)
+    refuses(FormatError, "each vertex of the target", dense_map, again.at(slice(100)), ring, surface)
 
 
 def test_a_map_file_says_which_level_its_triangles_are_of(tmp_path: Path, ring: Refinement) -> None:
@@ -204,17 +199,14 @@ def test_a_map_file_says_which_level_its_triangles_are_of(tmp_path: Path, ring: 
     coarse = surface_of(ring.up_to(1))
     write_map(file, PointMap.from_vertices(coarse, coarse, np.arange(coarse.n)))
     assert source_level(file, ring) == 1
-    with pytest.raises(FormatError, match=f"those of the file are of one with {coarse.n}"):
-        read_images(file, surface)
+    refuses(FormatError, f"those of the file are of one with {coarse.n}", read_images, file, surface)
     for damaged in ({"shape": np.zeros(0)}, {"triangle": np.zeros(0), "source_size": np.zeros(0)}):
         write_npz(file, damaged)
         assert source_level(file, ring) is None
 
 
 @pytest.mark.slow
-def test_dense_matrices_are_read_where_they_are_small(
-    tmp_path: Path, ring: Refinement, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_dense_matrices_are_read_where_they_are_small(tmp_path, ring, monkeypatch):
     surface, file = surface_of(ring), tmp_path / "map.mtx"
     t = np.random.default_rng(3).integers(0, len(surface.triangles), surface.n)
     point_map = PointMap.from_arrays(surface, surface, t, np.tile([0.5, 0.25, 0.25], (surface.n, 1)))
@@ -232,8 +224,7 @@ def test_dense_matrices_are_read_where_they_are_small(
         ("", "found not enough values"),
     ):
         file.write_text(head + text)
-        with pytest.raises(FormatError, match=found):
-            read_images(file, surface)
+        refuses(FormatError, found, read_images, file, surface)
 
 
 def test_a_map_of_control_vertices_is_refined(ring: Refinement) -> None:
@@ -248,15 +239,20 @@ def test_a_map_of_control_vertices_is_refined(ring: Refinement) -> None:
 def test_what_is_no_map_is_refused(tmp_path: Path, ring: Refinement) -> None:
     surface = surface_of(ring)
     np.save(tmp_path / "far.npy", np.array([0, surface.n]))
-    with pytest.raises(ParameterError, match="vertices 0 to"):
-        read_images(tmp_path / "far.npy", surface)
+    refuses(ParameterError, "vertices 0 to", read_images, tmp_path / "far.npy", surface)
     np.save(tmp_path / "floats.npy", np.ones(3))
     (tmp_path / "a.vts").write_text("1\ntwo\n")
     np.savez(tmp_path / "a.npz", x=np.ones(3))
     (tmp_path / "a.mtx").write_text("no matrix")
-    for name in ("floats.npy", "a.vts", "a.npz", "a.mtx", "a.txt", "missing.npy"):
-        with pytest.raises(FormatError):
-            read_images(tmp_path / name, surface)
+    for name, words in (
+        ("floats.npy", "list of whole numbers, .* float64"),
+        ("a.vts", "one vertex number a line, .* 'two'"),
+        ("a.npz", "'triangle' and 'barycentric', .* found x"),
+        ("a.mtx", "a sparse matrix .*'no matrix'"),
+        ("a.txt", r"\.vts, got \.txt"),
+        ("missing.npy", "no such file"),
+    ):
+        refuses(FormatError, words, read_images, tmp_path / name, surface)
 
 
 def test_a_bound_mesh_follows_its_base(tmp_path: Path) -> None:
@@ -277,8 +273,7 @@ def test_a_bound_mesh_follows_its_base(tmp_path: Path) -> None:
     ends = scales[:, :2].astype(int)
     again = Binding(table[:, :3].astype(int), table[:, 3:6], table[:, 6:], ends, scales[:, 2])
     np.testing.assert_array_equal(again.positions(stretched), fitting.positions(stretched))
-    with pytest.raises(FormatError, match="mhclo"):
-        write_mhclo(tmp_path / "a.txt", fitting, Path("a.obj"))
+    refuses(FormatError, "mhclo", write_mhclo, tmp_path / "a.txt", fitting, Path("a.obj"))
 
 
 def test_chosen_joints_are_carried_and_others_share_the_rest() -> None:
@@ -293,10 +288,8 @@ def test_chosen_joints_are_carried_and_others_share_the_rest() -> None:
     shares = mixed[others, 2:] / mixed[others, 2:].sum(axis=1, keepdims=True)
     np.testing.assert_allclose(shares, own[others, 2:] / own[others, 2:].sum(axis=1, keepdims=True), atol=1e-12)
     np.testing.assert_array_equal(with_chosen_joints(carried, own, np.arange(5)), carried)
-    with pytest.raises(ParameterError, match=r"joints: expected 0 to 4, got \[5\]"):
-        with_chosen_joints(carried, own, np.array([5]))
-    with pytest.raises(ParameterError, match="one shape"):
-        with_chosen_joints(carried, own[1:], np.array([0]))
+    refuses(ParameterError, r"joints: expected 0 to 4, got \[5\]", with_chosen_joints, carried, own, np.array([5]))
+    refuses(ParameterError, "one shape", with_chosen_joints, carried, own[1:], np.array([0]))
 
 
 def test_mirrored_weights_are_symmetric() -> None:

@@ -21,6 +21,16 @@ from command_line import Run
 from example_result import identity_result, textured_cube
 
 
+def write_weights(place: Path, names: list[str], **tables: np.ndarray) -> None:
+    for file, table in tables.items():
+        np.savetxt(place / f"{file}.csv", table, delimiter=",", header=",".join(names), comments="")
+
+
+def read_weights(file: Path, names: list[str]) -> np.ndarray:
+    with np.load(file) as carried:
+        return np.column_stack([carried[name] for name in names])
+
+
 def test_joints_and_shapes_grow_with_the_target(run: Run, result_folder: Path) -> None:
     place, result = result_folder.parent, read_result(result_folder)
     joints = [
@@ -47,12 +57,10 @@ def test_joints_and_shapes_grow_with_the_target(run: Run, result_folder: Path) -
 def test_weights_at_a_soft_mask_edge_have_no_more_joints_than_asked(run: Run, result_folder: Path) -> None:
     place, names = result_folder.parent, ["a", "b", "c", "d"]
     given, own = np.tile([0.7, 0.3, 0.0, 0.0], (8, 1)), np.tile([0.0, 0.1, 0.5, 0.4], (8, 1))
-    for name, table in (("w.csv", given), ("own.csv", own)):
-        np.savetxt(place / name, table, delimiter=",", header=",".join(names), comments="")
+    write_weights(place, names, w=given, own=own)
     np.save(place / "soft.npy", np.linspace(0.0, 1.0, 8))
     said = run.done("transfer R --weights w.csv --base own.csv --target-mask soft.npy --influences 2 -o soft.npz")
-    with np.load(place / "soft.npz") as carried:
-        table = np.column_stack([carried[name] for name in names])
+    table = read_weights(place / "soft.npz", names)
     assert (table > 0).sum(axis=1).max() == 2
     np.testing.assert_allclose(table.sum(axis=1), 1.0, atol=1e-12)
     assert "at most 2 a vertex" in said.out
@@ -62,21 +70,17 @@ def test_weights_of_some_joints_and_of_both_sides_alike(run: Run, result_folder:
     place, rng = result_folder.parent, np.random.default_rng(8)
     names = ["spine", "arm.L", "arm.R"]
     given, own = rng.dirichlet(np.ones(3), 8), rng.dirichlet(np.ones(3), 8)
-    for name, table in (("w.csv", given), ("own.csv", own)):
-        np.savetxt(place / name, table, delimiter=",", header=",".join(names), comments="")
+    write_weights(place, names, w=given, own=own)
     run.done("transfer R --weights w.csv --only", "arm.L, arm.R", "--base", "own.csv", "-o", "o.npz")
-    with np.load(place / "o.npz") as carried:
-        table = np.column_stack([carried[name] for name in names])
+    table = read_weights(place / "o.npz", names)
     np.testing.assert_allclose(table, with_chosen_joints(given, own, np.array([1, 2])), atol=1e-9)
     run.done("transfer R --weights w.csv --only spine --base own.csv --influences 2 -o two.npz")
-    with np.load(place / "two.npz") as carried:
-        table = np.column_stack([carried[name] for name in names])
+    table = read_weights(place / "two.npz", names)
     assert ((table > 0).sum(axis=1) <= 2)[table[:, 0] > 0].all()
     np.testing.assert_allclose(table.sum(axis=1), 1.0, atol=1e-12)
     run.done("transfer R --weights w.csv --mirror -o m.npz")
     control = identity_result().target.control
-    with np.load(place / "m.npz") as carried:
-        table = np.column_stack([carried[name] for name in names])
+    table = read_weights(place / "m.npz", names)
     swapped = table[:, [0, 2, 1]]
     assert any(np.abs(swapped[mirror.image] - table).max() < 1e-9 for mirror in mirror_symmetries(control))
 
@@ -86,8 +90,7 @@ def test_a_user_sees_that_weights_were_normalised(run: Run, result_folder: Path)
     (place / "w.csv").write_text("hip,knee\n" + "\n".join(["0.5,0.499"] * 8))
     outcome = run.done("transfer R --weights w.csv -o out.npz")
     assert "w.csv: weights of 8 of 8 vertices did not sum to 1" in outcome.err
-    with np.load(place / "out.npz") as carried:
-        np.testing.assert_allclose(carried["hip"], 0.5 / 0.999, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(read_weights(place / "out.npz", ["hip"]), 0.5 / 0.999, rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow
@@ -120,21 +123,17 @@ def test_vertex_groups_come_back_under_the_identity(run: Run, result_folder: Pat
 def test_rows_without_a_chosen_joint_keep_all_their_influences(run: Run, result_folder: Path) -> None:
     place, names = result_folder.parent, ["a", "b", "c", "d"]
     given, own = np.tile([0.0, 1.0, 0.0, 0.0], (8, 1)), np.tile([0.0, 0.2, 0.3, 0.5], (8, 1))
-    for name, table in (("w.csv", given), ("own.csv", own)):
-        np.savetxt(place / name, table, delimiter=",", header=",".join(names), comments="")
+    write_weights(place, names, w=given, own=own)
     run.done("transfer R --weights w.csv --only a --base own.csv --influences 2 -o kept.npz")
-    with np.load(place / "kept.npz") as carried:
-        np.testing.assert_allclose(np.column_stack([carried[name] for name in names]), own, atol=1e-12)
+    np.testing.assert_allclose(read_weights(place / "kept.npz", names), own, atol=1e-12)
 
 
 @pytest.mark.parametrize("weights", ["w.csv", "w.usda"])
 @pytest.mark.parametrize("words", ["--only a,b,c --target-mask half.npy", "--target-mask half.npy", "--only c"])
-def test_weights_of_a_base_are_paired_by_the_names_of_its_joints(
-    run: Run, result_folder: Path, weights: str, words: str
-) -> None:
+def test_weights_of_a_base_are_paired_by_the_names_of_its_joints(run, result_folder, weights, words):
     place, names = result_folder.parent, ["a", "b", "c"]
     own, given = np.tile([0.2, 0.3, 0.5], (8, 1)), np.tile([0.25, 0.25, 0.5], (8, 1))
-    np.savetxt(place / "w.csv", given, delimiter=",", header=",".join(names), comments="")
+    write_weights(place, names, w=given)
     np.save(place / "half.npy", np.full(8, 0.5))
     control = read_result(result_folder).target.control
     for file, order, table in (("w.usda", [0, 1, 2], given), ("base.usda", [2, 0, 1], own), ("less.usda", [2, 0], own)):
@@ -144,9 +143,8 @@ def test_weights_of_a_base_are_paired_by_the_names_of_its_joints(
         )
         write_usd(place / file, control, skin)
     run.done(f"transfer R --weights {weights} --base base.usda {words} -o named.npz")
-    with np.load(place / "named.npz") as carried:
-        expected = (own + given) / 2 if "mask" in words else own
-        np.testing.assert_allclose(np.column_stack([carried[name] for name in names]), expected, atol=1e-6)
+    expected = (own + given) / 2 if "mask" in words else own
+    np.testing.assert_allclose(read_weights(place / "named.npz", names), expected, atol=1e-6)
     run.refused(
         f"transfer R --weights {weights} --base less.usda {words} -o never.npz", says="expected weights of the joints b"
     )

@@ -19,6 +19,7 @@ from cagemap.surface.triangles import triangle_areas, triangle_neighbors
 from cagemap.transfer.packing import pack_islands
 from cagemap.transfer.unwrap import _is_convex, _outline, unwrap
 
+from refusals import refuses
 from transfer_scenes import check_distance, check_layout, islands_of
 
 SHAPES = {
@@ -48,10 +49,8 @@ def test_animals_with_bent_and_concave_polygons(shared_data: Path, name: str) ->
     check_layout(control)
     # Density: areas in the layout are those of the surface, up to what flattening costs a polygon.
     level = refine(control, 2).finest
-    assert level.faces is not None
     area = triangle_areas(level.positions, triangles(level.faces))
     solid = np.bincount(np.repeat(level.face_parents, 2), area)
-    assert control.uv_indices is not None
     loops = control.uvs[control.uv_indices]
     cross = loops[:, 0] * loops[control.next_corners, 1] - loops[:, 1] * loops[control.next_corners, 0]
     flat = 0.5 * np.add.reduceat(cross, control.face_offsets[:-1])
@@ -77,7 +76,6 @@ def test_concave_polygons_become_convex_ones() -> None:
 def test_animals_come_in_few_islands(shared_data: Path) -> None:
     control = unwrap(read_obj(shared_data / "animals" / "spot.obj"))
     level = refine(control, 1).finest
-    assert level.uv_indices is not None
     # 29 now, for 180 bent polygons; 59 and more without smoothing, or if mirrored charts are taken apart.
     assert len(np.unique(islands_of(triangle_neighbors(triangles(level.uv_indices))))) <= 35
 
@@ -160,10 +158,8 @@ def test_degenerate_polygons_get_a_spot_of_their_own() -> None:
 
 
 def test_nothing_to_unwrap_is_refused() -> None:
-    with pytest.raises(InvalidMeshError, match="to unwrap"):
-        unwrap(cube().with_positions(np.zeros((8, 3))))
-    with pytest.raises(InvalidMeshError, match="to unwrap"):
-        unwrap(ControlMesh.from_faces(np.zeros((0, 3)), []))
+    refuses(InvalidMeshError, "to unwrap", unwrap, cube().with_positions(np.zeros((8, 3))))
+    refuses(InvalidMeshError, "to unwrap", unwrap, ControlMesh.from_faces(np.zeros((0, 3)), []))
 
 
 @pytest.mark.parametrize("padding", [-0.1, 0.5, 0.9, 2.0, np.nan])

@@ -1,4 +1,4 @@
-"""UDIM sets in and out, what overhangs a tile, filtering, and the texture that comes back to its own asset."""
+"""UDIM sets in and out, and what overhangs a tile."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from cagemap.files.images.image import (
 )
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
-from cagemap.subdivision import Level, refine
+from cagemap.subdivision import refine
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.tasks.bake_tiles import layout_tiles
-from cagemap.transfer import BakeOptions, Transfer, bake_texture, prepare_transfer, target_tiles
+from cagemap.transfer import prepare_transfer, target_tiles
 from cagemap.transfer.texture import OVERHANG, tile_cells
 from cagemap.transfer.textured_surface import TexturedSurface
 
@@ -36,27 +36,8 @@ def _tiled_grid(columns: int, rows: int, margin: float = 0.02) -> ControlMesh:
     return mesh.with_positions(bent).with_uvs(uvs, np.arange(4 * mesh.n_faces))
 
 
-def _identity(target: Level, source: Level) -> Transfer:
-    surfaces = [TriangleSurface.from_faces(level.positions, level.faces) for level in (target, source)]
-    return prepare_transfer(target, source, PointMap.from_vertices(*surfaces, np.arange(target.n_vertices)))
-
-
 def _noise(size: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (size, size, 3), dtype=np.uint8)
-
-
-@pytest.mark.slow
-def test_an_asset_onto_itself_gives_back_its_tiles() -> None:
-    level = refine(_tiled_grid(3, 2), 4).finest
-    tiles = {1001 + column + 10 * row: _noise(256, column + 3 * row) for row in range(2) for column in range(3)}
-    assert target_tiles(TexturedSurface.from_level(level)) == sorted(tiles)
-    assert target_tiles(TexturedSurface.from_level(level, level.face_parents == 0)) == sorted(tiles)[1:]  # a hole
-    transfer = _identity(level, level)
-    for number, pixels in tiles.items():
-        baked = bake_texture(transfer, tiles, size=256, options=BakeOptions(tile=number))
-        inside = slice(7, 249)  # the layout covers 2 % to 98 % of a tile
-        off = np.abs(baked[inside, inside].astype(int) - pixels[inside, inside].astype(int)).max(axis=2)
-        assert np.mean(off <= 1) >= 0.999
 
 
 def test_what_overhangs_a_tile_by_a_rounding_does_not_become_two() -> None:

@@ -21,7 +21,7 @@ class Skeleton:
     axes: FloatArray | None = None
 
     def transformed(self, matrix: FloatArray) -> Skeleton:
-        """The skeleton transformed by a (4, 4) matrix for points as rows; the volume of its axes stays."""
+        """The skeleton transformed by a (4, 4) matrix for points as rows; axes are turned, not scaled."""
         linear, shift = matrix[:3, :3], matrix[3, :3]
         turn = linear / np.cbrt(abs(np.linalg.det(linear)))
         axes = None if self.axes is None else self.axes @ turn

@@ -59,9 +59,10 @@ def color_texture(document: Document | None, control: ControlMesh, *, of_any: bo
     found = next((image for image in images if image is not None), None)
     if found is None:
         return None
-    of_usd = document.uv_names.get(found.material, ())
+    stated = document.uv_names.get(found.material)
+    if stated in [one.name for one in control.all_uv_sets]:
+        return found if stated == control.uv_name else None
     in_use = control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0"
-    in_use = f"TEXCOORD_{of_usd.index(control.uv_name)}" if control.uv_name in of_usd else in_use
     return found if found.uv_set == in_use else None
 
 

@@ -208,8 +208,8 @@ def _with_own_uv_set(mesh: ControlMesh) -> ControlMesh:
     """The mesh with the first UV set in use that has more than `NO_UV`, if there is one."""
     if mesh.uvs is None:
         return mesh
-    laid = (one.name for one in mesh.all_uv_sets if np.any(one.uvs[one.uv_indices] != NO_UV))
-    return mesh.with_uv_set(next(laid, mesh.uv_name))
+    names = (one.name for one in mesh.all_uv_sets if np.any(one.uvs[one.uv_indices] != NO_UV))
+    return mesh.with_uv_set(next(names, mesh.uv_name))
 
 
 def renumbered_copies(copies: IndexArray | None, number: IndexArray) -> IndexArray | None:

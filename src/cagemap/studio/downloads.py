@@ -63,7 +63,9 @@ def textured_model(state: StudioState, scene: Scene | None) -> bytes:
     assert state.files is not None
     layout = layout_mesh(state, image)
     target = state.files.target
-    mesh = replace(read_whole(layout or target), vertex_colors=None)  # glTF multiplies them with the image
+    upright = (read_whole(target) if scene is None else scene.target.file_mesh).upright  # a layout is an OBJ, without
+    # glTF multiplies vertex colours with the image.
+    mesh = replace(read_whole(layout or target), upright=upright, vertex_colors=None)
     opened = None if scene is None or mesh.n_vertices != scene.target.file_mesh.n_vertices else scene.target
     uv_set = image_uv_set(state, image) or (None if opened is None else opened.control.uv_name)
     if layout is None and uv_set is not None:

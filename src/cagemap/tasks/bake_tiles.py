@@ -35,6 +35,7 @@ from cagemap.files.result.manifest import MANIFEST, input_file, note_transfer, r
 from cagemap.files.usd.results import preview_inputs
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import NO_UV
 from cagemap.numerics.threads import ThreadPool
 from cagemap.tasks.base_images import ImageSize, base_size, mask_function, require_base, written_channels
 from cagemap.tasks.masks import mask_inputs
@@ -118,6 +119,16 @@ def require_source_uvs(source: ControlMesh) -> None:
         )
 
 
+def require_layout(target: ControlMesh, remedy: str = "Unwrap") -> None:
+    """Refuse to bake into a target without a layout; ``remedy``: start of the sentence on what to do."""
+    if not target.has_layout:
+        found = "the mesh has none" if target.uvs is None else "all of them are in one point or on a line"
+        raise ParameterError(
+            f"{target.name}: expected texture coordinates to bake into, {found}. {remedy} it in your modelling program "
+            "and match again."
+        )
+
+
 def colors_remedy(mesh: ControlMesh) -> str:
     """Text for messages: the command that bakes the colours of a mesh."""
     option = colors_option(mesh)
@@ -138,34 +149,24 @@ def prepare_bake(
     """
     mesh: Path | None = None
     warnings: list[str] = []
-    source_images = (
-        request.texture,
-        request.displacement,
-        request.normal_map,
-        request.vector_displacement,
-        *request.maps,
-    )
-    if any(source_images):
+    given_images = request.texture, request.displacement, request.normal_map, request.vector_displacement, *request.maps
+    if any(given_images):
         require_source_uvs(result.source.control)
     if request.unwrap:
         stages("unwrap")
         control = unwrap(result.target.control)
         mesh = unwrapped_name(request.output)
         result = replace(result, target=result.target.with_control(control))
-    elif not result.target.control.has_layout:
-        found = (
-            "the mesh has none" if result.target.control.uvs is None else "all of them are in one point or on a line"
-        )
-        raise ParameterError(
-            f"{result.target.control.name}: expected texture coordinates to bake into, {found}. Add --unwrap "
-            "to lay it out and write the mesh beside the image, or unwrap it in your modelling program and match again."
-        )
+    else:
+        require_layout(result.target.control, "Add --unwrap to write it beside the image with a new layout, or unwrap")
     stages("prepare")
     transfer = transfer_of(result)
     tiles, outside = layout_tiles(transfer)
-    warnings += [*outside, *target_overlap_warnings(result.target.control)]
-    if any(source_images) and result.masks.source is None:
-        warnings += _source_overlap_warnings(result.source.control)
+    warnings += [*outside, *_missing_uv_warnings(result.target.control)]
+    warnings += target_overlap_warnings(result.target.control)
+    if any(given_images):
+        warnings += _missing_uv_warnings(result.source.control)
+        warnings += [] if result.masks.source is not None else _source_overlap_warnings(result.source.control)
     images = [udim_path(output, tile) for output in outputs.values() for tile in tiles]
     meshes = () if mesh is None else (mesh, mesh.with_suffix(".mtl"))
     other_outputs = [*meshes, *([] if request.usd is None else [request.usd])]
@@ -186,6 +187,19 @@ def layout_tiles(transfer: Transfer) -> tuple[list[int], list[str]]:
         return target_tiles(transfer.target), []
     outside = float(np.mean((cells != 0).any(axis=1)))
     return [0], [f"{100 * outside:.1f} % of the target's layout lies outside the unit square and is not baked: move it"]
+
+
+def _missing_uv_warnings(control: ControlMesh) -> list[str]:
+    """A warning if faces have no texture coordinates in the UV set in use, see `join_meshes`."""
+    if control.uvs is None or control.uv_indices is None:
+        return []
+    none = np.logical_and.reduceat((control.uvs[control.uv_indices] == NO_UV).all(axis=1), control.face_offsets[:-1])
+    if not none.any():
+        return []
+    return [
+        f"{int(none.sum())} faces of {control.name} have no texture coordinates in its UV set {control.uv_name}, so "
+        "that no image is baked there: match their part alone, or name the UV sets alike"
+    ]
 
 
 def target_overlap_warnings(control: ControlMesh) -> list[str]:
@@ -245,13 +259,13 @@ def write_tiles(
     force: bool,
     name: str = "",
 ) -> Baked:
-    """Bake and write all tiles of any layout; returns the last.
+    """Bake and write all tiles of any layout; returns the last. The caller moves them together (`all_or_nothing`).
 
     ``tiles``: UDIM numbers; [0] for a layout in the unit square.
     ``bake``, ``stages``, ``name``: as in `bake_tiles`.
     ``finished``: a baked image -> the image to write.
     """
-    with all_or_nothing(), ThreadPool(1) as writer:
+    with ThreadPool(1) as writer:
         writes: list[Future[None]] = []
         for number, tile in enumerate(tiles):
             place = f"tile {tile}, {number + 1} of {len(tiles)}" if tile else ""

@@ -28,7 +28,9 @@ def mask_function(
     base = base_of(request, name)
     if not transfer.masks.any:
         return lambda image, _: image
-    return lambda image, options: _apply_mask(image, transfer, base, replace(options, filter=request.filter))
+    # Other bakes of a detailed mesh are interpolated between vertices.
+    used = request.filter if name == "texture" or not request.bake else "smooth"
+    return lambda image, options: _apply_mask(image, transfer, base, replace(options, filter=used))
 
 
 def _apply_mask(image: Image, transfer: Transfer, base: Path | None, options: BakeOptions) -> Image:
@@ -82,8 +84,8 @@ def base_scale_warnings(
         return []
     units = "in the target's units" if request.bake else "with the scale of the source's image"
     return [
-        f"--base {base} keeps its values, which are right only with the scale and midlevel of this image. To have one "
-        f"scale, write floats (.exr) over a base of floats, {units}"
+        f"--base {base} keeps its values: it and the baked heights may have different scales or midlevels in one "
+        f"image. Write floats (.exr) over a base of floats, {units}"
     ]
 
 

@@ -17,13 +17,10 @@ from cagemap.files.images.image import Image, check_writable, pixel_type, read_i
 from cagemap.files.inner_texture import color_texture, material_document, tinted_materials, write_texture
 from cagemap.files.meshes.formats import MESH_SUFFIXES, read_mesh
 from cagemap.files.meshes.ply import ply_image
-from cagemap.files.result.manifest import input_file, note_transfer
-from cagemap.files.usd.prims import transform_points
+from cagemap.files.result.manifest import note_transfer
 from cagemap.files.usd.results import preview_inputs, unbound_maps
-from cagemap.files.usd.space import between_spaces
 from cagemap.files.usd.write import UsdResults
 from cagemap.maps.result import MatchResult
-from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.tasks.bake_tiles import (
     DEFAULT_SIZE,
@@ -45,9 +42,9 @@ from cagemap.tasks.detail_bakes import (
     bake_detail,
     detail_texture,
     grey_vertex_notes,
+    in_source_space,
     mesh_detail,
     vertex_colors,
-    with_texture,
 )
 from cagemap.tasks.material_atlas import material_atlas
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
@@ -177,11 +174,11 @@ def _bake_map(
             f"{path} is carried as colours: it does not look like a normal map in tangent space. Carry it with "
             "--normal-map if it is one (with --space object, if its directions are in object space)"
         )
-    ratio = scale_ratio(transfer)
-    if use == "displacement" and not request.as_color and abs(ratio - 1.0) > _MAX_UNSCALED:
+    if use == "displacement" and abs((ratio := scale_ratio(transfer)) - 1.0) > _MAX_UNSCALED:
+        wrong = f"{ratio:.4g} times too small" if ratio > 1.0 else f"{1.0 / ratio:.4g} times too large"
         prepared.warnings.append(
             f"{path} is carried unscaled: the target is {ratio:.4g} times as large as the source, so that its heights "
-            "mean others there. Carry it with --displacement, which scales them"
+            f"are {wrong} there; carry it with --displacement, which scales them"
         )
     if use in ("diffuseColor", "emissiveColor") and (source_image.first.pixels.dtype.kind == "f") != (
         source_image.dtype.kind == "f"
@@ -283,13 +280,14 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     images = {kind: map_path(request.output, kind if len(kinds) > 1 else "") for kind in kinds}
     of_bases = (base_size(request, kind) for kind in kinds)
     size = request.size or next((found for found in of_bases if found is not None), None)
-    bakes = DetailBakes(images, size or DEFAULT_SIZE, request.bits, request)
-    mesh = None if request.detail is None else _read_detail(request.detail, request, result)
-    if mesh is not None and request.detail_texture is not None:
-        bakes = with_texture(bakes, detail_texture(mesh, request.detail_texture, request.filter), size)
+    bakes, mesh = DetailBakes(images, size, request.bits, request), None
+    if request.detail is not None:
+        mesh = in_source_space(read_mesh(request.detail), request.detail, request.result, result)
+        if request.detail_texture is not None:
+            bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture, request.filter))
     channels = {kind: bakes.channels(kind) for kind in kinds}
     for kind in kinds:
-        require_base(request, result, bakes.size, (channels[kind],), kind)
+        require_base(request, result, bakes.size_of(kind), (channels[kind],), kind)
     bakes.check({kind: written_channels(request, result, channels[kind], kind) - channels[kind] for kind in kinds})
     prepared = prepare_bake(request, result, stages, {kind.removesuffix("s"): path for kind, path in images.items()})
     warnings = prepared.warnings
@@ -329,19 +327,12 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     )
     for kind, path in images.items():
         entry = {"kind": f"bake-{kind}", "output": udim_path(path, prepared.tiles[0]), "tiles": prepared.tiles}
-        entry |= {"size": bakes.size, "space": request.space, "mesh": prepared.mesh}
-        stages.record({"size": bakes.size, "tiles": prepared.tiles}, of=kind if len(kinds) > 1 else "")
+        entry |= {"size": bakes.size_of(kind), "space": request.space, "mesh": prepared.mesh}
+        stages.record({"size": bakes.size_of(kind), "tiles": prepared.tiles}, of=kind if len(kinds) > 1 else "")
         note_transfer(request.result, entry)
     if prepared.mesh is not None:
         lines.append(f"wrote {prepared.mesh}")
     return "\n".join(lines), warnings
-
-
-def _read_detail(file: Path, request: TransferRequest, result: MatchResult) -> ControlMesh:
-    """The detailed mesh in the units and axes of the source's file."""
-    mesh = read_mesh(file)
-    to_source = between_spaces(input_file(request.result, result.manifest, "source"), file)
-    return mesh.with_positions(transform_points(mesh.positions, to_source))
 
 
 def _kinds(request: TransferRequest) -> list[BakeKind]:

@@ -25,6 +25,8 @@ from cagemap.files.images.image import (
     udim_path,
 )
 from cagemap.files.meshes.formats import read_mesh
+from cagemap.files.result.manifest import input_file
+from cagemap.files.usd.space import between_spaces, transform_mesh
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UNKNOWN_COLOR
@@ -38,6 +40,7 @@ from cagemap.tasks.bake_tiles import (
     DEFAULT_SIZE,
     colors_remedy,
     layout_tiles,
+    require_layout,
     require_source_uvs,
     target_overlap_warnings,
     write_tiles,
@@ -59,8 +62,9 @@ from cagemap.transfer.detail import (
     detailed_share,
 )
 from cagemap.transfer.displacement import Displacement
+from cagemap.transfer.lookups import smooth_tiles
 from cagemap.transfer.rays import ambient_occlusion
-from cagemap.transfer.texture import Filter, Pixels
+from cagemap.transfer.texture import Filter, Pixels, lay_texture
 from cagemap.wrap import Wrapped, missing_detail, wrapped_transfer
 from cagemap.wrap.wrapping import NO_CAGE
 
@@ -97,10 +101,15 @@ class DetailBakes:
     """Images to bake from a detailed mesh, with their files."""
 
     images: dict[BakeKind, Path]
-    size: ImageSize
+    size: ImageSize | None  # as requested, or of a base image; None: see `size_of`
     bits: int | None  # by default floats in EXR; elsewhere 16 for directions and offsets, 8 for colours and occlusion
     request: TransferRequest | WrapRequest  # gives space, green, rays and force
     texture: DetailTexture | None = None  # of the detailed mesh, for the kind "texture"
+
+    def size_of(self, kind: BakeKind) -> ImageSize:
+        """Size of an image; by default the detailed mesh's own image gives that of the kind "texture"."""
+        own = DEFAULT_SIZE if kind != "texture" or self.texture is None else max(self.texture.first.size)
+        return self.size or own
 
     def channels(self, kind: BakeKind) -> int:
         """Channels of an image."""
@@ -140,6 +149,11 @@ def mesh_detail(mesh: ControlMesh, transfer: Transfer) -> tuple[Detail, list[str
     return detail, [f"{100 * (1 - share):.1f} % of the source has nothing of {mesh.name} near it, and stays flat there"]
 
 
+def in_source_space(mesh: ControlMesh, file: Path | None, folder: Path, result: MatchResult) -> ControlMesh:
+    """A detailed mesh as read from a file, in the units and axes of the source's file."""
+    return transform_mesh(mesh, between_spaces(input_file(folder, result.manifest, "source"), file))
+
+
 def detail_texture(mesh: ControlMesh, path: Path, kind: Filter = "smooth") -> DetailTexture:
     """Read an image of a detailed mesh; refuse meshes without texture coordinates."""
     if mesh.uvs is None or mesh.uv_indices is None:
@@ -160,9 +174,10 @@ def vertex_colors(mesh: ControlMesh) -> FloatArray:
 
 
 def grey_vertex_notes(mesh: ControlMesh) -> list[str]:
-    """A warning if `vertex_colors` is grey for some vertices."""
-    grey = int(np.count_nonzero(~_is_colored(mesh)))
-    return [f"{mesh.name}: {grey} of {mesh.n_vertices} vertices have no colour and are baked in grey"] if grey else []
+    """A warning if `vertex_colors` is grey for some vertices of faces."""
+    colored = _is_colored(mesh)[np.unique(mesh.face_indices)]
+    grey = int(np.count_nonzero(~colored))
+    return [f"{mesh.name}: {grey} of {len(colored)} vertices have no colour and are baked in grey"] if grey else []
 
 
 def _is_colored(mesh: ControlMesh) -> NDArray[np.bool_]:
@@ -191,13 +206,16 @@ def bake_detail(
     """
     lines, request, image = [], bakes.request, bakes.texture
     space, green = request.space, request.green
+    smooth = None
+    if image is not None and image.filter == "smooth":
+        smooth = smooth_tiles(lay_texture(image.texture, image.uvs, image.uv_triangles))
 
     def bake(
         kind: BakeKind, values: FloatArray | None, dtype: np.dtype[Any], scale: float, *, options: BakeOptions
     ) -> Pixels | Image | Displacement:
-        given: dict[str, Any] = {"size": bakes.size, "dtype": dtype, "options": options}
+        given: dict[str, Any] = {"size": bakes.size_of(kind), "dtype": dtype, "options": options}
         if kind == "texture" and image is not None:
-            given["options"] = replace(options, filter=image.filter)
+            given |= {"options": replace(options, filter=image.filter), "smooth": smooth}
             pixels = bake_detail_texture(transfer, detail, image.texture, image.uvs, image.uv_triangles, **given)
             return replace(image.first, pixels=pixels)
         if kind == "normal":
@@ -258,12 +276,7 @@ def wrap_bakes(request: WrapRequest) -> DetailBakes:
         "texture": request.baked if request.detail_texture is not None else None,
     }
     given = {kind: path for kind, path in images.items() if path is not None}
-    return DetailBakes(given, request.size or DEFAULT_SIZE, None, request)
-
-
-def with_texture(bakes: DetailBakes, texture: DetailTexture, size: ImageSize | None) -> DetailBakes:
-    """Bakes with a detailed mesh's own image, and of its larger side without a ``size``."""
-    return replace(bakes, texture=texture, size=size or max(texture.first.size))
+    return DetailBakes(given, request.size, None, request)
 
 
 def outputs_beside(request: WrapRequest) -> list[Path]:
@@ -282,12 +295,8 @@ def require_wrappable(request: WrapRequest, target: ControlMesh, source: Control
     if isinstance(default_scheme(target), Plain):
         raise ParameterError(f"{target.name}: {NO_CAGE}")
     images = wrap_bakes(request).images
-    if (images or request.texture is not None) and not target.has_layout:
-        found = "the mesh has none" if target.uvs is None else "all of them are in one point or on a line"
-        raise ParameterError(
-            f"{target.name}: expected texture coordinates to bake into, {found}. Unwrap it in your "
-            "modelling program and match again."
-        )
+    if images or request.texture is not None:
+        require_layout(target)
     if request.texture is not None:
         require_source_uvs(source)
     if "colors" in images and request.detail is None:
@@ -318,8 +327,9 @@ def bake_wrapped(
             warnings = grey_vertex_notes(source.control)
     else:
         transfer, follow = wrapped_transfer(wrapped, target)
+        mesh = in_source_space(mesh, request.detail, request.results[0], result)
         if request.detail_texture is not None:
-            bakes = with_texture(bakes, detail_texture(mesh, request.detail_texture), request.size)
+            bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture))
             bakes.check()
         detail, warnings = mesh_detail(mesh, transfer)
         detail = replace(detail, follow=follow)

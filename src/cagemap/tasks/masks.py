@@ -6,21 +6,20 @@ import logging
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files import IMAGE_SUFFIXES, INVERT_PREFIX, MASK_SUFFIXES
-from cagemap.files.gltf.document import SCENE_SUFFIXES
-from cagemap.files.gltf.read import gltf_skeleton
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.result.manifest import input_file
 from cagemap.files.usd.prims import JOINT_WEIGHTS
 from cagemap.files.usd.read import read_usd_meshes
-from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.values.attributes import read_attributes
+from cagemap.files.values.rigs import scene_skeleton
 from cagemap.maps.masks import Masks, face_mask, soft_edge, vertex_mask
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
@@ -32,8 +31,9 @@ from cagemap.surface.triangle_surface import TriangleSurface
 
 if TYPE_CHECKING:  # a match without masks starts without images and their library
     from cagemap.files.images.image import Pixels
+from cagemap.files.usd.prims import place_of_rows
 from cagemap.files.values.attributes import Attributes
-from cagemap.files.values.part_numbering import FileRows, place_of_rows, to_file
+from cagemap.files.values.part_numbering import FileRows, to_file
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.options import refuse_unread
@@ -220,7 +220,7 @@ def keep_base(
     result: MatchResult,
     carried: Attributes,
     rows: FileRows | None,
-    places: Mapping[str, str] | None = None,
+    places: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Attributes, list[str]]:
     """Carried values blended over the target's own values outside the masks; and notes.
 
@@ -243,9 +243,7 @@ def keep_base(
                 f"--base {base}: expected {name} of shape {values.shape}, as what is carried, got shape {below.shape}. "
                 "Give the target's own values."
             )
-        share = _weight_at(result, weight, len(values), (places or {}).get(name)).reshape(
-            -1, *([1] * (values.ndim - 1))
-        )
+        share = _weight_at(result, weight, len(values), places.get(name)).reshape(-1, *([1] * (values.ndim - 1)))
         if values.dtype.kind == "i":  # labels are not mixed
             kept[name] = np.where(share >= 0.5, values, below)
         else:
@@ -254,7 +252,10 @@ def keep_base(
 
 
 def to_file_values(
-    request: TransferRequest, carried: Attributes, rows: FileRows | None, places: Mapping[str, str] | None = None
+    request: TransferRequest,
+    carried: Attributes,
+    rows: FileRows | None,
+    places: Mapping[str, str] = MappingProxyType({}),
 ) -> Attributes:
     """Values of a part in the file's numbering, with ``--base``'s values or 0 elsewhere."""
     base = None if rows is None else base_of(request)
@@ -300,12 +301,8 @@ def own_values(
 
 def _joint_names(base: Path, control: ControlMesh) -> tuple[str, ...]:
     """Names of the columns of a scene's joint weights; none for other files, or if joints have equal names."""
-    names: tuple[str, ...] = ()
-    if is_usd(base):
-        skeleton = read_usd_skeleton(base, control)
-        names = () if skeleton is None else skeleton.names
-    elif base.suffix.lower() in SCENE_SUFFIXES:
-        names = gltf_skeleton(base).names
+    skeleton = scene_skeleton(base, control)
+    names = () if skeleton is None else skeleton.names
     return names if len(set(names)) == len(names) else ()
 
 

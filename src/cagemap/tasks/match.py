@@ -220,8 +220,20 @@ def read_inputs(request: MatchRequest) -> Inputs:
     whole = PartInputs(target, source, landmarks)
     chosen, left_alone = select_parts(target, source, landmarks, *names) if named else ((whole,), ())
     parts = tuple(ready_inputs(part) for part in chosen)
-    notes = (*notes, *_unused_notes(request, chosen), *left_alone, *(note for part in parts for note in part.notes))
+    notes = (*notes, *_unused_notes(request, chosen), *left_alone, *_uv_set_notes(request, parts))
+    notes = (*notes, *(note for part in parts for note in part.notes))
     return Inputs(target, source, parts, named, masks, notes)
+
+
+def _uv_set_notes(request: MatchRequest, parts: tuple[PartInputs, ...]) -> list[str]:
+    """A note for each part that lacks the requested UV set; see `extract_faces`."""
+    return [
+        f"--{side}-uv-set {requested}: {mesh.name}: the part has no texture coordinates there, {mesh.uv_name} is used"
+        for side in SIDES
+        if (requested := getattr(request, f"{side}_uv_set")) is not None
+        for mesh in (getattr(part, side) for part in parts)
+        if mesh.uv_name != requested
+    ]
 
 
 def _unused_notes(request: MatchRequest, parts: Sequence[PartInputs]) -> list[str]:

@@ -12,12 +12,10 @@ from cagemap.character.bones import mirrored_joints
 from cagemap.character.joints import Skeleton
 from cagemap.errors import ParameterError, values_of
 from cagemap.files.atomic import all_or_nothing, check_outputs
-from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
 from cagemap.files.result.maps import write_map
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
-from cagemap.files.usd.skeleton import read_usd_skeleton
-from cagemap.files.usd.stages import is_usd
+from cagemap.files.usd.space import between_spaces
 from cagemap.files.usd.write import UsdResults
 from cagemap.files.values.attributes import Attributes, check_attribute_path, read_attributes, write_attributes
 from cagemap.files.values.part_numbering import FileRows, file_rows, other_rows, to_file
@@ -26,6 +24,7 @@ from cagemap.files.values.rigs import (
     check_skeleton_path,
     read_shapes,
     read_skeleton,
+    scene_skeleton,
     write_shapes,
     write_skeleton,
 )
@@ -55,8 +54,9 @@ from cagemap.transfer.skin import (
 _APART = 0.05
 # Mean distance of joints or passengers (clothes, hair, props) from the body, in sqrt(body area), above which their
 # units or position are doubtful.
-FAR = 0.5
-# Largest ratio of the body's size to that of all joints without a warning: those of a hand are smaller, of a jaw too.
+MAX_MEAN_DISTANCE = 0.5
+# Largest ratio of the body's size to that of all joints without a warning. Joints of a hand or jaw are up to 35 times
+# smaller than the body.
 _MAX_SIZE_RATIO = 35.0
 
 
@@ -70,10 +70,8 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     _require_rows(arrays, result.source.control, rows, request)
     with values_of(request.weights):
         skin, scaled = normalise_skin(weight_table(arrays))
-    skeleton = None
     joints_file = request.weights if request.joints is None else request.joints
-    if request.joints is not None or _has_skeleton(request.weights, result.source.control):
-        skeleton = _read_joints(joints_file, request, result)
+    skeleton = _read_joints(joints_file, request, result)
     if request.joints is not None and skeleton is not None:
         _require_joints(arrays, skeleton, request)
     stages("weights")
@@ -111,16 +109,12 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     return text, [f"{request.weights}: {scaled}", *notes] if scaled else notes
 
 
-def _has_skeleton(file: Path, control: ControlMesh) -> bool:
-    """Whether a file with weights has their joints."""
-    if is_usd(file):
-        return read_usd_skeleton(file, control) is not None
-    return file.suffix.lower() in SCENE_SUFFIXES
-
-
-def _read_joints(file: Path, request: TransferRequest, result: MatchResult) -> Skeleton:
-    """Joints in the units and axes of the source's file."""
-    return read_skeleton(file, result.source.control, input_file(request.result, result.manifest, "source"))
+def _read_joints(file: Path, request: TransferRequest, result: MatchResult) -> Skeleton | None:
+    """Joints in the units and axes of the source's file; None if a file of weights has none."""
+    read = scene_skeleton if request.joints is None else read_skeleton
+    skeleton = read(file, result.source.control)
+    source = input_file(request.result, result.manifest, "source")
+    return None if skeleton is None else skeleton.transformed(between_spaces(source, file))
 
 
 def _far_joints(file: Path, skeleton: Skeleton, result: MatchResult) -> list[str]:
@@ -129,7 +123,9 @@ def _far_joints(file: Path, skeleton: Skeleton, result: MatchResult) -> list[str
     ends = body.scale * np.concatenate([skeleton.heads, skeleton.tails])
     distance = float(np.linalg.norm(SurfacePoints.nearest(body, ends).positions - ends, axis=1).mean())
     ratio = box_diagonal(ends) / box_diagonal(body.positions)
-    if distance <= FAR and not 0.0 < ratio < 1.0 / _MAX_SIZE_RATIO:  # one joint may have no length
+    is_small = 0.0 < ratio < 1.0 / _MAX_SIZE_RATIO  # one joint may have no length
+    is_far = distance > MAX_MEAN_DISTANCE and result.source.control.file_vertices is None  # not a part of its file
+    if not is_small and not is_far:
         return []
     return [
         f"{file}: the joints are {ratio:.2g} times as large as {result.source.control.name} and "
@@ -226,6 +222,7 @@ def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Sta
     check_skeleton_path(request.output)
     check_outputs([request.output], [request.joints], force=request.force)
     skeleton = _read_joints(request.joints, request, result)
+    assert skeleton is not None
     stages("joints")
     count = len(skeleton.names)
     write_skeleton(request.output, _carry_skeleton(skeleton, result.point_map), force=request.force)

@@ -18,12 +18,12 @@ from cagemap.files.atomic import (
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
-from cagemap.files.usd.prims import transform_points
-from cagemap.files.usd.space import between_spaces, states_units
+from cagemap.files.usd.prims import place_of_rows
+from cagemap.files.usd.space import between_spaces, from_mesh_space, states_units, transform_mesh
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults, check_usd_path
 from cagemap.files.values.attributes import check_attribute_path, read_attributes, write_attributes
-from cagemap.files.values.part_numbering import file_rows, other_rows, place_of_rows
+from cagemap.files.values.part_numbering import file_rows, other_rows
 from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.mesh_report import first_few
@@ -43,7 +43,7 @@ from cagemap.tasks.masks import ASSUMED_AT_VERTICES, keep_base, to_file_values, 
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import refuse_unread
 from cagemap.tasks.requests.transfer import TransferRequest, require_map_names
-from cagemap.tasks.rig import FAR, transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
+from cagemap.tasks.rig import MAX_MEAN_DISTANCE, transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
 from cagemap.tasks.usd_output import missing_file_warnings, texture_reference, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 
@@ -234,11 +234,11 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     check_outputs(mesh_files(request.output, mesh, request.passenger), [request.passenger], force=request.force)
     stages("passenger")
     target, source = (input_file(request.result, result.manifest, side) for side in ("target", "source"))
-    worn = mesh.with_positions(transform_points(mesh.positions, between_spaces(source, request.passenger)))
+    worn = transform_mesh(mesh, between_spaces(source, request.passenger))
     carried = carry_passenger(result, worn, kind=request.kind)
-    placed, like = mesh.with_positions(carried.positions), request.passenger
+    placed, like = worn.with_positions(carried.positions), request.passenger
     if states_units(request.passenger) and states_units(request.output):  # in the passenger's own units and axes
-        placed = mesh.with_positions(transform_points(placed.positions, between_spaces(request.passenger, target)))
+        placed = transform_mesh(placed, from_mesh_space(request.passenger, result.target.control, target))
     else:
         placed = replace(placed, upright=result.target.control.upright)
         if states_units(request.output) and target is not None and is_usd(target):
@@ -249,7 +249,7 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     figures = {"vertices": mesh.n_vertices, "distance": carried.distance, "unit_factor": factor}
     stages.record(figures)
     warnings = []
-    if carried.distance > FAR or factor != 1.0:
+    if carried.distance > MAX_MEAN_DISTANCE or factor != 1.0:
         scaled = f" ({factor:g} times as large it would lie on it)" if factor != 1.0 else ""
         warnings.append(
             f"{request.passenger} is {carried.distance:.1f} body sizes away from "

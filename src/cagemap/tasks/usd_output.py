@@ -6,12 +6,10 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from cagemap.errors import ParameterError
 from cagemap.files.images.image import UDIM_MARK
 from cagemap.files.result.manifest import input_file
-from cagemap.files.usd.read import read_usd_meshes
+from cagemap.files.usd.read import objects_of, read_usd_meshes
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 from cagemap.files.values.part_numbering import FileRows, file_rows, to_file
@@ -48,9 +46,7 @@ def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: U
         lost = original is None and is_usd(Path(control.name))
         return f"wrote {layer}, with {control.name} itself{_KEPT * kept}" + (f"; {NO_UNITS}" if lost else "")
     meshes = [mesh.path for mesh in read_usd_meshes(original)]
-    numbers = [] if control.face_objects is None else np.unique(control.face_objects).tolist()
-    paths = [path for path in (control.object_names[number] for number in numbers) if path in meshes]
-    paths = meshes if len(meshes) == 1 else paths
+    paths = meshes if len(meshes) == 1 else [path for path in objects_of(control) if path in meshes]
     if not paths or (len(paths) > 1 and (results.attributes or results.points is not None or results.uvs is not None)):
         raise ParameterError(
             f"--usd: expected a result about one mesh of {original.name}, got {len(paths)} of {', '.join(meshes)}. "

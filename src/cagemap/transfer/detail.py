@@ -37,7 +37,7 @@ from cagemap.transfer.baking import (
 from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.exact_corners import corner_samples, make_lookups_exact, surface_targets
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.lookups import covered_texels, plan_samples
+from cagemap.transfer.lookups import plan_samples, smooth_tiles
 from cagemap.transfer.rays import MAX_DETAIL_DISTANCE, NormalHits, intersect_normals
 from cagemap.transfer.texels import Layout, texel_coordinates
 from cagemap.transfer.texture import Pixels, SmoothTile, lay_texture, look_up
@@ -119,23 +119,10 @@ def bake_detail_normals(
     dtype: DTypeLike = np.uint8,
     options: BakeOptions | None = None,
 ) -> Pixels:
-    """Bake the detail's normals, relative to the source's, as a normal map of the target.
+    """Bake the detail's normals, relative to the source's, as a normal map (height, width, 3) of the target.
 
-    Parameters
-    ----------
-    transfer : Transfer
-    detail : Detail
-        Over the transfer's source.
-    size : int or (height, width)
-    space, green
-        As `bake_normal_map` takes them.
-    dtype : optional
-        Directions n are stored as (n + 1) / 2.
-    options : BakeOptions, optional
-
-    Returns
-    -------
-    (height, width, 3) array
+    ``detail`` lies over the transfer's source; ``size``, ``space``, ``green`` and ``options`` are as in
+    `bake_normal_map`. Directions n are stored as (n + 1) / 2.
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
 
@@ -162,18 +149,9 @@ def bake_detail_vectors(
 ) -> Displacement:
     """Bake offsets from source to detail as vector displacement of the target, in the target's units.
 
-    Bilinear lookups at the vertices of the target's level are exact, on both sides of a seam.
-
-    Parameters
-    ----------
-    transfer, detail, size, options
-        As `bake_detail_normals` takes them.
-    space : "tangent" or "object"
-        In tangent space the channels are tangent, normal, bitangent.
-    scale : float
-        Length of a value of 1, not 0; integers hold the range from -scale / 2 to scale / 2.
-    dtype : optional
-        The middle value of integers means zero.
+    Bilinear lookups at the vertices of the target's level are exact, on both sides of a seam. ``transfer``, ``detail``,
+    ``size`` and ``options`` are as in `bake_detail_normals`; in tangent space the channels are tangent, normal,
+    bitangent. ``scale`` is the length of a value of 1, not 0. Integers hold the range from -scale / 2 to scale / 2.
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
     middle, encode = _length_encoder(transfer, detail, scale, kept)
@@ -212,10 +190,7 @@ def bake_detail_heights(
 ) -> Displacement:
     """Bake the detail's height along the source's normals as displacement of the target.
 
-    Parameters
-    ----------
-    transfer, detail, size, scale, dtype, options
-        As `bake_detail_vectors` takes them.
+    The parameters are as in `bake_detail_vectors`.
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
     middle, encode = _length_encoder(transfer, detail, scale, kept)
@@ -240,19 +215,8 @@ def bake_detail_values(
 ) -> Pixels:
     """Bake values at the detail's vertices, such as colours or ambient occlusion.
 
-    Parameters
-    ----------
-    transfer, detail, size, options
-        As `bake_detail_normals` takes them.
-    values : (n,) or (n, q) float64
-        At the detail's vertices.
-    dtype : optional
-        Integers stand for the range 0 to 1.
-
-    Raises
-    ------
-    ParameterError
-        If there is not one row a vertex.
+    ``values`` (n,) or (n, q) are at the detail's vertices; a ParameterError refuses other numbers of rows. Integers of
+    ``dtype`` stand for the range 0 to 1. Other parameters are as in `bake_detail_normals`.
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
     if len(values) != detail.surface.n:
@@ -277,24 +241,18 @@ def bake_detail_texture(
     size: int | tuple[int, int],
     dtype: DTypeLike | None = None,
     options: BakeOptions | None = None,
+    smooth: Mapping[int, SmoothTile] | None = None,
 ) -> Pixels:
     """Bake the detail's own texture, as of a scan; the filter "nearest" is for labels.
 
-    Parameters
-    ----------
-    transfer, detail, size, options
-        As `bake_detail_normals` takes them.
-    texture : (h, w, c) array, or such arrays by UDIM number
-    uvs : (p, 2) float64
-    uv_triangles : (t, 3) int64
-        Texture coordinates of the corners of the detail's triangles.
-    dtype : optional
-        Number type of the result; by default the texture's.
+    ``texture`` (h, w, c), or such arrays by UDIM number, has the coordinates ``uvs`` (p, 2) at the corners
+    ``uv_triangles`` (t, 3) of the detail's triangles. ``smooth``: `smooth_tiles` of the texture, made once for several
+    tiles of the target. ``dtype`` is by default the texture's; other parameters are as in `bake_detail_normals`.
 
     Raises
     ------
     ParameterError
-        If the number of rows of texture coordinates is not that of triangles, or as `bake_texture`.
+        If the number of rows of ``uv_triangles`` is not that of triangles, or as `bake_texture`.
     """
     options = options or BakeOptions()
     if uv_triangles.shape != detail.surface.triangles.shape:
@@ -305,8 +263,8 @@ def bake_detail_texture(
     laid = lay_texture(texture, uvs, uv_triangles)
     kept = output_dtype(dtype, laid.dtype)
     scale, nearest = unit(kept) / unit(laid.dtype), options.filter == "nearest"
-    covered = covered_texels(laid, laid.tiles) if options.filter == "smooth" else {}
-    smooth = {tile: SmoothTile.of(laid.tiles[tile], texels) for tile, texels in covered.items()}
+    if smooth is None and options.filter == "smooth":
+        smooth = smooth_tiles(laid)
 
     def shade(samples: TexelSamples) -> FloatArray:
         foot = _normal_hits(transfer, detail, samples).foot

@@ -15,7 +15,7 @@ from cagemap.surface.triangles import triangle_neighbors
 from cagemap.transfer.locate import MappedSurface, locate_centers
 from cagemap.transfer.mip_maps import MipMaps
 from cagemap.transfer.texels import Layout, lay_out, rasterize_band
-from cagemap.transfer.texture import Filter, Texture, tile_cells
+from cagemap.transfer.texture import Filter, SmoothTile, Texture, tile_cells
 
 # Most samples of a texel along each axis; texels that need more read a coarser mip level.
 MAX_SAMPLES_PER_AXIS = 16
@@ -91,6 +91,12 @@ def covered_texels(laid: Texture, tiles: Collection[int]) -> dict[int, NDArray[n
         rows = max(1, _BAND_TEXELS // width)
         coverage[tile] = _covered(lay_out(corners, neighbors, height, width, band_rows=rows))
     return coverage
+
+
+def smooth_tiles(laid: Texture) -> dict[int, SmoothTile]:
+    """Smooth lookups of the tiles that a texture's triangles use."""
+    covered = covered_texels(laid, np.unique(laid.triangle_tiles).tolist())
+    return {tile: SmoothTile.of(laid.tiles[tile], texels) for tile, texels in covered.items()}
 
 
 def _covered(layout: Layout) -> NDArray[np.bool_]:

@@ -120,7 +120,11 @@ class Texture:
     uvs: FloatArray  # (p, 2)
     uv_triangles: IndexArray  # (t2, 3)
     triangle_tiles: IndexArray  # (t2,) tile of each triangle's centre; all 0 for a plain image
-    repeat: bool  # whether points outside wrap around, as of a plain image (else they are clamped to the tile's edge)
+
+    @property
+    def repeat(self) -> bool:
+        """Whether points outside wrap around, as of a plain image; else they are clamped to the tile's edge."""
+        return 0 in self.tiles
 
     @property
     def channels(self) -> int:
@@ -147,8 +151,7 @@ def lay_texture(texture: Pixels | Mapping[int, Pixels], uvs: FloatArray, uv_tria
     """
     if not isinstance(texture, Mapping):
         tiles = {0: as_pixels(texture)}
-        triangle_tiles = np.zeros(len(uv_triangles), dtype=np.int64)
-        return Texture(tiles, uvs, uv_triangles, triangle_tiles, True)
+        return Texture(tiles, uvs, uv_triangles, np.zeros(len(uv_triangles), dtype=np.int64))
     tiles = {int(number): as_pixels(pixels) for number, pixels in texture.items()}
     kinds = {(pixels.shape[2], str(pixels.dtype)) for pixels in tiles.values()}
     if len(kinds) != 1:
@@ -160,7 +163,7 @@ def lay_texture(texture: Pixels | Mapping[int, Pixels], uvs: FloatArray, uv_tria
             f"texture tiles: the source's UVs lie in tiles {missing[:5].tolist()}, which are not among the given "
             f"{sorted(tiles)[:10]}; add those images"
         )
-    return Texture(tiles, uvs, uv_triangles, triangle_tiles, False)
+    return Texture(tiles, uvs, uv_triangles, triangle_tiles)
 
 
 def tile_cells(corners: FloatArray) -> FloatArray:

@@ -279,19 +279,19 @@ _SHARE = 0.9
 _LENGTH = 0.08
 _TEXELS = 100_000
 # Floats below it mean that a map holds directions themselves. Filters of images overshoot 0 by less.
-_SIGNED = -0.05
+_MIN_UNSIGNED_CHANNEL = -0.05
 
 
 def holds_signed_directions(pixels: Pixels) -> bool:
     """Whether floats (h, w, c) hold directions n themselves instead of (n + 1) / 2."""
-    return pixels.dtype.kind == "f" and float(np.nanmin(pixels[:, :, :3])) < _SIGNED
+    return pixels.dtype.kind == "f" and float(np.nanmin(pixels[:, :, :3])) < _MIN_UNSIGNED_CHANNEL
 
 
 def looks_like_normal_map(pixels: Pixels) -> bool:
     """Whether nearly all texels (h, w, c) are unit vectors that point out of the surface.
 
     They are stored as `bake_normal_map` takes them.
-    Every colour counts once: a large uniform background does not decide. Black and transparent texels are ignored.
+    Every colour counts once: a large uniform background does not decide. Black, transparent and NaN texels are ignored.
     """
     normals = _normals(pixels)
     if not len(normals):
@@ -316,7 +316,7 @@ def _normals(pixels: Pixels) -> FloatArray:
         return np.zeros((0, 3))
     step = max(1, int(np.sqrt(pixels.shape[0] * pixels.shape[1] / _TEXELS)))
     values = pixels[::step, ::step].reshape(-1, pixels.shape[2]).astype(np.float64) / unit(pixels.dtype)
-    painted = values[:, :3].any(axis=1)
+    painted = values[:, :3].any(axis=1) & np.isfinite(values[:, :3]).all(axis=1)
     if pixels.shape[2] > 3:
         painted &= values[:, 3] > 0
     colors = np.unique(values[painted, :3], axis=0)

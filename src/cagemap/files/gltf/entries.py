@@ -31,8 +31,8 @@ class Document:
     json: dict[str, Any]  # as in the file
     buffers: tuple[bytes, ...] = field(repr=False)  # one for each entry of the JSON's ``buffers``
     file: Path  # the file that was read, for messages; images are searched beside it
-    # by material: names in a USD file of the sets TEXCOORD_0, TEXCOORD_1, ... of a mesh that has it
-    uv_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict, repr=False)
+    # by material: UV set that a USD shader states for the colour image
+    uv_names: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     def refuse(self, where: str, problem: str, remedy: str = REMEDY) -> NoReturn:
         """Raise a FormatError that names the file and the entry."""

@@ -116,6 +116,10 @@ def uv_sets_in_order(mesh: ControlMesh) -> list[UvSet]:
     return sorted(sets, key=lambda one: (len(one.name), one.name)) if named else sets
 
 
+# From Z up to Y up, for points as rows.
+Z_TO_Y = np.block([[Z_UP, np.zeros((3, 1))], [np.zeros((1, 3)), np.eye(1)]])
+
+
 def is_z_up(mesh: ControlMesh) -> bool:
     """Whether +Z is the axis of a mesh nearest to its file's up axis."""
     return mesh.upright is not None and np.array_equal(nearest_axis_rotation(mesh.upright), Z_UP)

@@ -20,7 +20,7 @@ from cagemap.files.gltf.binary import NGONS, Binary, remove_unused
 from cagemap.files.gltf.character import animation_entries, character_of, reorder_columns
 from cagemap.files.gltf.document import glb_bytes, read_document, write_document
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.geometry import is_z_up, mesh_entry
+from cagemap.files.gltf.geometry import Z_TO_Y, is_z_up, mesh_entry
 from cagemap.files.gltf.nodes import decompose_transform, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene, transform_normals, transform_offsets
 from cagemap.files.gltf.primitives import material_names, shape_names
@@ -31,7 +31,6 @@ from cagemap.mesh.control_mesh import NO_UV, UvSet
 from cagemap.mesh.faces import merged_corners, reversed_corners
 from cagemap.mesh.plain import turn_faces
 from cagemap.numerics.arrays import FloatArray
-from cagemap.surface.alignment import Z_UP
 
 _log = logging.getLogger(__name__)
 
@@ -45,7 +44,7 @@ def write_glb(path: str | Path, mesh: ControlMesh, *, to_metres: FloatArray | No
     demands. Default: the mesh's up axis alone is turned.
     """
     if to_metres is None and is_z_up(mesh):
-        to_metres = np.block([[Z_UP, np.zeros((3, 1))], [np.zeros((1, 3)), np.eye(1)]])
+        to_metres = Z_TO_Y
     # Stored by columns for points as columns: the rows of a matrix for points as rows.
     placed = {} if to_metres is None else {"matrix": to_metres.ravel().tolist()}
     binary = Binary()

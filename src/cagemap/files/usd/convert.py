@@ -73,7 +73,7 @@ def document_and_character(path: str | Path, meshes: Sequence[UsdMesh] | None = 
             for name in part.mesh.material_names:
                 users.setdefault(name, []).append(user)
         document = with_materials(_with_shape_weights(plain, character, weights), stage, users)
-    return replace(document, uv_names={name: first.uv_sets for name, (first, *_) in users.items()}), character
+    return document, character
 
 
 def read_usd_character(path: str | Path) -> Character:

@@ -21,8 +21,10 @@ logger = logging.getLogger(__name__)
 # Names of attributes that hold skinning weights and blend shapes.
 JOINT_WEIGHTS = "skel:jointWeights"
 BLEND_SHAPE = "blendShape:"
-# Interpolations of values that are not at vertices, with what has a value.
-_ELEMENTS = {"uniform": "faces", "faceVarying": "corners"}
+# Interpolations of values by their place on a control mesh, in the order in which a number of rows is looked up.
+INTERPOLATIONS = {"vertices": "vertex", "faces": "uniform", "corners": "faceVarying"}
+_PLACES = {"varying": "vertices"} | {interpolation: place for place, interpolation in INTERPOLATIONS.items()}
+_LEFT_OUT = "%s: primvar %s of %s is left out: there are as many vertices; export it at vertices%s"
 
 
 def read_value(attribute: Any) -> Any:
@@ -129,37 +131,44 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
     faces that share no vertex become that, others are left out with a warning.
     """
     taken = {uv_set.name for uv_set in control.all_uv_sets}
-    rows = {
-        "uniform": control.n_faces,
-        "varying": control.n_vertices,
-        "vertex": control.n_vertices,
-        "faceVarying": len(control.face_indices),
-    }
+    counts = place_counts(control)
     arrays: dict[str, NDArray[Any]] = {}
+    corners = _corners_of_vertices(control)
     for primvar in usd_modules().UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
         name = primvar.GetPrimvarName()
         if name in taken or name.startswith("skel:") or not primvar.HasValue():
             continue
         values = np.asarray(read_value(primvar))
         interpolation = str(primvar.GetInterpolation())
-        expected = rows.get(interpolation)
+        place = _PLACES.get(interpolation, "")
+        expected = counts.get(place)
         if expected is None or values.dtype.kind not in "iuf" or values.size == 0 or values.ndim > 2:
             continue
-        is_ambiguous = interpolation in _ELEMENTS and expected == control.n_vertices
-        corners = _corners_of_vertices(control) if is_ambiguous and interpolation == "faceVarying" else None
-        if is_ambiguous and corners is None:
-            text = "%s: primvar %s of %s is left out: there are as many vertices; export it at vertices"
-            logger.warning(text, where, name, _ELEMENTS[interpolation])
+        order = corners if place == "corners" else None
+        if place != "vertices" and expected == control.n_vertices and order is None:
+            logger.warning(_LEFT_OUT, where, name, place, " or corners" if place == "faces" else "")
             continue
         values, numbers, _ = primvar_values(where, primvar)
         if len(numbers) != expected:
             _refuse(where, primvar, f"got {len(numbers)} values where {expected} belong")
-        arrays[name] = values[numbers if corners is None else numbers[corners]]
+        arrays[name] = values[numbers if order is None else numbers[order]]
     return arrays | _weights(where, control, prim)
+
+
+def place_counts(mesh: ControlMesh) -> dict[str, int]:
+    """Number of places of each kind of `INTERPOLATIONS`."""
+    return {"vertices": mesh.n_vertices, "faces": mesh.n_faces, "corners": len(mesh.face_indices)}
+
+
+def place_of_rows(mesh: ControlMesh, count: int) -> str:
+    """First of "vertices", "faces" and "corners" with as many places as rows; "" for other numbers."""
+    return next((place for place, number in place_counts(mesh).items() if number == count), "")
 
 
 def _corners_of_vertices(control: ControlMesh) -> IndexArray | None:
     """(n,) the corner at each vertex if every vertex has one, else None."""
+    if len(control.face_indices) != control.n_vertices:
+        return None
     corners = np.argsort(control.face_indices, kind="stable")
     return corners if np.array_equal(control.face_indices[corners], np.arange(control.n_vertices)) else None
 

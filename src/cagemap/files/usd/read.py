@@ -166,7 +166,6 @@ def join_usd_meshes(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool 
         upright = upright_rotation(meshes[0].to_world[:3, :3] @ meshes[0].world_upright)
         return replace(meshes[0].control, upright=upright, name=file.name)
     schemes = {mesh.control.scheme: mesh.path for mesh in meshes}
-    _warn_of_other_uv_sets(file, meshes)
     whole = replace(join_meshes([place_in_world(mesh).control for mesh in meshes]), name=file.name)
     if len(schemes) > 1 and mixed:
         return replace(whole, object_schemes=tuple(default_scheme(mesh.control) for mesh in meshes))
@@ -178,15 +177,6 @@ def join_usd_meshes(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool 
             f"{', '.join(words.values())}). Match the one that is meant (`find_part` NAME)."
         )
     return whole
-
-
-def _warn_of_other_uv_sets(file: Path, meshes: Sequence[UsdMesh]) -> None:
-    """Warn of meshes with UV sets, but without that which is in use for all."""
-    names = {mesh.path: [one.name for one in mesh.control.all_uv_sets] for mesh in meshes}
-    in_use = next((known[0] for known in names.values() if known), "")
-    if others := [path for path, known in names.items() if known and in_use not in known]:
-        text = "%s: %s has no UV set %s: no image is baked there unless it is matched alone; name the UV sets alike"
-        logger.warning(text, file, first_few(others), in_use)
 
 
 def upright_rotation(linear: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ import json
 import logging
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +61,7 @@ def with_materials(document: Document, stage: Any, users: Mapping[str, Sequence[
         surface = shade.Material(named[name]).ComputeSurfaceSource()[0] if name in named else None
         if surface and surface.GetIdAttr().Get() == "UsdPreviewSurface":
             made.fill(entry, surface, [user.uv_sets for user in users[name]])
-    return made.binary.document(made.top)
+    return replace(made.binary.document(made.top), uv_names=made.color_uv_names)
 
 
 def _is_plain(texture: Any, slot: str) -> bool:
@@ -112,6 +112,8 @@ class _Materials:
         self.binary, self.top = Binary(document), json.loads(json.dumps(document.json))
         self._file, self._textures = document.file, AddedTextures(self.binary, self.top)
         self._image_of: dict[str, bytes | None] = {}  # PNG or JPEG by path
+        self.color_uv_names: dict[str, str] = {}  # UV set of the colour image by material, if its shader states one
+        self._reported: set[tuple[str, str]] = set()  # materials and UV sets
 
     def fill(self, entry: dict[str, Any], surface: Any, sets: Sequence[tuple[str, ...]]) -> None:
         """Set an entry by the inputs of a surface; ``sets``: names of the UV sets of each mesh that has it."""
@@ -153,6 +155,8 @@ class _Materials:
                 holder = self._holder(*found, next(iter(pairs.values())), entry["name"], sets)
                 if slot == "occlusionTexture":
                     holder["strength"] = float(np.clip(factor("occlusion", 1.0), 0.0, 1.0))
+                if slot == "baseColorTexture" and (stated := uv_name(pairs["diffuseColor"])):
+                    self.color_uv_names[entry["name"]] = stated
                 table[slot] = holder
 
     def _find_image(
@@ -241,8 +245,10 @@ class _Materials:
         name, number = uv_name(texture), self._textures.image(image, "")
         assert number is not None
         holder = self._textures.texture(number, wraps, _transform_of(texture))
-        place = sets[0].index(name) if name in sets[0] else 0
-        if any(name in names and names.index(name) != place for names in sets):
-            text = "%s: %s: its UV set %s has another number in some of its meshes, which show the image wrongly; %s"
-            _log.warning(text, self._file, material, name, "give each mesh a material of its own")
+        place = next((names.index(name) for names in sets if name in names), 0)
+        is_elsewhere = any(names and name not in names[place : place + 1] for names in sets)
+        if name and is_elsewhere and (material, name) not in self._reported:
+            self._reported.add((material, name))
+            text = "%s: %s: some of its meshes lack its UV set %s, or have it at another number, and show it wrongly%s"
+            _log.warning(text, self._file, material, name, "; give each mesh a material of its own")
         return holder | ({"texCoord": place} if place else {})

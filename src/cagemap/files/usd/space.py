@@ -9,14 +9,14 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.gltf.document import SCENE_SUFFIXES
+from cagemap.files.gltf.geometry import Z_TO_Y, is_z_up
+from cagemap.files.usd.prims import transform_points
 from cagemap.files.usd.read import read_usd_meshes
 from cagemap.files.usd.stages import damage_as_error, is_usd, open_each_once, open_stage, usd_modules
 from cagemap.files.usd.transforms import is_mirrored, is_similarity
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.plain import turn_faces
 from cagemap.numerics.arrays import FloatArray
-from cagemap.surface.alignment import Z_UP
-
-# From Z up to Y up, for points as rows.
-_Z_TO_Y = np.block([[Z_UP, np.zeros((3, 1))], [np.zeros((1, 3)), np.eye(1)]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,13 +81,29 @@ def to_standard(path: Path) -> FloatArray:
 
 def to_metres(space: StageSpace) -> FloatArray:
     """(4, 4) from a space to metres in world space with Y up."""
-    turned = space.to_world @ (_Z_TO_Y if space.up_axis == "Z" else np.eye(4))
+    turned = space.to_world @ (Z_TO_Y if space.up_axis == "Z" else np.eye(4))
     turned[:, :3] *= space.meters_per_unit
     return np.asarray(turned, dtype=np.float64)
 
 
 def between_spaces(target: Path | None, source: Path | None) -> FloatArray:
-    """(4, 4) from the source's space to the target's; the identity unless both files state their units and axes."""
-    if target is None or source is None or not (states_units(target) and states_units(source)):
+    """(4, 4) from the source's space to the target's; the identity for one file, or if one does not state its own."""
+    if target is None or source is None or not states_units(target) or not states_units(source):
+        return np.eye(4)
+    if target.resolve() == source.resolve():
         return np.eye(4)
     return np.asarray(to_standard(source) @ np.linalg.inv(to_standard(target)), dtype=np.float64)
+
+
+def from_mesh_space(target: Path, mesh: ControlMesh, file: Path | None) -> FloatArray:
+    """(4, 4) from the space of a mesh to that of a USD, glTF or FBX file; if its own states none, in the same unit."""
+    if file is not None and states_units(file):
+        return between_spaces(target, file)
+    space = StageSpace("Z" if is_z_up(mesh) else "Y", stage_units(target).meters_per_unit)
+    return np.asarray(to_metres(space) @ np.linalg.inv(to_standard(target)), dtype=np.float64)
+
+
+def transform_mesh(mesh: ControlMesh, matrix: FloatArray) -> ControlMesh:
+    """The mesh transformed by a (4, 4) matrix for points as rows; its faces are reversed if this mirrors it."""
+    moved = mesh.with_positions(transform_points(mesh.positions, matrix))
+    return turn_faces(moved, np.full(mesh.n_faces, is_mirrored(matrix)))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.files.usd.prims import faces_by_name
+from cagemap.files.usd.prims import INTERPOLATIONS, faces_by_name, place_counts, place_of_rows
 from cagemap.files.usd.results import define_material
 from cagemap.files.usd.stages import identifiers, usd_modules
 from cagemap.mesh import ControlMesh
@@ -112,18 +112,13 @@ def _colored_material(stage: Any, path: str, name: str, color: FloatArray) -> An
     return material
 
 
-# Interpolation of values by their place.
-_INTERPOLATIONS = {"vertices": "vertex", "faces": "uniform", "corners": CORNERS}
-
-
 def interpolation(mesh: ControlMesh, count: int, place: str | None = None) -> str | None:
     """USD interpolation of an array with a number of rows; None if it does not fit the mesh.
 
     ``place``: "vertices", "faces" or "corners"; by default the first with as many places as rows.
     """
-    counts = {"vertices": mesh.n_vertices, "faces": mesh.n_faces, "corners": len(mesh.face_indices)}
-    found = [name for name, number in counts.items() if number == count and place in (None, name)]
-    return _INTERPOLATIONS[found[0]] if found else None
+    place = place_of_rows(mesh, count) if place is None else place
+    return INTERPOLATIONS[place] if place_counts(mesh).get(place) == count else None
 
 
 def write_primvar(prim: Any, mesh: ControlMesh, name: str, values: NDArray[Any], place: str | None = None) -> None:

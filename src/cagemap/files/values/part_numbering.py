@@ -6,6 +6,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import input_file
+from cagemap.files.usd.prims import place_counts, place_of_rows
 from cagemap.files.usd.read import UsdMesh, objects_of, place_in_world, read_usd, read_usd_meshes
 from cagemap.files.usd.stages import is_usd
 from cagemap.maps.result import MatchResult
@@ -21,8 +23,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 Attributes = dict[str, NDArray[Any]]
-# Places of values on a control mesh, in the order in which a number of rows is looked up.
-CONTROL_PLACES = ("vertices", "faces", "corners")
+_PLACE_WORDS = {"vertices": "vertex", "faces": "face", "corners": "face corner"}
 
 _log = logging.getLogger(__name__)
 
@@ -69,12 +70,10 @@ class FileRows:
 
         At welded vertices floats are averaged; of other types the first copy's value is taken.
         """
-        vertices, faces, corners = _counts(self.whole)
-        if len(values) == vertices:
+        place = place_of_rows(self.whole, len(values))
+        if place == "vertices":
             return self._means(values)
-        if len(values) == faces:
-            return values[self.faces]
-        return values[self.corners] if len(values) == corners else values
+        return values[self.faces if place == "faces" else self.corners] if place else values
 
     def _means(self, values: NDArray[Any]) -> NDArray[Any]:
         """Values at the part's vertices, averaged over welded copies; warns if these differ."""
@@ -101,21 +100,20 @@ class FileRows:
         ``place``: of the values, see `place_of_rows`; by default by their number.
         """
         place = place_of_rows(self.part, len(values)) if place is None else place
-        if place not in CONTROL_PLACES:
+        if place not in _PLACE_WORDS:
             return values
-        kind = CONTROL_PLACES.index(place)
-        shape = (_counts(self.whole)[kind], *values.shape[1:])
+        shape = (place_counts(self.whole)[place], *values.shape[1:])
         if below is not None and below.shape != shape:
             raise ParameterError(
                 f"values outside the part: expected an array of shape {shape}, one row a "
-                f"{('vertex', 'face', 'face corner')[kind]} of {self.whole.name}, got {below.shape}. Give the file's "
+                f"{_PLACE_WORDS[place]} of {self.whole.name}, got {below.shape}. Give the file's "
                 "own values."
             )
         # Whole numbers over fractions become floats.
         filled = np.zeros(shape, values.dtype) if below is None else np.array(below, np.result_type(values, below))
-        if kind == 0:
+        if place == "vertices":
             return self._spread(filled, values)
-        filled[self.faces if kind == 1 else self.corners] = values
+        filled[self.faces if place == "faces" else self.corners] = values
         return filled
 
     def _spread(self, found: NDArray[Any], values: NDArray[Any]) -> NDArray[Any]:
@@ -200,8 +198,8 @@ def to_part(values: Mapping[str, NDArray[Any]], rows: FileRows | None) -> Attrib
 def to_file(
     values: Mapping[str, NDArray[Any]],
     rows: FileRows | None,
-    own: Mapping[str, NDArray[Any]] | None = None,
-    places: Mapping[str, str] | None = None,
+    own: Mapping[str, NDArray[Any]] = MappingProxyType({}),
+    places: Mapping[str, str] = MappingProxyType({}),
 ) -> Attributes:
     """Arrays in the file's numbering, elsewhere the file's ``own`` values or 0; unchanged without ``rows``.
 
@@ -209,13 +207,7 @@ def to_file(
     """
     if rows is None:
         return dict(values)
-    below, known = own or {}, places or {}
-    return {name: rows.to_file(array, below.get(name), known.get(name)) for name, array in values.items()}
-
-
-def place_of_rows(mesh: ControlMesh, count: int) -> str:
-    """First of "vertices", "faces" and "corners" with as many places as rows; "" for other numbers."""
-    return next((place for place, n in zip(CONTROL_PLACES, _counts(mesh), strict=True) if n == count), "")
+    return {name: rows.to_file(array, own.get(name), places.get(name)) for name, array in values.items()}
 
 
 def other_rows(control: ControlMesh, rows: FileRows | None) -> str:
@@ -232,7 +224,3 @@ def other_rows(control: ControlMesh, rows: FileRows | None) -> str:
 
 def _how(control: ControlMesh) -> str:
     return "in part" if control.file_copies is None else "welded"
-
-
-def _counts(mesh: ControlMesh) -> tuple[int, int, int]:
-    return mesh.n_vertices, mesh.n_faces, len(mesh.face_indices)

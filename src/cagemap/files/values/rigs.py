@@ -22,7 +22,7 @@ from cagemap.files.ownership import mark
 from cagemap.files.text import read_text
 from cagemap.files.usd.prims import BLEND_SHAPE
 from cagemap.files.usd.skeleton import read_usd_skeleton
-from cagemap.files.usd.space import between_spaces
+from cagemap.files.usd.space import between_spaces, states_units
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import FileRows, to_part
@@ -30,25 +30,22 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 
 
-def read_skeleton(path: str | Path, control: ControlMesh | None = None, like: Path | None = None) -> Skeleton:
+def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skeleton:
     """Read joints from JSON: ``[{"name": ..., "parent": ... or null, "head": [x, y, z], "tail": [x, y, z]}, ...]``.
 
     A joint may have ``"axes"``, three directions. A USD file has the skeleton of its mesh, a glTF file the joints of
     all its skins.
 
     ``control``: the mesh of the skeleton; needed if a USD file has several.
-    ``like``: file whose units and axes the joints get, if both files state theirs.
     """
     file = Path(path)
-    if file.suffix.lower() in SCENE_SUFFIXES:
-        return gltf_skeleton(file).transformed(_to_space_of(like, file))
-    if is_usd(file):
-        skeleton = read_usd_skeleton(file, control)
+    if states_units(file):
+        skeleton = scene_skeleton(file, control)
         if skeleton is None:
             raise FormatError(
                 f"{file}: expected a mesh bound to a skeleton, it is bound to none. Export it with its rig."
             )
-        return skeleton.transformed(_to_space_of(like, file))
+        return skeleton
     if file.suffix.lower() in MESH_SUFFIXES:
         raise FormatError(
             f"{file}: expected joints as .json, or in a glTF, FBX or USD file, got {file.suffix}, which holds none. "
@@ -83,9 +80,11 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None, like: Pa
     return Skeleton(names, parents, heads, tails, axes)
 
 
-def _to_space_of(like: Path | None, file: Path) -> FloatArray:
-    """(4, 4) from the units and axes of a file to those of another, see `between_spaces`; exact for one file."""
-    return np.eye(4) if like is not None and like.resolve() == file.resolve() else between_spaces(like, file)
+def scene_skeleton(file: Path, control: ControlMesh | None) -> Skeleton | None:
+    """Joints of a glTF, FBX or USD file; None for other files, and for a mesh in USD without a skeleton."""
+    if is_usd(file):
+        return read_usd_skeleton(file, control)
+    return gltf_skeleton(file) if file.suffix.lower() in SCENE_SUFFIXES else None
 
 
 def check_skeleton_path(file: Path) -> None:
@@ -129,7 +128,7 @@ def read_shapes(
         twice = sorted(set(shapes_of_file) & set(shapes))
         if twice:
             raise FormatError(f"{file}: a shape named {twice[0]} was read before. Rename one of them.")
-        linear = _to_space_of(like, file)[:3, :3]
+        linear = between_spaces(like, file)[:3, :3]
         shapes |= {name: offsets @ linear for name, offsets in shapes_of_file.items()}
     if not shapes:
         raise FormatError(f"expected shapes in {', '.join(map(str, paths))}, found none (.obj, .ply or .npz)")
