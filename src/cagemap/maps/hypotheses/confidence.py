@@ -285,8 +285,7 @@ def jump_warnings(prepared: PreparedPair, jumps: FloatArray) -> tuple[str, ...]:
     share = jump_share(prepared, jumps)
     if share <= WARNING_SIGNS["jumps"].bound:
         return ()
-    mesh = prepared.mesh
-    place = place_text(mesh.positions[jumps.argmax()] / mesh.scale)
+    place = place_text(prepared.mesh.positions[jumps.argmax()] / prepared.mesh.scale)
     return (
         f"{JUMPING}, at {100 * share:.1f} % of the target's area, most at {place} of the target's file. Add "
         "landmarks on these parts",
