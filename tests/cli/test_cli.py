@@ -104,7 +104,6 @@ def test_refined_uvs_and_materials_come_along(run: Run, tmp_path: Path) -> None:
     assert run("refine box.obj --level 1 -o fine.obj").code == 0
     fine = read_mesh(tmp_path / "fine.obj")
     assert fine.uvs.min() >= control.uvs.min() - 1e-6  # type: ignore[union-attr]
-    assert fine.face_materials is not None
     names = np.array(fine.material_names)[fine.face_materials]  # files number materials as they occur
     np.testing.assert_array_equal(names, np.repeat(np.array(control.material_names)[control.face_materials], 4))
     assert not (tmp_path / "fine.mtl").exists(), "the materials of box.mtl, with their images, are named"
@@ -143,22 +142,8 @@ def test_pipes_are_no_files_and_do_not_hang(run: Run, result_folder: Path, words
     assert sorted(place.iterdir()) == before
 
 
-def test_suggested_landmarks_go_to_a_landmark_file(run: Run, result_folder: Path) -> None:
-    run.refused("suggest R -o t.png", says="ending in .json")
-    assert read_image(result_folder.parent / "t.png").pixels.shape == (64, 96, 3)
-
-
-def test_the_demo_writes_nothing_where_its_result_folder_is_somebody_elses(run: Run, tmp_path: Path) -> None:
-    (tmp_path / "demo" / "RESULT").mkdir(parents=True)
-    (tmp_path / "demo" / "RESULT" / "precious.blend").touch()
-    outcome = run("demo -o demo")
-    assert (outcome.code, [path.name for path in (tmp_path / "demo").iterdir()]) == (2, ["RESULT"])
-
-
 @pytest.mark.slow
-def test_demo_runs_and_writes_what_the_readme_block_reads(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_fit: None
-) -> None:
+def test_demo_runs_and_writes_what_the_readme_block_reads(run, tmp_path, monkeypatch, quick_fit):
     """The demo is small: `make demo` in .ci/run is the whole one."""
     monkeypatch.setattr("cagemap.tasks.demo.VERTICES", 1500)
     monkeypatch.setattr("cagemap.tasks.demo.TEXTURE_SIZE", 128)
@@ -175,9 +160,7 @@ def test_demo_runs_and_writes_what_the_readme_block_reads(
     assert set(named) == {"deer.obj", "pony.obj", "landmarks.json", "pony.png", "deer.png"}
 
 
-def test_progress_is_timed_and_silent_without_a_terminal(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_progress_is_timed_and_silent_without_a_terminal(capsys, monkeypatch):
     clock = iter(range(100))
     monkeypatch.setattr("cagemap.tasks.progress.time.perf_counter", lambda: float(next(clock)))
     with ConsoleStages() as stages:
@@ -188,9 +171,7 @@ def test_progress_is_timed_and_silent_without_a_terminal(
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_long_command_without_a_terminal_says_its_stages(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_long_command_without_a_terminal_says_its_stages(capsys, monkeypatch):
     monkeypatch.setattr("cagemap.cli.progress.SILENT_SECONDS", 0.05)
     seen = ""
 

@@ -32,42 +32,12 @@ from cagemap.tasks import dry_run
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
 from cagemap.tasks.run_job import rows_in_user_words
 
-JOB = """output = "night"
+from job_text import job_text, table
 
-[options]
-vertices = 500
-
-[[assets]]
-name = "pony"
-file = "pony.obj"
-files = { color = "pony.png" }
-
-[[assets]]
-name = "deer"
-file = "deer.obj"
-
-[[assets]]
-name = "broken"
-file = "broken.obj"
-files = { color = "pony.png" }
-
-[[pairs]]
-source = "pony"
-target = "deer"
-landmarks = "landmarks.json"
-
-[[pairs]]
-source = "broken"
-target = "deer"
-landmarks = "landmarks.json"
-
-[[outputs]]
-command = "transfer"
-texture = "{source.color}"
-size = 64
-output = "{target}.png"
-"""
-
+COLORED = {"files.color": "pony.png"}
+PAIRS = [{"source": name, "target": "deer", "landmarks": "landmarks.json"} for name in ("pony", "broken")]
+JOB = job_text("vertices = 500", {"pony": COLORED, "deer": {}, "broken": COLORED}, PAIRS)
+JOB += table("outputs", command="transfer", texture="{source.color}", size=64, output="{target}.png")
 
 # Numbers of some tasks: three surfaces, two maps, what is made with each of these, the page.
 NUMBERED = {
@@ -103,10 +73,10 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(folder: Path) -> Non
 
 
 def test_options_that_contradict_each_other_are_refused_before_any_task(folder: Path) -> None:
-    outputs = 'command = "transfer"\ntexture = "{source.color}"\nrays = 3\noutput = "other.png"\n'
-    outputs += '[[outputs]]\ncommand = "wrap"\nfit_level = 1\nsize = 8\n'
     job = folder / "job.toml"
-    job.write_text(JOB.replace("vertices = 500", "vertices = 1500\nlevel = 1") + f"[[outputs]]\n{outputs}")
+    outputs = table("outputs", command="transfer", texture="{source.color}", rays=3, output="other.png")
+    outputs += table("outputs", command="wrap", fit_level=1, size=8)
+    job.write_text(JOB.replace("vertices = 500", "vertices = 1500\nlevel = 1") + outputs)
     done = CliRunner().invoke(app, ["run", str(job)])
     assert isinstance(done.exception, FormatError)
     message = str(done.exception)
@@ -123,27 +93,21 @@ def test_workers_of_a_scheduler_are_its_own(folder: Path) -> None:
 
 
 def test_a_dry_run_counts_plain_meshes_without_subdivision(folder: Path) -> None:
-    job = folder / "job.toml"
-    job.write_text(JOB.replace("vertices = 500", 'scheme = "none"\nlevel = 3'))
+    (folder / "job.toml").write_text(JOB.replace("vertices = 500", 'scheme = "none"\nlevel = 3'))
     said = run_job(folder, "--dry-run")
     shown = {int(count) for count in re.findall(r"prepare \w+ \w+: ([0-9,]+) vertices", said)}
     assert shown == {0, *(read_mesh(folder / f"{name}.obj").n_vertices for name in ("pony", "deer"))}
 
 
 @pytest.mark.parametrize(("option", "levels"), [("target_level = 1", (None, 1)), ("source_level = 0", (0, None))])
-def test_a_dry_run_counts_each_side_by_its_own_options(
-    folder: Path, option: str, levels: tuple[int | None, int | None]
-) -> None:
-    job = folder / "job.toml"
-    job.write_text(JOB.replace("vertices = 500", f"level = 2\n{option}"))
-    said = CliRunner().invoke(app, ["run", str(job), "--dry-run"])
-    assert said.exit_code == 0, said.output
-    (found,) = re.findall(r"match pony -> deer: ([0-9,]+) \+ ([0-9,]+) vertices", said.output)
+def test_a_dry_run_counts_each_side_by_its_own_options(folder, option, levels):
+    (folder / "job.toml").write_text(JOB.replace("vertices = 500", f"level = 2\n{option}"))
+    said = run_job(folder, "--dry-run")
+    (found,) = re.findall(r"match pony -> deer: ([0-9,]+) \+ ([0-9,]+) vertices", said)
     for name, count, level in zip(("pony", "deer"), found, levels, strict=True):
         expected = refine(read_mesh(folder / f"{name}.obj"), 2 if level is None else level).finest
         assert int(count.replace(",", "")) == expected.n_vertices
-        assert f"prepare {name} " in said.output
-        assert re.search(rf"prepare {name} \w+: {count} vertices", said.output)
+        assert re.search(rf"prepare {name} \w+: {count} vertices", said)
 
 
 def test_a_dry_run_shares_the_work_between_workers_but_no_task(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -235,13 +199,15 @@ def test_each_task_by_its_number_is_done_once_and_has_an_exit_code(folder: Path,
 
 
 @pytest.mark.slow
-def test_a_numbered_output_is_made_with_the_way_round_its_doubtful_map(
-    folder: Path, quick: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_numbered_output_is_made_with_the_way_round_its_doubtful_map(folder, quick, monkeypatch):
     """The composed map has no number: who needs it makes it first, once."""
-    cow = '[[assets]]\nname = "cow"\nfile = "pony.obj"\n\n[[pairs]]'
-    three = JOB.replace("[[pairs]]", cow, 1).replace('"broken"\ntarget = "deer"', '"cow"\ntarget = "deer"')
-    (folder / "job.toml").write_text(three + '\n[[pairs]]\nsource = "pony"\ntarget = "cow"\n')
+    three = {"pony": COLORED, "deer": {}, "cow": {}}
+    outputs = JOB[JOB.index("[[outputs]]") :]
+    (folder / "cow.obj").write_bytes((folder / "pony.obj").read_bytes())
+    pairs = [
+        {"source": source, "target": target} for source, target in (("pony", "deer"), ("cow", "deer"), ("pony", "cow"))
+    ]
+    (folder / "job.toml").write_text(job_text("vertices = 500", three, pairs) + outputs)
     way = Consistency({}, 1, (), {("deer", "pony"): ("deer", "cow", "pony")})
     monkeypatch.setattr("cagemap.tasks.run_job.collection_verdict", lambda plan, outcomes: way)
     job = read_job(folder / "job.toml", COMMANDS, WRITTEN)

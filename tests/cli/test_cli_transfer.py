@@ -92,13 +92,6 @@ def test_the_report_shows_all_tiles_of_an_image(run: Run, result_folder: Path) -
     assert 'width="64" height="32" alt="material colours: m.&lt;UDIM&gt;.png"' in page
 
 
-def test_bits_choose_the_number_type(run: Run, result_folder: Path) -> None:
-    place = result_folder.parent
-    assert run("transfer R --texture t.png --size 32 --bits 16 -o deep.png").code == 0
-    assert read_image(place / "deep.png").pixels.dtype == np.uint16
-    run.refused("transfer R --texture t.png --bits 32 -o deep.png", says="bits")
-
-
 def test_displacement_grows_with_the_model(run: Run, result_folder: Path) -> None:
     heights = np.full((32, 48, 1), 0.25, np.float32)
     write_image(result_folder.parent / "h.exr", heights)
@@ -158,17 +151,6 @@ def test_islands_outside_the_square_are_warned_of(run: Run, result_folder: Path)
     assert "outside the unit square" in outcome.err
 
 
-def test_a_source_without_layout_is_named_before_anything_is_written(run: Run, result_folder: Path) -> None:
-    result = read_result(result_folder)
-    bare = result.source.with_control(result.source.control.with_uvs(None, None))
-    write_result(result_folder, replace(result, source=bare))
-    run.refused(
-        "transfer R --texture t.png --unwrap -o b.png",
-        says=f"{bare.control.name}: expected texture coordinates of the source",
-    )
-    assert not list(result_folder.parent.glob("b*"))
-
-
 def test_layouts_that_lie_over_themselves_are_warned_of(run: Run, result_folder: Path) -> None:
 
     def doubled(surface: cagemap.Surface) -> cagemap.Surface:
@@ -191,9 +173,7 @@ def test_layouts_that_lie_over_themselves_are_warned_of(run: Run, result_folder:
     assert "materials of the source" not in colours.err
 
 
-def test_only_the_first_faces_over_a_seam_are_listed(
-    run: Run, result_folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_the_first_faces_over_a_seam_are_listed(run, result_folder, monkeypatch):
     def crossed(*sides: Any) -> Any:
         return replace(carry_uvs(*sides), crossed=np.arange(1000))
 
@@ -203,9 +183,7 @@ def test_only_the_first_faces_over_a_seam_are_listed(
     assert "0, 1, 2, 3, 4, 5, 6, 7, ... (992 more)" in outcome.err
 
 
-def test_a_mesh_with_the_source_s_uvs_is_noted_and_what_its_missing_file_held_is_warned_of(
-    run: Run, result_folder: Path
-) -> None:
+def test_a_mesh_with_the_source_s_uvs_is_noted_and_what_its_missing_file_held_is_warned_of(run, result_folder):
     outcome = run.done("transfer R --source-uvs -o laid.obj")
     result = read_result(result_folder)
     (entry,) = result.manifest["transfers"]

@@ -18,6 +18,8 @@ from cagemap.tasks.functions import run_functions
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.functions import FunctionsRequest
 
+from refusals import refuses
+
 
 @pytest.fixture(scope="module")
 def mesh(tmp_path_factory):
@@ -100,5 +102,4 @@ def test_functions_of_a_scan_are_in_its_own_order(tmp_path):
 )
 def test_wrong_requests_are_refused_before_the_eigensolver(mesh, tmp_path, monkeypatch, output, options, said):
     monkeypatch.setattr("cagemap.tasks.functions.prepare_surface", lambda *given, **more: pytest.fail("was solved"))
-    with pytest.raises(ParameterError, match=said):
-        run(mesh, tmp_path / output, level=1, **options)
+    refuses(ParameterError, said, run, mesh, tmp_path / output, level=1, **options)

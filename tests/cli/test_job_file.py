@@ -136,9 +136,7 @@ def test_blend_shapes_of_several_results_are_noted_in_each(folder: Path) -> None
 
 
 @pytest.mark.parametrize("text", ["mask.npy", "./mask.npy", "not:.//mask.npy", "not:sub/../mask.npy"])
-def test_masks_are_found_however_their_paths_are_typed(
-    folder: Path, text: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_masks_are_found_however_their_paths_are_typed(folder, text, monkeypatch):
     (folder / "sub").mkdir()
     np.save(folder / "mask.npy", np.ones(3))
     monkeypatch.chdir(folder)

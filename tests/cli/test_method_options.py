@@ -34,6 +34,8 @@ from cagemap.tasks.requests.functions import FunctionsRequest
 from cagemap.tasks.requests.mesh_commands import RefineRequest
 from cagemap.tasks.subdivision import SubdivisionRequest
 
+from refusals import refuses
+
 
 def files_of(folder):
     """The creature mapped to itself: meshes, landmarks and its symmetry as files."""
@@ -177,8 +179,7 @@ def test_symmetry_files(tmp_path):
         np.testing.assert_array_equal(read_symmetry(tmp_path / name), image)
     for name, content in (("a.json", '{"a": 1}'), ("b.txt", "1 2 x"), ("c.json", "[1.5]"), ("d.json", "[]")):
         (tmp_path / name).write_text(content)
-        with pytest.raises(FormatError, match="one vertex number for every control vertex"):
-            read_symmetry(tmp_path / name)
+        refuses(FormatError, "one vertex number for every control vertex", read_symmetry, tmp_path / name)
     with pytest.raises(ParameterError, match="as many files for one side as for the other, got 1 and 0"):
         match_config(MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, target_symmetry=(tmp_path / "s.npy",)))
 

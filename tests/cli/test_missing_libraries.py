@@ -23,7 +23,9 @@ from cagemap.subdivision import level_triangles
 from cagemap.transfer.unwrap import unwrap
 
 from example_once import example_pair
+from job_text import job_text
 from locations import ROOT
+from refusals import refuses
 
 
 def matched() -> MatchResult:
@@ -74,8 +76,7 @@ def test_pictures_and_layouts_name_the_library_they_miss(without_embreex_and_xat
     mesh = cube()
     with pytest.raises(MissingLibraryError, match="pictures: expected the library embreex"):
         _ = Model(mesh.positions, np.array([[0, 1, 2]])).scene
-    with pytest.raises(MissingLibraryError, match=r"`unwrap`.*expected the library xatlas.*version of Python"):
-        unwrap(mesh)
+    refuses(MissingLibraryError, r"`unwrap`.*expected the library xatlas.*version of Python", unwrap, mesh)
 
 
 def test_pip_takes_only_what_has_a_wheel() -> None:
@@ -97,13 +98,7 @@ def test_pip_takes_only_what_has_a_wheel() -> None:
 def test_a_job_without_dask_can_be_looked_at_and_says_what_to_install(tmp_path: Path) -> None:
     for name in ("a", "b"):
         write_mesh(tmp_path / f"{name}.obj", cube())
-    asset = '[[assets]]\nname = "{0}"\nfile = "{0}.obj"\n'
-    job = (
-        'output = "out"\n[options]\nvertices = 50\nk = 20\n'
-        + asset.format("a")
-        + asset.format("b")
-        + '[[pairs]]\nsource = "a"\ntarget = "b"\n'
-    )
+    job = job_text("vertices = 50\nk = 20", {"a": {}, "b": {}}, [{"source": "a", "target": "b"}])
     (tmp_path / "job.toml").write_text(job)
     without = (
         "import sys\nfor name in ('dask', 'distributed'): sys.modules[name] = None\n"

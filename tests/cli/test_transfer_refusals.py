@@ -10,18 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cagemap.deform.config import StartConfig
-from cagemap.errors import FormatError, ParameterError, explain_error
+from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result, write_result
-from cagemap.paper.hfm import HfmConfig
 from cagemap.tasks import transfer as door
-from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest
-from cagemap.tasks.transfer import run_transfer
 
 from example_result import identity_result
+from transfer_command import transfer
 
 
 @pytest.fixture
@@ -35,7 +32,7 @@ def place(tmp_path: Path) -> Path:
 def refused(place: Path, output: str, **options: Any) -> str:
     before = {path: path.read_bytes() for path in place.rglob("*") if path.is_file()}
     with pytest.raises((FormatError, ParameterError)) as refusal:
-        run_transfer(TransferRequest(place / "R", place / output, **options), Stages())
+        transfer(place / output, **options)
     assert {path: path.read_bytes() for path in place.rglob("*") if path.is_file()} == before
     return str(refusal.value)
 
@@ -51,21 +48,17 @@ def test_a_layer_that_cannot_be_is_refused_before_its_values_are_written(place: 
 
 def test_a_base_that_nothing_reads_is_refused_or_reported(place: Path) -> None:
     own, image = (("", place / "t.png"),), place / "t.png"
-    for options in ({"source_uvs": True}, {"write_map": True}, {"blend_shapes": (place,)}):
-        assert "--base: expected with" in refused(place, "o.obj", bases=own, **options)
     named = (("albedo", image),)
     assert "--base: expected one file without a name, got albedo" in refused(place, "o.png", texture=image, bases=named)
     maps = {"maps": (("color", image),), "target_mask": "red"}
     assert "names of what is carried (color), got albedo" in refused(place, "o.png", bases=named, **maps)
     for mask in (None, "red"):
-        request = TransferRequest(place / "R", place / "o.png", texture=image, bases=own, target_mask=mask)
-        assert any("--base is not used" in text for text in run_transfer(request, Stages())[1]) == (mask is None)
+        _, warnings = transfer(place / "o.png", texture=image, bases=own, target_mask=mask)
+        assert any("--base is not used" in text for text in warnings) == (mask is None)
 
 
 @pytest.mark.parametrize("words", [("attribute", "o.csv"), ("weights", "o.csv"), ("blend_shapes", "shapes")])
-def test_values_and_the_layer_beside_them_are_written_both_or_neither(
-    place: Path, words: tuple[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_values_and_the_layer_beside_them_are_written_both_or_neither(place, words, monkeypatch):
     """A .csv that is left alone, without a mark, would refuse the next run."""
     pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
     carried, output = words
@@ -76,7 +69,7 @@ def test_values_and_the_layer_beside_them_are_written_both_or_neither(
     with monkeypatch.context() as full:
         full.setattr("cagemap.files.usd.write.mark", fail)
         assert "cannot write there" in refused(place, output, **options)
-    run_transfer(TransferRequest(place / "R", place / output, **options), Stages())
+    transfer(place / output, **options)
     assert (place / "o.usda").is_file()
     assert (place / output).exists()
     assert not [path for path in place.rglob("*.part*")]
@@ -90,21 +83,7 @@ def test_options_that_would_do_nothing_are_those_of_the_request() -> None:
     assert set(door._READ_BY) <= {field.name for field in fields(TransferRequest)}
 
 
-@pytest.mark.parametrize("kind", [StartConfig, HfmConfig])
-def test_levels_are_not_sought_by_fewer_than_no_vertices(kind: type[StartConfig | HfmConfig]) -> None:
-    for name in ("search_vertices", "source_search_vertices"):
-        with pytest.raises(ParameterError, match="search_vertices: expected a whole number of at least 0"):
-            kind(**{name: -1})
-
-
-def test_an_error_of_no_file_says_where_room_may_be_missing() -> None:
-    assert explain_error(OSError(28, "No space left on device", "a.png")).startswith("a.png: No space")
-    assert "NUMBA_CACHE_DIR" in explain_error(OSError(28, "No space left on device"))
-
-
-def test_a_result_that_may_only_be_read_is_used_with_a_word(
-    place: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_result_that_may_only_be_read_is_used_with_a_word(place, monkeypatch, caplog):
     """Somebody else's, or on a disk that is for reading."""
     result = place / "R"
     (result / "job.toml").write_text('output = "again"\n')
@@ -112,7 +91,7 @@ def test_a_result_that_may_only_be_read_is_used_with_a_word(
     honest = os.access
     monkeypatch.setattr("os.access", lambda path, mode: Path(path) != result and honest(path, mode))
     monkeypatch.setattr("cagemap.tasks.job_file.is_own", lambda path: True)
-    said, _ = run_transfer(TransferRequest(result, place / "o.npz", attribute=place / "v.npy"), Stages())
+    said, _ = transfer(place / "o.npz", attribute=place / "v.npy")
     assert "wrote" in said
     assert (place / "o.npz").is_file()
     assert {path: path.read_bytes() for path in result.iterdir()} == before
@@ -132,9 +111,7 @@ FOREIGN = {
 
 
 @pytest.mark.parametrize("name", FOREIGN)
-def test_what_cannot_be_written_is_refused_before_the_work(
-    place: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_what_cannot_be_written_is_refused_before_the_work(place, monkeypatch, name):
     output, options, says = FOREIGN[name]
     for work in ("transfer.transfer_of", "rig.carry_shapes", "rig.carry_weights", "rig.carry_joints"):
         monkeypatch.setattr(f"cagemap.tasks.{work}", lambda *given, **more: pytest.fail("it was carried"))

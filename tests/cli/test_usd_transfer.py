@@ -14,18 +14,16 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import Image, read_image, write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result, write_result
-from cagemap.files.result.manifest import file_hash
+from cagemap.files.result.manifest import stated_inputs
 from cagemap.jobs.job import read_job
 from cagemap.jobs.plan import plan_job
 from cagemap.jobs.run import execute
 from cagemap.jobs.tree import spanning_tree
 from cagemap.tasks.job_file import JOB, note_match
-from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
 from cagemap.tasks.requests.match import MatchRequest
-from cagemap.tasks.requests.transfer import TransferRequest, texture_and_maps
+from cagemap.tasks.requests.transfer import texture_and_maps
 from cagemap.tasks.run_job import run_task
-from cagemap.tasks.transfer import run_transfer
 
 from example_result import identity_result, textured_cube
 
@@ -38,6 +36,8 @@ from cagemap.files.usd.results import MATERIAL
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
+from refusals import refuses
+from transfer_command import transfer
 from usd_scenes import complaints
 
 
@@ -48,10 +48,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     target = replace(textured_cube("large.usda", 2.0), uv_name="map1")
     write_usd(tmp_path / "large.usda", target)
     result = identity_result()
-    entry = {"file": "large.usda", "path": "../large.usda", "sha256": file_hash(tmp_path / "large.usda")}
-    provenance = {**result.provenance, "inputs": {"target": entry}}
+    inputs = stated_inputs({"target": tmp_path / "large.usda"}, tmp_path / "R")
+    provenance = {**result.provenance, "inputs": inputs}
     result = replace(result, target=result.target.with_control(target), provenance=provenance)
-    write_result(tmp_path / "RESULT", result)
+    write_result(tmp_path / "R", result)
     rng = np.random.default_rng(1)
     write_image(tmp_path / "skin.png", (rng.random((64, 64, 4)) * 255).astype(np.uint8))
     write_image(tmp_path / "rough.exr", rng.random((32, 32, 1)).astype(np.float32))
@@ -65,19 +65,14 @@ def bound_shaders(layer: Path) -> dict[str, Any]:
     return {prim.GetName(): UsdShade.Shader(prim) for prim in Usd.PrimRange(material.GetPrim())} | {"stage": stage}
 
 
-def _run(**options: object) -> str:
-    summary, _ = run_transfer(TransferRequest(result=Path("RESULT"), **options), Stages())
-    return summary
-
-
 def test_maps_of_a_material_in_one_run_and_bound_in_usd(folder: Path) -> None:
     maps = texture_and_maps(["albedo=skin.png", "roughness=rough.exr"])[1]
     with pytest.raises(Exception, match=r"\.png"):  # floats do not fit, and nothing was written
-        _run(maps=maps, output=folder / "out.png")
+        transfer(folder / "out.png", maps=maps)
     assert not list(folder.glob("out*"))
     write_image(folder / "rough.png", (read_image(folder / "rough.exr").pixels * 65535).astype(np.uint16))
     maps = texture_and_maps(["albedo=skin.png", "roughness=rough.png"])[1]
-    summary = _run(maps=maps, output=folder / "out.png", usd=folder / "look.usda")
+    summary, _ = transfer(folder / "out.png", maps=maps, usd=folder / "look.usda")
     assert "2 maps" in summary
     assert "a layer over large.usda" in summary
     albedo, roughness = read_image(folder / "out_albedo.png").pixels, read_image(folder / "out_roughness.png").pixels
@@ -102,8 +97,7 @@ def test_usual_names_of_maps_are_bound_and_what_is_left_out_is_said(folder: Path
     for name in [*expected, "gloss", "opacity"]:
         write_image(folder / f"in_{name}.png", gray)
     maps = texture_and_maps([f"{name}=in_{name}.png" for name in [*expected, "gloss", "opacity"]])[1]
-    request = TransferRequest(result=Path("RESULT"), maps=maps, output=folder / "out.png", usd=folder / "look.usda")
-    _, warnings = run_transfer(request, Stages())
+    _, warnings = transfer(folder / "out.png", maps=maps, usd=folder / "look.usda")
     left = [line for line in warnings if "not bound" in line]
     assert [line.partition(":")[0] for line in left] == ["gloss", "opacity"]  # alpha has the input already
     shaders = bound_shaders(folder / "look.usda")
@@ -116,33 +110,21 @@ def test_the_colour_space_of_an_image_is_noted(folder: Path) -> None:
     words = []
     for name, dtype, space in (("a.png", np.uint8, "sRGB"), ("b.exr", np.float32, "lin_rec709_scene")):
         write_image(folder / name, Image(np.full((8, 8, 3), 90, dtype=dtype), color_space=space))
-        _run(texture=folder / name, output=folder / f"out_{name}")
-        words.append(read_result(folder / "RESULT").manifest["transfers"][-1]["color_space"])
+        transfer(folder / f"out_{name}", texture=folder / name)
+        words.append(read_result(folder / "R").manifest["transfers"][-1]["color_space"])
         assert words[-1] == read_image(folder / name).color_space == read_image(folder / f"out_{name}").color_space
     assert "srgb" in words[0].lower()  # spelt as the library does
     assert words[1] != words[0]
 
 
-def test_attributes_arrive_as_primvars(folder: Path) -> None:
-    rng = np.random.default_rng(2)
-    weights = rng.random((8, 3))
-    values = {"skel:jointWeights": weights / weights.sum(axis=1, keepdims=True), "fur": rng.random(8)}
-    np.savez(folder / "values.npz", **values)
-    _run(attribute=folder / "values.npz", output=folder / "carried.npz", usd=folder / "rig.usda")
-    carried = read_usd_meshes(folder / "rig.usda")[0].attributes
-    for name, array in values.items():
-        np.testing.assert_allclose(carried[name], array, atol=1e-5)
-    assert complaints(folder / "rig.usda") == []
-
-
 def test_the_job_file_repeats_each_transfer_into_one_layer(folder: Path) -> None:
     write_mesh(folder / "small.obj", textured_cube("small.obj"))
-    result = Path("RESULT")
+    result = Path("R")
     note_match(MatchRequest(folder / "large.usda", folder / "small.obj", result))
     names = ("fur", "dirt")
     for name in names:
         np.savez(folder / f"{name}.npz", **{name: np.linspace(0, 1, 8)})
-        _run(attribute=folder / f"{name}.npz", output=folder / f"{name}_out.npz", usd=folder / "rig.usda")
+        transfer(folder / f"{name}_out.npz", attribute=folder / f"{name}.npz", usd=folder / "rig.usda")
     job = read_job(result / JOB, COMMANDS, WRITTEN)
     tasks = [task for task in plan_job(job, "1", spanning_tree).tasks if task.kind == "transfer"]
     place = Path(tasks[0].request["result"])
@@ -156,8 +138,7 @@ def test_the_job_file_repeats_each_transfer_into_one_layer(folder: Path) -> None
 
 def test_a_target_that_is_gone_takes_its_units_along_and_that_is_said(folder: Path) -> None:
     def carried(output: str) -> str:
-        request = TransferRequest(Path("RESULT"), folder / output, source_uvs=True)
-        return " ".join(run_transfer(request, Stages())[1])
+        return " ".join(transfer(folder / output, source_uvs=True)[1])
 
     assert "units" not in carried("there.usda")
     (folder / "large.usda").unlink()
@@ -167,7 +148,7 @@ def test_a_target_that_is_gone_takes_its_units_along_and_that_is_said(folder: Pa
 
 def test_a_target_that_is_no_usd_is_written_with_its_textures(folder: Path) -> None:
     (folder / "large.usda").unlink()
-    _run(texture=folder / "skin.png", output=folder / "out.png", usd=folder / "asset.usda")
+    transfer(folder / "out.png", texture=folder / "skin.png", usd=folder / "asset.usda")
     (mesh,) = read_usd_meshes(folder / "asset.usda")
     assert mesh.control.n_faces == 6
     assert complaints(folder / "asset.usda") == []
@@ -198,9 +179,9 @@ def test_several_transfers_share_a_layer(folder: Path, name: str, target: str) -
     def carry() -> str:
         for file, values in files.items():
             np.savez(folder / f"{file}.npz", **values)
-            said = _run(attribute=folder / f"{file}.npz", output=folder / f"{file}_out.npz", usd=layer, force=force)
-        _run(maps=(("albedo", folder / "skin.png"),), output=folder / "a.png", usd=layer, force=force)
-        _run(maps=(("roughness", folder / "skin.png"),), output=folder / "b.png", usd=layer, unwrap=True, force=force)
+            said, _ = transfer(folder / f"{file}_out.npz", attribute=folder / f"{file}.npz", usd=layer, force=force)
+        transfer(folder / "a.png", maps=(("albedo", folder / "skin.png"),), usd=layer, force=force)
+        transfer(folder / "b.png", maps=(("roughness", folder / "skin.png"),), usd=layer, unwrap=True, force=force)
         return said
 
     assert "and what earlier commands wrote there" in carry()
@@ -234,10 +215,10 @@ def test_a_layer_about_another_mesh_is_refused(folder: Path) -> None:
     write_usd_over(layer, folder / "other.usda", ["/Asset/mesh"], other, fur)
     before = layer.read_bytes()
     with pytest.raises(FormatError, match=r"look\.usda: holds results about another mesh"):
-        _run(attribute=folder / "values.npz", output=folder / "carried.npz", usd=layer)
+        transfer(folder / "carried.npz", attribute=folder / "values.npz", usd=layer)
     assert layer.read_bytes() == before
     assert not (folder / "carried.npz").exists()
-    _run(attribute=folder / "values.npz", output=folder / "carried.npz", usd=layer, force=True)
+    transfer(folder / "carried.npz", attribute=folder / "values.npz", usd=layer, force=True)
     assert set(read_usd_meshes(layer)[0].attributes) == {"fur"}
 
 
@@ -252,7 +233,7 @@ def test_weights_without_joints_do_not_keep_those_of_earlier_ones(folder: Path) 
     assert read_usd_skeleton(layer) is not None
     wider = np.eye(3)[np.arange(8) % 3]
     np.savez(folder / "values.npz", **{"skel:jointWeights": wider})
-    _run(attribute=folder / "values.npz", output=folder / "carried.npz", usd=layer)
+    transfer(folder / "carried.npz", attribute=folder / "values.npz", usd=layer)
     assert read_usd_skeleton(layer) is None
     np.testing.assert_allclose(read_usd_meshes(layer)[0].attributes["skel:jointWeights"], wider, atol=1e-6)
 
@@ -262,8 +243,7 @@ def test_weights_without_joints_do_not_keep_those_of_earlier_ones(folder: Path) 
     [["a.png", "b.png"], ["a=x.png", "a=y.png"], ["a=x.png", "y.png"], ["a/b=x.png", "c=y"], ["A=x.png", "a=y.png"]],
 )
 def test_maps_without_names_of_their_own_are_refused(words: list[str]) -> None:
-    with pytest.raises(ParameterError, match="--texture"):
-        texture_and_maps(words)
+    refuses(ParameterError, "--texture", texture_and_maps, words)
 
 
 def test_a_single_image_needs_no_name() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,31 +33,14 @@ from cagemap.tasks.requests.catalogue import COMMANDS
 
 from example_once import example_pair
 from example_result import identity_result, textured_cube
+from job_text import job_text
 from plain_meshes import renumbered
+from refusals import refuses
 
-JOB = """output = "night"
-[options]
-vertices = 500
-[[assets]]
-name = "a"
-file = "a.obj"
-landmarks = "a.json"
-[[assets]]
-name = "b"
-file = "b.obj"
-[[assets]]
-name = "c"
-file = "c.obj"
-[[pairs]]
-source = ["a", "b"]
-target = ["a", "b"]
-[[pairs]]
-source = "b"
-target = "c"
-[carry]
-source = "a"
-folder = "marks"
-"""
+BOTH = {"source": ["a", "b"], "target": ["a", "b"]}
+CARRY = '[carry]\nsource = "a"\nfolder = "marks"\n'
+ASSETS = {"a": {"landmarks": "a.json"}, "b": {}, "c": {}}
+JOB = job_text("vertices = 500", ASSETS, [BOTH, {"source": "b", "target": "c"}]) + CARRY
 
 
 @pytest.fixture
@@ -116,13 +100,23 @@ def test_a_file_that_somebody_edited_counts_as_landmarks_and_is_left_alone(folde
     assert after["match b -> c"].key == names["match b -> c"].key  # c has none
 
 
-def test_mistakes_are_named(folder: Path) -> None:
-    (folder / "job.toml").write_text(JOB.replace('landmarks = "a.json"\n', ""))
-    with pytest.raises(FormatError, match=r"carry\.source: 'a' has no landmarks"):
-        planned(folder)
-    (folder / "job.toml").write_text(JOB.replace('[carry]\nsource = "a"', '[carry]\nsource = "x"'))
-    with pytest.raises(FormatError, match="no asset is called 'x'"):
-        planned(folder)
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('landmarks = "a.json"\n', "", r"carry\.source: 'a' has no landmarks"),
+        (CARRY, CARRY.replace('"a"', '"x"'), "no asset is called 'x'"),
+    ],
+)
+def test_mistakes_are_named(folder: Path, old: str, new: str, words: str) -> None:
+    (folder / "job.toml").write_text(JOB.replace(old, new))
+    refuses(FormatError, words, planned, folder)
+
+
+def carry(folder: Path, given: dict[str, Any], forward: bool = True, back: str | None = None, **more: str) -> Any:
+    """Carry landmarks along the map of ``folder / "RESULT"`` to ``folder / "carried.json"``."""
+    (folder / "given.json").write_text(json.dumps(given))
+    files = {"landmarks": str(folder / "given.json"), "output": str(folder / "carried.json")}
+    return carry_landmarks({"steps": [[str(folder / "RESULT"), forward]], "back": back, **files, **more})
 
 
 @pytest.mark.parametrize("forward", [True, False])
@@ -135,15 +129,7 @@ def test_points_and_curves_arrive_where_the_map_says(forward: bool, tmp_path: Pa
     middle = start.control.positions[start.control.face_indices[:4]].mean(axis=0)
     entries = [{"name": "corner", "vertex": 5}, {"name": "middle", "position": middle.tolist()}]
     edge = start.control.face_indices[:3].tolist()
-    given = {"points": entries, "curves": [{"name": "rim", "vertices": edge}]}
-    (tmp_path / "given.json").write_text(json.dumps(given))
-    request = {
-        "steps": [[str(tmp_path / "RESULT"), forward]],
-        "back": None,
-        "landmarks": str(tmp_path / "given.json"),
-        "output": str(tmp_path / "carried.json"),
-    }
-    figures = carry_landmarks(request)
+    figures = carry(tmp_path, {"points": entries, "curves": [{"name": "rim", "vertices": edge}]}, forward)
     assert (figures["points"], figures["curves"], figures["look_at"]) == (2, 1, [])
     found = read_points(tmp_path / "carried.json")
     assert found.names == ("corner", "middle")
@@ -168,38 +154,24 @@ def test_landmarks_of_parts_have_the_numbers_of_their_files(forward: bool, tmp_p
     entries = [{"name": "elsewhere", "vertex": 2}, {"name": "corner", "vertex": corner}]
     rim = (piece.n_vertices + parts[0].face_indices[:3]).tolist()
     curves = [{"name": "other", "vertices": piece.face_indices[:2].tolist()}, {"name": "rim", "vertices": rim}]
-    (tmp_path / "given.json").write_text(json.dumps({"points": entries, "curves": curves}))
-    request = {
-        "steps": [[str(tmp_path / "RESULT"), forward]],
-        "back": None,
-        "landmarks": str(tmp_path / "given.json"),
-        "file": str(tmp_path / "start.obj"),
-        "output": str(tmp_path / "carried.json"),
-    }
-    figures = carry_landmarks(request)
+    file = str(tmp_path / "start.obj")
+    figures = carry(tmp_path, {"points": entries, "curves": curves}, forward, file=file)
     assert (figures["points"], figures["curves"]) == (1, 1)
     found = read_points(tmp_path / "carried.json")
     assert (found.names, found.vertices.tolist()) == (("corner",), [corner])
     np.testing.assert_allclose(found.curves[0].positions, end.positions[rim], atol=1e-3)
-    (tmp_path / "given.json").write_text(json.dumps({"points": entries[:1]}))
     with pytest.raises(InvalidLandmarksError, match=r"given\.json: expected landmarks on .*, found none there"):
-        carry_landmarks(request)
+        carry(tmp_path, {"points": entries[:1]}, forward, file=file)
 
 
 def test_points_where_both_directions_disagree_are_to_be_looked_at(tmp_path: Path) -> None:
     result = identity_result()
-    write_result(tmp_path / "there", result)
+    write_result(tmp_path / "RESULT", result)
     count = len(result.point_map.images)
     images = result.point_map.images.at(np.roll(np.arange(count), 40))
     write_result(tmp_path / "back", replace(result, point_map=replace(result.point_map, images=images)))
-    (tmp_path / "given.json").write_text(json.dumps({"points": [{"name": "corner", "vertex": 5}]}))
-    request = {
-        "steps": [[str(tmp_path / "there"), True]],
-        "back": str(tmp_path / "back"),
-        "landmarks": str(tmp_path / "given.json"),
-        "output": str(tmp_path / "carried.json"),
-    }
-    assert carry_landmarks(request)["look_at"] == ["corner"]
+    given = {"points": [{"name": "corner", "vertex": 5}]}
+    assert carry(tmp_path, given, back=str(tmp_path / "back"))["look_at"] == ["corner"]
 
 
 def test_a_point_of_the_surface_has_a_point_of_the_cage_that_lies_there() -> None:
@@ -229,8 +201,8 @@ def test_a_job_carries_landmarks_and_takes_the_corrected_ones(tmp_path: Path) ->
     corrected = number[pair.landmarks.source]
     some = NamedPoints(pair.landmarks.names, pair.landmarks.source, np.full((len(pair.landmarks), 3), np.nan), "a.obj")
     write_points(tmp_path / "a.json", some, pair.source)
-    text = JOB.replace('[[assets]]\nname = "c"\nfile = "c.obj"\n', "").replace("500", "1500")
-    (tmp_path / "job.toml").write_text(text.replace('[[pairs]]\nsource = "b"\ntarget = "c"\n', ""))
+    assets = {name: ASSETS[name] for name in "ab"}
+    (tmp_path / "job.toml").write_text(job_text("vertices = 1500", assets, [BOTH]) + CARRY)
     runner = CliRunner()
     first = runner.invoke(app, ["run", str(tmp_path / "job.toml"), "--workers", "2"])
     assert first.exit_code == 0, first.output

@@ -74,9 +74,7 @@ def test_open_job_description_accepts_the_template(tmp_path: Path) -> None:
     ]
 
 
-def test_the_slurm_script_runs_every_number_once_after_the_step_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_slurm_script_runs_every_number_once_after_the_step_before(tmp_path, monkeypatch):
     """A stand-in for sbatch runs each array at once, as Slurm would when all before has ended."""
     monkeypatch.setattr("cagemap.jobs.farm.MAX_SLURM_ARRAY_SIZE", 4)
     programs = tmp_path / "bin"

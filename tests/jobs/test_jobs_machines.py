@@ -18,25 +18,9 @@ from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.result.folder import read_result
 
 from forked import dask_command, forking
+from job_text import job_text
 
-JOB = """output = "{output}"
-[options]
-vertices = 300
-[[assets]]
-name = "pony"
-file = "pony.obj"
-[[assets]]
-name = "deer"
-file = "deer.obj"
-[[pairs]]
-source = "pony"
-target = "deer"
-landmarks = "landmarks.json"
-[[pairs]]
-source = "deer"
-target = "pony"
-landmarks = "back.json"
-"""
+LANDMARKS = {("pony", "deer"): "landmarks.json", ("deer", "pony"): "back.json"}  # of source and target
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_fit")]
 
@@ -47,20 +31,14 @@ def folder(pair_files: Path, built_in_pair: ExamplePair) -> Path:
     return pair_files
 
 
-ALONE: dict[str, np.ndarray] = {}
-
-
 def single(folder: Path, target: str, source: str, landmarks: str) -> np.ndarray:
-    """Images of a match by its own command, which is done once for all tests."""
-    if target in ALONE:
-        return ALONE[target]
-    result = folder / f"alone-{target}"
-    given = ["match", "--vertices", "300", "-o", str(result)]
+    """Images of a match by its own command."""
+    given = ["match", "--vertices", "300", "-o", str(folder / "alone")]
     files = {"-t": f"{target}.obj", "-s": f"{source}.obj", "--landmarks": landmarks}
     given += [word for option, name in files.items() for word in (option, str(folder / name))]
     said = CliRunner().invoke(app, given)
     assert said.exit_code == 0, said.output
-    return ALONE.setdefault(target, read_result(result).image())
+    return read_result(folder / "alone").image()
 
 
 @contextmanager
@@ -82,11 +60,12 @@ def cluster(folder: Path, workers: int) -> Iterator[str]:
 
 
 def test_a_scheduler_and_two_workers_of_their_own_give_the_same_results(folder: Path) -> None:
-    (folder / "job.toml").write_text(JOB.format(output="night"))
+    pairs = [{"source": of[0], "target": of[1], "landmarks": file} for of, file in LANDMARKS.items()]
+    (folder / "job.toml").write_text(job_text("vertices = 300", {"pony": {}, "deer": {}}, pairs))
     with cluster(folder, 2) as address:
         said = CliRunner().invoke(app, ["run", str(folder / "job.toml"), "--scheduler", address])
     assert said.exit_code == 0, said.output
     assert "2 pairs, tasks: 6 done" in said.output
-    for target, source, landmarks in (("deer", "pony", "landmarks.json"), ("pony", "deer", "back.json")):
+    for (source, target), landmarks in LANDMARKS.items():
         found = read_result(folder / "night" / f"{source}__{target}" / "RESULT").image()
         np.testing.assert_allclose(found, single(folder, target, source, landmarks), atol=1e-12)

@@ -20,6 +20,8 @@ from cagemap.jobs.plan import Plan, Task
 from cagemap.jobs.run import TaskOutcome
 from cagemap.tasks.run_job import summary
 
+from refusals import refuses
+
 QUALITY = {
     "landmark_error_mean": 0.001,
     "landmark_error_worst": 0.002,
@@ -108,9 +110,7 @@ def test_the_same_parquet_is_not_written_again(tmp_path: Path, monkeypatch: pyte
 
 
 @pytest.mark.parametrize("full", [".csv", ".sha256"])
-def test_a_table_that_found_no_room_is_written_by_the_next_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, full: str
-) -> None:
+def test_a_table_that_found_no_room_is_written_by_the_next_run(tmp_path, monkeypatch, full):
     """It has no place for a mark, so it and the note that says whose it is must go together."""
     honest = atomic.os.replace
 
@@ -122,8 +122,7 @@ def test_a_table_that_found_no_room_is_written_by_the_next_run(
     write_library(tmp_path, "night", [GOOD])
     with monkeypatch.context() as disk:
         disk.setattr(atomic.os, "replace", replaced)
-        with pytest.raises(FormatError, match="No space"):
-            write_library(tmp_path, "night", [replace(GOOD, seconds=4.0)])
+        refuses(FormatError, "No space", write_library, tmp_path, "night", [replace(GOOD, seconds=4.0)])
     write_library(tmp_path, "night", [replace(GOOD, seconds=4.0)])
     assert "4.0" in (tmp_path / "figures.csv").read_text()
 
@@ -133,8 +132,7 @@ def test_a_file_that_somebody_edited_is_not_overwritten(tmp_path: Path, name: st
     write_library(tmp_path, "night", [GOOD])
     edited = (tmp_path / name).read_text() + "my remark\n"
     (tmp_path / name).write_text(edited)
-    with pytest.raises(FormatError, match="not overwritten"):
-        write_library(tmp_path, "night", [replace(GOOD, seconds=4.0)])
+    refuses(FormatError, "not overwritten", write_library, tmp_path, "night", [replace(GOOD, seconds=4.0)])
     assert (tmp_path / name).read_text() == edited
 
 

@@ -116,9 +116,7 @@ REFERRED = [
 
 
 @pytest.mark.parametrize(("file", "content", "others"), REFERRED, ids=lambda value: str(value)[:30])
-def test_hashes_of_a_mesh_follow_each_file_that_it_names(
-    file: str, content: bytes, others: list[str], tmp_path: Path
-) -> None:
+def test_hashes_of_a_mesh_follow_each_file_that_it_names(file, content, others, tmp_path):
     if file == "a.usda":
         pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
     (tmp_path / "maps").mkdir()

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from cagemap.character.self_collision import CollisionConfig
-from cagemap.deform.config import ElasticConfig, GraphConfig, LandmarkConfig, ProjectionConfig, Stage
+from cagemap.deform.config import ElasticConfig, GraphConfig, LandmarkConfig, ProjectionConfig, Stage, StartConfig
 from cagemap.errors import ParameterError
 from cagemap.match_config import MatchConfig
 from cagemap.numerics.kinds import Config
+from cagemap.paper.hfm import HfmConfig
 from cagemap.spectral.config import SOLVER
 from cagemap.wrap.config import MendConfig, WrapConfig
 
@@ -27,6 +28,14 @@ REFUSED: dict[str, Callable[[], object]] = {
     "min_side_gain: expected a number of at least -1": lambda: LandmarkConfig(min_side_gain=-2.0),
     "answer: expected a whole number": lambda: MatchConfig(answer=True),
     "rounds: expected a whole number of at least 0, got 2.5": lambda: MendConfig(rounds=2.5),  # type: ignore[arg-type]
+    "search_vertices: expected a whole number of at least 0, got -1": lambda: StartConfig(search_vertices=-1),
+    "search_vertices: expected a whole number of at least 0, got -2": lambda: HfmConfig(search_vertices=-2),
+    "source_search_vertices: expected a whole number of at least 0, got -1": lambda: StartConfig(
+        source_search_vertices=-1
+    ),
+    "source_search_vertices: expected a whole number of at least 0, got -2": lambda: HfmConfig(
+        source_search_vertices=-2
+    ),
     "smoothing: expected a finite number of at least 0, got inf": lambda: WrapConfig(smoothing=np.inf),
     "seed: expected a whole number of at least 0": lambda: replace(SOLVER, seed=-1),
     "projection_normal_weights: expected numbers of at least 0, got [-1.0]": lambda: ElasticConfig(

@@ -56,9 +56,7 @@ def test_a_real_pair_is_as_accurate_as_it_was(shared_data: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "errors"), [("pig", (0.136, 0.095)), ("shark", (0.099, 0.087)), ("velociraptor", (0.068, 0.062))]
 )
-def test_held_out_animals_under_another_cage_are_themselves(
-    shared_data: Path, name: str, errors: tuple[float, float]
-) -> None:
+def test_held_out_animals_under_another_cage_are_themselves(shared_data, name, errors):
     mesh = read_mesh(shared_data / "animals" / f"{name}.obj")
     level = choose_level(mesh, 5000)
     surfaces = prepare_surface(mesh, level), prepare_surface(requadded(mesh, 0.5), level - 1)
@@ -101,13 +99,7 @@ def programs_of(page: str) -> list[str]:
 
 
 @pytest.mark.slow
-def test_examples_in_the_docs_run(
-    pair_files: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    quick_fit: None,
-    one_start: None,
-) -> None:
+def test_examples_in_the_docs_run(pair_files, monkeypatch, capsys, quick_fit, one_start):
     """README.md from files to a baked texture, then the steps of docs/api.md on its surfaces; coarse and quick.
 
     Of the first programs of docs/api.md the last is enough: all five run in tests/docs/test_snippets.py.

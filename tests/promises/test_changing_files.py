@@ -47,9 +47,7 @@ def place(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_mesh_that_is_saved_anew_while_it_is_read_is_not_taken_for_the_one_that_was_read(
-    place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_mesh_that_is_saved_anew_while_it_is_read_is_not_taken_for_the_one_that_was_read(place, monkeypatch):
     a, b = place / "a.obj", place / "b.obj"
     np.save(place / "m.npy", np.arange(8))
     monkeypatch.setattr(import_map, "read_mesh", replacing(import_map.read_mesh, a))
@@ -78,9 +76,7 @@ def test_a_mesh_that_is_saved_anew_while_it_is_read_is_not_taken_for_the_one_tha
         ("m.gltf", '{"buffers": [{"uri": "other.bin"}]}', "other.bin"),
     ],
 )
-def test_a_mesh_in_several_files_has_changed_with_each_of_them(
-    tmp_path: Path, name: str, text: str, other: str
-) -> None:
+def test_a_mesh_in_several_files_has_changed_with_each_of_them(tmp_path, name, text, other):
     """Its vertices have other numbers then. A result of an older version states the hash of the file alone."""
     if name == "m.usda":
         pytest.importorskip("pxr.Usd", reason="usd-core is not installed")

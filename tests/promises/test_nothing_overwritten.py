@@ -22,27 +22,25 @@ from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.npz import write_npz
 from cagemap.files.ownership import is_own
 from cagemap.files.result.folder import read_result, write_result
-from cagemap.files.result.manifest import MANIFEST, file_hash
+from cagemap.files.result.manifest import MANIFEST, stated_inputs
 from cagemap.files.values.attributes import read_attributes, write_attributes
 from cagemap.report import build_page
 from cagemap.report.figures import Gallery
-from cagemap.tasks.demo import run_demo
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.mesh_commands import run_refine
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.report import run_report
-from cagemap.tasks.requests.demo import DemoRequest
 from cagemap.tasks.requests.mesh_commands import RefineRequest
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.tasks.requests.suggest import SuggestRequest
-from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.suggest import run_suggest
-from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import run_wrap
 
 from example_once import example_pair
 from example_result import identity_result, textured_cube
+from refusals import refuses
+from transfer_command import transfer
 
 CUBE = """# modelled by hand
 mtllib box paint.mtl
@@ -88,8 +86,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def texture_of(place: Path, output: str, **options: Any) -> tuple[str, list[str]]:
-    request = TransferRequest(place / "R", place / output, texture=place / "t.png", size=16)
-    return run_transfer(replace(request, **options), Stages())
+    return transfer(place / output, place / "R", texture=place / "t.png", size=16, **options)
 
 
 def test_a_folder_with_a_foreign_manifest_is_left_alone(place: Path) -> None:
@@ -98,8 +95,7 @@ def test_a_folder_with_a_foreign_manifest_is_left_alone(place: Path) -> None:
     (work / "manifest.json").write_text('{"name": "a web app"}')
     (work / "sub" / "photo.raw").write_bytes(b"\0\1")
     before = contents(work)
-    with pytest.raises(FormatError, match=r"manifest\.json: exists.*force=True"):
-        write_result(work, identity_result())
+    refuses(FormatError, r"manifest\.json: exists.*force=True", write_result, work, identity_result())
     assert contents(work) == before
     write_result(work, identity_result(), force=True)
     assert (work / "sub" / "photo.raw").exists()
@@ -120,8 +116,7 @@ def test_a_rerun_keeps_the_users_files_in_the_result_folder(place: Path) -> None
 def test_a_manifest_that_somebody_edited_is_theirs(place: Path) -> None:
     file = place / "R" / MANIFEST
     file.write_text(file.read_text().replace('"made for other poses"', '"my own remark"'))
-    with pytest.raises(FormatError, match="changed since"):
-        write_result(place / "R", identity_result())
+    refuses(FormatError, "changed since", write_result, place / "R", identity_result())
     assert "my own remark" in file.read_text()
 
 
@@ -142,8 +137,7 @@ def test_match_refuses_a_foreign_folder_before_it_works(tmp_path: Path, monkeypa
     (tmp_path / "manifest.json").write_text("[]")
     mesh, pairs = tmp_path / "a.obj", tmp_path / "l.json"
     for output, words in ((tmp_path, "not overwritten"), (tmp_path / "none" / "R", "does not exist")):
-        with pytest.raises(FormatError, match=words):
-            run_match(MatchRequest(mesh, mesh, output, pairs), Stages())
+        refuses(FormatError, words, run_match, MatchRequest(mesh, mesh, output, pairs), Stages())
 
 
 def test_unwrapping_leaves_the_model_beside_the_image_alone(place: Path) -> None:
@@ -165,8 +159,8 @@ def unwrapped(place: Path, folder: str) -> tuple[str, list[str]]:
     target = replace(result.target.control, name="box.obj")
     control = read_mesh(place / "models" / "box.obj")
     assert control.face_indices.tolist() == target.face_indices.tolist()
-    entry = {"file": "box.obj", "path": "../models/box.obj", "sha256": file_hash(place / "models" / "box.obj")}
-    write_result(place / "R", replace(result, provenance={**result.provenance, "inputs": {"target": entry}}))
+    inputs = stated_inputs({"target": place / "models" / "box.obj"}, place / "R")
+    write_result(place / "R", replace(result, provenance={**result.provenance, "inputs": inputs}))
     _, warnings = texture_of(place, f"{folder}/skin.png", unwrap=True)
     return (place / folder / "skin_unwrapped.obj").read_text(), warnings
 
@@ -199,7 +193,7 @@ def test_an_unwrapped_mesh_shows_each_baked_image_on_every_face(place: Path) -> 
     write_result(place / "R", replace(result, target=result.target.with_control(bare)))
 
     def materials_of(name: str, **options: Any) -> list[str]:
-        run_transfer(TransferRequest(place / "R", place / f"{name}.png", size=16, unwrap=True, **options), Stages())
+        transfer(place / f"{name}.png", size=16, unwrap=True, **options)
         text = (place / f"{name}_unwrapped.obj").read_text()
         assert text.index(f"mtllib {name}_unwrapped.mtl\n") < text.index("usemtl baked\n") < text.index("f ")
         return (place / f"{name}_unwrapped.mtl").read_text().splitlines()[1:]
@@ -219,10 +213,8 @@ def test_a_foreign_material_file_is_not_replaced(place: Path) -> None:
     for name in ("fine.mtl", "a_unwrapped.mtl"):
         (place / name).write_text(PAINT)
     before = contents(place)
-    with pytest.raises(FormatError, match=r"fine\.mtl: exists"):
-        write_mesh(place / "fine.obj", textured_cube("box.obj"))
-    with pytest.raises(FormatError, match=r"a_unwrapped\.mtl: exists"):
-        texture_of(place, "a.png", unwrap=True)
+    refuses(FormatError, r"fine\.mtl: exists", write_mesh, place / "fine.obj", textured_cube("box.obj"))
+    refuses(FormatError, r"a_unwrapped\.mtl: exists", texture_of, place, "a.png", unwrap=True)
     assert contents(place) == before
     _, warnings = texture_of(place, "b.png", unwrap=True)
     assert "no groups, names or normals" in warnings[0]
@@ -237,26 +229,23 @@ def test_outputs_are_no_inputs(place: Path, force: bool) -> None:
     (place / "faces").mkdir()
     before = contents(place)
 
-    def shapes(given: str, to: str, usd: str | None = None) -> TransferRequest:
-        layer = None if usd is None else place / usd
-        return TransferRequest(place / "R", place / to, blend_shapes=(place / given,), usd=layer, force=force)
+    def shapes(given: str, to: str, **options: Any) -> object:
+        return transfer(place / to, blend_shapes=(place / given,), force=force, **options)
 
     attempts: list[Callable[[], object]] = [
         lambda: texture_of(place, "t.png", force=force),
         lambda: texture_of(place, "link.png", force=force),
-        lambda: run_transfer(shapes("shapes.npz", "shapes.npz"), Stages()),
-        lambda: run_transfer(shapes("faces", "faces"), Stages()),
-        lambda: run_transfer(shapes("shapes.npz", "other.npz", "shapes.npz"), Stages()),
+        lambda: shapes("shapes.npz", "shapes.npz"),
+        lambda: shapes("faces", "faces"),
+        lambda: shapes("shapes.npz", "other.npz", usd=place / "shapes.npz"),
         lambda: run_refine(RefineRequest(place / "box.obj", 1, place / "box.obj", force=force), Stages()),
         lambda: run_report(ReportRequest(place / "R", place / "R" / MANIFEST, force=force), Stages()),
         lambda: run_report(ReportRequest(place / "R", place / "t.png", place / "t.png", force), Stages()),
     ]
     for attempt in attempts:
-        with pytest.raises(FormatError, match=r"is an input too|expected the name of a page"):
-            attempt()
+        refuses(FormatError, r"is an input too|expected the name of a page", attempt)
     mesh = MatchRequest(place / "box.obj", place / "box.obj", place / "R", place / "R" / MANIFEST, force=force)
-    with pytest.raises(FormatError, match="is an input too"):
-        run_match(mesh, Stages())
+    refuses(FormatError, "is an input too", run_match, mesh, Stages())
     assert contents(place) == before
 
 
@@ -268,34 +257,30 @@ def test_what_a_match_read_is_no_output_of_what_follows(place: Path, force: bool
     write_mesh(models / "large.obj", result.target.control)
     write_mesh(models / "a_unwrapped.obj", result.source.control)
     files = {"target": models / "large.obj", "source": models / "a_unwrapped.obj"}
-    inputs = {
-        side: {"file": file.name, "path": f"../models/{file.name}", "sha256": file_hash(file)}
-        for side, file in files.items()
-    }
+    inputs = stated_inputs(files, place / "R")
     write_result(place / "R", replace(result, provenance={**result.provenance, "inputs": inputs}))
     write_npz(place / "shapes.npz", {"smile": np.zeros((8, 3))})
     (place / "bad.png").write_text("no image")
     before = contents(place)
 
-    def transfer(output: Path, **options: Any) -> object:
-        return run_transfer(TransferRequest(place / "R", output, force=force, **options), Stages())
+    def made(output: Path, **options: Any) -> object:
+        return transfer(output, place / "R", force=force, **options)
 
     def wrapped(output: Path, **options: Any) -> object:
         return run_wrap(WrapRequest((place / "R",), output, force=force, **options), Stages())
 
     attempts: list[Callable[[], object]] = [
-        lambda: transfer(models / "large.obj", source_uvs=True),
-        lambda: transfer(models / "a.png", texture=place / "t.png", size=16, unwrap=True),
-        lambda: transfer(models, blend_shapes=(place / "shapes.npz",)),
-        lambda: transfer(place / "a.png", texture=place / "t.png", usd=models / "large.obj"),
+        lambda: made(models / "large.obj", source_uvs=True),
+        lambda: made(models / "a.png", texture=place / "t.png", size=16, unwrap=True),
+        lambda: made(models, blend_shapes=(place / "shapes.npz",)),
+        lambda: made(place / "a.png", texture=place / "t.png", usd=models / "large.obj"),
         lambda: run_suggest(SuggestRequest(place / "R", models / "large.obj", 1, force=force), Stages()),
         lambda: wrapped(models / "large.obj"),
         lambda: wrapped(models, blend_shapes=True),
         lambda: wrapped(place / "w.obj", normal_map=place / "t.png", texture=place / "t.png", baked=place / "b.png"),
     ]
     for attempt in attempts:
-        with pytest.raises(FormatError, match="is an input too"):
-            attempt()
+        refuses(FormatError, "is an input too", attempt)
     with pytest.raises(FormatError, match=r"n\.png: two outputs have this name"):
         wrapped(place / "w.obj", normal_map=place / "n.png", displacement=place / "n.png")
     with pytest.raises(ParameterError, match="colours"):  # and no mesh without its image
@@ -304,8 +289,7 @@ def test_what_a_match_read_is_no_output_of_what_follows(place: Path, force: bool
         wrapped(place / "w.obj", normal_map=place / "n.png", detail=place / "gone.obj")
     with pytest.raises(FormatError, match=r"thesis\.tex"):  # nor without that of a damaged file
         wrapped(place / "w.obj", normal_map=place / "n.png", detail=place / "thesis.tex")
-    with pytest.raises(FormatError, match=r"bad\.png"):
-        wrapped(place / "w.obj", texture=place / "bad.png", baked=place / "n.png")
+    refuses(FormatError, r"bad\.png", wrapped, place / "w.obj", texture=place / "bad.png", baked=place / "n.png")
     assert contents(place) == before
 
 
@@ -320,20 +304,18 @@ def test_no_command_overwrites_what_it_did_not_write(place: Path) -> None:
     edited[60] ^= 1
     (place / "painted.png").write_bytes(edited)
     before = contents(place)
-    attribute = TransferRequest(place / "R", place / "mine.npz", attribute=place / "v.npy")
     attempts: list[Callable[[], object]] = [
         lambda: texture_of(place, "mine.png"),
         lambda: texture_of(place, "painted.png"),
         lambda: run_refine(RefineRequest(place / "box.obj", 1, place / "mine.obj"), Stages()),
         lambda: run_report(ReportRequest(place / "R", place / "mine.html"), Stages()),
-        lambda: run_transfer(attribute, Stages()),
+        lambda: transfer(place / "mine.npz", attribute=place / "v.npy"),
     ]
     for attempt in attempts:
-        with pytest.raises(FormatError, match=r"was not written by cagemap.*force=True"):
-            attempt()
+        refuses(FormatError, r"was not written by cagemap.*force=True", attempt)
     assert contents(place) == before
     texture_of(place, "mine.png", force=True)
-    run_transfer(replace(attribute, force=True), Stages())
+    transfer(place / "mine.npz", attribute=place / "v.npy", force=True)
     run_refine(RefineRequest(place / "box.obj", 1, place / "mine.obj", force=True), Stages())
     for name in ("mine.png", "mine.npz", "mine.obj"):
         assert is_own(place / name)
@@ -389,20 +371,10 @@ def test_links_are_followed_and_permissions_kept(place: Path) -> None:
 
 def test_devices_and_read_only_files_are_not_replaced(place: Path) -> None:
     os.mkfifo(place / "pipe.png")
-    with pytest.raises(FormatError, match="device or a pipe"):
-        texture_of(place, "pipe.png", force=True)
+    refuses(FormatError, "device or a pipe", texture_of, place, "pipe.png", force=True)
     texture_of(place, "kept.png")
     (place / "kept.png").chmod(0o444)
-    with pytest.raises(FormatError, match="read-only"):
-        texture_of(place, "kept.png", force=True)
-
-
-def test_demo_does_not_write_over_a_painted_texture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cagemap.tasks.demo.TEXTURE_SIZE", 8)
-    (tmp_path / "pony.png").write_bytes(b"painted")
-    with pytest.raises(FormatError, match=r"pony\.png: exists"):
-        run_demo(DemoRequest(tmp_path), Stages())
-    assert [path.name for path in tmp_path.iterdir()] == ["pony.png"]
+    refuses(FormatError, "read-only", texture_of, place, "kept.png", force=True)
 
 
 def test_manifests_name_files_relative_to_themselves(place: Path) -> None:

@@ -59,9 +59,7 @@ def test_every_method_matches_plain_files(options: tuple[str, ...], worst: float
 
 
 @pytest.mark.slow
-def test_the_studio_maps_plain_files_and_goes_on_from_another_answer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_fit: None
-) -> None:
+def test_the_studio_maps_plain_files_and_goes_on_from_another_answer(tmp_path, monkeypatch, quick_fit):
     asked = []
     monkeypatch.setattr(
         "cagemap.studio.compute.suggested_vertices", lambda *given: asked.append(given) or np.array([0])

@@ -30,6 +30,7 @@ from cagemap.tasks.job_file import note_match
 from cagemap.tasks.requests.match import MatchRequest
 
 from example_result import identity_result
+from refusals import refuses
 
 COMMAND = [sys.executable, "-c", "from cagemap.cli import main; main()"]
 MATCH = ["match", "--target", "deer.obj", "--source", "pony.obj", "--landmarks", "landmarks.json", "-o", "R"]
@@ -108,9 +109,7 @@ def test_an_output_that_is_closed_takes_all_words(monkeypatch: pytest.MonkeyPatc
     warn(["nor this"])
 
 
-def test_more_and_fewer_words(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_more_and_fewer_words(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write_result("R", identity_result())
     np.save("v.npy", np.arange(8.0))
@@ -170,12 +169,10 @@ def test_names_that_are_no_text_are_refused_where_a_library_needs_text(tmp_path:
     read = read_mesh if suffix == ".usda" else read_image
     pixels = np.zeros((4, 4, 3), np.float32 if suffix == ".exr" else np.uint8)
     write = partial(write_mesh, mesh=cube()) if suffix == ".usda" else partial(write_image, image=pixels)
-    with pytest.raises(FormatError, match="a name that is text"):
-        read(odd)
+    refuses(FormatError, "a name that is text", read, odd)
     for place in (tmp_path / f"b\udc80{suffix}", tmp_path / "c\udc80" / f"d{suffix}"):
         place.parent.mkdir(exist_ok=True)
-        with pytest.raises(FormatError, match="a name that is text"):
-            write(place)
+        refuses(FormatError, "a name that is text", write, place)
         assert not place.exists()
 
 
@@ -200,8 +197,10 @@ def test_outputs_on_a_full_disk_are_named_and_exit_with_2(tmp_path: Path) -> Non
     assert told.stderr.startswith("cagemap: error: standard output: cannot be written (No space left on device)")
 
 
-def test_a_folder_that_was_removed_meanwhile_is_named() -> None:
+def test_an_error_of_no_file_says_what_it_may_be() -> None:
     assert explain_error(FileNotFoundError(2, "No such file or directory")).startswith("the current folder was removed")
+    assert explain_error(OSError(28, "No space left on device", "a.png")).startswith("a.png: No space")
+    assert "NUMBA_CACHE_DIR" in explain_error(OSError(28, "No space left on device"))
 
 
 def test_a_result_with_a_name_that_is_no_text_is_written(tmp_path: Path) -> None:

@@ -16,8 +16,8 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.npz import write_npz
 from cagemap.files.result.folder import write_result
 
-from command_line import Run
-from example_result import identity_result
+from example_result import identity_result, textured_cube
+from textured_files import write_textured_scene
 
 JOINT = {"name": "hip", "parent": None, "head": [0, 0, 0], "tail": [0, 1, 0]}
 WRAP, SHAPES, MATCH = "wrap R -o n.obj", "transfer R -o o.npz --blend-shapes", "match -t box.obj -s box.obj -o Q"
@@ -53,6 +53,7 @@ REFUSED: dict[str | tuple[str, ...], str] = {
     },
     "transfer R --texture t.png --material-colors -o o.png": "expected one of",
     "transfer R --texture none.png -o o.png": "none.png: expected an image, there is no such file",
+    "transfer R --texture t.png --bits 32 -o o.png": "choose 8 or 16 bits",
     "transfer R --texture t.png -o o.exr": "choose 16 or 32 bits",
     "transfer R --texture t.png -o o.png --bits 12": "8, 16 or 32",
     "transfer R --texture t.png -o .": "got no suffix",
@@ -91,6 +92,16 @@ REFUSED: dict[str | tuple[str, ...], str] = {
     "transfer R --bake normal -o o.png": "expected --detail, a detailed mesh that lies on the source",
     "transfer R --bake texture -o o.png": "expected both or neither, got one of them",
     "transfer BARE --texture t.png -o o.png": "expected texture coordinates of the source",
+    "transfer BARE --texture t.png --unwrap -o o.png": "bare.obj: expected texture coordinates of the source",
+    "transfer BARE --texture box.gltf -o o.png": "expected texture coordinates of the source",
+    "transfer R --texture other.gltf -o o.png": "other.gltf: expected a colour image on most of small.obj for its UV",
+    "transfer R --texture plain.gltf -o o.png": "give an image made for these UVs, or bake --material-colors",
+    "transfer FLAT --texture t.png -o o.png": "all of them are in one point or on a line. Add --unwrap",
+    **{
+        f"transfer R --{option} --base t.png -o o.obj": "--base: expected with"
+        for option in ("source-uvs", "write-map")
+    },
+    "transfer R --blend-shapes empty --base t.png -o o.obj": "--base: expected with",
     "transfer BARE --texture scan.stl -o o.png": "mesh without UVs and colours has no look to transfer",
     "transfer BARE --material-colors -o o.png": "mesh without UVs and colours has no look to transfer",
     "transfer COLORED --texture t.png -o o.png": "`transfer --bake colors`",
@@ -128,6 +139,9 @@ REFUSED: dict[str | tuple[str, ...], str] = {
     "run .": "got a folder",
     "run box.obj/inside.toml": "there is no such file",
     "demo -o box.obj": "box.obj",
+    "demo -o painted": "pony.png: exists",
+    "demo -o .": "RESULT: the folder holds files but no map.npz and manifest.json",
+    "suggest R -o t.png": "ending in .json",
     ("demo -o", ""): "-o: expected a value, got an empty one",
     f"{MATCH} --force --output=": "--output: expected a value",
     "demo -o -": "nothing is written to standard output",
@@ -173,8 +187,6 @@ REFUSED: dict[str | tuple[str, ...], str] = {
     "functions box.obj --kinds heat-kernels -o f.npz": "--points: expected control vertices from 0 to 7",
     "functions box.obj --kinds wave-kernels --points 0,999 -o f.npz": "--points: expected control vertices",
     "functions box.obj --column 3 -o f.npz": "--column: expected a .ply",
-    "functions box.obj --level 1 --column 40 -k 12 -o f.ply": "--column: expected a function from 0 to 11, got 40",
-    "functions box.obj --level 1 -k 5 --at 3 -o f.npz": "--at: expected a level from 0 to 1, got 3",
     "functions box.obj --literal -o f.npz": "--literal: expected a --schedule",
     "functions box.obj --laplacian x -o f.npz": "--laplacian: expected mean",
     **{
@@ -187,6 +199,15 @@ REFUSED: dict[str | tuple[str, ...], str] = {
     "face box.glb -o F.glb --only ,": "expected names of shapes",
     "face box.glb -o F.glb --part nose": "expected a part named 'nose'",
     "face box.glb -o F.glb --landmarks ear.json": "expected points of a face named",
+    f"{MATCH} --set schedule": "--set: expected NAME=VALUE or a .toml file, got 'schedule'",
+    f"{MATCH} --set scheduel=3": "--set scheduel: expected one of accuracy, laplacian, literal, schedule",
+    f"{MATCH} --set target_k=3": "--set target_k: expected one of ",
+    f"{MATCH} --set target.k=many": "--set target.k: expected a whole number, got 'many'",
+    f"{MATCH} --set target.k=-3": "--set target.k: expected 3 or more, got '-3'",
+    f"{MATCH} --set target.level=1.5": "--set target.level: expected a whole number, got '1.5'",
+    f"{MATCH} --set accuracy=nan": "--set accuracy: expected a finite number, got 'nan'",
+    f"{MATCH} --set target.vertices=0": "--set target.vertices: expected 1 or more, got '0'",
+    f"{MATCH} --set literal=perhaps": "--set literal: expected true or false, got 'perhaps'",
     f"{MATCH} --set laplacian=cotan": "--set laplacian: expected mean, alexa-wardetzky",
     f"{MATCH} --set source.laplacian=alexa-wardetzky:x": "--set source.laplacian: expected mean",
     f"{MATCH} --set target.laplacian=alexa-wardetzky:0": "stabilisation: expected a finite number above 0",
@@ -219,6 +240,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_result(folder / "R", identity_result())
     uneven = replace(cube(), positions=cube().positions * np.linspace(1, 2, 8)[:, None], name="bare.obj")
     write_result(folder / "BARE", identity_result(2, (uneven, uneven)))
+    flat = textured_cube("flat.obj").with_uvs(np.array([[0.0, 1.0]]), np.zeros(24, dtype=np.int64))
+    write_result(folder / "FLAT", identity_result(2, (flat, textured_cube("small.obj"))))
     colored = replace(uneven, vertex_colors=np.ones((8, 3)))
     write_result(folder / "COLORED", identity_result(2, (colored, colored)))
     write_mesh(folder / "box.obj", cube())
@@ -259,15 +282,24 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("slash", {"a/b": offsets}),
     ):
         write_npz(folder / f"{name}.npz", arrays)
+    scene = write_textured_scene(folder)
+    texture = scene["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
+    for name, materials in (
+        ("plain", [{"name": "red"}]),
+        ("other", [{"name": "red", "pbrMetallicRoughness": {"baseColorTexture": texture | {"texCoord": 1}}}]),
+    ):
+        (folder / f"{name}.gltf").write_text(json.dumps(scene | {"materials": materials}))
+    for foreign in ("RESULT/precious.blend", "painted/pony.png"):
+        (folder / foreign).parent.mkdir()
+        (folder / foreign).write_bytes(b"of somebody")
     (folder / "empty").mkdir()
     return folder
 
 
 @pytest.mark.parametrize("words", REFUSED, ids=str)
-def test_what_cannot_be_done_is_refused(
-    run: Run, place: Path, words: str | tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_done_is_refused(run, place, words, monkeypatch):
     monkeypatch.chdir(place)
+    monkeypatch.setattr("cagemap.tasks.demo.TEXTURE_SIZE", 8)
     before = {path: path.read_bytes() for path in place.rglob("*") if path.is_file()}
     run.refused(*([words] if isinstance(words, str) else words), says=REFUSED[words])
     assert {path: path.read_bytes() for path in place.rglob("*") if path.is_file()} == before

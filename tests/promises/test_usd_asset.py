@@ -15,6 +15,7 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 from cagemap.files.usd.write import write_usd
 
 from example_result import textured_cube
+from refusals import refuses
 from usd_scenes import stage_at, usd_mesh
 
 
@@ -27,5 +28,4 @@ def test_a_uv_set_is_chosen_by_name(tmp_path: Path) -> None:
     (part,) = read_inputs(request).parts
     assert (part.target.uv_name, part.source.uv_name) == ("wide", "st")
     assert part.source.uvs.max() <= 1 < part.target.uvs.max()
-    with pytest.raises(ValueError, match="expected a UV set named 'none'"):
-        read_inputs(replace(request, target_uv_set="none"))
+    refuses(ValueError, "expected a UV set named 'none'", read_inputs, replace(request, target_uv_set="none"))

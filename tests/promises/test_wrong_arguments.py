@@ -40,6 +40,7 @@ from cagemap.transfer.rays import ambient_occlusion
 from cagemap.wrap.config import WrapConfig
 
 from example_result import identity_result
+from refusals import refuses
 
 FUNCTIONS = [name for name in cagemap.__all__ if inspect.isfunction(getattr(cagemap, name))]
 # Given to them are arrays and images alone, or a number.
@@ -67,17 +68,14 @@ def test_values_of_another_kind_are_refused_by_the_name_of_their_parameter(name:
         if parameter.default is inspect.Parameter.empty
     }
     for wrong in kinds:
-        with pytest.raises(ParameterError, match=f"^{name}: {wrong}: expected "):
-            function(**{**needed, wrong: object()})
+        refuses(ParameterError, f"^{name}: {wrong}: expected ", function, **{**needed, wrong: object()})
 
 
 def test_a_refusal_says_what_was_given_and_where_the_right_thing_comes_from() -> None:
-    with pytest.raises(ParameterError, match=r"got a ControlMesh; prepare_surface gives one"):
-        cagemap.prepare_pair(cube(), cube())
+    refuses(ParameterError, r"got a ControlMesh; prepare_surface gives one", cagemap.prepare_pair, cube(), cube())
     with pytest.raises(ParameterError, match=r"control: expected ControlMesh, got 'a.obj'; read_mesh or"):
         cagemap.prepare_surface("a.obj", 1)
-    with pytest.raises(ParameterError, match=r"levels: expected a whole number, got 1.5"):
-        cagemap.refine(cube(), 1.5)
+    refuses(ParameterError, r"levels: expected a whole number, got 1.5", cagemap.refine, cube(), 1.5)
 
 
 def test_numbers_of_numpy_and_paths_as_text_are_of_the_right_kind() -> None:
@@ -89,15 +87,12 @@ def test_numbers_of_numpy_and_paths_as_text_are_of_the_right_kind() -> None:
         assert function(number, np.float32(2), "x", path, np.True_, None) == 1
     assert function(1, 2, "x", "a", True, cube()) == 1
     for wrong in (True, 1.0, "1", None):
-        with pytest.raises(ParameterError, match="number: expected a whole number"):
-            function(wrong, 2, "x", "a", True, None)
+        refuses(ParameterError, "number: expected a whole number", function, wrong, 2, "x", "a", True, None)
 
 
 def test_arguments_that_do_not_fit_are_refused_by_python_with_the_function_s_name() -> None:
-    with pytest.raises(TypeError, match=r"^refine\(\) missing 2 required"):
-        cagemap.refine()
-    with pytest.raises(TypeError, match=r"^refine\(\) got an unexpected keyword argument 'depth'"):
-        cagemap.refine(cube(), 1, depth=2)
+    refuses(TypeError, r"^refine\(\) missing 2 required", cagemap.refine)
+    refuses(TypeError, r"^refine\(\) got an unexpected keyword argument 'depth'", cagemap.refine, cube(), 1, depth=2)
 
 
 @cache
@@ -298,5 +293,4 @@ def test_arrays_of_every_layout_and_type_give_the_same() -> None:
 def test_a_map_of_another_surface_is_not_judged() -> None:
     result = identity_result(2)
     coarse = PointMap.from_vertices(result.target.triangles(1), result.source.triangles(1), np.arange(26))
-    with pytest.raises(ParameterError, match=r"98 finest vertices of large\.obj, got one of 26"):
-        cagemap.judge(result.target, coarse)
+    refuses(ParameterError, r"98 finest vertices of large\.obj, got one of 26", cagemap.judge, result.target, coarse)

@@ -324,16 +324,6 @@ def test_a_landmark_beside_the_mirror_plane_brings_its_counterpart(page: Page) -
     back_to(page, count)
 
 
-def test_the_next_landmark_is_proposed_on_both_models(page: Page) -> None:
-    count = page.landmarks()
-    page.press("next")
-    page.until(lambda: page.state("proposal"), "a proposal")
-    page.until(lambda: "other model" in page.text("status"), "what to do next")
-    page.press("accept")
-    page.until(lambda: page.landmarks() > count, "the proposed landmark")
-    back_to(page, count)
-
-
 def test_a_wrong_landmark_is_marked(page: Page) -> None:
     page.keys("f")
     page.set("symmetric", False)
@@ -521,6 +511,7 @@ def test_enter_accepts_after_next_landmark_and_rows_stay_and_are_chosen_by_keys(
     page.run("document.getElementById('next').focus()")
     page.press("next")
     page.until(lambda: page.state("proposal"), "a proposal")
+    page.until(lambda: "other model" in page.text("status"), "what to do next")
     ActionChains(page.browser).send_keys(Keys.ENTER).perform()
     page.until(lambda: page.landmarks() == count + 1, "the accepted landmark")
     page.until(lambda: page.state("status")["kind"] != "busy", "its map")

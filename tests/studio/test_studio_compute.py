@@ -39,6 +39,7 @@ from cagemap.tasks.match import run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.match import MatchRequest
 
+from refusals import refuses
 from studio_boxes import landmarks, opened_pair, unwrapped_cube
 
 
@@ -91,9 +92,7 @@ def test_an_image_that_a_source_lacks_is_named_on_the_page(tmp_path: Path) -> No
     assert note.startswith("b.obj: material skin: 'skin.png' is not found")
 
 
-def test_what_reading_warned_of_is_said_with_the_error_that_ends_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_reading_warned_of_is_said_with_the_error_that_ends_it(tmp_path, monkeypatch):
     for name in ("a.obj", "b.obj"):
         write_mesh(tmp_path / name, unwrapped_cube())
 
@@ -117,9 +116,7 @@ def test_what_reading_warned_of_is_said_with_the_error_that_ends_it(
 
 
 @pytest.mark.slow
-def test_a_bake_writes_the_map_of_the_page_if_a_match_would_find_the_same(
-    opened: tuple[PreviewCache, OpenModels], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bake_writes_the_map_of_the_page_if_a_match_would_find_the_same(opened, tmp_path, monkeypatch):
     cache, task = opened
     files, places = task.pair_files, landmarks(cache, *range(8))
     cache, shown = run_task(cache, FindMap(files, places), lambda _: None)
@@ -136,8 +133,7 @@ def test_a_bake_writes_the_map_of_the_page_if_a_match_would_find_the_same(
     for name in ("triangle", "barycentric"):
         np.testing.assert_array_equal(getattr(read_result(tmp_path / "R").point_map, name), getattr(searched, name))
     for changed in ({"vertices": 1000}, {"landmarks": None}, {"trust_landmarks": True}, {"source": files.target}):
-        with pytest.raises(pytest.fail.Exception, match="searched again"):
-            run_match(replace(request, **changed), Stages(), computed)
+        refuses(pytest.fail.Exception, "searched again", run_match, replace(request, **changed), Stages(), computed)
     renamed = replace(computed.result.landmarks, names=tuple(f"{name} x" for name in computed.result.landmarks.names))
     with pytest.raises(pytest.fail.Exception, match="searched again"):  # its messages name the landmarks
         run_match(request, Stages(), replace(computed, result=replace(computed.result, landmarks=renamed)))
@@ -174,9 +170,7 @@ def test_fbx_models_are_converted_once_to_files_of_their_own(tmp_path: Path, mon
 
 
 @pytest.mark.slow
-def test_without_landmarks_the_preview_has_answers_to_choose_from(
-    opened: tuple[PreviewCache, OpenModels], quick_fit: None
-) -> None:
+def test_without_landmarks_the_preview_has_answers_to_choose_from(opened, quick_fit):
     cache, task = opened
     with pytest.raises(ParameterError, match="answer 99"):
         run_task(cache, FindMap(task.pair_files, LandmarkList(), answer=99), lambda _: None)
@@ -200,9 +194,7 @@ def test_without_landmarks_the_preview_has_answers_to_choose_from(
 
 
 @pytest.mark.slow
-def test_every_map_suggests_a_free_vertex_until_all_are_taken(
-    opened: tuple[PreviewCache, OpenModels], quick_fit: None
-) -> None:
+def test_every_map_suggests_a_free_vertex_until_all_are_taken(opened, quick_fit):
     cache, task = opened
     for taken in ((), range(7), range(8)):
         cache, found = run_task(cache, FindMap(task.pair_files, landmarks(cache, *taken)), lambda _: None)
@@ -240,9 +232,7 @@ def test_a_failing_task_is_a_named_failure_and_the_worker_lives_on(opened: tuple
     worker.kill()
 
 
-def test_a_task_that_is_not_wanted_ends_at_its_next_stage(
-    opened: tuple[PreviewCache, OpenModels], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_task_that_is_not_wanted_ends_at_its_next_stage(opened, monkeypatch):
     """One that has ended already, or is named no more, disturbs no other."""
     _, task = opened
     unwanted, wanted = FindMap(task.pair_files, LandmarkList()), ShowBaked(task.pair_files, Path(), None, None, None)
@@ -285,9 +275,7 @@ def test_answers_of_one_name_are_numbered() -> None:
 
 
 @pytest.mark.slow
-def test_a_process_that_lost_its_map_starts_from_the_chosen_answer(
-    opened: tuple[PreviewCache, OpenModels], quick_fit: None
-) -> None:
+def test_a_process_that_lost_its_map_starts_from_the_chosen_answer(opened, quick_fit):
     cache, task = opened
     _, chosen = run_task(cache, FindMap(task.pair_files, LandmarkList(), answer=1), lambda _: None)
     again = FindMap(task.pair_files, LandmarkList(), chosen_answer=1)
@@ -299,9 +287,7 @@ def test_a_process_that_lost_its_map_starts_from_the_chosen_answer(
 
 
 @pytest.mark.slow
-def test_a_match_from_the_start_uses_one_landmark_too_and_three_in_place_of_a_chosen_answer(
-    opened: tuple[PreviewCache, OpenModels], quick_fit: None
-) -> None:
+def test_a_match_from_the_start_uses_one_landmark_too_and_three_in_place_of_a_chosen_answer(opened, quick_fit):
     cache, task = opened
     again = FindMap(task.pair_files, landmarks(cache, 0), fresh=True)
     free, _ = run_task(cache, FindMap(task.pair_files, LandmarkList()), lambda _: None)

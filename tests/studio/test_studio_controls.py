@@ -18,6 +18,7 @@ from cagemap.mesh.parts import join_meshes
 
 from browser_page import PATIENCE, Page, studio
 from example_character import bare_body, character, write_character
+from refusals import refuses
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
 
@@ -112,7 +113,6 @@ def test_another_machine_needs_the_token(tmp_path: Path, browser: Any) -> None:
         bare, _, token = here.partition("?token=")
         assert token
         for wrong in (bare, f"{bare}?token=wrong", f"{bare}page.js"):
-            with pytest.raises(HTTPError, match="403"):
-                urlopen(wrong)
+            refuses(HTTPError, "403", urlopen, wrong)
         page = Page(browser, here)
         page.until(lambda: "Open two models" in page.text("status"), "the page, with the token")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
-from typing import Any
 
 import pytest
 from test_studio_parts import dense
@@ -12,19 +10,16 @@ from test_studio_parts import dense
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.studio.autosave import autosave_path
 from cagemap.studio.models import MIN_SCAN_FACES
-from cagemap.studio.state import Files
 
 from browser_page import Page, studio
-from running_studio import Running, arguments, half_a_landmark, saved
+from running_studio import arguments, half_a_landmark, saved
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
 # Seconds within which a page is back once its studio answers; its models come as soon as they are read.
 WHOLE = 5.0
 
 
-def test_a_page_says_that_its_studio_ended_and_is_whole_again(
-    running: Running, files: Files, record_property: Any
-) -> None:
+def test_a_page_says_that_its_studio_ended_and_is_whole_again(running, files, record_property):
     """Killed at five moments: nothing is lost, landmarks are recovered, and the same page shows them again."""
     page, port = running.page, running.page.address.rstrip("/").rpartition(":")[2]
     page.run("window.before = true")
@@ -73,9 +68,7 @@ def complete_and_delete(page: Page, count: int) -> None:
     page.until(lambda: page.landmarks() == count, "no landmark more")
 
 
-def test_files_are_added_faults_are_named_and_a_scan_is_taken_as_it_is(
-    page: Page, files: Files, held: dict[str, Any], tmp_path: Path
-) -> None:
+def test_files_are_added_faults_are_named_and_a_scan_is_taken_as_it_is(page, files, held, tmp_path):
     held.pop("failed")  # other models are open at its end: a test after it begins anew
     (tmp_path / "broken.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n")
     write_mesh(tmp_path / "scan.obj", dense(MIN_SCAN_FACES))

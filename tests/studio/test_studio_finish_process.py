@@ -60,9 +60,7 @@ def test_every_request_says_how_it_ended_and_what_it_wrote(tmp_path: Path) -> No
     assert stages
 
 
-def test_warnings_are_said_once_and_what_was_written_before_an_error_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_warnings_are_said_once_and_what_was_written_before_an_error_is_told(tmp_path, monkeypatch):
     def work(request: TransferRequest, stages: Stages) -> None:
         for _ in range(2):
             logging.getLogger("cagemap.files").warning("%s has no UVs: `unwrap`", "a.obj")
@@ -144,7 +142,6 @@ def test_a_second_signal_does_not_interrupt_what_the_first_one_removes(tmp_path:
     worker = Worker(lambda _: None, remove_slowly)
     worker.start()
     process = worker._process
-    assert process.pid is not None
     ended = threading.Thread(target=worker.run, args=(Command("", TransferRequest(tmp_path, tmp_path / "a.png")),))
     ended.start()
     for number in (signal.SIGINT, signal.SIGTERM):  # as Ctrl-C in a terminal, and then the studio's end

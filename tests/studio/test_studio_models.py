@@ -27,7 +27,6 @@ from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import cage_triangles
-from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.srgb import encode_srgb as to_display
 from cagemap.pictures import Y_UP, Z_UP
 from cagemap.studio.autosave import FileTracker
@@ -64,6 +63,7 @@ from cagemap.tasks.requests.catalogue import all_options
 
 from example_once import example_pair
 from studio_boxes import landmarks, opened_pair, unwrapped_cube
+from textured_files import write_skin, write_textured_usd
 
 
 def read_back(data: bytes) -> list[trimesh.Trimesh]:
@@ -193,9 +193,7 @@ def test_pieces_that_are_set_aside_are_drawn_in_grey(tmp_path: Path) -> None:
         ("a.obj", cube(), Y_UP, [0, 1, 0]),
     ],
 )
-def test_a_model_stands_as_its_shape_or_its_format_tells(
-    tmp_path: Path, name: str, mesh: ControlMesh, turned: FloatArray, up: list[int]
-) -> None:
+def test_a_model_stands_as_its_shape_or_its_format_tells(tmp_path, name, mesh, turned, up):
     path, triangles = tmp_path / name, cage_triangles(mesh)[0]
     trimesh.Trimesh(mesh.positions @ turned, triangles, process=False).export(path)
     shape = open_model(path, "none", None, 300).shape
@@ -236,7 +234,6 @@ def test_a_usd_file_says_itself_which_axis_points_up(tmp_path: Path) -> None:
 def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     mesh = refine(creature(), 2).finest
     points = mesh.positions
-    assert mesh.faces is not None
     # Ahead of the creature stand vertices of a speck that is set aside.
     speck = ControlMesh.from_faces(
         np.concatenate([[[9.0, 0, 0], [9.1, 0, 0], [9.1, 0.1, 0], [9.0, 0.1, 0]], points]),
@@ -282,7 +279,6 @@ def test_a_click_at_a_control_vertex_means_it() -> None:
     corner = shape.to_view(shape.positions[3])
     ray = -corner / np.linalg.norm(corner)
     hit = pick(shape, corner - 3 * ray, ray)
-    assert hit is not None
     place = hit_place(shape, hit)
     np.testing.assert_allclose(place.position, shape.positions[3], atol=1e-9)
     np.testing.assert_allclose(np.array(place.weights) @ np.eye(8)[list(place.corners)], np.eye(8)[3], atol=1e-6)
@@ -357,7 +353,7 @@ def test_a_bake_in_the_second_uv_set_is_shown_in_it(tmp_path: Path) -> None:
     mesh = unwrapped_cube()
     second = UvSet("TEXCOORD_1", 0.5 * mesh.uvs, mesh.uv_indices)
     write_mesh(tmp_path / "box.glb", replace(mesh, uv_sets=(second,)))
-    write_image(tmp_path / "t.png", np.full((8, 8, 3), 90, dtype=np.uint8))
+    write_skin(tmp_path, name="t.png")
     files = default_files(tmp_path, tmp_path / "box.glb", tmp_path / "box.glb", None)
     opening, cache, _ = opened_pair(tmp_path / "box.glb", tmp_path / "box.glb")
     for uv_set, factor in ((None, 1.0), ("TEXCOORD_1", 0.5)):
@@ -371,7 +367,7 @@ def test_a_bake_in_the_second_uv_set_is_shown_in_it(tmp_path: Path) -> None:
 
 def _downloaded(folder: Path, target: Path, *outputs: Path) -> pygltflib.GLTF2:
     """The model to download of a target with the image ``t.png`` and further outputs."""
-    write_image(folder / "t.png", np.full((8, 8, 3), 90, dtype=np.uint8))
+    write_skin(folder, name="t.png")
     files = default_files(folder, target, target, None)
     listed = tuple(Output(path, "texture") for path in (folder / "t.png", *outputs))
     return pygltflib.GLTF2.load_from_bytes(textured_model(StudioState(files=files, outputs=listed), None))
@@ -455,10 +451,7 @@ def test_each_material_of_a_glb_is_shown_with_its_own_image(tmp_path: Path) -> N
 
 def test_the_image_inside_a_usd_file_is_the_texture_where_none_is_named(tmp_path: Path) -> None:
     pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
-    from cagemap.files.usd.write import UsdResults, write_usd
-
-    write_image(tmp_path / "skin.png", np.full((8, 8, 3), [200, 30, 10], dtype=np.uint8))
-    write_usd(tmp_path / "box.usda", unwrapped_cube(), UsdResults(textures={"albedo": "./skin.png"}))
+    write_textured_usd(tmp_path, unwrapped_cube())
     write_mesh(tmp_path / "bare.usda", unwrapped_cube())
     for name, texture in (("box.usda", tmp_path / "box_texture.png"), ("bare.usda", None)):
         _, _, opened = opened_pair(tmp_path / "bare.usda", tmp_path / name)
@@ -469,7 +462,6 @@ def test_the_image_inside_a_usd_file_is_the_texture_where_none_is_named(tmp_path
 def test_seams_are_found_where_texture_coordinates_jump() -> None:
     shape = refined_shape(refine(unwrapped_cube(), 3))
     mapped = identity(len(shape.positions), shape.triangles)
-    assert shape.uvs is not None
     uvs = mapped.pull_back(shape.uv_triangles, shape.uvs)
     crossing = seam_triangles(shape, shape, mapped, shape.positions, uvs)
     # Under the identity a triangle crosses a seam if it has a vertex on one and lies on another face than its image.

@@ -46,7 +46,6 @@ def sent(session: Any, **message: Any) -> None:
 def test_every_stage_of_a_match_is_said_in_words_of_the_page(opened: Session) -> None:
     stages: list[str] = []
     opening = opened._preview.pair_files
-    assert opening is not None
     cache, _ = run_task(None, OpenModels(opening), stages.append)
     shapes = cache.target.shape, cache.source.shape
     pairs = [(0, 0), (2, 2), (5, 5), (6, 1)]
@@ -221,11 +220,6 @@ def test_what_no_page_of_ours_sends_is_refused_in_words(opened: Session, message
     assert opened.state.history == before
     assert "Reload" in opened.state.messages[-1].text
     assert "internal error" not in opened.state.messages[-1].text
-
-
-def test_a_refusal_is_shown_in_its_own_words(opened: Session) -> None:
-    Actions(opened).handle('{"do": "open", "target": "a.obj"}')
-    assert opened.state.messages[-1].text.startswith("expected a target and a source")
 
 
 def test_a_dropped_model_is_opened_in_place_of_the_other_one(opened: Session, boxes: Path) -> None:

@@ -18,6 +18,7 @@ from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
+from cagemap.files.result.manifest import stated_inputs
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.curves import CurvePair
@@ -48,6 +49,7 @@ from cagemap.subdivision import refine
 from cagemap.tasks.requests.catalogue import all_options
 
 from example_result import identity_result
+from refusals import refuses
 from studio_boxes import Idle, session_of, unwrapped_cube
 from usd_scenes import stage_at
 
@@ -98,8 +100,7 @@ def test_the_largest_part_is_open_and_the_others_are_offered(folder: Path) -> No
         eye.shape.file_mesh.positions[eye.shape.to_file_vertices(np.arange(8))], 0.1 * cube().positions
     )
     assert eye.shape.to_control_vertices(np.array([7, 8])).tolist() == [7, -1]
-    with pytest.raises(ParameterError, match="named 'nose'"):
-        open_model(folder / "a.obj", None, None, 300, "nose")
+    refuses(ParameterError, "named 'nose'", open_model, folder / "a.obj", None, None, 300, "nose")
 
 
 def test_what_is_left_alone_is_drawn_apart(folder: Path) -> None:
@@ -222,7 +223,6 @@ def test_no_landmark_of_a_file_is_lost_by_opening_a_part(vertices: list[int], da
 
 def test_the_finish_matches_the_open_parts_into_a_folder_of_their_own(folder: Path) -> None:
     files = command_line_files(folder / "a.obj", folder / "b.obj", None, None, None, parts=("eye", None))
-    assert files is not None
     request = finish_commands(all_options(), files, FinishOptions(), use_landmarks=False)[0].request
     assert (request.target_part, request.source_part) == ("eye", None)
     results = {
@@ -258,9 +258,7 @@ def idle_session(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
     return session_of(folder)
 
 
-def test_the_whole_file_can_be_chosen_while_a_part_has_unsaved_landmarks(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_whole_file_can_be_chosen_while_a_part_has_unsaved_landmarks(folder, monkeypatch):
     files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
     session = idle_session(folder, monkeypatch)
     session.open(replace(files, parts=("object:eye", "object:eye")))
@@ -316,13 +314,8 @@ def test_curves_alone_on_other_parts_are_kept_by_the_autosave(folder: Path) -> N
 
 
 def test_a_result_opens_the_parts_that_it_is_of(folder: Path) -> None:
-    from cagemap.files.result.manifest import file_hash
-
     result = folder / "RESULT"
-    inputs = {
-        side: {"file": name, "path": f"../{name}", "sha256": file_hash(folder / name)}
-        for side, name in (("target", "a.obj"), ("source", "b.obj"))
-    }
+    inputs = stated_inputs({"target": folder / "a.obj", "source": folder / "b.obj"}, result)
     for word, opens in (("object:eye", "object:eye"), ("each", None)):
         parameters = {"target_part": word, "source_part": None}
         write_result(result, replace(identity_result(1), provenance={"inputs": inputs, "parameters": parameters}))
@@ -338,9 +331,7 @@ def dense(count: int) -> ControlMesh:
     return mesh
 
 
-def test_a_scan_is_offered_to_be_taken_as_it_is_and_is_where_it_is_no_cage(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scan_is_offered_to_be_taken_as_it_is_and_is_where_it_is_no_cage(tmp_path, monkeypatch):
     monkeypatch.setattr("cagemap.studio.models.MIN_SCAN_FACES", 1000)
     mesh = dense(1000)
     write_mesh(tmp_path / "scan.obj", mesh)

@@ -49,9 +49,7 @@ def matched(folder: Path, **options: object) -> MatchRequest:
 
 
 def opened_result(result: Path) -> Files:
-    files = command_line_files(None, None, None, None, result)
-    assert files is not None
-    return files
+    return command_line_files(None, None, None, None, result)
 
 
 def opened_session(folder: Path, files: Files) -> Session:
@@ -65,7 +63,6 @@ def opened_session(folder: Path, files: Files) -> Session:
 def filled_form(files: Files) -> FinishOptions:
     """What a page sends whose form nobody has changed."""
     options = all_options()
-    assert files.recorded is not None
     form = form_fields(options, 300, files.recorded.form_values)["form"]
     rows = [*form["first"], *(row for fold in form["folds"] for row in fold["fields"])]
     return read_form(options, {row["key"]: row["value"] for row in rows if row.get("always")})
@@ -142,7 +139,6 @@ def test_a_result_is_not_replaced_by_a_match_without_its_options(folder: Path) -
             (folder / name).rename(folder / f"{name}.away")
         files = opened_result(folder / "R")
         assert files.result == folder / "R_studio", lost
-        assert files.recorded is not None
         (note,) = files.recorded.notes
         assert lost in note
         assert "R_studio" in note
@@ -158,7 +154,6 @@ def test_a_result_is_not_replaced_by_a_match_without_its_options(folder: Path) -
 def test_the_alignment_of_a_result_is_chosen_where_the_preview_finds_it(folder: Path) -> None:
     matched(folder)
     files = opened_result(folder / "R")
-    assert files.recorded is not None
     for answer in (1, 9):  # the preview has fewer than ten
         recorded = replace(files.recorded, request=replace(files.recorded.request, answer=answer))
         session = opened_session(folder, replace(files, recorded=recorded))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -78,10 +79,7 @@ def test_what_cannot_be_opened_is_refused(name: str, tmp_path: Path) -> None:
 
 def test_without_models_there_is_no_next_landmark(tmp_path: Path) -> None:
     write_boxes(tmp_path)
-    session = session_of(tmp_path)
-    try:
+    with closing(session_of(tmp_path)) as session:
         session.next_landmark()
         (message,) = session.state.messages
-    finally:
-        session.close()
     assert message.text.endswith("expected two open models, there are none yet. Choose a target and a source.")

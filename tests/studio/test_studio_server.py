@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import http.client
 import socket
 from collections.abc import Iterator
+from contextlib import closing, suppress
 from typing import Any
 
 import pytest
@@ -69,25 +69,21 @@ def server(host: str = "127.0.0.1", token: str | None = None, **asked: Any) -> S
 
 
 def test_broken_requests_are_refused_without_a_traceback(caplog: pytest.LogCaptureFixture) -> None:
-    served = server()
-    try:
+    with closing(server()) as served:
         assert answer(served.port, "//[").status == 403
         for broken in (b"POST / HTTP/1.1\r\n\r\n", b"\0" * 99 + b"\r\n", b"GET / HT", b"G" * 20_000):
             with socket.create_connection(("127.0.0.1", served.port), timeout=10) as stranger:
                 stranger.sendall(broken)
                 stranger.shutdown(socket.SHUT_WR)
-                with contextlib.suppress(ConnectionError):
+                with suppress(ConnectionError):
                     assert b"200" not in stranger.recv(100)
         assert answer(served.port, "/").status == 200
-    finally:
-        served.close()
     assert "handshake failed" not in caplog.text
 
 
 def test_the_server_gives_out_only_what_is_offered() -> None:
     offered = {"cow.png": (b"png", "image/png"), "RESULT.html": (b"<b>", "text/html")}
-    served = server(download=offered.get, draw={"source/skin/1": b"glb"}.get)
-    try:
+    with closing(server(download=offered.get, draw={"source/skin/1": b"glb"}.get)) as served:
         got = answer(served.port, "/files/cow.png")
         assert (got.status, got.read()) == (200, b"png")
         assert got.headers["Content-Disposition"].startswith("attachment")
@@ -101,18 +97,13 @@ def test_the_server_gives_out_only_what_is_offered() -> None:
         odd = ({"Host": "["}, {"Origin": "http://["})
         for stranger in ({"Host": "rebound.example"}, {"Origin": "http://elsewhere.example"}, *odd):
             assert answer(served.port, "/files/cow.png", **stranger).status == 403
-    finally:
-        served.close()
 
 
 def test_a_host_without_a_valid_port_is_refused() -> None:
-    served = server(token="right")
-    try:
+    with closing(server(token="right")) as served:
         for path in ("/", "/?token=right"):
             assert answer(served.port, path, Host="localhost:99999").status == 403
             assert answer(served.port, path, Host="localhost:99999", Cookie="cagemap_studio_80=right").status == 403
-    finally:
-        served.close()
 
 
 def test_web_sockets_of_other_machines_need_the_token() -> None:

@@ -31,7 +31,11 @@ from cagemap.studio.state import Files, MapState, Message, Output, RunningJob, S
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.surface.closest_points import build_tree, closest_points
 
-from studio_boxes import Idle, at_rest, click, click_between, until
+from refusals import refuses
+from studio_boxes import Idle, add_landmarks, at_rest, click, click_between, mapped, until
+
+ANY_FILES = Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT"))
+SlowPreview = tuple[Preview, queue.Queue[Task], list[Task], threading.Event]
 
 
 def test_it_starts_with_a_map_and_follows_clicks(opened: Session) -> None:
@@ -52,19 +56,11 @@ def test_it_starts_with_a_map_and_follows_clicks(opened: Session) -> None:
     assert len(opened.state.history.present.complete_landmarks) == 1
 
 
-def test_answers_about_models_that_are_no_longer_open_are_left_out(opened: Session) -> None:
-    before = opened.state
-    assert opened._preview.pair_files is not None
-    others = replace(opened._preview.pair_files, vertices=7)
-    opened._receive(OpenModels(others), Failure("FormatError", "of another pair"))
-    assert opened.state == before
-
-
-def test_a_search_that_was_dropped_is_no_error_where_its_models_are_open_again(opened: Session) -> None:
-    """Another part, and back at once: the answer comes when its models count again."""
-    before = opened.state
-    assert opened._preview.pair_files is not None
-    opened._receive(OpenModels(opened._preview.pair_files), Failure(CANCELLED_KIND, "not wanted"))
+def test_answers_that_are_no_longer_wanted_are_no_errors(opened: Session) -> None:
+    """Of models that are open no more; and of a search that was dropped, whose models are open again at once."""
+    before, pair_files = opened.state, opened._preview.pair_files
+    opened._receive(OpenModels(replace(pair_files, vertices=7)), Failure("FormatError", "of another pair"))
+    opened._receive(OpenModels(pair_files), Failure(CANCELLED_KIND, "not wanted"))
     assert opened.state == before
 
 
@@ -80,8 +76,7 @@ def test_a_source_that_the_map_turns_is_turned_in_the_view(opened: Session) -> N
 
 
 def test_a_turn_keeps_the_map_the_history_and_what_was_baked(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
-    click(opened, "target", 2)
-    opened.accept()
+    add_landmarks(opened, 2)
     opened.select(1)
     until(lambda: opened.state.map.strain and at_rest(opened), opened)
     opened._change(outputs=(Output(Path("a.png"), "texture"),))
@@ -102,7 +97,8 @@ def test_a_turn_keeps_the_map_the_history_and_what_was_baked(opened: Session, mo
         until(lambda up=up: opened.state.files.ups[0] == up and at_rest(opened), opened)
 
 
-def slow_preview(patch: pytest.MonkeyPatch) -> tuple[Preview, queue.Queue[Task], list[Task], threading.Event]:
+@pytest.fixture
+def slow_preview(monkeypatch: pytest.MonkeyPatch) -> Iterator[SlowPreview]:
     """A preview whose tasks last until an event is set or they are cancelled; what begins and what is cancelled."""
     begun, dropped, goes_on = queue.Queue[Task](), list[Task](), threading.Event()
 
@@ -116,14 +112,16 @@ def slow_preview(patch: pytest.MonkeyPatch) -> tuple[Preview, queue.Queue[Task],
             dropped.append(task)
             goes_on.set()
 
-    patch.setattr("cagemap.studio.preview.Worker", Slow)
+    monkeypatch.setattr("cagemap.studio.preview.Worker", Slow)
     made = Preview(100, Path(), lambda: (LandmarkList(), None, 0), lambda _: None, lambda *_: None)
-    return made, begun, dropped, goes_on
+    yield made, begun, dropped, goes_on
+    made.close()
+    goes_on.set()
 
 
-def test_a_map_that_is_computed_during_a_turn_is_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    preview, begun, _, goes_on = slow_preview(monkeypatch)
-    preview.open(Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT")))
+def test_a_map_that_is_computed_during_a_turn_is_computed_again(slow_preview: SlowPreview) -> None:
+    preview, begun, _, goes_on = slow_preview
+    preview.open(ANY_FILES)
     assert isinstance(begun.get(timeout=10), OpenModels)
     goes_on.set()
     for ask, side, ups in (
@@ -140,13 +138,11 @@ def test_a_map_that_is_computed_during_a_turn_is_computed_again(monkeypatch: pyt
         assert isinstance(drawing, ShowPosed)
         assert drawing.pair_files.ups == ups
         assert again == replace(search, pair_files=drawing.pair_files)
-    preview.close()
-    goes_on.set()
 
 
-def test_a_match_from_the_start_is_one_also_after_an_edit_and_a_turn(monkeypatch: pytest.MonkeyPatch) -> None:
-    preview, begun, _, goes_on = slow_preview(monkeypatch)
-    preview.open(Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT")))
+def test_a_match_from_the_start_is_one_also_after_an_edit_and_a_turn(slow_preview: SlowPreview) -> None:
+    preview, begun, _, goes_on = slow_preview
+    preview.open(ANY_FILES)
     begun.get(timeout=10)
     goes_on.set()
     preview.find(fresh=True)
@@ -158,13 +154,9 @@ def test_a_match_from_the_start_is_one_also_after_an_edit_and_a_turn(monkeypatch
     again = begun.get(timeout=10)
     assert isinstance(again, FindMap)
     assert again.fresh
-    preview.close()
-    goes_on.set()
 
 
-def test_a_chosen_image_and_axis_that_are_not_drawn_yet_stay_when_models_are_opened_again(
-    opened: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_chosen_image_and_axis_that_are_not_drawn_yet_stay_when_models_are_opened_again(opened, monkeypatch):
     begun = list[Files]()
     monkeypatch.setattr(opened, "_open_pair", lambda files, _: begun.append(files))
     monkeypatch.setattr(opened._preview, "_request", lambda *_: None)
@@ -187,7 +179,6 @@ def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
     opened._change(map=known)
     turned = replace(source, rotation=source.rotation @ np.diag([-1.0, 1.0, -1.0]))
     opened._scene = scene = replace(opened.scene, source=turned)
-    assert opened._preview.pair_files is not None
     task = FindMap(opened._preview.pair_files, LandmarkList())
     rough = MapUpdate(
         replace(scene.preview_map, trust=np.ones(len(scene.preview_map.trust))),
@@ -210,20 +201,21 @@ def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
     np.testing.assert_array_equal(opened.scene.source.rotation, source.rotation)
 
 
-def test_a_bake_is_given_the_map_of_the_page_until_landmarks_change_it(
-    opened: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    started, revision = list[Command](), opened.state.map.revision
-    monkeypatch.setattr(opened._runner, "start", started.extend)
-    opened.match_again()
-    until(lambda: opened.state.map.revision > revision, opened)
+@pytest.fixture
+def started(opened: Session, monkeypatch: pytest.MonkeyPatch) -> list[Command]:
+    """Commands of bakes that were asked for; none is run."""
+    commands: list[Command] = []
+    monkeypatch.setattr(opened._runner, "start", commands.extend)
+    return commands
+
+
+def test_a_bake_is_given_the_map_of_the_page_until_landmarks_change_it(opened: Session, started: list[Command]) -> None:
+    mapped(opened, opened.match_again)
     opened.finish(FinishOptions())
     np.testing.assert_array_equal(started[0].computed.result.triangle, opened.scene.preview_map.triangle)
     assert len(started) > 1
     assert [command.computed for command in started[1:]] == [None] * len(started[1:])
-    click(opened, "target", 2)
-    opened.accept()
-    until(lambda: opened.state.map.revision > revision + 1, opened)
+    mapped(opened, add_landmarks, opened, 2)
     started.clear()
     opened.finish(FinishOptions())
     assert started[0].computed is None
@@ -235,9 +227,7 @@ def test_the_next_landmark_is_proposed_on_both_models(opened: Session) -> None:
     waiting, proposal = opened.state.history.present.open_landmark, opened.state.proposal
     assert waiting.target == vertex_place(opened.scene.target, vertex)
     assert (proposal.number, proposal.side) == (waiting.number, "source")
-    revision = opened.state.map.revision
-    opened.accept()
-    until(lambda: opened.state.map.revision > revision, opened)
+    mapped(opened, opened.accept)
     assert opened.state.map.suggestion != vertex
     opened.next_landmark()
     before = opened.state.proposal
@@ -250,15 +240,12 @@ def test_the_next_landmark_is_proposed_on_both_models(opened: Session) -> None:
 def test_a_killed_computation_keeps_the_map_and_the_next_click_works(opened: Session) -> None:
     revision = opened.state.map.revision
     opened._preview.kill()  # as the system does where memory runs out
-    click(opened, "target", 6)
-    opened.accept()
+    add_landmarks(opened, 6)
     until(lambda: opened.state.map.revision > revision, opened)
     assert opened.scene.preview_map is not None
 
 
-def test_a_fault_of_ours_is_a_message_and_the_next_click_works(
-    opened: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fault_of_ours_is_a_message_and_the_next_click_works(opened, monkeypatch):
     def broken(*_: object) -> None:
         raise ZeroDivisionError("a slip")
 
@@ -270,8 +257,7 @@ def test_a_fault_of_ours_is_a_message_and_the_next_click_works(
         opened.match_again()
         until(lambda: opened.state.preview_job is None, opened)
     assert "internal error, ZeroDivisionError: a slip" in opened.state.messages[-1].text
-    click(opened, "target", 2)
-    opened.accept()
+    add_landmarks(opened, 2)
     until(lambda: opened.state.map.revision > revision and opened.state.map.strain, opened)
 
 
@@ -286,7 +272,7 @@ def test_until_a_first_map_is_compiled_titles_say_so(monkeypatch: pytest.MonkeyP
             titles.append(job.title)
 
     preview = Preview(100, Path(), lambda: (LandmarkList(), None, 0), on_job, lambda *_: None)
-    preview.open(Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT")))
+    preview.open(ANY_FILES)
     end = time.monotonic() + 10
     while len(titles) < 2 and time.monotonic() < end:
         if titles:
@@ -297,25 +283,22 @@ def test_until_a_first_map_is_compiled_titles_say_so(monkeypatch: pytest.MonkeyP
     assert ["first time" in title for title in titles[:2]] == [True, False]
 
 
-def test_a_map_of_models_that_are_open_no_more_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
-    preview, begun, dropped, goes_on = slow_preview(monkeypatch)
-    files = Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT"))
-    preview.open(replace(files, parts=("one", None)))
+def test_a_map_of_models_that_are_open_no_more_is_dropped(slow_preview: SlowPreview) -> None:
+    preview, begun, dropped, goes_on = slow_preview
+    preview.open(replace(ANY_FILES, parts=("one", None)))
     assert isinstance(begun.get(timeout=10), OpenModels)
-    preview.open(replace(files, parts=("one", "two")))
+    preview.open(replace(ANY_FILES, parts=("one", "two")))
     goes_on.set()
     assert isinstance(begun.get(timeout=10), OpenModels)
     assert dropped == []
     preview.find(fresh=True)
     goes_on.set()
     search = begun.get(timeout=10)
-    preview.open(replace(files, parts=("one", "two")))  # the same once more: the map is wanted
+    preview.open(replace(ANY_FILES, parts=("one", "two")))  # the same once more: the map is wanted
     assert dropped == []
-    preview.open(files)
+    preview.open(ANY_FILES)
     assert dropped == [search]
     assert isinstance(begun.get(timeout=10), OpenModels)
-    preview.close()
-    goes_on.set()
 
 
 @pytest.mark.slow
@@ -340,27 +323,24 @@ def test_a_bake_has_the_vertices_of_the_map_shown_unless_others_or_a_level_are_a
         assert (request.vertices, request.level) == (count, given.get(level))
 
 
-def test_a_target_without_uvs_is_laid_out(opened: Session) -> None:
-    # The boxes have none.
-    assert opened.scene.target.uvs is None
-    bake = next(command for command in opened.plan(FinishOptions()) if command.title == "texture")
-    assert bake.request.unwrap
-
-
-def test_a_target_whose_uvs_are_one_point_is_laid_out(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
-    _, scene = opened._require_open()
+def test_a_target_whose_uvs_are_missing_or_one_point_is_laid_out(opened, monkeypatch):
+    scene = opened.scene
+    assert scene.target.uvs is None
     control = scene.target.control
     flat = control.with_uvs(np.array([[0.0, 1.0]]), np.zeros(len(control.face_indices), dtype=np.int64))
     target = replace(scene.target, control=flat, uvs=flat.uvs, uv_triangles=np.zeros_like(scene.target.triangles))
-    monkeypatch.setattr(opened, "_scene", replace(scene, target=target))
-    assert next(one for one in opened.plan(FinishOptions()) if one.title == "texture").request.unwrap
+    for shown in (scene, replace(scene, target=target)):
+        monkeypatch.setattr(opened, "_scene", shown)
+        assert next(one for one in opened.plan(FinishOptions()) if one.title == "texture").request.unwrap
 
 
-def test_without_an_image_colours_or_ambient_occlusion_are_baked(
-    opened: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    begun: list[list[str]] = []
-    monkeypatch.setattr(opened._runner, "start", lambda todo: begun.append([command.title for command in todo]))
+def titles_of(commands: list[Command]) -> list[str]:
+    titles = [command.title for command in commands]
+    commands.clear()
+    return titles
+
+
+def test_without_an_image_colours_or_ambient_occlusion_are_baked(opened: Session, started: list[Command]) -> None:
     opened._change(files=replace(opened.state.files, texture=None))
     bake, plain = ("transfer", "bake"), opened.scene
     control = replace(plain.source.control, vertex_colors=np.full((plain.source.n_control, 3), 0.5))
@@ -375,14 +355,14 @@ def test_without_an_image_colours_or_ambient_occlusion_are_baked(
     ):
         opened._scene = scene
         opened.finish(FinishOptions(report=False).with_values({bake: kinds}))
-        assert begun[-1] == ["match", *titles]
+        assert titles_of(started) == ["match", *titles]
         assert opened.state.messages[-1].text == f"the source has no image; made instead: {made}"
     detailed = FinishOptions().with_values({("transfer", "detail"): opened.state.files.source})
     assert opened.plan(detailed)[1].request.bake == ("ao",)  # the detailed mesh has no colours
     opened._scene = plain
     opened._change(messages=())
     opened.finish(FinishOptions(texture=False))
-    assert begun[-1] == ["match", "report"]
+    assert titles_of(started) == ["match", "report"]
     assert not opened.state.messages
 
 
@@ -392,8 +372,7 @@ def test_a_plain_target_gets_a_picture_and_no_wrap(opened: Session) -> None:
     opened._change(files=replace(files, texture=None, schemes=("none", None)))
     try:
         for options in (FinishOptions(wrap=True), FinishOptions(texture=False, wrap=True)):
-            with pytest.raises(ParameterError, match="open as a plain mesh, which cannot be wrapped"):
-                opened.plan(options)
+            refuses(ParameterError, "open as a plain mesh, which cannot be wrapped", opened.plan, options)
         occlusion = opened.plan(FinishOptions())[1].request
         assert occlusion.bake == ("ao",)
         assert occlusion.unwrap
@@ -445,8 +424,7 @@ def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session
     assert arrays.stat().st_mtime_ns == written
     last = opened._written_map._written
     other = opened.plan(options.with_values({("match", "vertices"): 301}))
-    click(opened, "target", 0)
-    opened.accept()
+    add_landmarks(opened, 0)
     moved, before_that = opened.state, replace(opened.state, history=opened.state.history.undo().undo())
     assert opened._written_map.remaining_commands(todo, before_that) == todo[1:]
     for commands, state in ((other, before_that), (todo, moved)):
@@ -466,8 +444,7 @@ def test_a_landmark_of_symmetric_models_brings_its_counterpart(opened: Session) 
     across = np.argmin(np.linalg.norm(corners[:, None] * [-1.0, 1.0, 1.0] - corners, axis=2), axis=1)
     opened._scene = replace(opened.scene, mirrors=(across, across))
     opened.show(replace(opened.state.view, symmetric=True))
-    click(opened, "target", 2)
-    opened.accept()
+    add_landmarks(opened, 2)
     placed, image = opened.state.history.present.complete_landmarks
     assert opened.state.selected == placed.number
     assert {image.target.corners[k] for k in range(3)} == set(across[list(placed.target.corners)])
@@ -495,9 +472,7 @@ def test_a_landmark_of_symmetric_models_brings_its_counterpart(opened: Session) 
 
 @pytest.mark.slow
 def test_changes_of_two_pages_at_once_are_both_kept(opened: Session) -> None:
-    for vertex in (0, 3):
-        click(opened, "target", vertex)
-        opened.accept()
+    add_landmarks(opened, 0, 3)
     with opened._lock:
         changes = [
             threading.Thread(target=opened.rename, args=(1, "nose")),
@@ -568,8 +543,7 @@ def held_tasks(opened: Session, monkeypatch: pytest.MonkeyPatch) -> Iterator[que
 def test_cancel_drops_the_map_that_waits_too(opened: Session, held_tasks: queue.Queue[Task]) -> None:
     opened.match_again()
     held_tasks.get(timeout=10)
-    click(opened, "target", 2)
-    opened.accept()
+    add_landmarks(opened, 2)
     opened.cancel()
     until(lambda: opened.state.preview_job is None and at_rest(opened), opened)
     assert held_tasks.empty()
@@ -577,9 +551,7 @@ def test_cancel_drops_the_map_that_waits_too(opened: Session, held_tasks: queue.
     assert opened.state.messages[-1].text == "cancelled"
 
 
-def test_cancelling_a_drawing_leaves_a_map_of_the_same_landmarks_checked(
-    opened: Session, boxes: Path, held_tasks: queue.Queue[Task]
-) -> None:
+def test_cancelling_a_drawing_leaves_a_map_of_the_same_landmarks_checked(opened, boxes, held_tasks):
     before, texture = opened.state.map, opened.state.files.texture
     opened.match_again()
     held_tasks.get(timeout=10)
@@ -594,11 +566,7 @@ def test_cancelling_a_drawing_leaves_a_map_of_the_same_landmarks_checked(
     assert opened.state.messages[-1].text == "cancelled; the map stays as it was"
 
 
-def test_no_bake_starts_while_a_chosen_alignment_is_computed(
-    opened: Session, held_tasks: queue.Queue[Task], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    started = list[object]()
-    monkeypatch.setattr(opened._runner, "start", started.append)
+def test_no_bake_starts_while_a_chosen_alignment_is_computed(opened, held_tasks, started):
     opened._change(map=replace(opened.state.map, answers=("as filed", "turned")))
     opened.choose_answer(1)
     held_tasks.get(timeout=10)
@@ -608,10 +576,9 @@ def test_no_bake_starts_while_a_chosen_alignment_is_computed(
 
 
 def test_no_bake_starts_while_another_image_is_drawn_and_the_former_one_can_be_chosen_again(
-    opened: Session, boxes: Path, held_tasks: queue.Queue[Task], monkeypatch: pytest.MonkeyPatch
+    opened: Session, boxes: Path, held_tasks: queue.Queue[Task], started: list[Command]
 ) -> None:
-    started, files = list[object](), opened.state.files
-    monkeypatch.setattr(opened._runner, "start", started.append)
+    files = opened.state.files
     click(opened, "target", 2)
     history = opened.state.history
     opened.open(replace(files, texture=boxes / "other.png"))
@@ -627,8 +594,7 @@ def test_no_bake_starts_while_another_image_is_drawn_and_the_former_one_can_be_c
     assert opened.state.history == history
 
 
-def test_earlier_outputs_stay_until_a_bake_replaces_them(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(opened._runner, "start", lambda _: None)
+def test_earlier_outputs_stay_until_a_bake_replaces_them(opened: Session, started: list[Command]) -> None:
     earlier = (Output(Path("a.png"), "texture"), Output(Path("b.obj"), "wrap"), Output(Path("R"), "the map"))
     opened._change(outputs=earlier)
     opened.finish(FinishOptions())
@@ -644,10 +610,7 @@ def test_earlier_outputs_stay_until_a_bake_replaces_them(opened: Session, monkey
     assert opened.state.outputs == (Output(Path("R"), "the map"), Output(Path("c.png"), "texture"))
 
 
-def test_a_partly_failed_bake_of_a_new_map_leaves_no_outputs_of_the_map_before(
-    opened: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(opened._runner, "start", lambda _: None)
+def test_a_partly_failed_bake_of_a_new_map_leaves_no_outputs_of_the_map_before(opened, started, monkeypatch):
     monkeypatch.setattr(opened._written_map, "remaining_commands", lambda commands, _: commands)
     earlier = (Output(Path("b.obj"), "wrap"), Output(Path("R"), "the map"))
     ends = {"Bake: cancelled": True, "Bake: not everything could be made: wrap": False}
@@ -674,18 +637,14 @@ def test_a_probe_ends_with_the_map_and_the_landmarks_that_it_was_made_of(opened:
     click(opened, "target", 2)
     assert opened.state.probe is None
     probe()
-    revision = opened.state.map.revision
-    opened.accept()
-    until(lambda: opened.state.map.revision > revision, opened)
+    mapped(opened, opened.accept)
     assert opened.state.probe is None
     probe()
     opened.show(replace(opened.state.view, pose="nod"))
     assert opened.state.probe is None
 
 
-def test_another_image_of_the_open_models_is_drawn_and_nothing_else_changes(
-    opened: Session, boxes: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_image_of_the_open_models_is_drawn_and_nothing_else_changes(opened, boxes, monkeypatch):
     write_image(boxes / "other.png", np.full((8, 8, 3), 10, dtype=np.uint8))
     (boxes / "broken.png").write_bytes(b"no image")
     opened._change(outputs=(Output(boxes / "a.png", "texture"),))

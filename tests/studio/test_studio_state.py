@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.result.folder import write_result
-from cagemap.files.result.manifest import file_hash
+from cagemap.files.result.manifest import stated_inputs
 from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, read_autosave, write_autosave
 from cagemap.studio.downloads import textured_model_name
@@ -30,6 +30,7 @@ from cagemap.studio.state import (
 )
 
 from example_result import identity_result
+from refusals import refuses
 
 
 def place(x: float) -> Place:
@@ -183,8 +184,7 @@ def test_an_autosave_keeps_everything_and_is_checked(tmp_path: Path) -> None:
     assert read_autosave(file, (9, 9)).items[0].name == "?"
     for k, damaged in enumerate(("{", "[]", json.dumps({"format": "other"}), whole[:-20], whole.replace("7", "9"))):
         file.write_text(damaged)
-        with pytest.raises(FormatError, match="autosave"):
-            read_autosave(file, (9, 9))
+        refuses(FormatError, "autosave", read_autosave, file, (9, 9))
         # Out of the way of the next one, not lost.
         assert not file.exists()
         assert file.with_name(f"{file.name}.{k + 1}").read_text() == damaged
@@ -194,12 +194,9 @@ def test_a_result_names_its_models(tmp_path: Path) -> None:
     for name in ("cow.obj", "spot.obj", "l.json"):
         (tmp_path / name).write_text(name)
     result = tmp_path / "RESULT"
-    inputs = {
-        side: {"file": name, "path": f"../{name}", "sha256": file_hash(tmp_path / name)}
-        for side, name in (("target", "cow.obj"), ("source", "spot.obj"), ("landmarks", "l.json"))
-    }
-    with pytest.raises(FormatError, match="result folder"):
-        command_line_files(None, None, None, None, result)
+    given = {"target": "cow.obj", "source": "spot.obj", "landmarks": "l.json"}
+    inputs = stated_inputs({name: tmp_path / file for name, file in given.items()}, result)
+    refuses(FormatError, "result folder", command_line_files, None, None, None, None, result)
     write_result(result, replace(identity_result(1), provenance={"inputs": inputs}))
     files = command_line_files(None, None, None, None, result)
     names = (files.target, files.source, files.landmarks, files.result)
@@ -210,20 +207,16 @@ def test_a_result_names_its_models(tmp_path: Path) -> None:
     manifest = json.loads((result / "manifest.json").read_text())
     for entry, words in (({"inputs": [1]}, "inputs"), ({"format_version": 99}, "format version 99")):
         (result / "manifest.json").write_text(json.dumps(manifest | entry))
-        with pytest.raises(FormatError, match=words):
-            command_line_files(None, None, None, None, result)
+        refuses(FormatError, words, command_line_files, None, None, None, None, result)
     (result / "manifest.json").write_text(json.dumps(manifest))
     (tmp_path / "cow.obj").write_text("edited")
-    with pytest.raises(ParameterError, match="unchanged"):
-        command_line_files(None, None, None, None, result)
+    refuses(ParameterError, "unchanged", command_line_files, None, None, None, None, result)
 
 
 def test_files_are_named_as_a_pair_or_not_at_all(tmp_path: Path) -> None:
     assert command_line_files(None, None, None, None, None) is None
-    with pytest.raises(ParameterError, match="one of them"):
-        command_line_files(tmp_path / "a.obj", None, None, None, None)
-    with pytest.raises(ParameterError, match="beside"):
-        command_line_files(None, None, tmp_path / "a.json", None, None)
+    refuses(ParameterError, "one of them", command_line_files, tmp_path / "a.obj", None, None, None, None)
+    refuses(ParameterError, "beside", command_line_files, None, None, tmp_path / "a.json", None, None)
 
 
 def test_messages_do_not_pile_up() -> None:
@@ -232,12 +225,3 @@ def test_messages_do_not_pile_up() -> None:
         messages = add_message(add_message(messages, "note", f"{number}"), "note", "again")
     assert len(messages) == 100  # what a bake of many outputs says of each stays
     assert sum(message.text == "again" for message in messages) == 1
-
-
-def test_an_autosave_of_another_model_of_the_same_name_is_not_used(tmp_path: Path) -> None:
-    file, models = autosave_path(tmp_path / "a.json"), ("a.obj, 9 vertices", "anna/head.obj, 9 vertices")
-    landmarks = pair(LandmarkList(), 1.0)
-    write_autosave(file, landmarks, models=models)
-    assert read_autosave(file, (9, 9), models) == landmarks
-    with pytest.raises(FormatError, match=r"anna/head\.obj"):
-        read_autosave(file, (9, 9), (models[0], "bob/head.obj, 9 vertices"))

@@ -15,11 +15,9 @@ from cagemap.files.result.manifest import stated_inputs
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.parts import extract_faces, join_meshes
-from cagemap.tasks.progress import Stages
-from cagemap.tasks.requests.transfer import TransferRequest
-from cagemap.tasks.transfer import run_transfer
 
 from example_result import identity_result
+from transfer_command import transfer
 
 RING = replace(torus(6, 5), name="ring.obj")
 COUNT = RING.n_faces
@@ -33,18 +31,15 @@ def split_ring() -> ControlMesh:
 
 @pytest.fixture
 def labels(tmp_path: Path) -> Path:
-    """Labels of the source's faces, which are those of the target's quads; the result is in RESULT."""
+    """Labels of the source's faces, which are those of the target's quads; the result is in R."""
     assert RING.n_vertices == COUNT
-    write_result(tmp_path / "RESULT", identity_result(0, (RING, split_ring())))
+    write_result(tmp_path / "R", identity_result(0, (RING, split_ring())))
     np.savez(tmp_path / "labels.npz", label=np.arange(2 * COUNT) // 2)
     return tmp_path / "labels.npz"
 
 
 def test_usd_gets_them_for_faces(labels: Path, tmp_path: Path) -> None:
-    request = TransferRequest(
-        tmp_path / "RESULT", tmp_path / "out.npz", attribute=labels, usd=tmp_path / "out.usda", force=True
-    )
-    run_transfer(request, Stages())
+    transfer(tmp_path / "out.npz", attribute=labels, usd=tmp_path / "out.usda", force=True)
     np.testing.assert_array_equal(np.load(tmp_path / "out.npz")["label"], np.arange(COUNT))
     text = (tmp_path / "out.usda").read_text()
     assert 'interpolation = "uniform"' in text.partition("primvars:label")[2].partition(")")[0]
@@ -55,14 +50,8 @@ def test_the_base_is_mixed_by_the_weights_of_faces(labels: Path, tmp_path: Path)
     mask[RING.face_indices[:4]] = 1.0  # the vertices of the first face
     np.savetxt(tmp_path / "mask.csv", mask)
     np.savez(tmp_path / "base.npz", label=np.full(COUNT, 99))
-    request = TransferRequest(
-        tmp_path / "RESULT",
-        tmp_path / "out.npz",
-        attribute=labels,
-        target_mask=str(tmp_path / "mask.csv"),
-        bases=(("", tmp_path / "base.npz"),),
-    )
-    run_transfer(request, Stages())
+    bases = (("", tmp_path / "base.npz"),)
+    transfer(tmp_path / "out.npz", attribute=labels, target_mask=str(tmp_path / "mask.csv"), bases=bases)
     shares = mask[RING.face_indices].reshape(COUNT, 4).mean(axis=1)
     expected = np.where(shares >= 0.5, np.arange(COUNT), 99)
     np.testing.assert_array_equal(np.load(tmp_path / "out.npz")["label"], expected)
@@ -75,9 +64,9 @@ def test_a_file_gets_those_of_a_part_at_its_faces(tmp_path: Path) -> None:
     part = extract_faces(scene, np.arange(COUNT))
     assert part.n_vertices == part.n_faces
     result = identity_result(0, (part, split_ring()))
-    inputs = stated_inputs({"target": tmp_path / "scene.obj"}, tmp_path / "RESULT")
-    write_result(tmp_path / "RESULT", replace(result, provenance={**result.provenance, "inputs": inputs}))
+    inputs = stated_inputs({"target": tmp_path / "scene.obj"}, tmp_path / "R")
+    write_result(tmp_path / "R", replace(result, provenance={**result.provenance, "inputs": inputs}))
     np.savez(tmp_path / "labels.npz", label=1 + np.arange(2 * COUNT) // 2)
-    run_transfer(TransferRequest(tmp_path / "RESULT", tmp_path / "o.npz", attribute=tmp_path / "labels.npz"), Stages())
+    transfer(tmp_path / "o.npz", attribute=tmp_path / "labels.npz")
     found = np.load(tmp_path / "o.npz")["label"]
     np.testing.assert_array_equal(found, np.append(1 + np.arange(COUNT), np.zeros(2 * COUNT)))

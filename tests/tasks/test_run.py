@@ -21,6 +21,7 @@ from cagemap.files.usd.write import write_usd
 from cagemap.transfer.texels import LARGEST_SIDE
 
 from plain_meshes import split_at_seams
+from refusals import refuses
 
 
 @pytest.fixture
@@ -95,16 +96,13 @@ def test_every_field_has_its_help_text_in_python_and_in_the_json_schema(name: st
 
 def test_what_is_no_request_or_no_value_of_its_field_is_refused_before_any_work(box: Path) -> None:
     request = tasks.MatchRequest(box, box, box.parent / "R", level="two")
-    with pytest.raises(ParameterError, match="level: expected a whole number, got 'two'"):
-        tasks.run(request)
+    refuses(ParameterError, "level: expected a whole number, got 'two'", tasks.run, request)
     with pytest.raises(ParameterError, match="level: expected 1 or more, got 0"):
         tasks.run(tasks.MatchRequest(box, box, box.parent / "R", level=0))
     with pytest.raises(ParameterError, match="space: expected 'tangent' or 'object', got 'world'"):
         tasks.run(tasks.TransferRequest(box.parent, box.parent / "a.png", normal_map=box, space="world"))
-    with pytest.raises(ParameterError, match=r"request: expected one of DemoRequest, .* got str"):
-        tasks.run("match")
-    with pytest.raises(ParameterError, match="progress: expected a function of a text, got 3"):
-        tasks.run(tasks.CheckRequest((box,)), 3)
+    refuses(ParameterError, r"request: expected one of DemoRequest, .* got str", tasks.run, "match")
+    refuses(ParameterError, "progress: expected a function of a text, got 3", tasks.run, tasks.CheckRequest((box,)), 3)
     with pytest.raises(AttributeError, match="no attribute 'Nothing'"):
         tasks.Nothing  # noqa: B018
     assert [file.name for file in box.parent.iterdir()] == ["box.obj"]

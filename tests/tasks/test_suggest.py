@@ -52,9 +52,7 @@ def test_partners_are_near_and_different() -> None:
     assert nearest_free_vertices(places, places[[4, 4, 9]], np.array([4])).tolist() in ([5, 3, 9], [3, 5, 9])
 
 
-def test_the_command_writes_a_landmark_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_a_landmark_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     result = identity_result(2)
     write_result("R", result)
@@ -85,9 +83,7 @@ def test_points_between_vertices_and_curves_are_kept() -> None:
     assert [pair.name for pair in more.curves] == ["rim"]
 
 
-def test_curves_through_points_between_vertices_are_left_out_with_a_warning(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_curves_through_points_between_vertices_are_left_out_with_a_warning(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = identity_result(2)
     ring = result.target.control.face_indices[:4]

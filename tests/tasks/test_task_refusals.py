@@ -23,13 +23,12 @@ from cagemap.tasks.import_map import run_map
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.face import FaceRequest
 from cagemap.tasks.requests.import_map import MapRequest
-from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
-from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import run_wrap
 
 from example_result import identity_result, textured_cube
 from refusals import Refusal
+from transfer_command import transfer
 
 EVEN = "0.5,0.5"
 
@@ -43,31 +42,24 @@ def result(place: Path, *meshes: ControlMesh) -> Path:
 def weights(place: Path, joints: str, *meshes: ControlMesh, **options: Any) -> None:
     """Carry weights of two joints."""
     (place / "w.csv").write_text("\n".join([joints, *[EVEN] * 8]))
-    run_transfer(TransferRequest(result(place, *meshes), place / "o.npz", weights=place / "w.csv", **options), Stages())
+    result(place, *meshes)
+    transfer(place / "o.npz", weights=place / "w.csv", **options)
 
 
 def masked_in_part(place: Path) -> None:
     """The mesh was one of several in a file that is gone."""
     part = replace(textured_cube("large.obj"), file_vertices=np.arange(8), file_faces=np.arange(6))
     np.save(place / "v.npy", np.ones(8))
-    request = TransferRequest(result(place, part), place / "o.npy", attribute=place / "v.npy", target_mask="red")
-    run_transfer(request, Stages())
+    result(place, part)
+    transfer(place / "o.npy", attribute=place / "v.npy", target_mask="red")
 
 
 def on_another_base(place: Path) -> None:
     for name, columns in (("v", 2), ("b", 3)):
         np.savez(place / f"{name}.npz", heat=np.ones((8, columns)))
     (place / "R").mkdir()
-    run_transfer(
-        TransferRequest(
-            result(place),
-            place / "o.npz",
-            attribute=place / "v.npz",
-            bases=(("", place / "b.npz"),),
-            target_mask="red",
-        ),
-        Stages(),
-    )
+    result(place)
+    transfer(place / "o.npz", attribute=place / "v.npz", bases=(("", place / "b.npz"),), target_mask="red")
 
 
 def map_of_level(place: Path) -> None:
@@ -150,9 +142,7 @@ def test_what_files_do_not_allow_is_refused(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("target", "options", "says"), [("a.glb", {}, "a cage to wrap"), ("a.obj", {"colors": "c.png"}, "colours")]
 )
-def test_what_cannot_be_wrapped_is_refused_before_the_match(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, target: str, options: dict[str, str], says: str
-) -> None:
+def test_what_cannot_be_wrapped_is_refused_before_the_match(tmp_path, monkeypatch, target, options, says):
     for name in (target, "b.obj"):
         write_mesh(tmp_path / name, textured_cube(name))
     monkeypatch.setattr("cagemap.tasks.match.match_inputs", lambda *_: pytest.fail("matched first"))

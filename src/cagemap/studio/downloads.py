@@ -68,7 +68,7 @@ def textured_model(state: StudioState, scene: Scene | None) -> bytes:
     mesh = replace(read_whole(layout or target), upright=upright, vertex_colors=None)
     opened = None if scene is None or mesh.n_vertices != scene.target.file_mesh.n_vertices else scene.target
     uv_set = image_uv_set(state, image) or (None if opened is None else opened.control.uv_name)
-    if layout is None and uv_set is not None:
+    if layout is None and uv_set:
         mesh = replace(mesh.with_uv_set(uv_set), uv_name="")  # written first: named sets keep their numbers
     materials = np.zeros(mesh.n_faces, dtype=np.int64)
     if opened is not None:

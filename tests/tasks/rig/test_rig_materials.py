@@ -45,9 +45,7 @@ def test_images_that_lie_on_no_uvs_are_left_out_aloud(run: Run, files: Character
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("wrap", "sign"), [(33648, -1.0), (10497, 1.0)])
-def test_a_texture_continues_outside_the_unit_square_by_its_sampler(
-    run: Run, files: Character, body: ControlMesh, wrap: int, sign: float
-) -> None:
+def test_a_texture_continues_outside_the_unit_square_by_its_sampler(run, files, body, wrap, sign):
     """Mirrored or repeated: a layout beyond u = 1 reads the same image."""
     rig_done(run)
     (before,) = material_images(read_document("OUT.glb"), "body")
@@ -150,8 +148,6 @@ def test_a_body_whose_uvs_are_all_in_one_point_is_unwrapped() -> None:
     assert with_uvs_in_unit_square(mesh).has_layout
 
 
-def test_a_body_whose_layout_lies_over_itself_is_said(
-    run: Run, files: Character, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_body_whose_layout_lies_over_itself_is_said(run, files, monkeypatch):
     monkeypatch.setattr("cagemap.tasks.rig_materials.target_overlap_warnings", lambda control: ["it lies over itself"])
     assert "it lies over itself" in run.done("rig B.glb --like C.glb -o OUT.glb --size 16").err
