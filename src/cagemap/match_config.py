@@ -74,7 +74,4 @@ class MatchConfig(Config):
     def require_elastic(self, function: str) -> None:
         """Raise ParameterError for another method, for a function of prepared pairs."""
         if self.method != "elastic":
-            raise ParameterError(
-                f"{function}: expected the method elastic, which alone has prepared pairs, got {self.method!r}; "
-                "cagemap.match runs all methods"
-            )
+            raise ParameterError(f"{function}: expected the method elastic, got {self.method!r}; use cagemap.match")

@@ -19,8 +19,8 @@ from cagemap.maps.coincident_map import coincident_map
 from cagemap.maps.hypotheses.confidence import (
     answer_confidence,
     jump_lengths,
+    kept_confidence,
     prolong_answers,
-    remaining_doubt,
     turned_limb_answers,
 )
 from cagemap.maps.hypotheses.search import distinct_answers, search_from_source, search_placements
@@ -45,7 +45,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, one_blas_thread
 from cagemap.paper.hfm import hfm_map
 from cagemap.paper.method import paper_map, search_levels
-from cagemap.paper.symmetries import paired_mirrors, refuse_plain_symmetries
+from cagemap.paper.symmetries import paired_mirrors
 from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
 from cagemap.spectral.surface import DEFAULT_VERTICES, Surface
 from cagemap.spectral.surface import ENOUGH as ENOUGH
@@ -234,7 +234,8 @@ def update_match(
 
     The map responds elastically to the landmarks; its error is within a few percent of that of a new match
     (docs/lab/fit_experiments.md). If landmarks change which parts correspond (an arm instead of a leg), match again.
-    With fewer than three landmarks the ``confidence`` is that of the match before, without answers that they exclude.
+    The ``confidence`` of the match before stays while there are fewer than three landmarks, none was moved or removed,
+    and every answer fits all of them; else the result has none.
 
     Parameters
     ----------
@@ -262,7 +263,7 @@ def update_match(
     timings: dict[str, float] = {}
     problem, confidence = Problem.of_landmarks(prepared, landmarks), None
     with one_blas_thread(), _timed(timings, "map"):
-        if config.check_landmarks:
+        if config.check_landmarks and len(landmarks) >= FEWEST_LANDMARKS:
             check = check_changes(problem, landmarks.new_since(before.landmarks), check, point_map)
         trusted = problem.without(check.left_out)
         coincident = coincident_map(trusted)
@@ -274,8 +275,8 @@ def update_match(
             places = linear_update(trusted, point_map)
             progress("closest points")
             point_map = map_of_places(trusted, places)
-            if max(len(before.landmarks), len(landmarks)) < FEWEST_LANDMARKS:
-                confidence = remaining_doubt(before.confidence, trusted)
+            if len(landmarks) < FEWEST_LANDMARKS and not len(before.landmarks.new_since(landmarks)):
+                confidence = kept_confidence(before.confidence, trusted)
     if preview is not None:
         preview(point_map)
     progress("quality")
@@ -378,8 +379,6 @@ def other_answer(
 @arrays_accepted
 def pair_of(target: Surface, source: Surface, landmarks: LandmarksLike, config: MatchConfig = MatchConfig()) -> Pair:
     """Pair of two surfaces with landmarks, and with symmetries, given or found for "paper" (5.2)."""
-    if config.symmetries:
-        refuse_plain_symmetries(target, source)
     pair = Pair(target, source, point_pairs(target, source, landmarks), config.symmetries)
     if config.method != "paper" or not config.use_symmetry or config.symmetries:
         return pair

@@ -58,7 +58,7 @@ from cagemap.paper.method import (
     search_level,
     search_levels,
 )
-from cagemap.paper.symmetries import check_symmetry, refuse_plain_symmetries
+from cagemap.paper.symmetries import check_symmetry
 from cagemap.pipeline import MAP_BASIS, MatchResult, prepare_pair, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule
@@ -136,15 +136,13 @@ def make_pair(
         )
     if not all(isinstance(pair, Sequence) and len(pair) == 2 for pair in symmetries):
         raise ParameterError("symmetries: expected pairs of arrays, the target's images and the source's, got others")
-    if len(symmetries):
-        refuse_plain_symmetries(target, source)
-    self_maps = [tuple(whole_numbers(side, "symmetries") for side in pair) for pair in symmetries]
+    self_maps = tuple(
+        (whole_numbers(one, "symmetries"), whole_numbers(other, "symmetries")) for one, other in symmetries
+    )
     for on_target, on_source in self_maps:
         check_symmetry(on_target, target.control)
         check_symmetry(on_source, source.control)
-    return Pair.of_vertices(
-        target, source, vertices[0], vertices[1], tuple((on_target, on_source) for on_target, on_source in self_maps)
-    )
+    return Pair.of_vertices(target, source, vertices[0], vertices[1], self_maps)
 
 
 def eigenfunctions(surface: Surface, level: int) -> tuple[FloatArray, FloatArray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,11 +13,15 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.landmarks.points import read_symmetry
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result
+from cagemap.mesh import Bilinear, CatmullClark
 from cagemap.mesh.mirrors import mirror_symmetries
+from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.operators import build_operators, named_laplacian
 from cagemap.pipeline import MAP_BASIS, MatchConfig, default_basis
 from cagemap.spectral import BasisConfig, hierarchical_basis
+from cagemap.tasks.functions import run_functions
 from cagemap.tasks.match import MatchRequest, match_config, read_inputs, run_match
+from cagemap.tasks.mesh_commands import run_refine
 from cagemap.tasks.method import (
     require_level_or_vertices,
     side_bases,
@@ -25,6 +30,9 @@ from cagemap.tasks.method import (
     with_parameters,
 )
 from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.functions import FunctionsRequest
+from cagemap.tasks.requests.mesh_commands import RefineRequest
+from cagemap.tasks.subdivision import SubdivisionRequest
 
 from refusals import refuses
 
@@ -181,3 +189,27 @@ def test_symmetries_that_the_method_does_not_use_are_refused(tmp_path):
     files = {f"{side}_symmetry": (tmp_path / "s.npy",) for side in ("target", "source")}
     with pytest.raises(ParameterError, match="symmetries: expected the method paper or hfm"):
         match_config(MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, **files))
+
+
+@pytest.mark.parametrize(("scheme", "unused"), [("none", True), ("bilinear", True), ("catmull-clark", False)])
+def test_refine_and_functions_name_subdivision_options_without_use(tmp_path, scheme: str, unused: bool):
+    (target, *_), _ = files_of(tmp_path)
+    words = {"scheme": scheme, "boundary": "edge-only", "creasing": "chaikin"}
+    level = 0 if scheme == "none" else 1
+    text, _ = run_refine(RefineRequest(target, level, tmp_path / "fine.obj", **words), Stages())
+    _, notes = run_functions(FunctionsRequest(target, tmp_path / "f.npz", k=4, **words), Stages())
+    for option in ("--boundary", "--creasing"):
+        assert (f"{option} is not used" in text) == unused
+        assert any(f"{option} is not used" in note for note in notes) == unused
+    assert "--uv-interpolation" not in text
+
+
+def test_subdivision_options_without_use_are_those_of_the_parts():
+    named = [
+        replace(mesh, face_objects=np.zeros(mesh.n_faces, dtype=np.int64), object_names=(name,), scheme=scheme)
+        for mesh, name, scheme in ((shapes.creature(), "a", Bilinear()), (shapes.cube(), "b", CatmullClark()))
+    ]
+    whole = replace(join_meshes(named), object_schemes=(Bilinear(), CatmullClark()), scheme=None)
+    parts = [extract_faces(whole, np.flatnonzero(whole.face_objects == i)) for i in range(2)]
+    options = SubdivisionRequest(boundary="edge-only")
+    assert [len(options.unused_notes([part])) for part in parts] == [1, 0]

@@ -136,7 +136,7 @@ def test_what_does_not_fit_is_refused(itself):
     with pytest.raises(ParameterError, match="image of each of the"):
         research.make_pair(itself.target, itself.source, symmetries=((backwards, backwards[:-1]),))
     plain = research.prepare(replace(shapes.cube(), scheme=Plain()), 0, BasisConfig(count=4, vertices=None))
-    with pytest.raises(ParameterError, match="symmetries: expected none with a plain mesh"):
+    with pytest.raises(ParameterError, match="symmetries: a plain mesh"):
         research.make_pair(plain, plain, symmetries=((np.arange(8), np.arange(8)),))
     coarse = itself.source.triangles(0)
     other = PointMap.from_vertices(itself.target.finest_triangles, coarse, np.zeros(len(itself.target.vertices), int))

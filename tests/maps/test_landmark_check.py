@@ -433,17 +433,16 @@ def test_a_suspect_stays_out_only_while_its_pair_is_the_same() -> None:
     assert judged.for_changed(before, corrected).suspects == ()
 
 
-def test_notes_on_pairs_that_changed_and_on_their_number_are_dropped() -> None:
+def test_notes_on_pairs_that_changed_and_on_all_pairs_are_dropped() -> None:
     before = Landmarks(("a", "b", "c"), np.array([3, 5, 9]), np.array([1, 2, 4]))
     strain, kept = "landmark 'b' strains the map around it", "the distances of 'a', 'c' to the other landmarks differ"
-    few = "3 landmark pairs are too few to tell a wrong one; 6 or more are checked"
-    judged = LandmarkCheck(notes=(few, strain, kept, check.MIRRORED))
+    judged = LandmarkCheck(notes=(check.TOO_FEW, check.CONTRADICTION, strain, kept, check.MIRRORED))
     assert judged.for_changed(before, before).notes == judged.notes
     moved = Landmarks(("a", "b", "c"), np.array([3, 6, 9]), np.array([1, 2, 4]))
-    assert judged.for_changed(before, moved).notes == (few, kept, check.MIRRORED)
-    assert judged.for_changed(before, before.without([0])).notes == (strain, check.MIRRORED)
+    assert judged.for_changed(before, moved).notes == (kept,)
+    assert judged.for_changed(before, before.without([0])).notes == (strain,)
     added = before.joined_with(Landmarks(("d",), np.array([8]), np.array([8])))
-    assert judged.for_changed(before, added).notes == (strain, kept, check.MIRRORED)
+    assert judged.for_changed(before, added).notes == (strain, kept)
 
 
 @pytest.mark.slow
@@ -456,3 +455,13 @@ def test_an_update_checks_the_pairs_that_changed_and_keeps_what_was_known(pair, 
     assert updated.landmark_check.notes == ("a note",)
     trusting = update_match(before, wrong, replace(QUICK, check_landmarks=False))
     assert trusting.suspects == ()
+
+
+@pytest.mark.parametrize("count", [4, 12])
+def test_an_update_notes_that_pairs_are_too_few_or_contradict_each_other(pair, followed, count: int) -> None:
+    target, source, landmarks = pair
+    shuffled = replace(landmarks, source=np.random.default_rng(33).permutation(landmarks.source))
+    problem = Problem.of_landmarks(prepare_pair(target, source, QUICK), shuffled.without(range(count, len(landmarks))))
+    judged = check.check_changes(problem, np.zeros(0, dtype=np.int64), LandmarkCheck(), followed.point_map)
+    assert judged.notes == (check.TOO_FEW if count < 6 else check.CONTRADICTION,)
+    assert check.landmark_outliers(problem, no_progress) == ({}, list(judged.notes))

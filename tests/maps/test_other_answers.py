@@ -10,7 +10,7 @@ from examples.shapes import creature
 
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.confidence import SURE, TWO, Confidence, prolong_answers, remaining_doubt
+from cagemap.maps.hypotheses.confidence import SURE, TWO, Confidence, kept_confidence, prolong_answers
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import judge
@@ -65,40 +65,38 @@ def two_answers(mesh: ControlMesh, level: int, *, first_is_right: bool = True) -
 
 
 @pytest.mark.parametrize(("mesh", "level"), [(creature(), 1), (animal(1), 0)])
-def test_an_update_keeps_the_doubt_until_landmarks_decide(mesh: ControlMesh, level: int) -> None:
+def test_an_update_keeps_the_confidence_until_an_answer_misses_a_landmark(mesh: ControlMesh, level: int) -> None:
     side = int(np.abs(mesh.positions[:, 0]).argmax())
     middle = int(np.abs(mesh.positions[:, 0]).argmin())
+    given = two_answers(mesh, level).confidence
+    mirrored_first = two_answers(mesh, level, first_is_right=False).confidence
     before = two_answers(mesh, level)
-    prepared = before.prepared
 
-    def updated(first_is_right: bool, *vertices: int) -> Confidence | None:
-        given = two_answers(mesh, level, first_is_right=first_is_right)
-        problem = Problem.of_landmarks(prepared, marks_at(np.array(vertices)))
-        return remaining_doubt(given.confidence, problem)
+    def updated(confidence: Confidence | None, *vertices: int) -> Confidence | None:
+        return kept_confidence(confidence, Problem.of_landmarks(before.prepared, marks_at(np.array(vertices))))
 
-    kept = updated(True, middle)
-    assert (kept.verdict, len(kept.answers)) == (TWO, 2)
-    decided = updated(True, middle, side)
-    assert decided.verdict != TWO
-    assert [answer.name for answer in decided.answers] == ["first"]
-    contradicted = updated(False, side)
-    assert (contradicted.verdict, len(contradicted.answers)) == (TWO, 2)
-    sure = replace(before.confidence, verdict=SURE, answers=before.confidence.answers[1:])
-    assert remaining_doubt(sure, Problem.of_landmarks(prepared, marks_at(np.array([side])))) is None
+    assert updated(given, middle) is given
+    assert updated(given, middle, side) is None
+    assert updated(mirrored_first, side) is None
+    short = tuple(replace(answer, positions=answer.positions[: mesh.n_vertices // 2]) for answer in given.answers)
+    assert updated(replace(given, answers=short), mesh.n_vertices - 1) is None
+    assert updated(replace(given, verdict=SURE, answers=given.answers[1:]), side) is None
 
 
 def test_an_update_with_few_landmarks_has_a_confidence() -> None:
     mesh = creature()
-    before = two_answers(mesh, 1)
-    one = marks_at(np.array([3]))
+    before = result_of_two_answers(mesh, 1, Landmarks.none(), LandmarkCheck())
+    one = marks_at(np.array([59]))  # moved little by the bend below
     assert update_match(before, one, QUICK).confidence is not None
-    bent = mesh.with_positions(mesh.positions * (1 + 0.2 * mesh.positions[:, [1]]))
+    bent = mesh.with_positions(mesh.positions * (1 + 0.1 * mesh.positions[:, [1]]))
     surface = prepare_surface(bent, 1)
     apart = replace(before, source=surface, prepared=prepare_pair(before.target, surface, QUICK))
     found = update_match(apart, one, QUICK)
     assert found.confidence.verdict == TWO
     enough = marks_at(np.arange(0, 35, 5))
     assert update_match(apart, enough, QUICK).confidence is None
+    for earlier in (marks_at(np.array([9])), marks_at(np.array([59, 9]))):  # moved, removed
+        assert update_match(replace(apart, landmarks=earlier), one, QUICK).confidence is None
 
 
 def test_another_answer_does_not_meet_landmarks_that_were_left_out() -> None:

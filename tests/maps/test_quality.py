@@ -12,17 +12,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, cKDTree
 
+from cagemap.errors import ParameterError
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import (
     covered_share,
     flipped_triangles,
+    judge,
     measure_quality,
     stretches,
     weighted_percentiles,
 )
 from cagemap.numerics.threads import thread_limit
+from cagemap.pipeline import prepare_surface
 from cagemap.subdivision import level_triangles, refine
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.surface_points import SurfacePoints
@@ -386,3 +389,12 @@ def test_surface_area_and_percentiles() -> None:
     assert surface_area(3 * positions, triangles) == pytest.approx(9)
     values = np.array([3.0, 1.0, 2.0])
     np.testing.assert_array_equal(weighted_percentiles(values, np.array([1.0, 98.0, 1.0]), (50, 99.5)), [1, 3])
+
+
+def test_masks_of_another_length_are_refused_by_name() -> None:
+    surface = prepare_surface(torus(), 1)
+    finest = surface.finest_triangles
+    found = PointMap.from_vertices(finest, finest, np.arange(finest.n))
+    for masks in (Masks(np.ones(5)), Masks(source=np.ones(5)), Masks(np.zeros(finest.n))):
+        with pytest.raises(ParameterError, match="mask: expected"):
+            judge(surface, found, masks=masks)

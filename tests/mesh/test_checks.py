@@ -377,3 +377,16 @@ def test_elements_are_numbered_as_in_the_file() -> None:
     (edges, *_) = check_mesh(replace(third, file_vertices=10 + np.arange(5), file_faces=20 + np.arange(3))).problems
     assert edges.elements == ((10, 11),)
     assert "(10, 11) delete the inner ones of faces 20, 21, 22" in edges.remedy
+
+
+def test_broken_positions_and_creases_of_a_part_are_numbered_as_in_the_file() -> None:
+    mesh = replace(grid(2, 2), file_vertices=100 + np.arange(9), file_faces=200 + np.arange(4))
+    (creases,) = check_mesh(mesh.with_creases([[0, 8]], 1.0)).problems
+    assert creases.elements == ((100, 108),)
+    positions = mesh.positions.copy()
+    positions[4, 2] = np.nan
+    (broken,) = check_mesh(mesh.with_positions(positions)).problems
+    assert broken.elements == (104,)
+    assert "104 at (" in str(broken)
+    (uvs,) = check_mesh(mesh.with_uvs(np.full((70, 2), np.nan), np.arange(16))).problems
+    assert uvs.elements[-1] == 69

@@ -379,7 +379,8 @@ def test_plain_parts_of_quads_and_of_triangles_become_one_mesh_of_triangles(tmp_
         write_obj(tmp_path / f"{name}.obj", scene)
     np.save(tmp_path / "numbers.npy", scenes[sides[1]].positions)
     files = [tmp_path / f"{side}.obj" for side in sides]
-    run_match(MatchRequest(*files, tmp_path / "R", scheme="none", part="each"), Stages())
+    _, warnings = run_match(MatchRequest(*files, tmp_path / "R", scheme="none", part="each"), Stages())
+    assert "mixed.obj: faces of different sizes are split into triangles" in warnings
     result = read_result(tmp_path / "R")
     np.testing.assert_allclose(result.image(), result.target.vertices, rtol=0, atol=1e-6)
     for side in (result.target, result.source):

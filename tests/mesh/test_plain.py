@@ -161,7 +161,8 @@ def test_colours_of_joined_vertices_are_averaged_and_said() -> None:
     colors[first], colors[second] = 0.5, 1.0
     count = int((plain.vertex_of == 0).sum())
     averaged = plain_mesh(replace(sphere, vertex_colors=colors))
-    assert f"{sphere.name}: colours of {count} welded vertices differ and are averaged" in averaged.notes
+    assert f"{sphere.name}: colours of {count} joined vertices differ and are averaged" in averaged.notes
+    assert averaged.repairs.averaged_colors == count
     np.testing.assert_allclose(averaged.mesh.vertex_colors[0], 0.5 + 0.5 / count)
 
 

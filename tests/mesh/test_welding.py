@@ -122,7 +122,7 @@ def test_colours_of_welded_vertices_are_averaged_and_said() -> None:
     colors = np.array(split.vertex_colors)
     colors[first[1]] = 1.0
     welded = weld_mesh(replace(split, vertex_colors=colors))
-    assert any("colours of 2 welded vertices differ" in note for note in welded.notes)
+    assert any("colours of 2 joined vertices differ" in note for note in welded.notes)
     np.testing.assert_allclose(welded.mesh.vertex_colors[first[0]], 0.75)
 
 

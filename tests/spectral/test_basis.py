@@ -286,5 +286,5 @@ def test_whole_numbers_of_a_config_become_plain_ones() -> None:
     assert config == BasisConfig(count=4, vertices=100, schedule=(3, 1))
     numbers = (config.count, config.vertices, *(config.schedule or ()))
     assert [type(number) for number in numbers] == [int] * 4
-    with pytest.raises(ParameterError, match="vertices: expected a whole number"):
+    with pytest.raises(ParameterError, match="vertices: expected whole numbers"):
         BasisConfig(vertices=2.5)  # type: ignore[arg-type]

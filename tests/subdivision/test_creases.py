@@ -14,7 +14,7 @@ from cagemap.mesh.checks import check_mesh
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.pipeline import match, prepare_surface
 from cagemap.spectral import BasisConfig
-from cagemap.subdivision import limit_normals, limit_positions, refine
+from cagemap.subdivision import finest_mesh, limit_normals, limit_positions, refine
 
 from plain_meshes import marks_at
 
@@ -188,3 +188,10 @@ def test_holes_of_mixed_faces_are_numbered_as_their_triangles() -> None:
     holed = refine(replace(pyramid(), hole_faces=np.array([0, 2])), 1)
     assert len(holed.holes(0)) == len(holed.faces(0))
     np.testing.assert_array_equal(holed.holes(0), [True, True, False, True, False, False])
+
+
+def test_a_mesh_of_holes_alone_is_refused() -> None:
+    strip = refine(grid(1, 3), 1, CatmullClark("none"))
+    with pytest.raises(InvalidMeshError, match="grid: expected a face that is no hole"):
+        finest_mesh(strip)
+    assert finest_mesh(refine(grid(3, 3), 1, CatmullClark("none"))).n_faces == 4

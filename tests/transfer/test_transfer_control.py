@@ -97,7 +97,8 @@ def stacked(control: ControlMesh, rows: int) -> ControlMesh:
 def test_values_that_vertices_share_are_interpolated_on_each_of_their_faces(shape, level: int) -> None:
     control = stacked(shape(), 5)
     refined = refine(control, level)
-    linear = interpolate_linearly(control, control.uv_indices, 5, level, refined.scheme)
+    values, nodes = merged_corners(control.face_indices, control.uvs[control.uv_indices])
+    linear = interpolate_linearly(control, nodes, len(values), level, refined.scheme)
     assert linear.matrix.data.min() > 0
     np.testing.assert_allclose(linear.matrix.sum(axis=1), 1, rtol=0, atol=1e-12)
     if level:
@@ -183,3 +184,10 @@ def linear_points(control: ControlMesh, level: int) -> np.ndarray:
 def closest_map(parameters: list[np.ndarray], both: tuple[Refinement, Refinement]) -> PointMap:
     target, source = (TriangleSurface(p, triangles(s.finest.faces)) for p, s in zip(parameters, both, strict=True))
     return PointMap(target, SurfacePoints.nearest(source, target.positions))
+
+
+def test_a_loose_vertex_does_not_renumber_others() -> None:
+    square = ControlMesh.from_faces([(9, 9, 9), (0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], [(1, 2, 3, 4)])
+    for level in (0, 2):
+        linear = interpolate_linearly(square, square.face_indices, 5, level, refine(cube(), 1).scheme)
+        np.testing.assert_array_equal((linear.matrix @ square.positions)[1:5], square.positions[1:])

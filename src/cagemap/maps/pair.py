@@ -103,6 +103,10 @@ class Pair:
     #: unknown (see `cagemap.paper.symmetries.check_symmetry`)
     symmetries: tuple[SymmetryPair, ...] = ()
 
+    def __post_init__(self) -> None:
+        if self.symmetries and (self.target.refinement.is_plain or self.source.refinement.is_plain):
+            raise ParameterError("symmetries: a plain mesh (scheme none) takes no symmetries. Leave them out.")
+
     def __repr__(self) -> str:
         count = len(self.landmarks.target.triangle)
         return f"Pair({self.target} -> {self.source}, {count} landmarks, {len(self.symmetries)} symmetries)"

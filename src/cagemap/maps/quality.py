@@ -218,6 +218,8 @@ def judge(
             f"judge: expected a map of the {len(target.vertices)} finest vertices of {target.control.name}, got one of "
             f"{point_map.target.n}: target and source may be exchanged, or the map belongs to another level"
         )
+    if masks.shared is None:  # masks within shared area may be 0 nearly everywhere
+        masks.require_fit(point_map.target.n, point_map.source.n)
     level = target.hierarchy.coarsest_level(COVERAGE_SAMPLES)
     asked = target.hierarchy.on_finest(level)[target.triangles(level).triangles]
     return measure_quality(point_map, landmarks, coarse_triangles=asked, masks=masks)

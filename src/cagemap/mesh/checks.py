@@ -6,7 +6,7 @@ of a face, so that the file's unit does not matter. Vertices at the same place a
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +14,16 @@ from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.extent_checks import extent_problem, inside_out_problem, zero_area_problem
-from cagemap.mesh.faces import degenerate_faces, duplicate_faces, face_centres, keep_faces
+from cagemap.mesh.faces import (
+    degenerate_faces,
+    duplicate_faces,
+    face_areas,
+    face_centres,
+    face_extents,
+    keep_faces,
+    signed_volume,
+    with_openings_closed,
+)
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.mesh_report import (
     LISTED,
@@ -54,6 +62,16 @@ SLIT_AREA = 0.004
 MAX_SLIT_EDGES = 8
 # Number of components that are compared with each other: comparing more costs too much.
 MAX_COMPARED = 16
+# Squares and products of lengths must neither overflow nor vanish in float64 (1e308, 1e-308).
+SMALLEST_EXTENT, LARGEST_EXTENT = 1e-60, 1e60
+# Least distance of vertices from a line, as a share of the extent. Real cages are above 1e-2.
+RELATIVE_WIDTH = 1e-9
+# Least face area as a share of the extent squared: edges of 3e-8, the resolution of float32. Real cages are above 1e-9.
+RELATIVE_FACE_AREA = 1e-15
+# Least face area as a share of its own extent squared: below it cotangents reach 1e9. Real cages are above 1e-3.
+RELATIVE_FACE_WIDTH = 1e-9
+# Roundness 36 pi V^2 / A^3: 1 for a ball, 0.08 to 0.28 for real cages; below this an open surface has no inside.
+OPEN_ROUNDNESS = 0.02
 
 
 @arrays_accepted
@@ -66,11 +84,12 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
     blank = MeshReport(mesh.name, len(mesh.positions), None, max(len(mesh.face_offsets) - 1, 0))
     broken = structure_problems(mesh)
     if broken:
-        return replace(blank, problems=broken)
+        return replace(blank, problems=tuple(_with_places(problem, mesh) for problem in broken))
     degenerate, duplicates = degenerate_faces(mesh), duplicate_faces(mesh)
     kept = np.delete(np.arange(mesh.n_faces), duplicates)
-    single = keep_faces(mesh, kept) if len(duplicates) else mesh
-    file_vertices, file_faces = _file_numbers(mesh)
+    vertices, faces = mesh.file_numbers
+    numbered = replace(mesh, file_vertices=vertices, file_faces=faces)
+    single = keep_faces(numbered, kept) if len(duplicates) else numbered
     topology = mesh_topology(single)
     fans, turned = corner_fans(topology), turned_faces(topology)
     loops = boundary_loops(topology, fans)
@@ -101,7 +120,7 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
     ]
     if not len(degenerate):
         problems += [
-            _edge_manifold_problem(single, topology, file_vertices, file_faces[kept]),
+            _edge_manifold_problem(single, topology),
             problem_at(
                 "non-manifold vertices",
                 f"expected the faces around every vertex to form one fan, got {len(touching)} vertex/vertices where "
@@ -132,25 +151,16 @@ def check_mesh(mesh: MeshLike) -> MeshReport:
 def _with_places(problem: MeshProblem, mesh: ControlMesh) -> MeshProblem:
     """The problem in the file's numbers, with the coordinates of the elements that its message lists."""
     listed = np.array(problem.elements[:LISTED], dtype=np.int64)
-    if not len(listed):
+    if not len(listed) or problem.kind == "broken data":  # whose elements may be UVs
         return problem
     with np.errstate(over="ignore", invalid="ignore"):  # positions may be of any size
         if listed.ndim == 2:
             places = mesh.positions[listed].mean(axis=1)
         else:
             places = (mesh.positions if problem.of_vertices else face_centres(mesh))[listed]
-    numbers = _file_numbers(mesh)[0 if problem.of_vertices or listed.ndim == 2 else 1][np.array(problem.elements)]
+    numbers = mesh.file_numbers[int(listed.ndim == 1 and not problem.of_vertices)][np.array(problem.elements)]
     elements = [tuple(row) for row in numbers.tolist()] if listed.ndim == 2 else numbers.tolist()
     return replace(problem, elements=tuple(elements), places=tuple(map(place_text, places)))
-
-
-def _file_numbers(mesh: ControlMesh) -> tuple[IndexArray, IndexArray]:
-    """Numbers in the file of the vertices (n,) and the faces (m,)."""
-    vertices, faces = mesh.file_vertices, mesh.file_faces
-    return (
-        np.arange(mesh.n_vertices) if vertices is None else vertices,
-        np.arange(mesh.n_faces) if faces is None else faces,
-    )
 
 
 def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
@@ -173,7 +183,7 @@ def _counts(
     components = np.bincount(face_components(mesh))
     used = used_vertices(mesh)
     valences = np.bincount(topology.edge_vertices.ravel(), minlength=mesh.n_vertices)[used]
-    numbers = _file_numbers(mesh)[0]
+    numbers = mesh.file_numbers[0]
     euler = int(used.sum()) - topology.n_edges + mesh.n_faces
     islands = uv_islands(mesh)
     # V - E + F = 2 - 2 g - b for every component. Where one vertex joins two fans there is no genus.
@@ -199,14 +209,12 @@ def _counts(
     )
 
 
-def _edge_manifold_problem(
-    mesh: ControlMesh, topology: Topology, vertices: IndexArray, faces: IndexArray
-) -> MeshProblem | None:
-    """Edges of more than two faces, and their remedies; ``vertices`` (n,), ``faces`` (m,): numbers in the file."""
+def _edge_manifold_problem(mesh: ControlMesh, topology: Topology) -> MeshProblem | None:
+    """Edges of more than two faces, and their remedies."""
     bad = topology.face_counts > 2
     if not bad.any():
         return None
-    edges, extra = topology.edge_vertices, extra_faces(topology)
+    edges, extra, (vertices, faces) = topology.edge_vertices, extra_faces(topology), mesh.file_numbers
     remaining = bad & (topology.face_counts - _counts_of(topology, extra) > 2)
     tiny = remaining & _tiny_edges(mesh, topology)
     split = remaining & ~tiny
@@ -309,3 +317,81 @@ def _is_slit(mesh: ControlMesh, loop: IndexArray) -> bool:
         tails, heads = mesh.positions[mesh.face_indices], mesh.positions[mesh.face_indices[mesh.next_corners]]
         usual = len(loop) * np.median(np.linalg.norm(heads - tails, axis=1))
         return bool(area <= SLIT_AREA * length**2 or length <= TINY_EDGE * usual)
+
+
+def extent_problem(mesh: ControlMesh) -> MeshProblem | None:
+    """Vertices all at one point or on one line, or a size that overflows."""
+    used = used_vertices(mesh)
+    with np.errstate(over="ignore"):
+        extent = float(np.max(np.ptp(mesh.positions[used], axis=0)))
+    if extent == 0.0:
+        return MeshProblem(
+            "no size",
+            "expected vertices in different places, got all in one point",
+            "Export the mesh again; the transform may have a scale of zero.",
+        )
+    if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
+        return MeshProblem(
+            "size",
+            f"expected an extent between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} file units, got {extent:.3g}",
+            "Scale the mesh.",
+        )
+    unit = _unit_sized(mesh).positions[used]
+    offsets = unit - unit[0]
+    lengths = np.linalg.norm(offsets, axis=1)
+    farthest = offsets[np.argmax(lengths)]
+    widths = np.linalg.norm(np.cross(offsets, farthest), axis=1) / lengths.max() ** 2
+    if widths.max() <= RELATIVE_WIDTH:
+        return MeshProblem(
+            "no area",
+            "expected a surface, got all vertices on one line",
+            "Export the mesh again; the transform may have scales of zero.",
+        )
+    return None
+
+
+def zero_area_problem(mesh: ControlMesh, examined: IndexArray) -> MeshProblem | None:
+    """Examined faces (k,) whose corners are on one line or in one point; None without such faces."""
+    unit = _unit_sized(mesh)
+    areas, extents = face_areas(unit), face_extents(unit)
+    flat = (areas <= RELATIVE_FACE_AREA) | (areas <= RELATIVE_FACE_WIDTH * extents**2)
+    faces = examined[flat[examined]]
+    return problem_at(
+        "faces without area",
+        f"expected every face to span an area, got {len(faces)} whose corners are on one line or in one point, faces",
+        faces,
+        "Move their vertices apart, or dissolve the edges of length zero.",
+    )
+
+
+def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> MeshProblem | None:
+    """Problem of a mesh whose faces look inwards, or of a closed mesh without volume; else None.
+
+    An open mesh is first closed with a cone over every loop. It is a problem only if its roundness exceeds
+    `OPEN_ROUNDNESS`; a sheet has no inside.
+    """
+    unit = with_openings_closed(_unit_sized(mesh), loops)
+    volume, area = signed_volume(unit), float(face_areas(unit).sum())
+    roundness = 36.0 * np.pi * volume * abs(volume) / area**3
+    if not loops and abs(roundness) < RELATIVE_WIDTH:
+        return MeshProblem(
+            "no volume",
+            "expected a closed mesh to enclose a volume, got one that is folded flat",
+            "Export the mesh again; the transform may have a scale of zero. Delete one side of a flat sheet.",
+        )
+    if roundness < (-OPEN_ROUNDNESS if loops else 0.0):
+        opened = ", judged with its openings closed," if loops else ""
+        return MeshProblem(
+            "inside out",
+            f"expected faces counter-clockwise seen from outside, got a mesh{opened} whose faces all look inwards",
+            "Flip all faces (recalculate normals to the outside).",
+        )
+    return None
+
+
+def _unit_sized(mesh: ControlMesh) -> ControlMesh:
+    """Centre the bounding box of the faces at the origin and scale its longest side to 1."""
+    points = mesh.positions[used_vertices(mesh)]
+    low, high = points.min(axis=0), points.max(axis=0)
+    with np.errstate(over="ignore"):  # a vertex without faces may be anywhere
+        return mesh.with_positions((mesh.positions - 0.5 * (low + high)) / np.max(high - low))

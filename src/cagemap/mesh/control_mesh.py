@@ -75,9 +75,8 @@ class ControlMesh:
 
     def file_vertex(self, vertex: int) -> FileVertex:
         """A vertex by its number in the file, with its place."""
-        number = vertex if self.file_vertices is None else self.file_vertices[vertex]
         x, y, z = self.positions[vertex].tolist()
-        return FileVertex(int(number), (x, y, z))
+        return FileVertex(int(self.file_numbers[0][vertex]), (x, y, z))
 
     @classmethod
     def from_faces(cls, positions: object, faces: object, *, name: str = "mesh") -> ControlMesh:
@@ -114,6 +113,15 @@ class ControlMesh:
     def n_faces(self) -> int:
         """Number of control faces."""
         return len(self.face_offsets) - 1
+
+    @property
+    def file_numbers(self) -> tuple[IndexArray, IndexArray]:
+        """Numbers in the file of the vertices (n,) and of the faces (m,)."""
+        vertices, faces = self.file_vertices, self.file_faces
+        return (
+            np.arange(self.n_vertices) if vertices is None else vertices,
+            np.arange(self.n_faces) if faces is None else faces,
+        )
 
     @property
     def face_sizes(self) -> IndexArray:

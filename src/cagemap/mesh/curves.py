@@ -183,22 +183,13 @@ def _side_faults(side: str, names: list[str], curves: list[Curve[CagePoints]], m
         ends = np.where(given_as_vertex, vertices, -1)[curve.segments]
         joined = np.isin(pair_keys(ends, mesh.n_vertices), edges)
         unjoined += [f"{name} ({a} to {b})" for a, b in ends[(ends >= 0).all(axis=1) & ~joined]]
-    faults = []
-    if short:
-        faults.append(
-            f"expected curves of the {side} with two points or more, closed ones with three, got fewer: "
-            f"{first_few(short)}."
-        )
-    if flat:
-        faults.append(
-            f"expected curves of the {side} with a length, got all points at one place: {first_few(flat)}. Leave such "
-            "a curve out, or give its other points."
-        )
-    if repeated:
-        faults.append(f"expected every {side} vertex once in a curve, got these again: {first_few(repeated)}.")
-    if unjoined:
-        faults.append(
-            f"expected neighbours in a curve of the {side} to be joined by edges of {mesh.name}, got none "
-            f"for {first_few(unjoined)}. Give every vertex along the curve, or places in space."
-        )
-    return faults
+    faults = {
+        f"expected curves of the {side} with two points or more, closed ones with three, got fewer: "
+        f"{first_few(short)}.": short,
+        f"expected curves of the {side} with a length, got all points at one place: {first_few(flat)}. Leave such "
+        "a curve out, or give its other points.": flat,
+        f"expected every {side} vertex once in a curve, got these again: {first_few(repeated)}.": repeated,
+        f"expected neighbours in a curve of the {side} to be joined by edges of {mesh.name}, got none "
+        f"for {first_few(unjoined)}. Give every vertex along the curve, or places in space.": unjoined,
+    }
+    return [fault for fault, found in faults.items() if found]

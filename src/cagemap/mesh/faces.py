@@ -54,13 +54,13 @@ def with_corners_of(mesh: ControlMesh, faces: IndexArray, offsets: IndexArray, c
 
 
 def split_into_fans(mesh: ControlMesh) -> ControlMesh:
-    """Return the mesh with all faces split into fans, see `fan_triangles`; its file numbers are those of the faces."""
+    """Return the mesh with all faces split into fans, see `fan_triangles`.
+
+    Triangles have the file numbers of their faces.
+    """
     corners, faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
-    numbered = replace(
-        mesh,
-        file_vertices=np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices,
-        file_faces=np.arange(mesh.n_faces) if mesh.file_faces is None else mesh.file_faces,
-    )
+    vertex_numbers, face_numbers = mesh.file_numbers
+    numbered = replace(mesh, file_vertices=vertex_numbers, file_faces=face_numbers)
     return with_corners_of(numbered, faces, 3 * np.arange(len(faces) + 1), corners.ravel())
 
 

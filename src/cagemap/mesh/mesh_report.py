@@ -100,7 +100,8 @@ class MeshReport:
     euler_characteristic: int | None = None  #: vertices - edges + faces
     genus: int | None = None  #: number of handles, boundary loops counted as closed; summed over components
     boundary_edges: int | None = None  #: edges of one face
-    boundary_loops: tuple[tuple[int, ...], ...] | None = None  #: vertices along every loop, as `MeshProblem`'s
+    #: vertices along every loop, 0-based, in the file's numbering
+    boundary_loops: tuple[tuple[int, ...], ...] | None = None
     component_sizes: tuple[int, ...] = ()  #: number of faces of every connected component, in file order
     valence_range: tuple[int, int] | None = None  #: fewest and most edges at a vertex that has faces
     uv_islands: int | None = None  #: None without texture coordinates
@@ -135,8 +136,6 @@ class MeshReport:
         return "\n".join(lines)
 
     def _faces_by_size(self) -> str:
-        if not self.face_sizes:
-            return ""
         parts = [
             count_noun(count, {3: "triangle", 4: "quad"}[size]) for size, count in self.face_sizes if size in (3, 4)
         ]
@@ -146,7 +145,7 @@ class MeshReport:
             parts.append(f"{count_noun(sum(count for _, count in large), 'n-gon')} of up to {large[-1][0]} corners")
         if small:
             parts.append(f"{small} of fewer than 3 corners")
-        return f"  ({', '.join(parts)})"
+        return f"  ({', '.join(parts)})" if parts else ""
 
     def _loops(self) -> str:
         if self.boundary_loops is None:

@@ -185,7 +185,7 @@ def extract_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
     uvs, uv_indices = kept.uvs, kept.uv_indices
     if uvs is not None and uv_indices is not None:
         uvs, uv_indices = _used(uvs, uv_indices)
-    earlier = (mesh.file_vertices, mesh.file_faces)
+    file_vertices, file_faces = mesh.file_numbers
     return replace(
         kept,
         positions=kept.positions[vertices],
@@ -198,9 +198,9 @@ def extract_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
         corner_vertices=None if corners is None else number[corners[inside]],
         corner_sharpness=None if kept.corner_sharpness is None else kept.corner_sharpness[inside],
         **_own_scheme(kept),
-        file_vertices=vertices if earlier[0] is None else earlier[0][vertices],
+        file_vertices=file_vertices[vertices],
         file_copies=renumbered_copies(mesh.file_copies, number),
-        file_faces=np.asarray(faces) if earlier[1] is None else earlier[1][faces],
+        file_faces=file_faces[faces],
     )
 
 
@@ -223,11 +223,10 @@ def renumbered_copies(copies: IndexArray | None, number: IndexArray) -> IndexArr
 
 def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
     """(n,) vertex of the part for every vertex of the mesh, -1 if absent; the part may be the whole mesh, welded."""
-    assert part.file_vertices is not None
-    file_numbers = np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices
+    file_numbers, _ = mesh.file_numbers
     number = np.full(int(file_numbers.max()) + 1, -1, dtype=np.int64)
     # In reverse, so that the first copy of a split vertex is kept.
-    number[part.file_vertices[::-1]] = np.arange(part.n_vertices)[::-1]
+    number[part.file_numbers[0][::-1]] = np.arange(part.n_vertices)[::-1]
     if part.file_copies is not None:
         welded, copies = part.file_copies[part.file_copies[:, 1] < len(number)].T
         number[copies] = welded

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh.checks import extra_faces
+from cagemap.mesh.checks import extra_faces, inside_out_problem, zero_area_problem
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.extent_checks import inside_out_problem, zero_area_problem
 from cagemap.mesh.faces import (
     degenerate_faces,
     duplicate_faces,
@@ -62,8 +61,9 @@ def plain_mesh(mesh: MeshLike) -> RepairedMesh:
     )
     representative = coincident_vertices(work, collapse=True)
     joined = np.flatnonzero(representative != np.arange(mesh.n_vertices))
-    colors, color_notes = mean_colors(mesh, representative)
+    averaged = 0
     if len(joined):
+        colors, averaged = mean_colors(mesh, representative)
         work = replace(work, face_indices=representative[work.face_indices], vertex_colors=colors)
     holes = np.zeros(0, dtype=np.int64) if mesh.hole_faces is None else mesh.hole_faces
     work = keep_faces(work, np.delete(np.arange(mesh.n_faces), holes)) if len(holes) else work
@@ -96,6 +96,7 @@ def plain_mesh(mesh: MeshLike) -> RepairedMesh:
     repairs = replace(
         aside,
         joined_vertices=len(joined),
+        averaged_colors=averaged,
         split_faces=split,
         dropped_faces=len(bad) + len(holes),
         fins=fins,
@@ -108,24 +109,17 @@ def plain_mesh(mesh: MeshLike) -> RepairedMesh:
     ready = extract_faces(work, np.arange(work.n_faces)) if changed else work
     sliver = zero_area_problem(ready, np.arange(ready.n_faces))
     repairs = replace(repairs, slivers=0 if sliver is None else len(sliver.elements), openings=len(_loops(ready)))
-    vertices, own_faces = ready.file_vertices, ready.file_faces
-    assert vertices is not None
-    assert own_faces is not None
+    vertices, own_faces = ready.file_numbers
     vertex_of = np.full(mesh.n_vertices, -1, dtype=np.int64)
     vertex_of[vertices[::-1]] = np.arange(len(vertices))[::-1]  # the first copy of a split vertex
     vertex_of = vertex_of[representative]
-
-    def in_file(numbers: IndexArray | None, kept: IndexArray) -> IndexArray | None:
-        return numbers if not changed else kept if numbers is None else numbers[kept]
-
-    ready = replace(
-        ready,
-        file_vertices=in_file(mesh.file_vertices, vertices),
-        file_faces=in_file(mesh.file_faces, own_faces),
-        file_copies=file_copies(mesh, joined, vertex_of),
-    )
+    numbers = mesh.file_vertices, mesh.file_faces
+    if changed:
+        numbers = mesh.file_numbers[0][vertices], mesh.file_numbers[1][own_faces]
+    copies = file_copies(mesh, joined, vertex_of)
+    ready = replace(ready, file_vertices=numbers[0], file_faces=numbers[1], file_copies=copies)
     notes = tuple(f"{ready.name}: {sentence}" for sentence in repairs.sentences())
-    return RepairedMesh(ready, vertex_of, (*notes, *color_notes), repairs)
+    return RepairedMesh(ready, vertex_of, notes, repairs)
 
 
 def _of_one_face_size(mesh: ControlMesh) -> tuple[ControlMesh, int]:
@@ -181,13 +175,12 @@ def _one_fan_per_vertex(mesh: ControlMesh) -> tuple[ControlMesh, int]:
     number[repeated] = mesh.n_vertices + np.arange(repeated.sum())
     copied = vertices[repeated]
     source = np.concatenate([np.arange(mesh.n_vertices), copied])
-    assert mesh.file_vertices is not None
     return replace(
         mesh,
         positions=mesh.positions[source],
         face_indices=number[fans],
         vertex_colors=None if mesh.vertex_colors is None else mesh.vertex_colors[source],
-        file_vertices=mesh.file_vertices[source],
+        file_vertices=mesh.file_numbers[0][source],
     ), len(np.unique(copied))
 
 

@@ -19,6 +19,7 @@ class Repairs(Brief):
     #: vertices merged with another at the same position: on borders (files that repeat vertices face by face) or on
     #: edges of length zero
     joined_vertices: int = 0
+    averaged_colors: int = 0  #: joined vertices whose colours differ from their mean, which they take
     split_faces: int = 0  #: faces of another size than most, because of which all faces were split into triangles
     dropped_faces: int = 0  #: removed faces: with a repeated vertex, copies of other faces, and holes of the file
     fins: int = 0  #: faces removed at edges of more than two faces
@@ -39,6 +40,7 @@ class Repairs(Brief):
             remedy = f"`weld_mesh(mesh, {self.pieces_weld:g})` joins pieces that lie against each other"
         count_of = {
             f"{count_noun(self.joined_vertices, 'vertex')} joined with others at the same place": self.joined_vertices,
+            f"colours of {self.averaged_colors} joined vertices differ and are averaged": self.averaged_colors,
             "faces of different sizes are split into triangles": self.split_faces,
             f"{count_noun(self.dropped_faces, 'face')} left out: copies, holes, or with a repeated vertex": (
                 self.dropped_faces

@@ -13,7 +13,7 @@ from cagemap.mesh.faces import with_corners_of
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.mesh_report import count_noun
 from cagemap.mesh.parts import extract_faces, renumbered_copies
-from cagemap.mesh.repairs import RepairedMesh
+from cagemap.mesh.repairs import RepairedMesh, Repairs
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import face_components, face_pieces, mesh_topology, used_vertices
 from cagemap.numerics.arrays import (
@@ -64,7 +64,7 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
     joined = np.flatnonzero(first != np.arange(mesh.n_vertices))
     if not len(joined):
         return RepairedMesh(mesh, first, (f"{mesh.name}: no border vertices {within} to weld",))
-    colors, color_notes = mean_colors(mesh, first)
+    colors, averaged = mean_colors(mesh, first)
     work = _relabelled(replace(mesh, vertex_colors=colors), first)
     work, collapsed = _without_repeats(work)
     if not work.n_faces:
@@ -79,7 +79,7 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
         f"{mesh.name}: {len(joined)} of {mesh.n_vertices} vertices are welded to others {within}; "
         f"{_pieces(mesh)} became {_pieces(ready)}",
         *([f"{mesh.name}: {collapsed} faces collapsed and are left out"] if collapsed else []),
-        *color_notes,
+        *(f"{mesh.name}: {sentence}" for sentence in Repairs(averaged_colors=averaged).sentences()),
     ]
     loose = mesh.n_vertices - int(used_vertices(mesh).sum())
     if loose:
@@ -89,11 +89,10 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatA
 
 def file_copies(mesh: ControlMesh, joined: IndexArray, vertex_of: IndexArray) -> IndexArray | None:
     """``file_copies`` of a mesh whose vertices (k,) were joined; ``vertex_of`` (n,): new numbers, -1 if removed."""
-    file_numbers = joined if mesh.file_vertices is None else mesh.file_vertices[joined]
-    pairs = np.column_stack([vertex_of[joined], file_numbers])
-    earlier = renumbered_copies(mesh.file_copies, vertex_of)
-    pairs = pairs[pairs[:, 0] >= 0] if earlier is None else np.concatenate([pairs[pairs[:, 0] >= 0], earlier])
-    return pairs if len(pairs) else None
+    copies = np.column_stack([joined, mesh.file_numbers[0][joined]])
+    if mesh.file_copies is not None:
+        copies = np.concatenate([copies, mesh.file_copies])
+    return renumbered_copies(copies, vertex_of)
 
 
 def _relabelled(mesh: ControlMesh, first: IndexArray) -> ControlMesh:
@@ -127,19 +126,17 @@ def _without_repeats(mesh: ControlMesh) -> tuple[ControlMesh, int]:
     return with_corners_of(mesh, faces, offsets, corners), mesh.n_faces - len(faces)
 
 
-def mean_colors(mesh: ControlMesh, first: IndexArray) -> tuple[FloatArray | None, tuple[str, ...]]:
-    """Vertex colours averaged over joined vertices, and a note if they differ."""
+def mean_colors(mesh: ControlMesh, first: IndexArray) -> tuple[FloatArray | None, int]:
+    """Vertex colours averaged over joined vertices, and the number of vertices whose colour differs from it."""
     colors = mesh.vertex_colors
     if colors is None:
-        return None, ()
+        return None, 0
     known = np.isfinite(colors).all(axis=1)
     sums = grouped_sums(first[known], colors[known], mesh.n_vertices)
     counts = np.bincount(first[known], minlength=mesh.n_vertices)
     with np.errstate(invalid="ignore"):
         mean = (sums / counts[:, None])[first]
-    differ = int(np.sum(known & (np.abs(colors - mean) > COLOR_STEP).any(axis=1)))
-    note = f"{mesh.name}: colours of {differ} welded vertices differ and are averaged"
-    return mean, (note,) if differ else ()
+    return mean, int(np.sum(known & (np.abs(colors - mean) > COLOR_STEP).any(axis=1)))
 
 
 def _pieces(mesh: ControlMesh) -> str:

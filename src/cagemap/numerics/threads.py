@@ -164,10 +164,11 @@ else:
 
     def _state_without_kept(instance):
         """Attributes of an instance but those that can be computed again, which may hold factorisations, and locks."""
-        owner = type(instance)
-        known = dict(vars(instance))  # other threads may add values meanwhile
-        left_out = [name for name in known if name.startswith(_LOCK) or isinstance(getattr(owner, name, None), kept)]
-        return {name: value for name, value in known.items() if name not in left_out}
+        return {
+            name: value
+            for name, value in dict(vars(instance)).items()  # a copy: other threads may add values meanwhile
+            if not name.startswith(_LOCK) and not isinstance(getattr(type(instance), name, None), kept)
+        }
 
 
 def row_slices(count: int, size: int) -> list[slice]:

@@ -13,7 +13,6 @@ from cagemap.mesh.mirrors import Mirror, mirror_symmetries
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads
 from cagemap.spectral.basis import HierarchicalBasis
-from cagemap.spectral.surface import Surface
 from cagemap.subdivision import Refinement
 
 # Rows of S^l count as equal if their products with random functions differ by less than this.
@@ -39,14 +38,6 @@ def check_symmetry(symmetry: IndexArray, control: ControlMesh) -> None:
         raise ParameterError(
             f"symmetry: expected vertices 0 to {n - 1} of {control.name}, or -1 where the image is not known, "
             f"got {array.min()} to {array.max()}"
-        )
-
-
-def refuse_plain_symmetries(target: Surface, source: Surface) -> None:
-    """Raise ParameterError if one of two surfaces is a plain mesh, which takes no symmetries."""
-    if target.refinement.is_plain or source.refinement.is_plain:
-        raise ParameterError(
-            "symmetries: expected none with a plain mesh (scheme none), whose vertices mirror none. Leave them out."
         )
 
 

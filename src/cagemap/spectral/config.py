@@ -37,20 +37,15 @@ class BasisConfig:
 
     def __post_init__(self) -> None:
         """Check the ranges."""
-        counts = (self.count, *(() if self.schedule is None else self.schedule))
-        if not all(isinstance(count, int | np.integer) for count in counts):
-            raise ParameterError(
-                f"count and schedule: expected whole numbers, such as 150 or (100, 50), got {self.count!r} and "
-                f"{self.schedule!r}"
-            )
-        if not isinstance(self.vertices, int | np.integer | None):
-            raise ParameterError(f"vertices: expected a whole number, such as 20000, got {self.vertices!r}")
-        # NumPy's integers become Python's, which JSON files take.
-        object.__setattr__(self, "count", int(self.count))
-        if self.schedule is not None:
-            object.__setattr__(self, "schedule", tuple(int(count) for count in self.schedule))
-        if self.vertices is not None:
-            object.__setattr__(self, "vertices", int(self.vertices))
+        for name in ("count", "schedule", "vertices"):
+            given = getattr(self, name)
+            numbers = given if name == "schedule" else (given,)
+            if given is None:
+                continue
+            if not all(isinstance(number, int | np.integer) for number in numbers):
+                raise ParameterError(f"{name}: expected whole numbers, got {given!r}")
+            plain = tuple(map(int, numbers))  # NumPy's integers become Python's, which JSON files take
+            object.__setattr__(self, name, plain if name == "schedule" else plain[0])
         if self.count < 1:
             raise ParameterError(f"count: expected at least 1 basis function, got {self.count}")
         if self.vertices is not None and self.vertices < 1:

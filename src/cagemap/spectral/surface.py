@@ -13,7 +13,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.schemes import Plain
-from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
+from cagemap.numerics.arrays import FloatArray, IndexArray, read_only, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, in_threads, kept, one_blas_thread
 from cagemap.operators import Operators, build_operators
@@ -88,9 +88,8 @@ class Surface:
 
         Laplacians other than "mean" have areas of their own, which are not used.
         """
-        operators: Operators | None = vars(self).get("operators")
-        whole = operators is not None and operators.finest_level == self.finest_level
-        if operators is not None and whole and self.config.laplacian == "mean":
+        operators: Operators | None = vars(self).get("operators") if self.config.laplacian == "mean" else None
+        if operators is not None and operators.finest_level == self.finest_level:
             return operators.scale
         return 1.0 / float(np.sqrt(surface_area(self.vertices, self.faces)))
 
@@ -252,7 +251,7 @@ def prepare_surfaces(
     if not isinstance(levels, Sequence | np.ndarray) or len(levels) != 2:
         raise ParameterError(f"levels: expected two, the target's and the source's, got {levels}")
     configs = config if isinstance(config, tuple) else (config, config)
-    numbers = [int(level) if isinstance(level, np.integer) else level for level in levels]  # of NumPy: for JSON files
+    numbers = whole_numbers(levels, "levels").tolist()
     progress(f"prepare {target.name} and {source.name}")
     with one_blas_thread(), ThreadPool(1) as pool:  # before the threads start: the setting is global
         pool.submit(triangle_areas, np.eye(3), np.arange(3)[None])  # loads Numba's kernels; refinement needs none

@@ -34,19 +34,15 @@ def is_linear(scheme: Scheme) -> bool:
     return scheme.uv_interpolation == "all" or isinstance(scheme, Bilinear)
 
 
-def _vertex_values(control: ControlMesh, values: IndexArray) -> tuple[IndexArray, IndexArray, IndexArray]:
-    """(c,) pair of vertex and value of every corner, by number; and the value and the vertex (p,) of every pair."""
-    unique, numbers = np.unique(values * control.n_vertices + control.face_indices, return_inverse=True)
-    return numbers.astype(np.int64), *np.divmod(unique, control.n_vertices)
-
-
 def control_layout(control: ControlMesh, state: MeshState, scheme: Scheme) -> tuple[MeshState, FloatArray]:
     """UV layout of a control mesh, and values (p, 2) of every pair of vertex and UV."""
     assert control.uvs is not None
     assert control.uv_indices is not None
-    numbers, values, owners = _vertex_values(control, control.uv_indices)
-    cut = layout_topology(control, numbers, len(values))
-    layout = MeshState(cut, np.zeros(len(values), dtype=bool))
+    pairs = control.uv_indices * control.n_vertices + control.face_indices
+    unique, numbers = np.unique(pairs, return_inverse=True)
+    values, owners = np.divmod(unique, control.n_vertices)
+    cut = layout_topology(control, numbers.astype(np.int64), len(unique))
+    layout = MeshState(cut, np.zeros(len(unique), dtype=bool))
     if not is_linear(scheme):
         around = layout_sharpness(layout, state)
         fixed, follows = _fixed_values(cut, state.topology, owners, around, scheme.uv_interpolation)
@@ -144,7 +140,7 @@ def _layout_matrix(layout: MeshState, state: MeshState, scheme: Scheme) -> spars
 class LinearValues:
     """Linear interpolation of control mesh values on the triangles of a refined level."""
 
-    #: (p, p0) weights of the control mesh's values at the level's nodes; rows are not negative and sum to 1
+    #: (p, p0) weights of the control mesh's node values at the level's nodes; rows are not negative and sum to 1
     matrix: sparse.csr_array
     corners: IndexArray  #: (t, 3) nodes of the level's triangles
 
@@ -166,17 +162,15 @@ def interpolate_linearly(
 ) -> LinearValues:
     """Linear interpolation of values on a control mesh, at the triangles of a level.
 
-    ``nodes`` (c,), below ``count``, are the vertex or UV of every face corner, or the corner's own number. Corners of
-    one vertex and node share its value; where several vertices have one node (UVs of mirrored halves), each is apart.
+    ``nodes`` (c,), below ``count``, are the vertex of every face corner, or a node of `merged_corners`: corners of one
+    node share its value. All corners of a node must be of one vertex.
     """
-    pairs, values, _ = _vertex_values(control, nodes)
-    first = sparse.csr_array((np.ones(len(values)), (np.arange(len(values)), values)), shape=(len(values), count))
     if level == 0:
-        return LinearValues(first, fan_triangles(control.face_offsets, pairs)[0])
+        identity = sparse.csr_array(sparse.eye_array(count, format="csr"))
+        return LinearValues(identity, fan_triangles(control.face_offsets, nodes)[0])
     with_faces = not isinstance(scheme, Loop)
-    topology = layout_topology(control, pairs, len(values))
-    matrix = sparse.csr_array(linear_matrix(topology, with_faces) @ first)
-    matrix.sort_indices()  # products add up in the order of the entries
+    topology = layout_topology(control, nodes, count)
+    matrix = linear_matrix(topology, with_faces)
     for _ in range(level - 1):
         topology = split_topology(topology, scheme)
         matrix = sparse.csr_array(linear_matrix(topology, with_faces) @ matrix)

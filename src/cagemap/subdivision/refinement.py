@@ -229,11 +229,9 @@ def with_options(
 ) -> ControlMesh:
     """The same mesh with another scheme of `SCHEMES` and other `SubdivisionOptions`; None leaves a value unchanged."""
     before = default_scheme(control)
-    kind = type(before)
-    if scheme is not None:
-        if scheme not in SCHEMES:
-            raise ParameterError(f"scheme: expected one of {', '.join(SCHEMES)}, got {scheme!r}")
-        kind = SCHEMES[scheme]
+    if scheme is not None and scheme not in SCHEMES:
+        raise ParameterError(f"scheme: expected one of {', '.join(SCHEMES)}, got {scheme!r}")
+    kind = type(before) if scheme is None else SCHEMES[scheme]
     asked = {"boundary": boundary, "uv_interpolation": uv_interpolation, "creasing": creasing}
     options = asdict(before) | {name: value for name, value in asked.items() if value is not None}
     return replace(control, scheme=kind(**options))
@@ -349,7 +347,10 @@ def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterato
 
 
 def finest_mesh(refinement: Refinement) -> ControlMesh:
-    """Finest level as a mesh with all UV sets, colours and labels, without creases and holes; level 0 as it is."""
+    """Finest level as a mesh with all UV sets, colours and labels, without creases and holes.
+
+    Level 0 is returned unchanged. InvalidMeshError if all faces are holes.
+    """
     finest, control = refinement.finest, refinement.control
     if finest.faces is None or refinement.finest_level == 0:
         return control
@@ -376,6 +377,8 @@ def finest_mesh(refinement: Refinement) -> ControlMesh:
     holes = refinement.holes(refinement.finest_level)
     if not holes.any():
         return mesh
+    if holes.all():
+        raise InvalidMeshError(f"{control.name}: expected a face that is no hole, got none. Change boundary or holes.")
     shown = extract_faces(mesh, np.flatnonzero(~holes))
     return replace(shown, file_vertices=None, file_faces=None, scheme=None, object_schemes=mesh.object_schemes)
 

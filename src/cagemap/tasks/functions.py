@@ -38,7 +38,9 @@ def run_functions(request: FunctionsRequest, stages: Stages) -> SummaryAndWarnin
     stages("read")
     file_mesh = read_mesh(request.mesh)
     welded = weld_asked(file_mesh, request.weld)
-    control = SubdivisionRequest(request.scheme, request.boundary, None, request.creasing).apply(welded.mesh)
+    subdivision = SubdivisionRequest(request.scheme, request.boundary, None, request.creasing)
+    control = subdivision.apply(welded.mesh)
+    notes = [*welded.notes, *subdivision.unused_notes([control])]
     require_valid(control)
     points = welded.vertex_of[_points(request, kinds, file_mesh)]
     level = choose_level(control, FUNCTION_VERTICES) if request.level is None else request.level
@@ -59,12 +61,12 @@ def run_functions(request: FunctionsRequest, stages: Stages) -> SummaryAndWarnin
     if request.output.suffix.lower() == ".ply":
         column = _write_colors(request, surface, at, arrays[_names(kinds)[0]])
         text = f"wrote {request.output}: {kinds[0]} {column} in colours, at {n} vertices of level {at}"
-        return text, list(welded.notes)
+        return text, notes
     if request.output.suffix.lower() != ".npz":
         arrays = {name: arrays[name] for name in _names(kinds)}
     write_attributes(request.output, arrays, force=request.force)
     text = f"wrote {request.output}: {count} functions ({', '.join(kinds)}) at {n} vertices of level {at}"
-    return text, list(welded.notes)
+    return text, notes
 
 
 def functions_at(

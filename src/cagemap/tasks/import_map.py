@@ -49,7 +49,6 @@ def run_map(
     filed = read_mesh(request.target), read_mesh(request.source)
     welded = [weld_side(mesh, request, side) for mesh, side in zip(filed, ("target", "source"), strict=True)]
     require(*(joined.mesh for joined in welded))
-    split = [joined.mesh for joined in welded if _is_split(joined.mesh)]
     target, source = (_surface(joined.mesh, request.level) for joined in welded)
     level = None if request.level is not None else source_level(request.map, source.refinement)
     if level is not None and level != source.refinement.finest_level:
@@ -65,7 +64,11 @@ def run_map(
     options = field_values(request, "weld", "target_weld", "source_weld", "target_mask", "source_mask", "mask_edge")
     parameters = {"method": "map of the user's", "level": request.level, **options}
     notes = [*unit_notes(request.target, request.source), *(note for joined in welded for note in joined.notes)]
-    notes += dict.fromkeys(f"{mesh.name}: faces of different sizes are split into triangles" for mesh in split)
+    notes += dict.fromkeys(
+        f"{joined.mesh.name}: faces of different sizes are split into triangles"
+        for joined, surface in zip(welded, (target, source), strict=True)
+        if surface.control.n_faces > joined.mesh.n_faces
+    )
     provenance = {"parameters": parameters, "inputs": stated, "notes": notes}
     result = MatchResult(target, source, Landmarks.none(), point_map, quality, masks=masks, provenance=provenance)
     stages("write")
@@ -80,14 +83,10 @@ def run_map(
     return text, [*notes, *quality.warnings]
 
 
-def _is_split(control: ControlMesh) -> bool:
-    """Whether faces are split: a plain mesh needs triangles or quads alone."""
-    return isinstance(control.scheme, Plain) and faces_of_one_size(control) is None
-
-
 def _surface(control: ControlMesh, level: int | None) -> Surface:
     require_valid(control)
-    control = split_into_fans(control) if _is_split(control) else control
+    if isinstance(control.scheme, Plain) and faces_of_one_size(control) is None:
+        control = split_into_fans(control)
     if level is not None and level < 1:
         raise ParameterError(f"--level: expected 1 or more, got {level}. Leave it out to have one chosen.")
     finest = level or choose_level(control, MAP_VERTICES)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -24,12 +24,11 @@ from cagemap.files.result.merged_parts import merge_results
 from cagemap.files.result.surface_store import load_or_prepare
 from cagemap.files.usd.space import unit_notes
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh import Bilinear, ControlMesh
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
 from cagemap.pipeline import MatchConfig, MatchResult, match, match_next, prepare_surfaces
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.spectral.surface import DEFAULT_VERTICES, prepare_checked
-from cagemap.subdivision import default_scheme
 from cagemap.tasks.job_file import note_match
 from cagemap.tasks.masks import GivenMasks, mask_inputs, masks_on, read_masks
 from cagemap.tasks.match_parts import PartInputs, ready_inputs, requested_parts, select_parts
@@ -209,7 +208,7 @@ def read_inputs(request: MatchRequest) -> Inputs:
     files = request.target, request.source
     target, source = (read_control(path, request, side) for side, path in zip(SIDES, files, strict=True))
     landmarks, notes = read_given_landmarks(request, target, source)
-    notes = (*notes, *unit_notes(request.target, request.source), *_unused_notes(request, target, source))
+    notes = (*notes, *unit_notes(request.target, request.source))
     masks = read_masks(request, (target, source), files)
     welded = [weld_side(control, request, side) for control, side in zip((target, source), SIDES, strict=True)]
     check_landmarks(landmarks, target, source)
@@ -221,7 +220,8 @@ def read_inputs(request: MatchRequest) -> Inputs:
     whole = PartInputs(target, source, landmarks)
     chosen, left_alone = select_parts(target, source, landmarks, *names) if named else ((whole,), ())
     parts = tuple(ready_inputs(part) for part in chosen)
-    notes = (*notes, *left_alone, *_uv_set_notes(request, parts), *(note for part in parts for note in part.notes))
+    notes = (*notes, *_unused_notes(request, chosen), *left_alone, *_uv_set_notes(request, parts))
+    notes = (*notes, *(note for part in parts for note in part.notes))
     return Inputs(target, source, parts, named, masks, notes)
 
 
@@ -236,24 +236,20 @@ def _uv_set_notes(request: MatchRequest, parts: tuple[PartInputs, ...]) -> list[
     ]
 
 
-def _unused_notes(request: MatchRequest, target: ControlMesh, source: ControlMesh) -> list[str]:
-    """A note for each option that the match does not read."""
-    schemes = [scheme for mesh in (target, source) for scheme in mesh.object_schemes or (default_scheme(mesh),)]
-    linear = all(isinstance(scheme, Bilinear) for scheme in schemes)  # also plain meshes
+def _unused_notes(request: MatchRequest, parts: Sequence[PartInputs]) -> list[str]:
+    """A note for each option that the match of the parts does not use."""
     pairs = request.landmarks is not None or request.curves is not None
     no_file = "no file of landmarks that it applies to is given"
     other_method = f"it is of other methods than {request.method}"
-    no_scheme = "it is of Catmull-Clark and Loop, and neither mesh is subdivided by one of them"
     unused = (
         ("--exchange-landmarks", request.exchange_landmarks and not pairs, no_file),
         ("--trust-landmarks", request.trust_landmarks and not pairs and request.target_points is None, no_file),
         ("--no-symmetry", not request.symmetry and request.method != "paper", other_method),
         ("--set target.symmetry", bool(request.target_symmetry) and request.method == "elastic", other_method),
-        ("--boundary", request.boundary is not None and linear, no_scheme),
-        ("--uv-interpolation", request.uv_interpolation is not None and linear, no_scheme),
-        ("--creasing", request.creasing is not None and linear, no_scheme),
     )
-    return [f"{option} is not used: {why}" for option, is_unused, why in unused if is_unused]
+    notes = [f"{option} is not used: {why}" for option, is_unused, why in unused if is_unused]
+    subdivision = SubdivisionRequest(None, request.boundary, request.uv_interpolation, request.creasing)
+    return notes + subdivision.unused_notes(mesh for part in parts for mesh in (part.target, part.source))
 
 
 def matched_levels(request: MatchRequest, inputs: Inputs) -> tuple[int, int]:

@@ -24,6 +24,7 @@ from cagemap.mesh.mesh_report import MeshProblem, MeshReport, count_noun
 from cagemap.mesh.parts import Part, list_parts
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.quads import join_quads
+from cagemap.mesh.repairs import unrepaired
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.weld import coincident_vertices, count_pieces, weld_tolerance
@@ -56,7 +57,8 @@ def run_check(request: CheckRequest, stages: Stages) -> tuple[str, bool]:
         sound &= report.is_valid
         parts = _parts(mesh)
         if not request.for_scripts:
-            listed = _part_lines(parts, pieces=holds is None and not _is_connected(mesh))
+            connected = not structure_problems(mesh) and count_pieces(mesh, coincident_vertices(mesh)) == 1
+            listed = _part_lines(parts, pieces=holds is None and not connected)
             texts.append("\n".join(filter(None, [str(report), "" if holds is None else str(holds)])) + listed)
         sizes = [{"name": part.title, "faces": len(part.faces)} for part in parts]
         held = {} if holds is None else {"contents": asdict(holds)}
@@ -118,10 +120,9 @@ def _report(read: ControlMesh, subdivision: SubdivisionRequest, weld: str | None
     mesh = subdivision.apply(welded.mesh)
     repairs: tuple[str, ...] = ()
     try:
-        ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else None
-        report = check_mesh(mesh if ready is None else ready.mesh)
-        if ready is not None:
-            repairs = ready.repairs.sentences() if pieces else ready.repairs.sentences_of_body()
+        ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else unrepaired(mesh)
+        report = check_mesh(ready.mesh)
+        repairs = ready.repairs.sentences() if pieces else ready.repairs.sentences_of_body()
     except InvalidMeshError as error:
         report = check_mesh(mesh)
         problem = MeshProblem("scheme none", str(error).removeprefix(f"{mesh.name}: "), "")
@@ -136,11 +137,6 @@ def _parts(mesh: ControlMesh) -> tuple[Part, ...]:
         return list_parts(mesh)
     except (IndexError, ValueError):
         return ()  # the report has the problem of the mesh
-
-
-def _is_connected(mesh: ControlMesh) -> bool:
-    """Whether a mesh is connected once vertices at the same place are joined."""
-    return not structure_problems(mesh) and count_pieces(mesh, coincident_vertices(mesh)) == 1
 
 
 def _part_lines(parts: tuple[Part, ...], *, pieces: bool) -> str:
@@ -169,6 +165,7 @@ def run_refine(request: RefineRequest, stages: Stages) -> SummaryAndWarnings:
     mesh, notes = _with_quads(welded.mesh, welded.notes) if request.quads else (welded.mesh, welded.notes)
     options = SubdivisionRequest(request.scheme, request.boundary, request.uv_interpolation, request.creasing)
     control = options.apply(mesh)
+    notes = (*notes, *options.unused_notes([control]))
     check_outputs(mesh_files(output, control, path), [path], force=request.force)
     if level == 0 and isinstance(control.scheme, Plain) and not structure_problems(control):
         write_mesh(output, control, like=path, force=request.force)

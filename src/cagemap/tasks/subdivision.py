@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import Bilinear, ControlMesh
 from cagemap.mesh.repairs import RepairedMesh, unrepaired
 from cagemap.mesh.weld import weld_mesh
-from cagemap.subdivision import with_options
+from cagemap.subdivision import default_scheme, with_options
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,13 @@ class SubdivisionRequest:
         )
         schemes = tuple(scheme for scheme in objects if scheme is not None)
         return replace(with_options(control, *options), object_schemes=schemes)
+
+    def unused_notes(self, meshes: Iterable[ControlMesh]) -> list[str]:
+        """A note for each option that none of the meshes uses, as they are plain or bilinear."""
+        if not all(isinstance(default_scheme(mesh), Bilinear) for mesh in meshes):  # Plain is a Bilinear
+            return []
+        given = {"boundary": self.boundary, "uv-interpolation": self.uv_interpolation, "creasing": self.creasing}
+        return [f"--{name} is not used: only Catmull-Clark and Loop use it" for name, word in given.items() if word]
 
 
 AUTO = "auto"

@@ -65,9 +65,9 @@ def corner_weights(
 ) -> tuple[sparse.csr_array, NDArray[np.bool_]]:
     """Weights (c1, p2) of source nodes at target face corners; (m1,) whether a source seam crosses a face.
 
-    ``nodes`` (c2,), below ``count``, are the nodes of the corners of the source's control faces; faces that do not
-    share nodes along an edge have a seam there. A corner takes its value from its own side of a seam: the walk from the
-    centre of the refined triangle at the corner to the image of its vertex does not cross seams.
+    ``nodes`` (c2,), below ``count``, are the nodes of the corners of the source's control faces, each of one vertex;
+    faces that do not share nodes along an edge have a seam there. A corner takes its value from its own side of a seam:
+    the walk from the centre of the refined triangle at the corner to the image of its vertex does not cross seams.
     """
     control = target.control
     linear = interpolate_linearly(source.control, nodes, count, source.finest_level, source.scheme)
@@ -113,8 +113,9 @@ def carry_uvs(transfer: Transfer, target: Refinement, source: Refinement) -> Car
     control = source.control
     if control.uvs is None or control.uv_indices is None:
         raise ParameterError(f"{control.name}: expected a source with texture coordinates to carry, it has none")
-    weights, crossed = corner_weights(transfer, target, source, control.uv_indices, len(control.uvs))
-    uvs = weights @ control.uvs
+    values, nodes = merged_corners(control.face_indices, control.uvs[control.uv_indices])
+    weights, crossed = corner_weights(transfer, target, source, nodes, len(values))
+    uvs = weights @ values
     _, indices = merged_corners(target.control.face_indices, np.rint(uvs / _SAME_UV))
     first = np.unique(indices, return_index=True)[1]
     return CarriedUvs(uvs[first], indices, np.flatnonzero(crossed))

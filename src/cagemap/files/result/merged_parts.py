@@ -22,7 +22,7 @@ from cagemap.mesh import ControlMesh, Loop, Plain
 from cagemap.mesh.faces import faces_of_one_size, split_into_fans
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import join_meshes
-from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.spectral import Surface
 from cagemap.subdivision import refine
 from cagemap.subdivision.topology import control_topology
@@ -50,33 +50,27 @@ def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> M
     last, provenance = parts[-1], parts[-1].provenance | provenance
     if len(parts) == 1:
         return replace(last, provenance=provenance)
-    target, target_numbers = _merge_sides([part.target for part in parts])
-    source, source_numbers = _merge_sides([part.source for part in parts])
+    target, target_numbers, notes = _merge_sides([part.target for part in parts])
+    source, source_numbers, more_notes = _merge_sides([part.source for part in parts])
+    if notes or more_notes:
+        provenance["notes"] = [*provenance.get("notes", ()), *notes, *more_notes]
     target_surface, source_surface = target.finest_triangles, source.finest_triangles
-    splits = [2 if part.source.faces.shape[1] == 4 else 1 for part in parts]
-    counts = np.empty(sum(len(rows.faces) for rows in source_numbers), dtype=np.int64)  # triangles of every face
-    for rows, split in zip(source_numbers, splits, strict=True):
-        counts[rows.faces] = split
-    first_triangles = offsets_of(counts)
+    split = 2 if source.faces.shape[1] == 4 else 1  # triangles of a face
     triangle, barycentric = np.empty(target_surface.n, dtype=np.int64), np.empty((target_surface.n, 3))
-    for part, split, target_rows, source_rows in zip(parts, splits, target_numbers, source_numbers, strict=True):
+    trust = np.empty(target_surface.n)
+    for part, target_rows, source_rows in zip(parts, target_numbers, source_numbers, strict=True):
         faces, halves = np.divmod(part.triangle, split)
-        triangle[target_rows.vertices] = first_triangles[source_rows.faces[faces]] + halves
-        barycentric[target_rows.vertices] = part.barycentric
+        triangle[target_rows.vertices] = split * source_rows.faces[faces] + halves
+        barycentric[target_rows.vertices], trust[target_rows.vertices] = part.barycentric, part.trust
     point_map = PointMap.from_arrays(target_surface, source_surface, triangle, barycentric)
     landmarks, check = _merged_landmarks(parts), _merged_checks(parts)
-    masks = Masks(
-        _merged_mask([part.masks.target for part in parts], target_numbers),
-        _merged_mask([part.masks.source for part in parts], source_numbers),
-    )
-    shared = _merged_shared(parts, (target_numbers, source_numbers))
+    masks = _merged_masks([part.masks for part in parts], (target_numbers, source_numbers))
+    area = _merged_masks([part.shared for part in parts], (target_numbers, source_numbers))
+    shared = area if area.any else None
     trusted = point_pairs(target, source, check.trusted(landmarks))
     quality = measure_quality(point_map, trusted, masks=masks.within(shared))
     apart = shared_area_warnings(shared, masks, point_map)
     kept = [text for part in parts for text in part.quality.match_warnings]
-    trust = np.empty(target_surface.n)
-    for part, target_rows in zip(parts, target_numbers, strict=True):
-        trust[target_rows.vertices] = part.trust
     return MatchResult(
         target,
         source,
@@ -102,25 +96,16 @@ def _merged_spectral(parts: Sequence[MatchResult]) -> SpectralMap:
     )
 
 
-def _merged_mask(masks: Sequence[FloatArray | None], numbers: Sequence[_Numbers]) -> FloatArray | None:
-    """Masks of all parts; 1 on a part without a mask; None without any mask."""
-    if all(mask is None for mask in masks):
-        return None
-    merged = np.ones(sum(len(part_rows.vertices) for part_rows in numbers))
-    for mask, part_rows in zip(masks, numbers, strict=True):
-        if mask is not None:
-            merged[part_rows.vertices] = mask
-    return merged
-
-
-def _merged_shared(
-    parts: Sequence[MatchResult], numbers: tuple[Sequence[_Numbers], Sequence[_Numbers]]
-) -> Masks | None:
-    """Shared area of all parts; 1 on closed parts, which have none."""
-    known = [part.shared for part in parts]
-    target = _merged_mask([None if area is None else area.target for area in known], numbers[0])
-    source = _merged_mask([None if area is None else area.source for area in known], numbers[1])
-    return None if target is None or source is None else Masks(target, source)
+def _merged_masks(parts: Sequence[Masks | None], numbers: tuple[Sequence[_Numbers], Sequence[_Numbers]]) -> Masks:
+    """Masks of all parts: 1 on a part without a mask, and no mask of a side where no part has one."""
+    merged: list[FloatArray | None] = []
+    for side, rows_of_parts in zip(("target", "source"), numbers, strict=True):
+        values = np.ones(sum(len(rows.vertices) for rows in rows_of_parts))
+        masks = [None if part is None else getattr(part, side) for part in parts]
+        for mask, rows in zip(masks, rows_of_parts, strict=True):
+            values[rows.vertices] = 1.0 if mask is None else mask
+        merged.append(None if all(mask is None for mask in masks) else values)
+    return Masks(*merged)
 
 
 def _merged_landmarks(parts: Sequence[MatchResult]) -> Landmarks:
@@ -170,19 +155,21 @@ def _merged_checks(parts: Sequence[MatchResult]) -> LandmarkCheck:
     return LandmarkCheck(tuple(suspects), tuple(note for part in parts for note in part.landmark_check.notes))
 
 
-def _merge_sides(sides: Sequence[Surface]) -> tuple[Surface, list[_Numbers]]:
+def _merge_sides(sides: Sequence[Surface]) -> tuple[Surface, list[_Numbers], list[str]]:
+    """The parts of one side as one surface, their numbers on it, and notes."""
     refinements = [side.refinement for side in sides]
     level, scheme = refinements[0].finest_level, refinements[0].scheme
     if any((refinement.finest_level, refinement.scheme) != (level, scheme) for refinement in refinements):
         raise ParameterError(
             "parts: expected all to have the same level and scheme, got different ones; match one by one"
         )
-    control = replace(join_meshes([side.control for side in sides]), scheme=scheme)
-    # Of plain meshes, those of the parts before faces of different sizes are split.
-    numbers = part_numbers([side.control for side in sides], level, loop=isinstance(scheme, Loop))
+    controls = [side.control for side in sides]
+    control, notes = replace(join_meshes(controls), scheme=scheme), list[str]()
     if isinstance(scheme, Plain) and faces_of_one_size(control) is None:
-        control = split_into_fans(control)
-    return Surface(refine(control, level, scheme), sides[0].config), numbers
+        control, controls = split_into_fans(control), [split_into_fans(part) for part in controls]
+        notes.append(f"{control.name}: faces of different sizes are split into triangles")
+    numbers = part_numbers(controls, level, loop=isinstance(scheme, Loop))
+    return Surface(refine(control, level, scheme), sides[0].config), numbers, notes
 
 
 def part_numbers(controls: Sequence[ControlMesh], level: int, *, loop: bool) -> list[_Numbers]:

@@ -21,7 +21,6 @@ from cagemap.maps.hypotheses.starts import rigid_starts
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import distortion, stretches, weighted_percentiles
-from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import FileVertex, place_text
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, thread_limit
@@ -187,35 +186,18 @@ def answer_confidence(
     return confidence
 
 
-def remaining_doubt(before: Confidence | None, problem: Problem) -> Confidence | None:
-    """Confidence of a map after an update, without other answers that miss one of the problem's landmarks.
-
-    The map keeps the shape of its first answer: where that misses a landmark, all doubts stay, and a verdict 'sure' is
-    lost (None).
-    """
+def kept_confidence(before: Confidence | None, problem: Problem) -> Confidence | None:
+    """The confidence if all its answers fit all landmarks of a problem; else None."""
     if before is None:
         return None
-    target, bound = problem.prepared.target, problem.prepared.elastic.landmarks.max_confirmed_miss
-    vertices, places = problem.landmark_vertices[0], problem.landmarks.source.positions
-    if target.refinement.is_plain:  # whose answers have all vertices
-        vertices = problem.prepared.vertices[vertices]
-
-    def meets(answer: Placement) -> bool:
-        known = vertices < len(answer.positions)  # answers of a result that was read: at control vertices only
-        gaps = np.linalg.norm(answer.positions[vertices[known]] - places[known], axis=1)
-        return bool(gaps.max(initial=0.0) < bound)
-
-    first, *others = before.answers
-    if not meets(first):
-        return None if before.verdict == SURE else before
-    remaining = first, *(answer for answer in others if meets(answer))
-    if len(remaining) == len(before.answers):
-        return before
-    signs = {name: value for name, value in before.signs.items() if name not in cost_signs(before.answers)}
-    found = Confidence.of(remaining, np.arange(target.control.n_vertices), signs)
-    if signs.get("jumps", 0.0) > WARNING_SIGNS["jumps"].bound:
-        found = replace(found, deciding=before.deciding)
-    return _with_file_vertex(found, target.control)
+    prepared, places = problem.prepared, problem.landmarks.source.positions
+    vertices = problem.landmark_vertices[0]
+    if prepared.target.refinement.is_plain:  # whose answers have all vertices
+        vertices = prepared.vertices[vertices]
+    if vertices.max(initial=-1) >= min(len(answer.positions) for answer in before.answers):
+        return None  # answers of a result that was read: at control vertices only
+    errors = np.linalg.norm([answer.positions[vertices] - places for answer in before.answers], axis=2)
+    return before if errors.max(initial=0.0) < prepared.elastic.landmarks.max_confirmed_miss else None
 
 
 def turned_limb_answers(ranked: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
@@ -242,8 +224,9 @@ def cost_signs(answers: tuple[Placement, ...]) -> dict[str, float]:
 
 def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidence:
     """Prolong answers to all vertices of a plain target; describe the deciding vertex."""
-    target = prepared.target
-    confidence = _with_file_vertex(confidence, target.control)
+    target, deciding = prepared.target, confidence.deciding
+    if deciding is not None:
+        confidence = replace(confidence, file_vertex=target.control.file_vertex(deciding))
     if not target.refinement.is_plain:
         return confidence
 
@@ -253,12 +236,6 @@ def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidenc
         return replace(answer, positions=places)
 
     return replace(confidence, answers=tuple(prolonged(answer) for answer in confidence.answers))
-
-
-def _with_file_vertex(confidence: Confidence, target: ControlMesh) -> Confidence:
-    """The confidence with its deciding vertex in the target's file."""
-    deciding = confidence.deciding
-    return confidence if deciding is None else replace(confidence, file_vertex=target.file_vertex(deciding))
 
 
 def describe_signs(signs: Mapping[str, float]) -> list[str]:
@@ -308,8 +285,7 @@ def jump_warnings(prepared: PreparedPair, jumps: FloatArray) -> tuple[str, ...]:
     share = jump_share(prepared, jumps)
     if share <= WARNING_SIGNS["jumps"].bound:
         return ()
-    mesh = prepared.mesh
-    place = place_text(mesh.positions[jumps.argmax()] / mesh.scale)
+    place = place_text(prepared.mesh.positions[jumps.argmax()] / prepared.mesh.scale)
     return (
         f"{JUMPING}, at {100 * share:.1f} % of the target's area, most at {place} of the target's file. Add "
         "landmarks on these parts",

@@ -45,13 +45,14 @@ CONTRADICTION = (
     "the landmark file may belong to other meshes or to the other direction"
 )
 
-# Part of the note on fewer pairs than are judged.
-TOO_FEW = "landmark pairs are too few to tell a wrong one"
+TOO_FEW = "the landmark pairs are too few to tell a wrong one; by default 6 or more are checked"
 
 MIRRORED = (
     "the landmarks surround each other in the opposite sense on the two surfaces: left and right seem exchanged in all "
     "pairs, or one mesh is mirrored. Exchange them in the landmark file, or mirror one of the meshes"
 )
+# Notes on all pairs: no longer true once a pair is added, moved or removed.
+ON_ALL_PAIRS = TOO_FEW, CONTRADICTION, MIRRORED
 
 # Folded share of the target's area that suggests landmarks of other meshes: least and most (beyond, the map is inside
 # out). Correct landmarks of 24 pairs of humans and animals fold 0.3 % at most.
@@ -115,27 +116,17 @@ class LandmarkCheck:
     def for_changed(self, before: Landmarks, now: Landmarks) -> LandmarkCheck:
         """The check for changed landmarks: keeps what is known of unchanged pairs.
 
-        Notes on the number of pairs, or that name a changed pair, are dropped.
+        If any pair changed, notes that name it are dropped, and notes `ON_ALL_PAIRS`.
         """
         places = {pair: i for i, pair in enumerate(now.places)}
         placed = [(suspect, places.get(before.places[suspect.pair])) for suspect in self.suspects]
         kept = tuple(replace(suspect, pair=place) for suspect, place in placed if place is not None)
-        remaining = set(zip(now.names, now.places, strict=True))
-        changed = [
-            name for name, place in zip(before.names, before.places, strict=True) if (name, place) not in remaining
-        ]
-        notes = tuple(
-            note
-            for note in self.notes
-            if not any(f"'{name}'" in note for name in changed) and (TOO_FEW not in note or len(now) == len(before))
-        )
-        if not len(self.strains):
-            return LandmarkCheck(kept, notes)
-        strains = np.zeros(len(now))
-        for pair, strain_before in zip(before.places, self.strains, strict=True):
-            if pair in places:
-                strains[places[pair]] = strain_before
-        return LandmarkCheck(kept, notes, strains)
+        was, remaining = (set(zip(one.names, one.places, strict=True)) for one in (before, now))
+        changed = [f"'{name}'" for name, _ in was - remaining]
+        outdated = () if was == remaining else ON_ALL_PAIRS
+        notes = tuple(note for note in self.notes if note not in outdated and not any(name in note for name in changed))
+        known = dict(zip(before.places, self.strains.tolist(), strict=False))  # no strains: unknown
+        return LandmarkCheck(kept, notes, np.array([known.get(pair, 0.0) for pair in now.places if known]))
 
     def summary(self) -> dict[str, Any]:
         """The check as plain values for a manifest; every suspect with its sentence as ``message``."""
@@ -151,14 +142,9 @@ def landmark_outliers(problem: Problem, progress: Progress) -> tuple[dict[int, s
 
     A suspect is left out only if a coarse fit without it is much cheaper.
     """
-    count, config = len(problem.landmarks), problem.prepared.elastic.landmarks
-    if count < config.fewest_judged:
-        note = f"{count} {TOO_FEW}; {config.fewest_judged} or more are checked"
-        return {}, [note]
+    config = problem.prepared.elastic.landmarks
     progress("compare landmarks")
-    suspected = suspected_pairs(problem)
-    if suspected is None:
-        return {}, [CONTRADICTION]
+    suspected, notes = suspected_pairs(problem)
     if suspected and has_merged_parts(problem):
         return {}, [kept_note(problem, suspected, EXTRA_HANDLES)]
     if suspected:
@@ -167,7 +153,7 @@ def landmark_outliers(problem: Problem, progress: Progress) -> tuple[dict[int, s
         min_cost_ratios = {DISTANCES: config.slip_by_distances, SIDES: config.slip_by_sides}
         if costs[0] < max(min_cost_ratios[evidence] for evidence in suspected.values()) * costs[1]:
             return {}, [kept_note(problem, suspected, NO_BETTER)]
-    return suspected, []
+    return suspected, notes
 
 
 def check_on_map(
@@ -197,18 +183,25 @@ def check_on_map(
     return LandmarkCheck(suspects, (*notes, *strain_notes), strains)
 
 
-def suspected_pairs(problem: Problem) -> dict[int, str] | None:
-    """Indices of suspected pairs with the evidence; None if too many pairs contradict each other."""
-    all_pairs, config = np.arange(len(problem.landmarks)), problem.prepared.elastic.landmarks
-    distances = problem.landmark_distances
+def suspected_pairs(problem: Problem, left_out: Collection[int] = ()) -> tuple[dict[int, str], list[str]]:
+    """Indices of suspected pairs with the evidence; and a note if too few pairs agree to tell.
+
+    Pairs ``left_out`` are not compared.
+    """
+    count, config = len(problem.landmarks), problem.prepared.elastic.landmarks
+    if count < config.fewest_judged:
+        return {}, [TOO_FEW]
+    kept, problem = np.setdiff1d(np.arange(count), list(left_out)), problem.without(left_out)
+    all_pairs, distances = np.arange(len(kept)), problem.landmark_distances
     if typical_misfit(*distances, all_pairs, config) > config.max_typical_misfit:
-        return None
-    misplaced = misplaced_pairs(*distances, config).tolist()
-    if len(misplaced) > config.max_suspects * len(all_pairs):
-        return None
-    if misplaced:
-        return dict.fromkeys(misplaced, DISTANCES)
-    return dict.fromkeys(exchanged_sides(distances, *_marks(problem), config) or (), SIDES)
+        return {}, [CONTRADICTION]
+    misplaced = misplaced_pairs(*distances, config)
+    if len(misplaced) > config.max_suspects * len(kept):
+        return {}, [CONTRADICTION]
+    if len(misplaced):
+        return dict.fromkeys(kept[misplaced].tolist(), DISTANCES), []
+    exchanged = exchanged_sides(distances, *_marks(problem), config)
+    return dict.fromkeys(kept[list(exchanged or ())].tolist(), SIDES), []
 
 
 def coarse_map_cost(problem: Problem) -> float:
@@ -259,21 +252,15 @@ def check_changes(
 
     A pair is left out only if the map from before contradicts it too.
     """
-    landmarks, config = problem.landmarks, problem.prepared.elastic.landmarks
-    if not len(changed) or len(landmarks) < config.fewest_judged:
-        return check
-    kept = np.setdiff1d(np.arange(len(landmarks)), check.left_out)
-    remaining = problem.without(check.left_out)
-    suspected = suspected_pairs(remaining)
-    if suspected is None:
-        return replace(check, notes=tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
-    check = replace(check, notes=tuple(note for note in check.notes if note != CONTRADICTION))
-    wrong = {int(kept[i]): evidence for i, evidence in suspected.items() if kept[i] in changed}
+    config = problem.prepared.elastic.landmarks
+    suspected, notes = suspected_pairs(problem, check.left_out)
+    wrong = {i: evidence for i, evidence in suspected.items() if i in changed}
     if wrong and has_merged_parts(problem):
-        return replace(check, notes=tuple(dict.fromkeys((*check.notes, kept_note(problem, wrong, EXTRA_HANDLES)))))
+        wrong, notes = {}, [kept_note(problem, wrong, EXTRA_HANDLES)]
     contradicted = [i for i in sorted(wrong) if landmark_miss(problem, before, i)[0] >= config.max_confirmed_miss]
     new = tuple(_suspect(problem, before, i, wrong[i]) for i in contradicted)
-    return replace(check, suspects=tuple(sorted((*check.suspects, *new), key=lambda suspect: suspect.pair)))
+    suspects = tuple(sorted((*check.suspects, *new), key=lambda suspect: suspect.pair))
+    return replace(check, suspects=suspects, notes=tuple(dict.fromkeys((*check.notes, *notes))))
 
 
 def foreign_warnings(folded: float, count: int, left_out: int) -> tuple[str, ...]:

@@ -23,7 +23,6 @@ from cagemap.surface.triangles import normalize_rows
 # Largest number of terms in memory, of sums over triples of landmarks.
 MOST_TERMS = 4_000_000
 
-
 # Geodesic distances (p, m) from p landmarks on one surface to the vertices of a coarse graph, the landmarks first
 # (`cagemap.deform.problem.Problem.landmark_distances`).
 Distances = FloatArray

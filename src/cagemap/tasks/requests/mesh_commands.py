@@ -42,8 +42,9 @@ class RefineRequest:
     """Subdivide a control mesh.
 
     Loop for triangle meshes, Catmull-Clark for all others, unless its file says otherwise. Creases and corners shape
-    it, holes are left out (level 0 keeps all of these). Vertex i of the mesh stays vertex i (but for holes and welded
-    vertices). UVs, materials, objects and groups come along. The mesh may have several pieces.
+    it, holes are left out. Level 0 is written unchanged, with creases and holes. Vertex i of the mesh stays vertex i
+    (but for holes and welded vertices). UVs, materials, objects and groups come along. The mesh may have several
+    pieces.
     """
 
     mesh: MeshFile
