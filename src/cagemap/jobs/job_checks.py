@@ -93,11 +93,10 @@ def _remove_entries(data: Any, key_paths: Iterable[KeyPath]) -> Any:
 def find_problems(job: JobFile, folder: Path, commands: Mapping[str, CommandOptions]) -> Iterator[JobProblem]:
     """Problems of a file that passes the schema: names, files, options."""
     names = [asset.name for asset in job.assets]
+    folded = [name.casefold() for name in names]  # they name files, and some disks ignore capitals
     yield from _folder_problems(("output",), folder, job.output)
     for i, asset in enumerate(job.assets):
-        if asset.name.casefold() in map(
-            str.casefold, names[:i]
-        ):  # as names of files, which some disks do not tell apart
+        if folded[i] in folded[:i]:
             yield ("assets", i, "name"), f"{asset.name!r} is taken. Give another name."
         yield from _missing(("assets", i, "file"), folder, asset.file)
         yield from _missing(("assets", i, "landmarks"), folder, asset.landmarks)
