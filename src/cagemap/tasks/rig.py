@@ -10,6 +10,7 @@ import numpy as np
 
 from cagemap.character.bones import mirrored_joints
 from cagemap.character.joints import Skeleton
+from cagemap.character.passengers import MAX_BODY_DISTANCE
 from cagemap.errors import ParameterError, values_of
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
@@ -52,9 +53,6 @@ from cagemap.transfer.skin import (
 
 # Mean distance of a mesh from its base, in units of sqrt(area), above which there is a warning.
 _APART = 0.05
-# Mean distance of joints or passengers (clothes, hair, props) from the body, in sqrt(body area), above which their
-# units or position are doubtful.
-MAX_MEAN_DISTANCE = 0.5
 # Largest ratio of the body's size to that of all joints without a warning. Joints of a hand or jaw are up to 35 times
 # smaller than the body.
 _MAX_SIZE_RATIO = 35.0
@@ -124,7 +122,8 @@ def _far_joints(file: Path, skeleton: Skeleton, result: MatchResult) -> list[str
     distance = float(np.linalg.norm(SurfacePoints.nearest(body, ends).positions - ends, axis=1).mean())
     ratio = box_diagonal(ends) / box_diagonal(body.positions)
     is_small = 0.0 < ratio < 1.0 / _MAX_SIZE_RATIO  # one joint may have no length
-    is_far = distance > MAX_MEAN_DISTANCE and result.source.control.file_vertices is None  # not a part of its file
+    # As for passengers; a part of a file may be far from most of the file's joints.
+    is_far = distance > MAX_BODY_DISTANCE and result.source.control.file_vertices is None
     if not is_small and not is_far:
         return []
     return [
