@@ -63,6 +63,15 @@ def test_vertices_without_a_colour_are_baked_grey(place: Path, output: str, own:
     assert any("4 of 8 vertices have no colour and are baked in grey" in text for text in warnings)
 
 
+def test_a_detail_that_leaves_source_out_is_reported_and_no_other(place: Path) -> None:
+    refinement = identity_result().source.refinement
+    write_mesh(place / "fine.obj", refinement.finest_mesh())
+    write_mesh(place / "cage.obj", textured_cube("cage.obj"))  # its corners are outside the surface
+    for name, flat in (("fine", False), ("cage", True)):
+        *_, warnings = transfer(f"{name}.png", bake=("normal",), detail=place / f"{name}.obj", size=8)
+        assert any("stays flat there" in text for text in warnings) == flat
+
+
 def waves(size: int = 32) -> np.ndarray:
     """(size, size, 3) directions of a wavy surface in tangent space."""
     x, y = np.meshgrid(np.linspace(0, 9, size), np.linspace(0, 7, size))
