@@ -372,6 +372,29 @@ def test_a_passenger_with_units_fits_a_target_that_has_only_an_up_axis(given: st
     np.testing.assert_allclose(np.sort(found, axis=0), np.sort(expected, axis=0), atol=1e-5)
 
 
+@pytest.mark.parametrize("given", ["hat.usda", "hat.glb", "hat.obj"])
+@pytest.mark.parametrize("upright", [None, Z_UP])
+def test_a_passenger_of_equal_bodies_keeps_its_places(given: str, upright: np.ndarray | None, tmp_path: Path) -> None:
+    """It is transformed from the units and axes of its file and back; not at all if nothing states those of the body."""
+    body, shift = replace(textured_cube("body.stl"), upright=upright), np.eye(4)
+    write_result(tmp_path / "RESULT", identity_result(2, (body, body)))
+    shift[3, :3] = [0, 3, 0]
+    if given == "hat.usda":
+        write_usd(tmp_path / given, _lifted_cube(), space=StageSpace("Z", 0.01, shift))
+    else:
+        write_mesh(tmp_path / given, _lifted_cube())
+    before = read_mesh(tmp_path / given)
+    worn, own = tmp_path / "worn.obj", tmp_path / f"own{Path(given).suffix}"
+    request = TransferRequest(tmp_path / "RESULT", own, passenger=tmp_path / given, kind="rigid")
+    run_transfer(request, Stages())
+    np.testing.assert_allclose(read_mesh(own).positions, before.positions, atol=1e-5)
+    run_transfer(replace(request, output=worn), Stages())
+    is_turned = given == "hat.glb" and upright is not None
+    expected = before.positions @ Z_UP.T if is_turned else before.positions
+    expected = expected + shift[3, :3] if given == "hat.usda" and upright is not None else expected
+    np.testing.assert_allclose(read_mesh(worn).positions, expected, atol=1e-5)
+
+
 def test_a_detailed_mesh_of_a_wrap_is_in_the_units_that_its_file_states(folder: Path) -> None:
     _write(folder / "cm.usda", "small.usda", 100.0, None, ("Z", 0.01))
     request = WrapRequest((folder / "RESULT",), folder / "wrapped.usda", detail=folder / "cm.usda", size=16)
