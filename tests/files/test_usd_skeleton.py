@@ -442,6 +442,21 @@ def test_joints_of_a_whole_body_are_right_for_its_part(folder: Path) -> None:
     assert not [text for text in warnings if "same units and place" in text]
 
 
+@pytest.mark.parametrize(("given", "offset", "factor"), [("gone.obj", 0.0, 100.0), ("small.obj", -4.0, 1.0)])
+def test_joints_far_from_a_welded_body_are_reported(given: str, offset: float, factor: float, tmp_path: Path) -> None:
+    """By their size if the body's file is gone, else by their distance too."""
+    write_mesh(tmp_path / "small.obj", textured_cube("small.obj"))
+    welded = extract_faces(textured_cube(given), np.arange(6))
+    result = identity_result(1, (textured_cube("large.obj", 2.0), welded))
+    inputs = {"source": {"file": given, "path": f"../{given}", "sha256": file_hash(tmp_path / "small.obj")}}
+    write_result(tmp_path / "R", replace(result, provenance={**result.provenance, "inputs": inputs}))
+    skeleton = _skeleton()
+    ends = {name: factor * getattr(skeleton, name) + offset for name in ("heads", "tails")}
+    write_skeleton(tmp_path / "rig.json", replace(skeleton, **ends))
+    request = TransferRequest(tmp_path / "R", tmp_path / "o.json", joints=tmp_path / "rig.json")
+    assert any("same units and place" in text for text in run_transfer(request, Stages())[1])
+
+
 def test_weights_are_read_with_their_joints_without_the_source_s_file(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
