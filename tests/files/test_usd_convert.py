@@ -40,9 +40,9 @@ from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh.faces import reversed_corners
 from cagemap.numerics.srgb import encode_srgb
+from cagemap.tasks.material_atlas import material_atlas
 from cagemap.tasks.mesh_commands import run_check
 from cagemap.tasks.progress import Stages
-from cagemap.tasks.material_atlas import material_atlas
 from cagemap.tasks.requests.mesh_commands import CheckRequest
 
 from refusals import refuses

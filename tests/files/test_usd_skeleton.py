@@ -375,7 +375,7 @@ def test_a_passenger_with_units_fits_a_target_that_has_only_an_up_axis(given: st
 @pytest.mark.parametrize("given", ["hat.usda", "hat.glb", "hat.obj"])
 @pytest.mark.parametrize("upright", [None, Z_UP])
 def test_a_passenger_of_equal_bodies_keeps_its_places(given: str, upright: np.ndarray | None, tmp_path: Path) -> None:
-    """It is transformed from the units and axes of its file and back; not at all if nothing states those of the body."""
+    """It is transformed from the units and axes of its file and back; not at all if the body states none."""
     body, shift = replace(textured_cube("body.stl"), upright=upright), np.eye(4)
     write_result(tmp_path / "RESULT", identity_result(2, (body, body)))
     shift[3, :3] = [0, 3, 0]

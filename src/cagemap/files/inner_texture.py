@@ -61,7 +61,7 @@ def color_texture(document: Document | None, control: ControlMesh, *, of_any: bo
 
 
 def is_of_set_in_use(image: MaterialImage, document: Document, control: ControlMesh) -> bool:
-    """Whether a colour texture belongs to the UV set in use: by the set's name if a shader states it, else by number."""
+    """Whether a colour texture belongs to the UV set in use: by the name that a shader states, else by number."""
     stated = document.uv_names.get(image.material)
     if stated in [one.name for one in control.all_uv_sets]:
         return stated == control.uv_name

@@ -203,11 +203,10 @@ def missing_uv_warnings(control: ControlMesh, effect: str = "no image is baked t
     bare = np.bincount(number, weights=~bare)[number] == 0  # faces of palettes may be there on purpose
     if not bare.any() or bare.all():
         return []
-    names = [control.object_names[one] for one in np.unique(objects[bare]).tolist()] if control.object_names else []
-    named = f" ({first_few(names)})" if names else ""
+    names = first_few(name for number, name in enumerate(control.object_names) if name and number in objects[bare])
     return [
-        f"{int(bare.sum())} faces of {control.name}{named} have no texture coordinates in its UV set {control.uv_name}, "
-        f"so that {effect}: match their part alone, or name the UV sets alike"
+        f"{int(bare.sum())} faces of {control.name}{names and f' ({names})'} have no texture coordinates in its UV set "
+        f"{control.uv_name}, so that {effect}: match their part alone, or name the UV sets alike"
     ]
 
 

@@ -233,12 +233,10 @@ def _uv_set_notes(request: MatchRequest, parts: tuple[PartInputs, ...]) -> list[
         requested, meshes = getattr(request, f"{side}_uv_set"), [getattr(part, side) for part in parts]
         in_use = meshes[0].uv_name
         effect = "no image is baked there: match it alone" if in_use == requested else f"{in_use} is used"
-        notes += [
-            f"--{side}-uv-set {requested}: {mesh.name}: the part{' '.join(['', *filter(None, objects_of(mesh))])} has no texture "
-            f"coordinates there, {effect}"
-            for mesh in meshes
-            if requested is not None and mesh.uv_name != requested
-        ]
+        for mesh in meshes:
+            if requested is not None and mesh.uv_name != requested:
+                part = " ".join([f"{mesh.name}: the part", *filter(None, objects_of(mesh))])
+                notes.append(f"--{side}-uv-set {requested}: {part} has no texture coordinates there, {effect}")
     return list(dict.fromkeys(notes))
 
 

@@ -238,7 +238,7 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     stages("passenger")
     target = input_file(request.result, result.manifest, "target")
     of_target, of_source = _to_passenger(request, result)
-    worn = transform_mesh(mesh, np.linalg.inv(of_source))
+    worn = transform_mesh(mesh, np.asarray(np.linalg.inv(of_source), dtype=np.float64))
     carried = carry_passenger(result, worn, kind=request.kind)
     placed, like = worn.with_positions(carried.positions), request.passenger
     if states_units(request.passenger) and states_units(request.output):  # in the passenger's own units and axes

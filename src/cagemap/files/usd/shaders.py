@@ -253,9 +253,9 @@ class _Materials:
         is_elsewhere = any(names and name not in names[place : place + 1] for names in sets)
         if name and is_elsewhere and (material, name) not in self._reported:
             self._reported.add((material, name))
-            text = "%s: %s: some of its meshes lack its UV set %s, or have it at another number, and show it wrongly; %s"
-            remedy = "give each mesh a material of its own"
+            text = "%s: %s: some of its meshes lack its UV set %s, or have it at another number, and show it wrongly%s"
+            remedy = "; give each mesh a material of its own"
             if not any(name in names for names in sets):
-                text, remedy = "%s: %s: no mesh has its UV set %s, so that its image is in the first one; %s", "rename that"
+                text, remedy = "%s: %s: no mesh has its UV set %s, so that the first one is used%s", "; rename that one"
             _log.warning(text, self._file, material, name, remedy)
         return holder | ({"texCoord": place} if place else {})
