@@ -199,11 +199,12 @@ def missing_uv_warnings(control: ControlMesh, effect: str = "no image is baked t
         return []
     bare = np.logical_and.reduceat((control.uvs[control.uv_indices] == NO_UV).all(axis=1), control.face_offsets[:-1])
     objects, materials = (0 * bare if one is None else one for one in (control.face_objects, control.face_materials))
-    number = np.unique(np.stack([objects, materials]), axis=1, return_inverse=True)[1].ravel()
+    number = np.unique(objects * (2 + materials.max()) + materials, return_inverse=True)[1]  # materials from -1
     bare = np.bincount(number, weights=~bare)[number] == 0  # faces of palettes may be there on purpose
     if not bare.any() or bare.all():
         return []
-    names = first_few(name for number, name in enumerate(control.object_names) if name and number in objects[bare])
+    numbers = np.unique(objects[bare]).tolist()
+    names = first_few(control.object_names[one] for one in numbers if control.object_names)
     return [
         f"{int(bare.sum())} faces of {control.name}{names and f' ({names})'} have no texture coordinates in its UV set "
         f"{control.uv_name}, so that {effect}: match their part alone, or name the UV sets alike"
