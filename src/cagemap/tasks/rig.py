@@ -12,6 +12,7 @@ from cagemap.character.bones import mirrored_joints
 from cagemap.character.joints import Skeleton
 from cagemap.errors import ParameterError, values_of
 from cagemap.files.atomic import all_or_nothing, check_outputs
+from cagemap.files.meshes.formats import read_whole
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
 from cagemap.files.result.maps import write_map
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
@@ -55,8 +56,8 @@ _APART = 0.05
 # Mean distance of joints or passengers (clothes, hair, props) from the body, in sqrt(body area), above which their
 # units or position are doubtful.
 MAX_MEAN_DISTANCE = 0.5
-# Largest ratio of the body's size to that of all joints without a warning. Joints of a hand or jaw are up to 35 times
-# smaller than the body.
+# Largest ratio, either way, of the sizes of the body and of all joints without a warning. Joints of a hand or jaw are
+# up to 35 times smaller than the body.
 _MAX_SIZE_RATIO = 35.0
 
 
@@ -103,7 +104,7 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
             text += "\n" + write_usd_results(request.usd, request.result, result, skinning, force=request.force)
     note_transfer(request.result, {"kind": "weights", "file": request.weights, "output": request.output})
     if skeleton is not None and request.usd is not None:
-        notes = [*_far_joints(joints_file, skeleton, result), *notes]
+        notes = [*_far_joints(joints_file, skeleton, request, result), *notes]
     if filled:
         text += f"\n  {filled} vertices where the map is not to be trusted take theirs from around them"
     return text, [f"{request.weights}: {scaled}", *notes] if scaled else notes
@@ -117,20 +118,25 @@ def _read_joints(file: Path, request: TransferRequest, result: MatchResult) -> S
     return None if skeleton is None else skeleton.transformed(between_spaces(source, file))
 
 
-def _far_joints(file: Path, skeleton: Skeleton, result: MatchResult) -> list[str]:
+def _far_joints(file: Path, skeleton: Skeleton, request: TransferRequest, result: MatchResult) -> list[str]:
     """A warning on joints whose size or place is not that of the source."""
     body = result.point_map.source
     ends = body.scale * np.concatenate([skeleton.heads, skeleton.tails])
     distance = float(np.linalg.norm(SurfacePoints.nearest(body, ends).positions - ends, axis=1).mean())
     ratio = box_diagonal(ends) / box_diagonal(body.positions)
-    is_small = 0.0 < ratio < 1.0 / _MAX_SIZE_RATIO  # one joint may have no length
-    is_far = distance > MAX_MEAN_DISTANCE and result.source.control.file_vertices is None  # not a part of its file
-    if not is_small and not is_far:
+    is_likely = ratio == 0.0 or 1.0 / _MAX_SIZE_RATIO <= ratio <= _MAX_SIZE_RATIO  # one joint may have no length
+    if is_likely and (distance <= MAX_MEAN_DISTANCE or _is_part(request, result)):
         return []
     return [
         f"{file}: the joints are {ratio:.2g} times as large as {result.source.control.name} and "
         f"{distance:.1f} body sizes away from it on average: check that both have the same units and place"
     ]
+
+
+def _is_part(request: TransferRequest, result: MatchResult) -> bool:
+    """Whether faces of the source's file are left out; also if the file is gone."""
+    faces, file = result.source.control.file_faces, input_file(request.result, result.manifest, "source")
+    return faces is not None and (file is None or len(np.unique(faces)) < read_whole(file).n_faces)
 
 
 def read_weights(path: Path, control: ControlMesh, rows: FileRows | None) -> Attributes:
@@ -227,7 +233,7 @@ def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Sta
     count = len(skeleton.names)
     write_skeleton(request.output, _carry_skeleton(skeleton, result.point_map), force=request.force)
     note_transfer(request.result, {"kind": "joints", "output": request.output})
-    return f"wrote {request.output}: {count} joints", _far_joints(request.joints, skeleton, result)
+    return f"wrote {request.output}: {count} joints", _far_joints(request.joints, skeleton, request, result)
 
 
 def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
