@@ -53,6 +53,9 @@ def test_splines_steps_and_ends() -> None:
     steps = Track(0, "scale", TIMES, keys[:, 0], "STEP")
     for time, key in ((-1.0, 0), (0.4999, 0), (0.5, 1), (1.9, 1), (2.0, 2), (9.0, 2)):
         np.testing.assert_array_equal(track_value(steps, time), keys[key, 0])
+    linear = Track(0, "scale", TIMES, keys[:, 0])
+    for time, key in ((TIMES[0] - 1.0, 0), (TIMES[-1] + 1.0, 2)):
+        np.testing.assert_array_equal(track_value(linear, time), keys[key, 0])
     once = Track(0, "scale", TIMES[:1], keys[:1, 0])
     np.testing.assert_array_equal(track_value(once, 3.0), keys[0, 0])
 

@@ -40,6 +40,7 @@ from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh.faces import reversed_corners
 from cagemap.numerics.srgb import encode_srgb
+from cagemap.tasks.material_atlas import material_atlas
 from cagemap.tasks.mesh_commands import run_check
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest
@@ -511,6 +512,39 @@ def test_grey_images_of_roughness_and_metalness_become_one(painted_path: Path, o
     np.testing.assert_array_equal(packed[:, :, 2], np.broadcast_to(metallic, (4, 4)))
     used = {entry["source"] for entry in found.json["textures"]}
     assert used == set(range(len(found.json["images"])))  # without those that were packed
+
+
+@pytest.mark.parametrize("stated", ["", "uv"])
+def test_an_image_without_a_uv_set_of_the_mesh_belongs_to_the_first(stated, tmp_path, caplog):
+    _with_image(tmp_path / "box.usda", _with_sets("st", "UVMap2"), stated)
+    control = read_mesh(tmp_path / "box.usda")
+    document = material_document(tmp_path / "box.usda", control)
+    assert color_texture(document, control) is not None
+    assert color_texture(document, control.with_uv_set("UVMap2")) is None
+    assert ("red: no mesh has its UV set uv" in caplog.text) == bool(stated)
+    assert "a material of its own" not in caplog.text
+
+
+def test_images_of_other_uv_sets_than_that_in_use_are_not_joined(tmp_path: Path) -> None:
+    """Each is in the first UV set of its mesh in glTF."""
+    path = tmp_path / "pair.usda"
+    _with_image(path, _with_sets("UVMap"), "UVMap")
+    _with_image(tmp_path / "other.usda", _with_sets("st", "UVMap"), "st")
+    other = Sdf.Layer.FindOrOpen(str(tmp_path / "other.usda"))
+    write_image(tmp_path / "green.png", np.full((4, 4, 3), [0, 255, 0], dtype=np.uint8))
+    with stage_at(path) as stage:
+        for given, name in (("mesh", "second"), ("red", "green")):
+            Sdf.CopySpec(other, f"/Asset/{given}", stage.GetRootLayer(), f"/Asset/{name}")
+        material = UsdShade.Material(stage.GetPrimAtPath("/Asset/green"))
+        UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath("/Asset/second")).Bind(material)
+        textures = [UsdShade.Shader(one) for one in stage.Traverse() if str(one.GetPath()).startswith("/Asset/green/")]
+        for one in textures:
+            if one.GetInput("file"):
+                one.GetInput("file").Set("./green.png")
+    whole = read_mesh(path)
+    document = material_document(path, whole)
+    assert material_atlas(document, whole.with_uv_set("UVMap")) is None
+    assert material_atlas(replace(document, uv_names={}), whole.with_uv_set("UVMap")) is not None
 
 
 def _with_a_second_mesh(folder: Path, first: tuple[str, ...], second: tuple[str, ...], image: str) -> Path:

@@ -424,10 +424,16 @@ def test_a_part_has_the_uv_set_of_its_mesh_in_use(tmp_path: Path, caplog: pytest
     request = MatchRequest(tmp_path / "st.usda", tmp_path / "pair.usda", tmp_path / "R", source_part="UVMap_mesh")
     assert not [note for note in read_inputs(request).notes if "uv-set" in note]
     (note,) = (note for note in read_inputs(replace(request, source_uv_set="st")).notes if "uv-set" in note)
-    assert note.startswith("--source-uv-set st: pair.usda: the part has no texture coordinates there, UVMap is used")
+    said = "--source-uv-set st: pair.usda: the part /UVMap_mesh has no texture coordinates there"
+    assert note == f"{said}, UVMap is used"
+    each = MatchRequest(tmp_path / "pair.usda", tmp_path / "pair.usda", tmp_path / "R", part="each", source_uv_set="st")
+    assert f"{said}, no image is baked there: match it alone" in read_inputs(each).notes
     write_result(tmp_path / "R", identity_result(1, (pair, pair)))
     bake = TransferRequest(tmp_path / "R", tmp_path / "o.png", bake=("ao",), rays=1, size=8)
-    assert any("6 faces of pair.usda have no texture coordinates" in text for text in run_transfer(bake, Stages())[1])
+    said = "6 faces of pair.usda (/UVMap_mesh) have no texture coordinates in its UV set st, so that no image is baked"
+    assert any(said in text for text in run_transfer(bake, Stages())[1])
+    wrap = WrapRequest((tmp_path / "R",), tmp_path / "w.obj", normal_map=tmp_path / "n.png", size=8)
+    assert any(said in text for text in run_wrap(wrap, Stages())[1])
 
 
 def test_large_whole_numbers_are_written_unchanged(tmp_path: Path) -> None:

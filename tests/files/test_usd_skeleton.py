@@ -372,6 +372,29 @@ def test_a_passenger_with_units_fits_a_target_that_has_only_an_up_axis(given: st
     np.testing.assert_allclose(np.sort(found, axis=0), np.sort(expected, axis=0), atol=1e-5)
 
 
+@pytest.mark.parametrize("given", ["hat.usda", "hat.glb", "hat.obj"])
+@pytest.mark.parametrize("upright", [None, Z_UP])
+def test_a_passenger_of_equal_bodies_keeps_its_places(given: str, upright: np.ndarray | None, tmp_path: Path) -> None:
+    """It is transformed from the units and axes of its file and back; not at all if the body states none."""
+    body, shift = replace(textured_cube("body.stl"), upright=upright), np.eye(4)
+    write_result(tmp_path / "RESULT", identity_result(2, (body, body)))
+    shift[3, :3] = [0, 3, 0]
+    if given == "hat.usda":
+        write_usd(tmp_path / given, _lifted_cube(), space=StageSpace("Z", 0.01, shift))
+    else:
+        write_mesh(tmp_path / given, _lifted_cube())
+    before = read_mesh(tmp_path / given)
+    worn, own = tmp_path / "worn.obj", tmp_path / f"own{Path(given).suffix}"
+    request = TransferRequest(tmp_path / "RESULT", own, passenger=tmp_path / given, kind="rigid")
+    run_transfer(request, Stages())
+    np.testing.assert_allclose(read_mesh(own).positions, before.positions, atol=1e-5)
+    run_transfer(replace(request, output=worn), Stages())
+    is_turned = given == "hat.glb" and upright is not None
+    expected = before.positions @ Z_UP.T if is_turned else before.positions
+    expected = expected + shift[3, :3] if given == "hat.usda" and upright is not None else expected
+    np.testing.assert_allclose(read_mesh(worn).positions, expected, atol=1e-5)
+
+
 def test_a_detailed_mesh_of_a_wrap_is_in_the_units_that_its_file_states(folder: Path) -> None:
     _write(folder / "cm.usda", "small.usda", 100.0, None, ("Z", 0.01))
     request = WrapRequest((folder / "RESULT",), folder / "wrapped.usda", detail=folder / "cm.usda", size=16)
@@ -417,6 +440,21 @@ def test_joints_of_a_whole_body_are_right_for_its_part(folder: Path) -> None:
         TransferRequest(folder / "RESULT", folder / "o.json", joints=folder / "rig.json"), Stages()
     )
     assert not [text for text in warnings if "same units and place" in text]
+
+
+@pytest.mark.parametrize(("given", "offset", "factor"), [("gone.obj", 0.0, 100.0), ("small.obj", -4.0, 1.0)])
+def test_joints_far_from_a_welded_body_are_reported(given: str, offset: float, factor: float, tmp_path: Path) -> None:
+    """By their size if the body's file is gone, else by their distance too."""
+    write_mesh(tmp_path / "small.obj", textured_cube("small.obj"))
+    welded = extract_faces(textured_cube(given), np.arange(6))
+    result = identity_result(1, (textured_cube("large.obj", 2.0), welded))
+    inputs = {"source": {"file": given, "path": f"../{given}", "sha256": file_hash(tmp_path / "small.obj")}}
+    write_result(tmp_path / "R", replace(result, provenance={**result.provenance, "inputs": inputs}))
+    skeleton = _skeleton()
+    ends = {name: factor * getattr(skeleton, name) + offset for name in ("heads", "tails")}
+    write_skeleton(tmp_path / "rig.json", replace(skeleton, **ends))
+    request = TransferRequest(tmp_path / "R", tmp_path / "o.json", joints=tmp_path / "rig.json")
+    assert any("same units and place" in text for text in run_transfer(request, Stages())[1])
 
 
 def test_weights_are_read_with_their_joints_without_the_source_s_file(

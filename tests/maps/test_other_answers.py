@@ -76,6 +76,7 @@ def test_an_update_keeps_the_confidence_until_an_answer_misses_a_landmark(mesh: 
         return kept_confidence(confidence, Problem.of_landmarks(before.prepared, marks_at(np.array(vertices))))
 
     assert updated(given, middle) is given
+    assert updated(replace(given, deciding=middle), middle) is None
     assert updated(given, middle, side) is None
     assert updated(mirrored_first, side) is None
     short = tuple(replace(answer, positions=answer.positions[: mesh.n_vertices // 2]) for answer in given.answers)

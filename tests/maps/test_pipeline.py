@@ -136,7 +136,7 @@ def test_a_prepared_pair_is_matched_as_it_was_prepared_or_not_at_all():
     )
     plain, masked = prepare_pair(surface, surface), prepare_pair(surface, surface, own)
     for prepared, config, fault in (
-        (plain, MatchConfig(method="paper"), "expected the method elastic.*'paper'; cagemap.match"),
+        (plain, MatchConfig(method="paper"), "expected the method elastic, got 'paper'; use cagemap.match"),
         (masked, MatchConfig(method="hfm"), "expected the method elastic"),
         (plain, replace(own, masks=Masks()), "start and elastic that the pair was prepared with"),
         (plain, MatchConfig(masks=own.masks), "the masks that"),

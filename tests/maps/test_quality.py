@@ -22,6 +22,7 @@ from cagemap.maps.quality import (
     judge,
     measure_quality,
     stretches,
+    unshared_warnings,
     weighted_percentiles,
 )
 from cagemap.numerics.threads import thread_limit
@@ -398,3 +399,10 @@ def test_masks_of_another_length_are_refused_by_name() -> None:
     for masks in (Masks(np.ones(5)), Masks(source=np.ones(5)), Masks(np.zeros(finest.n))):
         with pytest.raises(ParameterError, match="mask: expected"):
             judge(surface, found, masks=masks)
+
+
+def test_area_without_a_counterpart_is_told_of_the_side_that_has_it() -> None:
+    assert unshared_warnings(1.0, 1.0) == ()
+    (target,), (source,) = unshared_warnings(0.75, 1.0), unshared_warnings(1.0, 0.5)
+    assert target.startswith("25.0 % of the target has no counterpart")
+    assert source.startswith("50.0 % of the source has no counterpart")

@@ -57,6 +57,17 @@ def test_masked_area_does_not_count() -> None:
     assert figures[0].area == pytest.approx(1.0)
 
 
+def test_sizes_of_a_part_of_the_source_are_those_of_the_shared_area() -> None:
+    """Half of the source and a third of the target have a counterpart."""
+    result = strip_result(2.0)
+    own = [(side.vertices[:, 0] < -0.15).astype(np.float64) for side in (result.target, result.source)]
+    (left,) = cagemap.region_figures(replace(result, shared=Masks(*own)))
+    assert left.size == pytest.approx(1.0, abs=0.02)
+    assert left.area == pytest.approx(1.0)
+    sizes = local_size(replace(result, shared=Masks(*own)))
+    assert sizes[own[0] > 0] == pytest.approx(1.0, abs=0.02)
+
+
 def test_sizes_at_vertices_follow_the_parts() -> None:
     result = strip_result(2.0)
     at = result.target.vertices[:, 0]

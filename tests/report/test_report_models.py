@@ -244,6 +244,7 @@ def test_textures_become_small_enough_for_a_page() -> None:
     texture = encode_texture("t", "noise", noise)
     assert len(texture.content) <= MAX_TEXTURE_BYTES
     assert texture.size[0] < 2048
+    assert encode_texture("t", "grey", np.full((512, 300, 3), 0.5)).size == (300, 512)
 
 
 @pytest.mark.slow

@@ -288,3 +288,5 @@ def test_whole_numbers_of_a_config_become_plain_ones() -> None:
     assert [type(number) for number in numbers] == [int] * 4
     with pytest.raises(ParameterError, match="vertices: expected whole numbers"):
         BasisConfig(vertices=2.5)  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match="count: expected whole numbers, got None"):
+        BasisConfig(count=None)  # type: ignore[arg-type]

@@ -10,6 +10,7 @@ import pytest
 from examples.shapes import creature, cube
 
 from cagemap import BasisConfig, eigenpairs, prepare_surface
+from cagemap.spectral import exact_basis
 from cagemap.spectral.eigenpairs import SOLVER, band_pairs, count_below, factor, shift_invert_lanczos, shifted_matrix
 
 from refusals import Refusal
@@ -54,7 +55,12 @@ def literal(_: object) -> Any:
     return prepare_surface(cube(), 1, BasisConfig(schedule=(6, 20), literal=True)).basis
 
 
+def of_no_level(_: object) -> Any:
+    return exact_basis(prepare_surface(cube(), 1, BasisConfig(count=5)).operators, -1, 5)
+
+
 REFUSED = {
+    "a level below the first": Refusal(of_no_level, "level from 0 to 1", "got -1"),
     "more functions above the last than a level has": Refusal(
         literal, "schedule: expected at most ", "at level 1, which has so many above", "move counts to finer levels"
     ),

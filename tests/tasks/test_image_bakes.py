@@ -14,6 +14,7 @@ from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.mesh import ControlMesh
+from cagemap.subdivision.refinement import finest_mesh
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
@@ -61,6 +62,15 @@ def test_vertices_without_a_colour_are_baked_grey(place: Path, output: str, own:
     if not own:  # subdivision mixes the colours of a cube's vertices
         np.testing.assert_allclose(grey, 0.8 if output == "o.exr" else 0.906, atol=0.01)
     assert any("4 of 8 vertices have no colour and are baked in grey" in text for text in warnings)
+
+
+def test_a_detail_that_leaves_source_out_is_reported_and_no_other(place: Path) -> None:
+    refinement = identity_result().source.refinement
+    write_mesh(place / "fine.obj", finest_mesh(refinement))
+    write_mesh(place / "cage.obj", textured_cube("cage.obj"))  # its corners are outside the surface
+    for name, flat in (("fine", False), ("cage", True)):
+        *_, warnings = transfer(f"{name}.png", bake=("normal",), detail=place / f"{name}.obj", size=8)
+        assert any("stays flat there" in text for text in warnings) == flat
 
 
 def waves(size: int = 32) -> np.ndarray:

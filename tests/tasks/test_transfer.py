@@ -20,6 +20,7 @@ from cagemap.files.result.folder import write_result
 from cagemap.files.result.manifest import MANIFEST
 from cagemap.maps.masks import Masks
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import NO_UV
 from cagemap.mesh.schemes import Plain
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.subdivision import refine
@@ -301,3 +302,16 @@ def test_a_bake_that_fails_leaves_the_unwrapped_mesh_and_all_images(options, cou
     write_result("R", identity_result(controls=(larger, textured_cube("small.obj"))))
     refuses(FormatError, "cannot write there", transfer, "out.png", unwrap=True, size=32, **options)
     assert {path: path.read_bytes() for path in Path().glob("out*")} == before
+
+
+@pytest.mark.parametrize("name", ["", "st"])
+@pytest.mark.parametrize("material", [0, 1])
+def test_faces_in_the_middle_of_an_image_have_uvs_unless_they_are_all_of_a_material(name: str, material: int) -> None:
+    """A palette has colours there. Readers report faces without UVs of files whose UV set has no name."""
+    mesh = textured_cube("mesh")
+    rows = np.where(mesh.corner_faces < 3, mesh.uv_indices, len(mesh.uvs))
+    materials = np.where(np.arange(6) < 3, 0, material)
+    mesh = replace(mesh.with_uvs(np.vstack([mesh.uvs, [NO_UV]]), rows), uv_name=name, face_materials=materials)
+    warnings = bake_tiles.missing_uv_warnings(mesh, "all of them get one texel of the image")
+    assert len(warnings) == (name == "st" and material == 1)
+    assert all("3 faces of mesh have" in text and "so that all of them get one texel" in text for text in warnings)

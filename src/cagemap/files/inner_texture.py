@@ -57,13 +57,15 @@ def color_texture(document: Document | None, control: ControlMesh, *, of_any: bo
     names = [control.material_names[number] for number in order.tolist()]
     images = (color_image(document, name) for name in names if name in material_names(document))
     found = next((image for image in images if image is not None), None)
-    if found is None:
-        return None
-    stated = document.uv_names.get(found.material)
+    return found if found is not None and is_of_set_in_use(found, document, control) else None
+
+
+def is_of_set_in_use(image: MaterialImage, document: Document, control: ControlMesh) -> bool:
+    """Whether a colour texture belongs to the UV set in use: by the name that a shader states, else by number."""
+    stated = document.uv_names.get(image.material)
     if stated in [one.name for one in control.all_uv_sets]:
-        return found if stated == control.uv_name else None
-    in_use = control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0"
-    return found if found.uv_set == in_use else None
+        return stated == control.uv_name
+    return image.uv_set == (control.uv_name if control.uv_name.startswith("TEXCOORD_") else "TEXCOORD_0")
 
 
 def tinted_materials(document: Document, control: ControlMesh) -> list[str]:

@@ -54,7 +54,7 @@ class QualityFigures:
     #: counterpart on the other surface counts.
     coverage: float
     dirichlet: float  #: Dirichlet energy between unit-area surfaces: 1 for an isometry, at least the covered area
-    #: (5,) percentiles 1, 5, 50, 95, 99 (by target area) of the area stretch, 1 meaning area-preserving
+    #: (5,) percentiles 1, 5, 50, 95, 99 (by target area) of the area stretch, 1: that of the shared area as a whole
     area_ratios: FloatArray = field(repr=False)
     #: (3,) percentiles 50, 95, 99 (by target area) of the ratio of singular values, 1 meaning conformal
     aspect_ratios: FloatArray = field(repr=False)
@@ -194,7 +194,7 @@ def trust_field(
     """(n1,) trust: 1 where the map stretches by at most ``TRUSTED_STRETCH`` either way, 0 at folds.
 
     A triangle's trust is ``min(1, (TRUSTED_STRETCH / delta)^2)`` with delta its `distortion`, zero where flipped; a
-    vertex takes the area-weighted mean of its triangles. ``sigma`` are the `stretches` of unit areas.
+    vertex takes the area-weighted mean of its triangles. ``sigma`` are `stretches` at equal shared area.
     """
     per_triangle = np.where(flipped, 0.0, np.minimum(1.0, (TRUSTED_STRETCH / distortion(sigma)) ** 2))
     areas = target.areas

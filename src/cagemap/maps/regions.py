@@ -20,16 +20,16 @@ class RegionFigures:
     """Median stretch of a map over the region of the target around one landmark."""
 
     landmark: str  #: name of the landmark
-    area: float  #: area of the region divided by the area of the unmasked target
-    #: length on the target per length on the source, both surfaces at equal area: square root of the median ratio of
-    #: areas. 2 if the target's ear is twice as long and twice as wide.
+    area: float  #: area of the region divided by the area of the unmasked target that has a counterpart
+    #: length on the target per length on the source, the shared area of both at equal size: square root of the median
+    #: ratio of areas. 2 if the target's ear is twice as long and twice as wide.
     size: float
     aspect_ratio: float  #: median ratio of the singular values of the map's differential: 1 for a conformal map
     folded: float  #: share of the region whose image is folded over
 
 
 def local_size(result: MatchResult) -> FloatArray:
-    """(n1,) length on the target per length on the source at target vertices, both at equal area."""
+    """(n1,) length on the target per length on the source at target vertices, the shared area of both at equal size."""
     target, sigma = result.point_map.target, _stretches(result)
     # Sum the areas of a vertex's triangles, and of their images, before dividing.
     areas = np.column_stack([target.areas, target.areas * sigma[0] * sigma[1]])
@@ -41,8 +41,8 @@ def local_size(result: MatchResult) -> FloatArray:
 def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
     """Figures of the region around every trusted landmark, in the order of the landmarks.
 
-    A target vertex belongs to the landmark nearest to it along edges. Masked area, and pieces of the mesh without a
-    landmark, are left out. ParameterError if the result has no landmarks.
+    A target vertex belongs to the landmark nearest to it along edges. Masked area, area without a counterpart, and
+    pieces of the mesh without a landmark, are left out. ParameterError if the result has no landmarks.
     """
     landmarks = result.trusted
     if not len(landmarks):
@@ -50,7 +50,8 @@ def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
     target, (largest, smallest) = result.point_map.target, _stretches(result)
     places = landmarks.target_points.heaviest_corners
     _, nearest = distances_along_edges(target, np.unique(places))
-    areas = target.areas * result.masks.joint(result.point_map)[target.triangles].mean(axis=1)
+    masks = result.masks.within(result.shared)
+    areas = target.areas * masks.joint(result.point_map)[target.triangles].mean(axis=1)
     folded = flipped_triangles(result.point_map.images, target.triangles)
     ratio, aspect = 1.0 / np.maximum(largest * smallest, 1e-12), largest / np.maximum(smallest, 1e-9)
     figures = []
@@ -73,4 +74,5 @@ def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
 
 def _stretches(result: MatchResult) -> tuple[FloatArray, FloatArray]:
     point_map = result.point_map
-    return stretches(point_map.target.positions, point_map.images.positions, point_map.target.triangles)
+    ratio = result.masks.within(result.shared).length_ratio(point_map.target, point_map.source)
+    return stretches(ratio * point_map.target.positions, point_map.images.positions, point_map.target.triangles)

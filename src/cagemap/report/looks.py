@@ -63,8 +63,8 @@ def report_models(
         Look("Problems", "Red: folded or stretched strongly; on the source: nothing from here arrives.", kind="doubt"),
         Look(
             "Sizes",
-            "Red: larger on the target than on the source; blue: smaller. The darkest are twice or half as long. Both "
-            "models are compared at equal area.",
+            "Red: larger on the target than on the source; blue: smaller. The darkest are twice or half as long. The "
+            "models, or the parts that both have, are compared at equal area.",
             np.broadcast_to(CLAY, (len(source.vertices), 3)),
             scalar_colors(np.log2(local_size(result)[target.vertices]), -1.0, 1.0, BALANCE_SCALE),
         ),

@@ -101,7 +101,7 @@ def build_page(
         _details(
             "Landmarks",
             "how far each is missed, as a share of the model's size; how long the target is around it where the source "
-            "has length 1, both models at equal area",
+            "has length 1, with what both models have at equal area",
             landmark_table(result),
         )
         if len(result.landmarks)

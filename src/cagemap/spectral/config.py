@@ -40,7 +40,7 @@ class BasisConfig:
         for name in ("count", "schedule", "vertices"):
             given = getattr(self, name)
             numbers = given if name == "schedule" else (given,)
-            if given is None:
+            if given is None and name != "count":
                 continue
             if not all(isinstance(number, int | np.integer) for number in numbers):
                 raise ParameterError(f"{name}: expected whole numbers, got {given!r}")

@@ -36,6 +36,7 @@ from cagemap.files.usd.results import preview_inputs
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV
+from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.threads import ThreadPool
 from cagemap.tasks.base_images import ImageSize, base_size, mask_function, require_base, written_channels
 from cagemap.tasks.masks import mask_inputs
@@ -162,10 +163,10 @@ def prepare_bake(
     stages("prepare")
     transfer = transfer_of(result)
     tiles, outside = layout_tiles(transfer)
-    warnings += [*outside, *_missing_uv_warnings(result.target.control)]
+    warnings += [*outside, *missing_uv_warnings(result.target.control)]
     warnings += target_overlap_warnings(result.target.control)
     if any(given_images):
-        warnings += _missing_uv_warnings(result.source.control)
+        warnings += missing_uv_warnings(result.source.control, "all of them get one texel of the image")
         warnings += [] if result.masks.source is not None else _source_overlap_warnings(result.source.control)
     images = [udim_path(output, tile) for output in outputs.values() for tile in tiles]
     meshes = () if mesh is None else (mesh, mesh.with_suffix(".mtl"))
@@ -189,16 +190,24 @@ def layout_tiles(transfer: Transfer) -> tuple[list[int], list[str]]:
     return [0], [f"{100 * outside:.1f} % of the target's layout lies outside the unit square and is not baked: move it"]
 
 
-def _missing_uv_warnings(control: ControlMesh) -> list[str]:
-    """A warning if faces have no texture coordinates in the UV set in use, see `join_meshes`."""
-    if control.uvs is None or control.uv_indices is None:
+def missing_uv_warnings(control: ControlMesh, effect: str = "no image is baked there") -> list[str]:
+    """A warning if all faces of a material of an object have no texture coordinates in use, see `join_meshes`.
+
+    None if the UV set has no name: readers of OBJ and PLY files report such faces.
+    """
+    if control.uvs is None or control.uv_indices is None or not control.uv_name:
         return []
-    none = np.logical_and.reduceat((control.uvs[control.uv_indices] == NO_UV).all(axis=1), control.face_offsets[:-1])
-    if not none.any():
+    bare = np.logical_and.reduceat((control.uvs[control.uv_indices] == NO_UV).all(axis=1), control.face_offsets[:-1])
+    objects, materials = (0 * bare if one is None else one for one in (control.face_objects, control.face_materials))
+    number = np.unique(objects * (2 + materials.max()) + materials, return_inverse=True)[1]  # materials from -1
+    bare = np.bincount(number, weights=~bare)[number] == 0  # faces of palettes may be there on purpose
+    if not bare.any() or bare.all():
         return []
+    numbers = np.unique(objects[bare]).tolist()
+    names = first_few(control.object_names[one] for one in numbers if control.object_names)
     return [
-        f"{int(none.sum())} faces of {control.name} have no texture coordinates in its UV set {control.uv_name}, so "
-        "that no image is baked there: match their part alone, or name the UV sets alike"
+        f"{int(bare.sum())} faces of {control.name}{names and f' ({names})'} have no texture coordinates in its UV set "
+        f"{control.uv_name}, so that {effect}: match their part alone, or name the UV sets alike"
     ]
 
 

@@ -40,6 +40,7 @@ from cagemap.tasks.bake_tiles import (
     DEFAULT_SIZE,
     colors_remedy,
     layout_tiles,
+    missing_uv_warnings,
     require_layout,
     require_source_uvs,
     target_overlap_warnings,
@@ -340,4 +341,5 @@ def bake_wrapped(
     images = [udim_path(path, tile) for path in bakes.images.values() for tile in tiles]
     check_outputs(images, textures_read(request), force=request.force)
     lines = bake_detail(bakes, transfer, detail, colors, tiles, stages, "the source's")
-    return lines, [*warnings, *outside, *target_overlap_warnings(result.target.control)]
+    control = result.target.control
+    return lines, [*warnings, *outside, *missing_uv_warnings(control), *target_overlap_warnings(control)]

@@ -22,6 +22,7 @@ from cagemap.files.result.folder import ARRAYS, check_result_folder, write_resul
 from cagemap.files.result.manifest import MANIFEST, peak_memory, stated_inputs
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.files.result.surface_store import load_or_prepare
+from cagemap.files.usd.read import objects_of
 from cagemap.files.usd.space import unit_notes
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
@@ -226,14 +227,17 @@ def read_inputs(request: MatchRequest) -> Inputs:
 
 
 def _uv_set_notes(request: MatchRequest, parts: tuple[PartInputs, ...]) -> list[str]:
-    """A note for each part that lacks the requested UV set; see `extract_faces`."""
-    return [
-        f"--{side}-uv-set {requested}: {mesh.name}: the part has no texture coordinates there, {mesh.uv_name} is used"
-        for side in SIDES
-        if (requested := getattr(request, f"{side}_uv_set")) is not None
-        for mesh in (getattr(part, side) for part in parts)
-        if mesh.uv_name != requested
-    ]
+    """Notes on parts that lack the requested UV set; see `extract_faces`, and `join_meshes` of several parts."""
+    notes = []
+    for side in SIDES:
+        requested, meshes = getattr(request, f"{side}_uv_set"), [getattr(part, side) for part in parts]
+        in_use = meshes[0].uv_name
+        effect = "no image is baked there: match it alone" if in_use == requested else f"{in_use} is used"
+        for mesh in meshes:
+            if requested is not None and mesh.uv_name != requested:
+                part = " ".join([f"{mesh.name}: the part", *filter(None, objects_of(mesh))])
+                notes.append(f"--{side}-uv-set {requested}: {part} has no texture coordinates there, {effect}")
+    return list(dict.fromkeys(notes))
 
 
 def _unused_notes(request: MatchRequest, parts: Sequence[PartInputs]) -> list[str]:

@@ -10,7 +10,7 @@ from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import MaterialImage, read_material_image
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.images.image import Image, Pixels
-from cagemap.files.inner_texture import color_image, color_texture
+from cagemap.files.inner_texture import color_image, color_texture, is_of_set_in_use
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UNKNOWN_COLOR
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -51,7 +51,7 @@ def material_atlas(document: Document | None, control: ControlMesh) -> MaterialA
         color_image(document, control.material_names[number]) if known else most
         for number, known in zip(used.tolist(), named, strict=True)
     ]
-    if any(image is not None and image.uv_set != most.uv_set for image in found):
+    if any(image is not None and not is_of_set_in_use(image, document, control) for image in found):
         return None
     colors = [_color(control, material) for material in used.tolist()]
     keys = [color if image is None else _look(image) for image, color in zip(found, colors, strict=True)]

@@ -13,6 +13,7 @@ from cagemap.character.joints import Skeleton
 from cagemap.character.passengers import MAX_BODY_DISTANCE
 from cagemap.errors import ParameterError, values_of
 from cagemap.files.atomic import all_or_nothing, check_outputs
+from cagemap.files.meshes.formats import read_whole
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
 from cagemap.files.result.maps import write_map
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
@@ -53,8 +54,8 @@ from cagemap.transfer.skin import (
 
 # Mean distance of a mesh from its base, in units of sqrt(area), above which there is a warning.
 _APART = 0.05
-# Largest ratio of the body's size to that of all joints without a warning. Joints of a hand or jaw are up to 35 times
-# smaller than the body.
+# Largest ratio, either way, of the sizes of the body and of all joints without a warning. Joints of a hand or jaw are
+# up to 35 times smaller than the body.
 _MAX_SIZE_RATIO = 35.0
 
 
@@ -101,7 +102,7 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
             text += "\n" + write_usd_results(request.usd, request.result, result, skinning, force=request.force)
     note_transfer(request.result, {"kind": "weights", "file": request.weights, "output": request.output})
     if skeleton is not None and request.usd is not None:
-        notes = [*_far_joints(joints_file, skeleton, result), *notes]
+        notes = [*_far_joints(joints_file, skeleton, request, result), *notes]
     if filled:
         text += f"\n  {filled} vertices where the map is not to be trusted take theirs from around them"
     return text, [f"{request.weights}: {scaled}", *notes] if scaled else notes
@@ -115,21 +116,25 @@ def _read_joints(file: Path, request: TransferRequest, result: MatchResult) -> S
     return None if skeleton is None else skeleton.transformed(between_spaces(source, file))
 
 
-def _far_joints(file: Path, skeleton: Skeleton, result: MatchResult) -> list[str]:
+def _far_joints(file: Path, skeleton: Skeleton, request: TransferRequest, result: MatchResult) -> list[str]:
     """A warning on joints whose size or place is not that of the source."""
     body = result.point_map.source
     ends = body.scale * np.concatenate([skeleton.heads, skeleton.tails])
     distance = float(np.linalg.norm(SurfacePoints.nearest(body, ends).positions - ends, axis=1).mean())
     ratio = box_diagonal(ends) / box_diagonal(body.positions)
-    is_small = 0.0 < ratio < 1.0 / _MAX_SIZE_RATIO  # one joint may have no length
-    # As for passengers; a part of a file may be far from most of the file's joints.
-    is_far = distance > MAX_BODY_DISTANCE and result.source.control.file_vertices is None
-    if not is_small and not is_far:
+    is_likely = ratio == 0.0 or 1.0 / _MAX_SIZE_RATIO <= ratio <= _MAX_SIZE_RATIO  # one joint may have no length
+    if is_likely and (distance <= MAX_BODY_DISTANCE or _is_part(request, result)):
         return []
     return [
         f"{file}: the joints are {ratio:.2g} times as large as {result.source.control.name} and "
         f"{distance:.1f} body sizes away from it on average: check that both have the same units and place"
     ]
+
+
+def _is_part(request: TransferRequest, result: MatchResult) -> bool:
+    """Whether faces of the source's file are left out; also if the file is gone."""
+    faces, file = result.source.control.file_faces, input_file(request.result, result.manifest, "source")
+    return faces is not None and (file is None or len(np.unique(faces)) < read_whole(file).n_faces)
 
 
 def read_weights(path: Path, control: ControlMesh, rows: FileRows | None) -> Attributes:
@@ -226,7 +231,7 @@ def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Sta
     count = len(skeleton.names)
     write_skeleton(request.output, _carry_skeleton(skeleton, result.point_map), force=request.force)
     note_transfer(request.result, {"kind": "joints", "output": request.output})
-    return f"wrote {request.output}: {count} joints", _far_joints(request.joints, skeleton, result)
+    return f"wrote {request.output}: {count} joints", _far_joints(request.joints, skeleton, request, result)
 
 
 def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from cagemap.character.passengers import carry_passenger, far_passenger, unit_factor
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import (
@@ -19,7 +21,7 @@ from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh,
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
 from cagemap.files.usd.prims import place_of_rows
-from cagemap.files.usd.space import between_spaces, from_mesh_space, states_units, transform_mesh
+from cagemap.files.usd.space import from_mesh_space, states_units, transform_mesh
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults, check_usd_path
 from cagemap.files.values.attributes import check_attribute_path, read_attributes, write_attributes
@@ -27,6 +29,7 @@ from cagemap.files.values.part_numbering import file_rows, other_rows
 from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.mesh_report import first_few
+from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.bake_tiles import bake_inputs
 from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.carry_images import (
@@ -233,12 +236,13 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     mesh = read_mesh(request.passenger)
     check_outputs(mesh_files(request.output, mesh, request.passenger), [request.passenger], force=request.force)
     stages("passenger")
-    target, source = (input_file(request.result, result.manifest, side) for side in ("target", "source"))
-    worn = transform_mesh(mesh, between_spaces(source, request.passenger))
+    target = input_file(request.result, result.manifest, "target")
+    of_target, of_source = _to_passenger(request, result)
+    worn = transform_mesh(mesh, np.asarray(np.linalg.inv(of_source), dtype=np.float64))
     carried = carry_passenger(result, worn, kind=request.kind)
     placed, like = worn.with_positions(carried.positions), request.passenger
     if states_units(request.passenger) and states_units(request.output):  # in the passenger's own units and axes
-        placed = transform_mesh(placed, from_mesh_space(request.passenger, result.target.control, target))
+        placed = transform_mesh(placed, of_target)
     else:
         placed = replace(placed, upright=result.target.control.upright)
         if states_units(request.output) and target is not None and is_usd(target):
@@ -251,3 +255,15 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     doubt = far_passenger(str(request.passenger), result.source.control.name, carried.distance, factor)
     warnings = [f"{doubt}: check that both have the same units and place"] if doubt else []
     return f"wrote {request.output}: {mesh.n_vertices} vertices on {result.target.control.name}", warnings
+
+
+def _to_passenger(request: TransferRequest, result: MatchResult) -> tuple[FloatArray, FloatArray]:
+    """(4, 4) from the spaces of target and source to the passenger's; a target without one has the source's."""
+    assert request.passenger is not None
+    found = np.eye(4)
+    matrices = []
+    for side, control in (("source", result.source.control), ("target", result.target.control)):
+        stated = from_mesh_space(request.passenger, control, input_file(request.result, result.manifest, side))
+        found = found if stated is None else stated
+        matrices.append(found)
+    return matrices[1], matrices[0]

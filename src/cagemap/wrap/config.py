@@ -58,9 +58,11 @@ class WrapConfig(Config):
     carrying_rounds: int = 30  #: rounds of the energy alone that place free points before the first fit
     energy_rings: int = 3  #: rings around the points of a local fit that are part of its energy
     nearest_points: int = 30  #: nearest points whose motion a detached piece follows: some rings of a coarse cage
-    squeezed: float = 0.03  #: area ratio (source to target) below which a part has no counterpart; measured up to 0.01
-    whole: float = 0.1  #: area ratio above which a part has a counterpart; measured 0.2 or more
-    #: distance within which images of the area behind such a part are on images of the rest
+    #: area ratio (source to target; of an open target relative to the typical one) below which a part has no
+    #: counterpart; measured up to 0.01
+    squeezed: float = 0.03
+    whole: float = 0.1  #: the same ratio above which a part has a counterpart; measured 0.2 or more
+    #: distance, in roots of the typical ratio, within which images of the area behind such a part are on the others
     overlap_distance: float = 0.01
     min_area: float = 0.002  #: share of the target's area below which such a part is ignored
     min_follow: float = 0.5  #: weight below which a vertex has no counterpart, and its distance is no error

@@ -31,7 +31,7 @@ class Document:
     json: dict[str, Any]  # as in the file
     buffers: tuple[bytes, ...] = field(repr=False)  # one for each entry of the JSON's ``buffers``
     file: Path  # the file that was read, for messages; images are searched beside it
-    # by material: UV set that a USD shader states for the colour image
+    # by material of a USD file: UV set of the colour image
     uv_names: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     def refuse(self, where: str, problem: str, remedy: str = REMEDY) -> NoReturn:

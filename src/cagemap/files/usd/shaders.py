@@ -112,7 +112,7 @@ class _Materials:
         self.binary, self.top = Binary(document), json.loads(json.dumps(document.json))
         self._file, self._textures = document.file, AddedTextures(self.binary, self.top)
         self._image_of: dict[str, bytes | None] = {}  # PNG or JPEG by path
-        self.color_uv_names: dict[str, str] = {}  # UV set of the colour image by material, if its shader states one
+        self.color_uv_names: dict[str, str] = {}  # UV set of the colour image by material
         self._reported: set[tuple[str, str]] = set()  # materials and UV sets
 
     def fill(self, entry: dict[str, Any], surface: Any, sets: Sequence[tuple[str, ...]]) -> None:
@@ -155,8 +155,12 @@ class _Materials:
                 holder = self._holder(*found, next(iter(pairs.values())), entry["name"], sets)
                 if slot == "occlusionTexture":
                     holder["strength"] = float(np.clip(factor("occlusion", 1.0), 0.0, 1.0))
-                if slot == "baseColorTexture" and (stated := uv_name(pairs["diffuseColor"])):
-                    self.color_uv_names[entry["name"]] = stated
+                if slot == "baseColorTexture":
+                    stated, first = uv_name(pairs["diffuseColor"]), {names[0] for names in sets if names}
+                    if any(stated in names for names in sets):
+                        self.color_uv_names[entry["name"]] = stated
+                    elif len(first) == 1:
+                        self.color_uv_names[entry["name"]] = first.pop()
                 table[slot] = holder
 
     def _find_image(
@@ -250,5 +254,8 @@ class _Materials:
         if name and is_elsewhere and (material, name) not in self._reported:
             self._reported.add((material, name))
             text = "%s: %s: some of its meshes lack its UV set %s, or have it at another number, and show it wrongly%s"
-            _log.warning(text, self._file, material, name, "; give each mesh a material of its own")
+            remedy = "; give each mesh a material of its own"
+            if not any(name in names for names in sets):
+                text, remedy = "%s: %s: no mesh has its UV set %s, so that the first one is used%s", "; rename that one"
+            _log.warning(text, self._file, material, name, remedy)
         return holder | ({"texCoord": place} if place else {})

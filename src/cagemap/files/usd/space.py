@@ -95,10 +95,15 @@ def between_spaces(target: Path | None, source: Path | None) -> FloatArray:
     return np.asarray(to_standard(source) @ np.linalg.inv(to_standard(target)), dtype=np.float64)
 
 
-def from_mesh_space(target: Path, mesh: ControlMesh, file: Path | None) -> FloatArray:
-    """(4, 4) from the space of a mesh to that of a USD, glTF or FBX file; if its own states none, in the same unit."""
-    if file is not None and states_units(file):
+def from_mesh_space(target: Path, mesh: ControlMesh, file: Path | None) -> FloatArray | None:
+    """(4, 4) from the space of a mesh to that of a USD, glTF or FBX file; if its own states none, in the same unit.
+
+    None if nothing states the mesh's axes.
+    """
+    if not states_units(target) or (file is not None and states_units(file)):
         return between_spaces(target, file)
+    if mesh.upright is None:
+        return None
     space = StageSpace("Z" if is_z_up(mesh) else "Y", stage_units(target).meters_per_unit)
     return np.asarray(to_metres(space) @ np.linalg.inv(to_standard(target)), dtype=np.float64)
 

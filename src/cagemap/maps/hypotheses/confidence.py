@@ -187,11 +187,11 @@ def answer_confidence(
 
 
 def kept_confidence(before: Confidence | None, problem: Problem) -> Confidence | None:
-    """The confidence if all its answers fit all landmarks of a problem; else None."""
-    if before is None:
-        return None
+    """The confidence if all its answers fit all landmarks of a problem, none of which is at its vertex; else None."""
     prepared, places = problem.prepared, problem.landmarks.source.positions
     vertices = problem.landmark_vertices[0]
+    if before is None or before.deciding in prepared.vertices[vertices]:
+        return None
     if prepared.target.refinement.is_plain:  # whose answers have all vertices
         vertices = prepared.vertices[vertices]
     if vertices.max(initial=-1) >= min(len(answer.positions) for answer in before.answers):

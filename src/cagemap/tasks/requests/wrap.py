@@ -88,12 +88,7 @@ class WrapRequest:
     rays: Annotated[int, Option("Occlusion: rays per vertex.", IMAGES, min=1)] = 128
     size: Annotated[
         int | None,
-        Option(
-            "Width and height.  [default: --detail-texture's, or 2048; --texture's for --baked]",
-            IMAGES,
-            min=1,
-            max=32767,
-        ),
+        Option("Width and height.  [default: 2048; of --baked the image's]", IMAGES, min=1, max=32767),
     ] = None
     mhclo: Annotated[Path | None, Option("Clothes file to write for MakeHuman and MPFB: .mhclo, .proxy.", OUTPUT)] = (
         None
