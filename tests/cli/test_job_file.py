@@ -97,6 +97,14 @@ def test_no_file_is_written_twice_by_it_but_a_layer_to_which_each_adds(folder: P
     assert {task.request["usd"] for task in tasks[4:6]} == {str(result / "again" / "pony__deer" / "deer.usda")}
 
 
+def test_a_binary_layer_to_which_several_add_is_repeated_as_text(folder: Path) -> None:
+    match, transfer = requests(folder)
+    note_match(match)
+    for output in ("deer.png", "other.png", "third.png"):
+        note_output("transfer", match.output, replace(transfer, output=folder / output, usd=folder / "look.usdc"))
+    assert [task.layer for task in noted_tasks(match.output)[4:]] == 3 * ["pony__deer/look.usda"]
+
+
 def test_outputs_of_one_name_in_several_folders_are_all_repeated(folder: Path) -> None:
     match, transfer = requests(folder)
     note_match(match)

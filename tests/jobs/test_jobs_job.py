@@ -202,6 +202,9 @@ def test_outputs_of_a_pair_may_add_to_one_layer(folder: Path) -> None:
         plan_of(folder, text + table("outputs", command="wrap", output="layers/b.usda"))
     words = r"two outputs of a -> b write a__b/layers/b\.usdc\. .*\.usda"
     refuses(FormatError, words, plan_of, folder, text.replace(".usda", ".usdc"))
+    text = HEAD + ASSETS + PAIR + table("outputs", command="transfer", output="a.png", usd="b.usdc")
+    text += table("outputs", command="wrap", output="b.usdc")  # no layer to which it adds
+    refuses(FormatError, r"write a__b/b\.usdc\. Rename one\.$", plan_of, folder, text)
 
 
 def test_outputs_go_to_the_pairs_that_have_what_they_ask_for(folder: Path) -> None:

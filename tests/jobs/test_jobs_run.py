@@ -84,6 +84,23 @@ def test_a_layer_to_which_another_task_adds_may_change_its_size(tmp_path: Path) 
     assert kept_outcome(tmp_path, one) is None
 
 
+def test_a_lost_layer_gets_the_results_of_all_its_tasks_again(tmp_path: Path) -> None:
+    layer = tmp_path / "pair" / "look.usda"
+
+    def add(one: Task) -> dict[str, Any]:
+        before = layer.read_text().split("\n")[1:] if layer.is_file() else []
+        write_whole(layer, "\n".join([mark(), *before, one.name]), force=True)
+        return {}
+
+    tasks = [replace(task(tmp_path, name), outputs=("pair/look.usda",), layer="pair/look.usda") for name in "ab"]
+    assert [execute(one, tmp_path, add).state for one in tasks] == ["done", "done"]
+    assert missing_tasks(Plan(tmp_path, tuple(tasks), ())) == []
+    layer.unlink()
+    assert missing_tasks(Plan(tmp_path, tuple(tasks), ())) == tasks
+    assert [execute(one, tmp_path, add).state for one in tasks] == ["done", "done"]
+    assert layer.read_text().split("\n")[1:] == ["a", "b"]
+
+
 def gltf(file: str, stated: str) -> bytes:
     text = f'{{"buffers": [{{"uri": "{stated}"}}, {{"uri": "data:,{"x" * 2000}"}}]}}'.encode()
     return (b"" if file == "a.gltf" else struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON")) + text

@@ -18,7 +18,7 @@ from cagemap.studio.finish_layout import VERTICES_KEY, sections
 from cagemap.studio.opening import command_line_files, default_files
 from cagemap.studio.page.form import form_fields, read_form
 from cagemap.studio.page.shown import page_state
-from cagemap.studio.recorded_match import FORM_FIELDS
+from cagemap.studio.recorded_match import FORM_FIELDS, lost_welds
 from cagemap.studio.session import Session
 from cagemap.studio.state import Files
 from cagemap.tasks.match import match_files
@@ -58,9 +58,13 @@ def opened_result(result: Path) -> Files:
 def opened_session(folder: Path, files: Files) -> Session:
     session = session_of(folder)
     session.open(files)
+    wait_for_map(session)
+    return session
+
+
+def wait_for_map(session: Session) -> None:
     until(lambda: session.state.map.revision >= 1, session)
     until(lambda: at_rest(session), session)
-    return session
 
 
 def filled_form(files: Files) -> FinishOptions:
@@ -106,7 +110,7 @@ def test_points_curves_masks_and_options_of_a_result_are_those_of_the_next_bake(
     session.remove(1)
     session.save()
     session.open_plain("source")
-    until(lambda: session.state.map.revision >= 1, session)
+    wait_for_map(session)
     assert [item.name for item in session.state.history.present.items] == ["p1", "p2", "p3"]
     session.close()
 
@@ -164,14 +168,15 @@ def restated(result: Path, **entries: object) -> None:
 def test_a_map_that_no_single_match_makes_is_not_replaced(folder: Path) -> None:
     matched(folder)
     parameters, inputs = (read_manifest(folder / "R")[name] for name in ("parameters", "inputs"))
-    (folder / "R" / "job.toml").write_text("# edited")
-    assert opened_result(folder / "R").result == folder / "R"
+    job = (folder / "R" / "job.toml").read_bytes()
     for entries, reason in (
         ({"way": ["a", "c", "b"]}, "composed of the maps b -> c -> a"),
         ({"parameters": None}, "does not say how"),
         ({"inputs": inputs | {"map": inputs["target"]}}, "cagemap map"),
-        ({"parameters": parameters | {"spectral": parameters["spectral"] | {"restarts": 77}}}, "--set method.restarts"),
+        ({"parameters": parameters | {"answer": 99}}, "--answer 99"),
+        ({}, "job.toml"),
     ):
+        (folder / "R" / "job.toml").write_bytes(job if entries else job + b"# edited")
         restated(folder / "R", **({"way": None, "parameters": parameters, "inputs": inputs} | entries))
         files = opened_result(folder / "R")
         assert files.result == folder / "R_studio", reason
@@ -185,13 +190,16 @@ def test_a_result_of_other_welding_is_not_replaced(folder: Path) -> None:
     corners = box.positions[box.face_indices]
     write_mesh(folder / "b.obj", replace(box, positions=corners, face_indices=np.arange(len(corners))))
     for weld, kept in (({"source_weld": "0.01"}, False), ({"weld": "auto"}, True), ({"source_weld": "0.0"}, True)):
-        matched(folder, **weld)
+        asked = matched(folder, **weld)
         session = opened_session(folder, opened_result(folder / "R"))
         assert session.state.files.result == (folder / "R" if kept else folder / "R_studio"), weld
         said = [message.text for message in session.state.messages if "--source-weld 0.01" in message.text]
         assert len(said) == (not kept)
         session.close()
         shutil.rmtree(folder / "R")
+    assert lost_welds(replace(asked, source_weld=None), ("0.5", None)) == [
+        "it was matched without --target-weld; the studio welds within 0.5"
+    ]
 
 
 @pytest.mark.slow
@@ -213,9 +221,10 @@ def test_the_alignment_of_a_result_is_chosen_by_its_name(folder: Path) -> None:
     names = [reading["name"] for reading in readings]
     assert len(set(names)) == len(names) > 1
     parameters = read_manifest(folder / "R")["parameters"]
-    for answer, found in ((len(names), 1), (len(names) + 1, 0)):  # another place, and one that the preview lacks
-        more = [*readings, readings[1], {**readings[1], "name": "head over heels"}]
-        more[1] = {**readings[1], "name": "unknown"}
+    answer, unknown = len(names), [{**reading, "name": f"unknown {k}"} for k, reading in enumerate(readings)]
+    for name in (names[1], names[0], "head over heels"):  # at another place, or not found by the preview
+        found = names.index(name) if name in names else 0
+        more = [*unknown, {**readings[1], "name": name}]
         restated(
             folder / "R",
             parameters=parameters | {"answer": answer},
@@ -224,10 +233,41 @@ def test_the_alignment_of_a_result_is_chosen_by_its_name(folder: Path) -> None:
         session = opened_session(folder, opened_result(folder / "R"))
         assert session.state.map.chosen_answer == found
         request = session.plan(FinishOptions())[0].request
-        assert request.answer == (answer if found else 0)
-        assert request.output == (folder / "R" if found else folder / "R_studio")
-        assert any("head over heels" in message.text for message in session.state.messages) == (not found)
+        assert request.answer == (answer if name in names else 0)
+        assert request.output == (folder / "R" if name in names else folder / "R_studio")
+        other = FinishOptions().with_values({("match", "vertices"): 350})
+        assert session.plan(other)[0].request.answer == found
+        assert any("head over heels" in message.text for message in session.state.messages) == (name not in names)
+        session.choose_answer(0)
+        wait_for_map(session)
+        session.open_plain("source")
+        wait_for_map(session)
+        assert session.state.map.chosen_answer == session.plan(FinishOptions())[0].request.answer == 0
         session.close()
+
+
+@pytest.mark.slow
+def test_a_bake_waits_for_the_map_of_the_alignment_of_a_result(folder: Path) -> None:
+    box = read_mesh(folder / "b.obj")
+    write_mesh(folder / "b.obj", box.with_positions(box.positions * [1.0, 1.5, 0.8]))
+    matched(folder, answer=1)
+    session = session_of(folder)
+    session.open(opened_result(folder / "R"))
+    until(lambda: session.scene is not None, session)
+    session.cancel()
+    until(lambda: session.state.preview_job is None, session)
+    assert session.state.map.revision == 0
+    session.finish(FinishOptions(texture=False))
+    assert session.state.finish_job is None
+    assert "Match again" in session.state.messages[-1].text
+    session.match_again()
+    wait_for_map(session)
+    assert session.plan(FinishOptions())[0].request.answer == 1
+    session.close()
+    files = command_line_files(None, None, None, None, folder / "R", schemes=("none", None))
+    assert files.recorded_match.request.answer == 0
+    files = command_line_files(None, None, None, None, folder / "R", schemes=("catmull-clark", None))
+    assert files.recorded_match.request.answer == 1
 
 
 @pytest.mark.slow
@@ -244,6 +284,9 @@ def test_options_of_a_result_are_not_those_of_other_models(folder: Path, browser
             str(folder / "mask.csv"),
             "0.1",
         ]
+        # A studio that is started again has no pair at first.
+        page.run("window.studio.state.pair = []; document.getElementById('models').dispatchEvent(new Event('close'))")
+        assert page.run(value, "boundary") == "edge-only"
         page.run("document.getElementById('open').click()")
         page.run(
             "const {elements} = document.querySelector('#models form'), at = elements.source;"

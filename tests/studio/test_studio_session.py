@@ -572,7 +572,7 @@ def test_no_bake_starts_while_a_chosen_alignment_is_computed(opened, held_tasks,
     held_tasks.get(timeout=10)
     opened.finish(FinishOptions())
     assert started == []
-    assert "the chosen alignment is being computed" in opened.state.messages[-1].text
+    assert "the chosen alignment has no map yet" in opened.state.messages[-1].text
 
 
 def test_no_bake_starts_while_another_image_is_drawn_and_the_former_one_can_be_chosen_again(

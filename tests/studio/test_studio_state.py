@@ -28,6 +28,8 @@ from cagemap.studio.state import (
     layout_mesh,
     update_view,
 )
+from cagemap.tasks.job_file import note_match
+from cagemap.tasks.requests.match import MatchRequest
 
 from example_result import identity_result
 from refusals import refuses
@@ -198,6 +200,7 @@ def test_a_result_names_its_models(tmp_path: Path) -> None:
     inputs = stated_inputs({name: tmp_path / file for name, file in given.items()}, result)
     refuses(FormatError, "result folder", command_line_files, None, None, None, None, result)
     write_result(result, replace(identity_result(1), provenance={"inputs": inputs, "parameters": {"level": 1}}))
+    note_match(MatchRequest(tmp_path / "cow.obj", tmp_path / "spot.obj", result, tmp_path / "l.json", level=1))
     files = command_line_files(None, None, None, None, result)
     names = (files.target, files.source, files.landmarks, files.result)
     assert names == tuple(tmp_path / name for name in ("cow.obj", "spot.obj", "l.json", "RESULT"))

@@ -107,9 +107,10 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
                 (path for other in earlier for path in other.outputs if not _may_share(path, task, other)), ""
             )
             if overlap or task.name in tasks:
+                are_layers = overlap and overlap == task.layer and any(other.layer == overlap for other in earlier)
                 raise FormatError(
-                    f"{job.path}: two outputs of {pair[0]} -> {pair[1]} write {overlap or task.outputs[0]}. Rename one"
-                    f"{', or name a .usda file, to which both can add' * overlap.lower().endswith('.usdc')}."
+                    f"{job.path}: two outputs of {pair[0]} -> {pair[1]} write {overlap or task.outputs[0]}. "
+                    f"Rename one{', or name a .usda file, to which both can add' if are_layers else ''}."
                 )
             if set(picture.outputs) & set(task.outputs):
                 raise FormatError(

@@ -100,14 +100,17 @@ def needed_tasks(plan: Plan, names: set[str]) -> set[str]:
     return needed
 
 
-def kept_outcome(root: Path, task: Task) -> TaskOutcome | None:
-    """The outcome of an earlier run, if the task and its files are unchanged."""
+def kept_outcome(root: Path, task: Task, *, exact_sizes: bool = False) -> TaskOutcome | None:
+    """The outcome of an earlier run, if the task and its files are unchanged.
+
+    A layer to which other tasks added since counts as unchanged, unless ``exact_sizes`` are asked for.
+    """
     note = read_own_note(_note_path(root, task))
     if note is None or note["key"] != task.key:
         return None
     sizes = {path: (root / path).stat().st_size if (root / path).is_file() else -1 for path in note["outputs"]}
     changed = [path for path, size in note["outputs"].items() if sizes[path] != size]
-    if any(path != task.layer or not is_own(root / path) for path in changed):
+    if any(exact_sizes or path != task.layer or not is_own(root / path) for path in changed):
         return None
     return TaskOutcome(task.name, "kept", "", note["seconds"], note["figures"], tuple(note["outputs"]))
 
@@ -127,7 +130,8 @@ def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: TaskOutco
         for folder in (state / "done", state / "locks", *folders):
             folder.mkdir(parents=True, exist_ok=True)
         with FileLock(state / "locks" / f"{task.slug}.lock"):
-            kept = kept_outcome(root, task)
+            # Exact sizes: a layer that an earlier task of this run wrote anew lacks this task's results.
+            kept = kept_outcome(root, task, exact_sizes=True)
             if kept is not None:
                 return kept
             _remove_leftovers(root, task)

@@ -13,7 +13,7 @@ from cagemap.studio.scene import Scene
 from cagemap.studio.state import Files
 
 
-def with_defaults(options: FinishOptions, files: Files, scene: Scene, vertices: int, answer: int) -> FinishOptions:
+def with_defaults(options: FinishOptions, files: Files, scene: Scene, vertices: int) -> FinishOptions:
     """Options with defaults for the open pair.
 
     Without an image the source's material or vertex colours are baked, or else its ambient occlusion, and a cage is
@@ -26,8 +26,6 @@ def with_defaults(options: FinishOptions, files: Files, scene: Scene, vertices: 
     scene : Scene
     vertices : int
         Of the map shown, for a finish that asks for no other number and no level.
-    answer : int
-        The alignment that the map starts from.
 
     Raises
     ------
@@ -39,7 +37,6 @@ def with_defaults(options: FinishOptions, files: Files, scene: Scene, vertices: 
     options = options.with_values(
         {
             ("transfer", "unwrap"): not scene.target.control.has_layout,
-            ("match", "answer"): answer,
             ("match", "vertices"): None if has_level else values.get(("match", "vertices")) or vertices,
         }
     )

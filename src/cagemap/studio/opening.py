@@ -84,11 +84,12 @@ def command_line_files(
     if target is None and source is None:
         if result is not None:
             files = result_files(result, landmarks, texture)
-            return replace(
+            asked = replace(
                 files,
                 schemes=(schemes[0] or files.schemes[0], schemes[1] or files.schemes[1]),
                 parts=(parts[0] or files.parts[0], parts[1] or files.parts[1]),
             )
+            return files if asked == files else asked.without_answer()
         if landmarks or texture or any(schemes) or any(parts):
             raise ParameterError("expected --target and --source beside the other options. Name both models.")
         return None
@@ -119,12 +120,12 @@ def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> 
         )
     schemes = _recorded_scheme(record.target), _recorded_scheme(record.source)
     parts = _recorded_part(record, "target"), _recorded_part(record, "source")
-    match = match_of_result(result.resolve(), manifest, record, {"target": target, "source": source})
+    match, lost = match_of_result(result.resolve(), manifest, record, {"target": target, "source": source})
     if landmarks is not None or match.has_only_pairs:
         landmarks = landmarks or match.request.landmarks
         match = match.with_defaults_of(*LANDMARK_FIELDS)
     files = _pair_files(target, source, landmarks, texture, result, schemes, parts)
-    files, notes = keep_result(replace(files, recorded_match=match), match.lost_options)
+    files, notes = keep_result(replace(files, recorded_match=match), lost)
     return replace(files, recorded_match=replace(match, notes=(*match.notes, *notes)))
 
 

@@ -10,12 +10,10 @@ from typing import Any
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files import INVERT_PREFIX
 from cagemap.files.result.manifest import MANIFEST, REMEDY, input_file, stated_file
-from cagemap.files.schema import ResultRecord, parse_json, to_json
-from cagemap.match_config import MatchConfig
-from cagemap.tasks.job_file import noted_options
+from cagemap.files.schema import ResultRecord
+from cagemap.tasks.job_file import JOB, noted_options
 from cagemap.tasks.masks import mask_file
 from cagemap.tasks.match_parts import EACH, MATERIAL
-from cagemap.tasks.method import used_parameters
 from cagemap.tasks.requests.catalogue import Key, Value, request_of
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.options import option_fields
@@ -36,8 +34,6 @@ _KNOWN_FIELDS = {
     *(*FORM_FIELDS, *LANDMARK_FIELDS, *_WELD_FIELDS, "answer", "cache"),
     *("scheme", "target_scheme", "source_scheme", "part", "target_part", "source_part"),
 }
-# Options that a manifest notes and the page does not have.
-_RESEARCH_FIELDS = ("method", "symmetry", "target_vertices", "source_vertices")
 
 
 @dataclass(frozen=True)
@@ -49,15 +45,12 @@ class RecordedMatch:
     request : MatchRequest
         Options and files that are taken over; paths are absolute.
     answer_name : str
-        Name of the alignment that the map started from.
-    lost_options : tuple of str
-        Options that are not taken over, and other reasons why the studio cannot repeat the match, in words.
+        Name of the alignment that the map started from; '' for the first one, or that of landmarks.
     notes : tuple of str
     """
 
     request: MatchRequest
     answer_name: str = ""
-    lost_options: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -78,6 +71,10 @@ class RecordedMatch:
         """Whether all landmarks are in one file of pairs for this direction."""
         return not any(getattr(self.request, name) for name in LANDMARK_FIELDS if name != "landmarks")
 
+    def without_answer(self) -> RecordedMatch:
+        """The match from the first alignment."""
+        return replace(self.with_defaults_of("answer"), answer_name="")
+
     def with_defaults_of(self, *names: str) -> RecordedMatch:
         """The match with the defaults of some fields."""
         return replace(self, request=replace(self.request, **{name: getattr(MatchRequest, name) for name in names}))
@@ -85,8 +82,8 @@ class RecordedMatch:
 
 def match_of_result(
     result: Path, manifest: dict[str, Any], record: ResultRecord, sides: Mapping[str, Path]
-) -> RecordedMatch:
-    """The match of a RESULT folder.
+) -> tuple[RecordedMatch, list[str]]:
+    """The match of a RESULT folder, and reasons why the studio cannot repeat it, in words.
 
     Parameters
     ----------
@@ -118,8 +115,6 @@ def match_of_result(
             lost += [] if first else [f"{_flag(name)} {file.name} (there is no such file any more)"]
             inverted = INVERT_PREFIX if values[name].startswith(INVERT_PREFIX) else ""
             values[name] = f"{inverted}{first.with_name(file.name)}" if first else None
-    if values.get("answer") and any(values.get(name) for name in LANDMARK_FILES):
-        lost.append(f"{_flag('answer')} {values.pop('answer')} together with landmarks")
     if (values.get("target_points") is None) != (values.get("source_points") is None):  # one of them is lost
         values |= {"target_points": None, "source_points": None}
     if not any(values.get(name) for name in MASK_FIELDS):
@@ -130,7 +125,11 @@ def match_of_result(
         raise FormatError(f"{result / MANIFEST}: {error} {REMEDY}") from None
     answers = () if record.confidence is None else number_duplicates([one.name for one in record.confidence.readings])
     name = "".join(answers[request.answer : request.answer + 1]) if request.answer else ""
-    return RecordedMatch(request, name, tuple(lost), tuple(notes))
+    match = RecordedMatch(request, name, tuple(notes))
+    if request.answer and (not name or any(getattr(request, file) for file in LANDMARK_FILES)):
+        lost.append(f"{_flag('answer')} {request.answer}{' together with landmarks' if name else ''}")
+        match = match.without_answer()
+    return match, lost
 
 
 def number_duplicates(names: Sequence[str]) -> tuple[str, ...]:
@@ -145,7 +144,8 @@ def lost_welds(request: MatchRequest, welds: tuple[str | None, str | None]) -> l
     for side, used in zip(("target", "source"), welds, strict=True):
         asked, flag = getattr(request, f"{side}_weld") or request.weld, _flag(f"{side}_weld")
         if asked not in (AUTO, used) and not (asked and used and float(asked) == float(used)):
-            lost.append(f"{flag} {asked}" if asked else f"no {flag} {used}")
+            unasked = f"it was matched without {flag}; the studio welds within {used}"
+            lost.append(f"{flag} {asked}" if asked else unasked)
     return lost
 
 
@@ -166,15 +166,11 @@ def _lost_options(result: Path, manifest: dict[str, Any], record: ResultRecord) 
         return ["it does not say how it was computed"]
     if "map" in record.inputs:
         return ["it is a map that `cagemap map` read from a file"]
-    defaults = {name: getattr(MatchRequest, name) for name in _RESEARCH_FIELDS}
-    names = {name for name, default in defaults.items() if parameters.get(name, default) not in (default, None)}
     options = noted_options(result)
-    names |= set(options or ()) - _KNOWN_FIELDS
-    lost = [_flag(name) + (f" {parameters[name]}" if name == "method" else "") for name in sorted(names)]
-    if options is None and "method" not in names:  # the job file was edited; the manifest has all parameters
-        usual = parse_json(to_json(used_parameters(MatchConfig())), result / MANIFEST, REMEDY)
-        used = parameters.get("spectral") or {}
-        lost += [f"--set method.{name}" for name in used if name not in usual or used[name] != usual[name]]
+    if options is None:  # the manifest does not have all options
+        return [f"its {JOB}, which has the options, was edited or is missing"]
+    names = sorted(set(options) - _KNOWN_FIELDS)
+    lost = [_flag(name) + (f" {options[name]}" if name == "method" else "") for name in names]
     parts = {parameters.get(f"{side}_part") for side in ("target", "source")}
     return lost + [f"{_flag('part')} {word}" for word in (EACH, MATERIAL) if word in parts]
 

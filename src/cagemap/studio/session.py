@@ -179,7 +179,7 @@ class Session(PreviewResults):
     # Finish
 
     def plan(self, options: FinishOptions) -> tuple[Command, ...]:
-        """Commands that a press of *Bake* runs, with the default options of `with_defaults`.
+        """Commands that a press of *Bake* runs, with the page's alignment and the default options of `with_defaults`.
 
         Raises
         ------
@@ -188,10 +188,14 @@ class Session(PreviewResults):
         """
         files, scene = self._require_open()
         has_constraints = self._state.history.present.has_constraints
+        options = with_defaults(options, files, scene, self.vertices)
         answer, recorded = (0 if has_constraints else self._state.map.chosen_answer), files.recorded_match
         if not has_constraints and recorded is not None and recorded.answer_name == self._state.map.answer_name:
-            answer = recorded.request.answer  # with the RESULT's numbers of vertices the order may be another one
-        options = with_defaults(options, files, scene, self.vertices, answer)
+            # The order of alignments depends on the number of vertices: that of the RESULT is known only at its own.
+            sizes = {name: options.option_values.get(("match", name)) for name in ("level", "vertices")}
+            if all(value == getattr(recorded.request, name) for name, value in sizes.items()):
+                answer = recorded.request.answer
+        options = options.with_values({("match", "answer"): answer})
         return plan_commands(self.options, self.workspace, files, options, use_landmarks=has_constraints)
 
     def finish(self, options: FinishOptions) -> None:
@@ -201,8 +205,11 @@ class Session(PreviewResults):
                 raise ParameterError("a bake is running; cancel it or wait for its end")
             if self._preview.is_requested("image"):
                 raise ParameterError("the chosen image is being drawn; press Bake again when it is shown")
-            if self._preview.is_requested("answer") and not self._state.history.present.has_constraints:
-                raise ParameterError("the chosen alignment is being computed; press Bake again when its map is shown")
+            is_sought = self._preview.is_requested("answer") or self._state.map.sought_answer
+            if is_sought and not self._state.history.present.has_constraints:
+                raise ParameterError(
+                    "the chosen alignment has no map yet. Wait for it (after Cancel press Match again), then press Bake"
+                )
             files, _ = self._require_open()
             commands = self.plan(options)
             if self._state.history.present.has_constraints:
@@ -230,8 +237,9 @@ class Session(PreviewResults):
     # Private
 
     def _require_requested(self) -> tuple[Files, Scene]:
-        """The open pair with the image and the axes that are chosen, also where they are not drawn yet."""
+        """The open pair with the chosen image and axes, also where not drawn yet; without a RESULT's alignment."""
         files, scene = self._require_open()
+        files = files.without_answer()
         requested = self._preview.pair_files
         if requested is not None and self._preview.is_requested("image"):
             files = replace(files, texture=requested.texture)

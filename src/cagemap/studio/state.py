@@ -66,6 +66,10 @@ class Files:
     welds: SideNames = (None, None)
     recorded_match: RecordedMatch | None = None
 
+    def without_answer(self) -> Files:
+        """The files without the alignment of an opened RESULT, which is of these models as they were matched."""
+        return replace(self, recorded_match=self.recorded_match and self.recorded_match.without_answer())
+
 
 @dataclass(frozen=True)
 class View:

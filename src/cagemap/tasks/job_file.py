@@ -54,6 +54,9 @@ def note_output(command: str, folder: Path, request: Any) -> None:
     options |= {
         name: _path_in_pair(getattr(request, name), folder) for name in WRITTEN.get(command, ()) if name in options
     }
+    layer = options.get(LAYER_OPTION, "")
+    if layer.lower().endswith(".usdc"):  # which several outputs of a job cannot share, see `cagemap.jobs.plan`
+        options[LAYER_OPTION] = f"{layer[:-1]}a"
     entry = {"command": command, "output": _path_in_pair(request.output, folder), **options}
     files = {entry[name] for name in ("output", *WRITTEN.get(command, ())) if name in entry}
     with one_at_a_time(folder):

@@ -10,6 +10,7 @@ import numpy as np
 
 from cagemap.character.bones import mirrored_joints
 from cagemap.character.joints import Skeleton
+from cagemap.character.passengers import MAX_BODY_DISTANCE
 from cagemap.errors import ParameterError, values_of
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.meshes.formats import read_whole
@@ -53,9 +54,6 @@ from cagemap.transfer.skin import (
 
 # Mean distance of a mesh from its base, in units of sqrt(area), above which there is a warning.
 _APART = 0.05
-# Mean distance of joints or passengers (clothes, hair, props) from the body, in sqrt(body area), above which their
-# units or position are doubtful.
-MAX_MEAN_DISTANCE = 0.5
 # Largest ratio, either way, of the sizes of the body and of all joints without a warning. Joints of a hand or jaw are
 # up to 35 times smaller than the body.
 _MAX_SIZE_RATIO = 35.0
@@ -125,7 +123,7 @@ def _far_joints(file: Path, skeleton: Skeleton, request: TransferRequest, result
     distance = float(np.linalg.norm(SurfacePoints.nearest(body, ends).positions - ends, axis=1).mean())
     ratio = box_diagonal(ends) / box_diagonal(body.positions)
     is_likely = ratio == 0.0 or 1.0 / _MAX_SIZE_RATIO <= ratio <= _MAX_SIZE_RATIO  # one joint may have no length
-    if is_likely and (distance <= MAX_MEAN_DISTANCE or _is_part(request, result)):
+    if is_likely and (distance <= MAX_BODY_DISTANCE or _is_part(request, result)):
         return []
     return [
         f"{file}: the joints are {ratio:.2g} times as large as {result.source.control.name} and "

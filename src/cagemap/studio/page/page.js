@@ -202,7 +202,7 @@ function showBake() {
 }
 
 function showModels() {
-  const {files, models} = state, dialog = $('models').querySelector('form'), pair = state.pair.join('\n');
+  const {files, models} = state, dialog = $('models').querySelector('form'), pair = state.pair.join('\n') || shownPair;  // a restarted studio has none at first
   if (shownPair && pair !== shownPair) bakeForm.forgetModels();  // options of the bake belong to the models before
   shownPair = pair;
   for (const side of SIDES) {
