@@ -106,13 +106,13 @@ def spectral_starts(problem: Problem, clusters: Clusters) -> Callable[[Placement
 def fit_from_two_starts(
     problem: Problem, clusters: Clusters, start: FloatArray | None = None
 ) -> tuple[list[Placement], list[Placement]]:
-    """Fine placements from two starts, cheapest first; and the soft coarse ones of both, none if these agree.
+    """Fine placements from two starts, cheapest first; and the soft coarse ones of both, none if the starts agree.
 
     The starts are ZoomOut from landmark coordinates (`zoomout_start`), or positions ``start`` (k, 3), and the
     constrained points alone (`landmark_start`). Clusters are fitted from each by the stiff coarse stage, which spreads
-    strain evenly; its placements are refined if they differ. The starts disagree if they are far apart or a limb is in
-    another pose; then the soft coarse stage is fitted too, for spectral starts to go on from. With a start and fewer
-    than three constrained points, the start is the only one, and agrees.
+    strain evenly, and the distinct placements are refined. The starts disagree if these are far apart or a limb of the
+    best one is rotated; then the soft stage, that of ``clusters``, is fitted too, for `spectral_starts`. With a start
+    and fewer than three constrained points nothing else is possible: it is fitted by both stages.
     """
     elastic, areas = problem.prepared.elastic, clusters.energy.graph.areas
     stiff = clusters.with_stage(elastic.stiff_coarse)
@@ -124,7 +124,7 @@ def fit_from_two_starts(
         start = zoomout_start(problem, clusters) if start is None else start
         coarse = [coarse_fit(problem, start, stiff), from_points.result()]
     search = elastic.search
-    # Costs of different coarse placements differ too little to choose by: a rotated elbow costs only on the mesh.
+    # Costs of different coarse placements are too alike to choose by: a rotated elbow shows in the fine stage alone.
     distinct = distinct_placements(sort_by_cost(coarse), areas, search.min_coarse_distance)
     fine = refine_placements(problem, distinct)
     rotation = largest_limb_rotation(

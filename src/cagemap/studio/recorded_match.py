@@ -1,4 +1,7 @@
-"""The match that a RESULT folder was written by: its options and landmark files, for a studio that opens it."""
+"""The match that a RESULT folder was written by: its options and landmark files, for a studio that opens it.
+
+What the studio cannot repeat is listed (``lost``): the caller then keeps that RESULT and bakes into another folder.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ FORM_FIELDS = (
 LANDMARK_FILES = ("landmarks", "target_points", "source_points", "curves")
 LANDMARK_FIELDS = (*LANDMARK_FILES, "exchange_landmarks")
 _WELD_FIELDS = ("weld", "target_weld", "source_weld")
-# Fields that are taken over or compared: schemes and parts are those of the open files.
+# Fields that are taken over or compared, here or where the files are opened (schemes, parts); the cache changes nothing.
 _KNOWN_FIELDS = {
     *(*FORM_FIELDS, *LANDMARK_FIELDS, *_WELD_FIELDS, "answer", "cache"),
     *("scheme", "target_scheme", "source_scheme", "part", "target_part", "source_part"),
@@ -45,7 +48,8 @@ class RecordedMatch:
     request : MatchRequest
         Options and files that are taken over; paths are absolute.
     answer_name : str
-        Name of the alignment that the map started from; '' for the first one, or that of landmarks.
+        Name of the chosen alignment of several that were possible (``--answer``); '' for the first one, or if landmarks
+        determined it.
     notes : tuple of str
     """
 
@@ -68,7 +72,7 @@ class RecordedMatch:
 
     @property
     def has_only_pairs(self) -> bool:
-        """Whether all landmarks are in one file of pairs for this direction."""
+        """Whether all landmarks, if any, are in one file of pairs, target and source as in the match."""
         return not any(getattr(self.request, name) for name in LANDMARK_FIELDS if name != "landmarks")
 
     def without_answer(self) -> RecordedMatch:
@@ -107,7 +111,7 @@ def match_of_result(
             file = _recorded_file(result, manifest, name, notes)
             lost += [] if file else [f"{_flag(name)} {record.inputs[name].file} (there is no such file any more)"]
             values[name] = file
-    for name in MASK_FIELDS:
+    for name in MASK_FIELDS:  # of the tiles of a mask the first is an input
         file = mask_file(text) if isinstance(text := values.get(name), str) else None
         if file is not None:
             found = next((entry for entry in record.inputs if entry.startswith(f"{name}_")), "")
@@ -115,7 +119,7 @@ def match_of_result(
             lost += [] if first else [f"{_flag(name)} {file.name} (there is no such file any more)"]
             inverted = INVERT_PREFIX if values[name].startswith(INVERT_PREFIX) else ""
             values[name] = f"{inverted}{first.with_name(file.name)}" if first else None
-    if (values.get("target_points") is None) != (values.get("source_points") is None):  # one of them is lost
+    if (values.get("target_points") is None) != (values.get("source_points") is None):  # a match needs both; one is lost
         values |= {"target_points": None, "source_points": None}
     if not any(values.get(name) for name in MASK_FIELDS):
         values.pop("mask_edge", None)
@@ -150,7 +154,7 @@ def lost_welds(request: MatchRequest, welds: tuple[str | None, str | None]) -> l
 
 
 def _recorded_file(result: Path, manifest: dict[str, Any], name: str, notes: list[str]) -> Path | None:
-    """An input file where it was, with a note if it was changed since; None if there is none."""
+    """An input file at its recorded place, with a note if it was changed since; None if it is not there."""
     path = stated_file(result, manifest, name)
     if path is not None and input_file(result, manifest, name) is None:
         notes.append(f"{path.name} was changed since {result.name} was computed; it is used as it is now")
