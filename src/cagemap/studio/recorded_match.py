@@ -32,7 +32,7 @@ FORM_FIELDS = (
 LANDMARK_FILES = ("landmarks", "target_points", "source_points", "curves")
 LANDMARK_FIELDS = (*LANDMARK_FILES, "exchange_landmarks")
 _WELD_FIELDS = ("weld", "target_weld", "source_weld")
-# Fields that are taken over or compared, here or where the files are opened (schemes, parts); the cache changes nothing.
+# Fields that are taken over or compared, here or where files are opened (schemes, parts); the cache changes nothing.
 _KNOWN_FIELDS = {
     *(*FORM_FIELDS, *LANDMARK_FIELDS, *_WELD_FIELDS, "answer", "cache"),
     *("scheme", "target_scheme", "source_scheme", "part", "target_part", "source_part"),
@@ -119,7 +119,7 @@ def match_of_result(
             lost += [] if first else [f"{_flag(name)} {file.name} (there is no such file any more)"]
             inverted = INVERT_PREFIX if values[name].startswith(INVERT_PREFIX) else ""
             values[name] = f"{inverted}{first.with_name(file.name)}" if first else None
-    if (values.get("target_points") is None) != (values.get("source_points") is None):  # a match needs both; one is lost
+    if (values.get("target_points") is None) != (values.get("source_points") is None):  # one of the two is lost
         values |= {"target_points": None, "source_points": None}
     if not any(values.get(name) for name in MASK_FIELDS):
         values.pop("mask_edge", None)
