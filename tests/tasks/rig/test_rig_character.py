@@ -44,8 +44,10 @@ from rigged import image_error, part_named, rig_done, same_order
 
 def test_the_same_body_gets_back_what_the_character_has(files: Character) -> None:
     """Weights, shapes, joints, passengers, animation and texture, to single precision and a texel."""
-    figures = tasks.run(RigRequest(Path("B.glb"), Path("C.glb"), Path("OUT.glb"))).figures
-    made = read_character("OUT.glb")
+    outcome = tasks.run(RigRequest(Path("B.glb"), Path("C.glb"), Path("OUT.glb")))
+    figures, made = outcome.figures, read_character("OUT.glb")
+    body = f"  body: {figures['vertices']} vertices, {len(figures['shapes'])} shape"
+    assert body in outcome.summary
     assert figures.pop("trusted_area") > 0.99
     assert figures == {
         "vertices": part_named(made, "body").mesh.n_vertices,
