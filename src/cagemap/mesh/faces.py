@@ -14,6 +14,16 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, joined_runs, pair_ke
 from cagemap.surface.triangles import fan_triangles, row_lengths
 
 
+def place_counts(mesh: ControlMesh) -> dict[str, int]:
+    """Numbers of control vertices, control faces and face corners, which values can have one row each for."""
+    return {"vertices": mesh.n_vertices, "faces": mesh.n_faces, "corners": len(mesh.face_indices)}
+
+
+def place_of_rows(mesh: ControlMesh, count: int) -> str:
+    """First of "vertices", "faces" and "corners" with as many places as rows; "" for other numbers."""
+    return next((place for place, number in place_counts(mesh).items() if number == count), "")
+
+
 def faces_of_one_size(mesh: ControlMesh) -> IndexArray | None:
     """(m, 3) or (m, 4) vertices of faces that are all triangles or all quads; None for others."""
     size = int(mesh.face_sizes[0]) if mesh.n_faces else 0

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from cagemap.deform.graph import mesh_graph
 from cagemap.errors import ParameterError
 from cagemap.maps.result import MatchResult
-from cagemap.mesh.faces import cage_triangles, merged_corners
+from cagemap.mesh.faces import cage_triangles, merged_corners, place_counts
 from cagemap.numerics.arrays import FloatArray, array_of, real_numbers
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -31,8 +31,6 @@ logger = logging.getLogger(__name__)
 
 # Least trust; control vertices below it take their weights from the vertices around them.
 _LEAST_TRUST = 0.1
-# Kinds of places of values, in the order in which a number of rows is looked up.
-PLACES = ("vertices", "faces", "corners", "refined")
 
 
 @kinds_checked
@@ -65,9 +63,9 @@ def carry_values(
     """
     sides = result.target.refinement, result.source.refinement
     source = sides[1].control
-    counts = source.n_vertices, source.n_faces, len(source.face_indices), len(result.source.vertices)
-    if at is not None and at not in PLACES:
-        raise ParameterError(f"carry_values: at: expected one of {', '.join(PLACES)}, got {at!r}")
+    counts = place_counts(source) | {"refined": len(result.source.vertices)}
+    if at is not None and at not in counts:
+        raise ParameterError(f"carry_values: at: expected one of {', '.join(counts)}, got {at!r}")
     transfer = transfer_of(result)
     at_vertices = control_weights(result.point_map, *sides)
 
@@ -77,12 +75,12 @@ def carry_values(
             return carried(name, array.reshape(len(array), -1)).reshape(-1, *array.shape[1:])
         array = array if array.dtype.kind in "biuf" else real_numbers(given, name)
         rows = array.shape[0] if array.ndim else 0
-        place = next((place for place, n in zip(PLACES, counts, strict=True) if n == rows and at in (None, place)), "")
+        place = next((place for place, n in counts.items() if n == rows and at in (None, place)), "")
         if not place:
             raise ParameterError(
-                f"{name} has {rows} rows; expected one for each of the source's {counts[0]} control vertices, "
-                f"{counts[1]} control faces, {counts[2]} face corners, or {counts[3]} vertices of level "
-                f"{result.source.refinement.finest_level}{f', and at={at!r} was asked for' if at else ''}"
+                f"{name} has {rows} rows; expected one for each of the source's {source.n_vertices} control vertices, "
+                f"{source.n_faces} control faces, {counts['corners']} face corners, or {counts['refined']} vertices of "
+                f"level {result.source.refinement.finest_level}{f', and at={at!r} was asked for' if at else ''}"
             )
         if place == "vertices":
             return combine(at_vertices, array)

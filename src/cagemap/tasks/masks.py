@@ -23,6 +23,7 @@ from cagemap.files.values.rigs import scene_skeleton
 from cagemap.maps.masks import Masks, face_mask, soft_edge, vertex_mask
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.faces import place_of_rows
 from cagemap.mesh.parts import find_part
 from cagemap.numerics.arrays import FloatArray
 from cagemap.spectral import Surface
@@ -31,7 +32,6 @@ from cagemap.surface.triangle_surface import TriangleSurface
 
 if TYPE_CHECKING:  # a match without masks starts without images and their library
     from cagemap.files.images.image import Pixels
-from cagemap.files.usd.prims import place_of_rows
 from cagemap.files.values.attributes import Attributes
 from cagemap.files.values.part_numbering import FileRows, to_file
 from cagemap.tasks.requests.import_map import MapRequest

@@ -20,7 +20,6 @@ from cagemap.files.atomic import (
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
-from cagemap.files.usd.prims import place_of_rows
 from cagemap.files.usd.space import from_mesh_space, states_units, transform_mesh
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults, check_usd_path
@@ -28,6 +27,7 @@ from cagemap.files.values.attributes import check_attribute_path, read_attribute
 from cagemap.files.values.part_numbering import file_rows, other_rows
 from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
+from cagemap.mesh.faces import place_of_rows
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.bake_tiles import bake_inputs

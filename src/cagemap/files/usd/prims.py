@@ -13,7 +13,7 @@ from cagemap.errors import FormatError
 from cagemap.files.usd.shader_inputs import color_uv_name
 from cagemap.files.usd.stages import usd_modules
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.faces import merged_corners
+from cagemap.mesh.faces import merged_corners, place_counts
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 logger = logging.getLogger(__name__)
@@ -21,7 +21,7 @@ logger = logging.getLogger(__name__)
 # Names of attributes that hold skinning weights and blend shapes.
 JOINT_WEIGHTS = "skel:jointWeights"
 BLEND_SHAPE = "blendShape:"
-# Interpolations of values by their place on a control mesh, in the order in which a number of rows is looked up.
+# Interpolations of values by their place on a control mesh, see `place_counts`.
 INTERPOLATIONS = {"vertices": "vertex", "faces": "uniform", "corners": "faceVarying"}
 _PLACES = {"varying": "vertices"} | {interpolation: place for place, interpolation in INTERPOLATIONS.items()}
 _LEFT_OUT = "%s: primvar %s of %s is left out: there are as many vertices; export it at vertices%s"
@@ -153,16 +153,6 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
             _refuse(where, primvar, f"got {len(numbers)} values where {expected} belong")
         arrays[name] = values[numbers if order is None else numbers[order]]
     return arrays | _weights(where, control, prim)
-
-
-def place_counts(mesh: ControlMesh) -> dict[str, int]:
-    """Number of places of each kind of `INTERPOLATIONS`."""
-    return {"vertices": mesh.n_vertices, "faces": mesh.n_faces, "corners": len(mesh.face_indices)}
-
-
-def place_of_rows(mesh: ControlMesh, count: int) -> str:
-    """First of "vertices", "faces" and "corners" with as many places as rows; "" for other numbers."""
-    return next((place for place, number in place_counts(mesh).items() if number == count), "")
 
 
 def _corners_of_vertices(control: ControlMesh) -> IndexArray | None:

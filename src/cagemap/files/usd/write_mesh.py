@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.files.usd.prims import INTERPOLATIONS, faces_by_name, place_counts, place_of_rows
+from cagemap.files.usd.prims import INTERPOLATIONS, faces_by_name
 from cagemap.files.usd.results import define_material
 from cagemap.files.usd.stages import identifiers, usd_modules
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.faces import place_counts, place_of_rows
 from cagemap.mesh.schemes import scheme_name
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import decode_srgb

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.manifest import input_file
-from cagemap.files.usd.prims import place_counts, place_of_rows
 from cagemap.files.usd.read import UsdMesh, objects_of, place_in_world, read_usd, read_usd_meshes
 from cagemap.files.usd.stages import is_usd
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.faces import place_counts, place_of_rows
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 Attributes = dict[str, NDArray[Any]]
