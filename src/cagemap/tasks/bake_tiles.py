@@ -6,14 +6,14 @@ import logging
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.files.atomic import all_or_nothing, check_outputs
+from cagemap.files.atomic import check_outputs
 from cagemap.files.images.image import (
     UDIM_MARK,
     Image,
@@ -67,7 +67,7 @@ class Prepared:
     tiles: list[int]
     mesh: Path | None
     warnings: list[str]
-    write_mesh: Callable[[], None] = lambda: None  # writes ``mesh`` once, together with the images
+    write_mesh: Callable[[], None] = lambda: None  # writes ``mesh``; called once, in the block that writes the images
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ def prepare_bake(
         return prepared
     bound = _material_images(request, {use: udim_path(output, tiles[0]) for use, output in outputs.items()})
     write, more = _unwrapped_writer(request, result.target.control, result.manifest, bound)
-    return replace(prepared, warnings=[*warnings, *more], write_mesh=cache(write))
+    return replace(prepared, warnings=[*warnings, *more], write_mesh=write)
 
 
 def layout_tiles(transfer: Transfer) -> tuple[list[int], list[str]]:
@@ -237,7 +237,7 @@ def _source_overlap_warnings(control: ControlMesh) -> list[str]:
 def bake_tiles(
     request: TransferRequest, prepared: Prepared, bake: Callable[..., Baked], stages: Stages, name: str = ""
 ) -> Baked:
-    """Bake all tiles, and write each while the next one is baked, and the mesh of a new layout; returns the last.
+    """Bake all tiles, and write each while the next one is baked; returns the last, as `write_tiles` does.
 
     Masked texels take the base image, or get alpha.
 
@@ -245,17 +245,15 @@ def bake_tiles(
     ``bake``: called with ``options``, which hold the tile; returns the baked image.
     ``name``: of the map, to find its base image and to show.
     """
-    with all_or_nothing():
-        prepared.write_mesh()
-        return write_tiles(
-            request.output,
-            prepared.tiles,
-            lambda options: bake(options=replace(options, filter=request.filter)),
-            stages,
-            mask_function(request, prepared.transfer, name),
-            force=request.force,
-            name=name,
-        )
+    return write_tiles(
+        request.output,
+        prepared.tiles,
+        lambda options: bake(options=replace(options, filter=request.filter)),
+        stages,
+        mask_function(request, prepared.transfer, name),
+        force=request.force,
+        name=name,
+    )
 
 
 def write_tiles(

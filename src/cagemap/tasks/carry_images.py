@@ -40,11 +40,10 @@ from cagemap.tasks.detail_bakes import (
     OFFSETS,
     DetailBakes,
     bake_detail,
+    detail_colors,
     detail_texture,
-    grey_vertex_notes,
     in_source_space,
     mesh_detail,
-    vertex_colors,
 )
 from cagemap.tasks.material_atlas import material_atlas
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
@@ -91,6 +90,7 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
     requests = [replace(request, output=output) for output in outputs]
     entries: list[dict[str, Any]] = []
     with all_or_nothing():
+        prepared.write_mesh()
         for (name, path, texture), map_request in zip(maps, requests, strict=True):
             image = _bake_map(map_request, result, prepared, name, path, stages, texture)
             entry = _entry("texture", path if atlas is None or given is None else given, image)
@@ -248,7 +248,9 @@ def _carry(
         midlevel = usual if request.midlevel is None else request.midlevel
         prepared.warnings.extend(base_scale_warnings(request, result, source_image.dtype, midlevel))
     bound = partial(bake, prepared.transfer, source_image.texture, size=source_image.size, dtype=source_image.dtype)
-    baked = bake_tiles(request, prepared, bound, stages)
+    with all_or_nothing():
+        prepared.write_mesh()
+        baked = bake_tiles(request, prepared, bound, stages)
     entry = _entry(kind, path, source_image) | more
     if not isinstance(baked, Displacement):
         return record_bake(request, prepared, entry, stages)
@@ -273,7 +275,9 @@ def carry_material_colors(request: TransferRequest, result: MatchResult, stages:
     prepared = prepare_bake(request, result, stages, {"color": request.output})
 
     bake = partial(bake_face_colors, prepared.transfer, colors, size=size, dtype=dtype)
-    bake_tiles(request, prepared, bake, stages)
+    with all_or_nothing():
+        prepared.write_mesh()
+        bake_tiles(request, prepared, bake, stages)
     return record_bake(request, prepared, {"kind": "material-colors", "size": size}, stages)
 
 
@@ -312,11 +316,8 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
         detail = Detail(prepared.transfer.point_map.source)
     colors = None
     if "colors" in kinds:
-        refinement = result.source.refinement
-        colored = refinement.control if mesh is None else mesh
-        colors, warnings = vertex_colors(colored), warnings + grey_vertex_notes(colored)
-        if mesh is None:
-            colors = refinement.prolong(colors, 0, refinement.finest_level).clip(0.0, 1.0)
+        colors, notes = detail_colors(mesh, result.source.refinement)
+        warnings += notes
     lines = bake_detail(
         bakes,
         prepared.transfer,

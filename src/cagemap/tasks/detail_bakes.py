@@ -34,7 +34,7 @@ from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import decode_srgb, encode_srgb
-from cagemap.subdivision import default_scheme
+from cagemap.subdivision import Refinement, default_scheme
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.bake_tiles import (
     DEFAULT_SIZE,
@@ -174,11 +174,16 @@ def vertex_colors(mesh: ControlMesh) -> FloatArray:
     return np.where(_is_colored(mesh)[:, None], mesh.vertex_colors, encode_srgb(np.array(UNKNOWN_COLOR)))
 
 
-def grey_vertex_notes(mesh: ControlMesh) -> list[str]:
-    """A warning if `vertex_colors` is grey for some vertices of faces."""
-    colored = _is_colored(mesh)[np.unique(mesh.face_indices)]
-    grey = int(np.count_nonzero(~colored))
-    return [f"{mesh.name}: {grey} of {len(colored)} vertices have no colour and are baked in grey"] if grey else []
+def detail_colors(mesh: ControlMesh | None, source: Refinement) -> tuple[FloatArray, list[str]]:
+    """`vertex_colors` of a detailed mesh, or of the source's finest level without one; a warning if some are grey."""
+    colored = source.control if mesh is None else mesh
+    colors = vertex_colors(colored)
+    is_colored = _is_colored(colored)[np.unique(colored.face_indices)]
+    grey = int(np.count_nonzero(~is_colored))
+    text = f"{colored.name}: {grey} of {len(is_colored)} vertices have no colour and are baked in grey"
+    if mesh is None:
+        colors = source.prolong(colors, 0, source.finest_level).clip(0.0, 1.0)
+    return colors, [text] if grey else []
 
 
 def _is_colored(mesh: ControlMesh) -> NDArray[np.bool_]:
@@ -323,10 +328,8 @@ def bake_wrapped(
     colors = None
     if mesh is None:
         transfer, detail, fine = missing_detail(wrapped, target, source)
-        if "colors" in bakes.images:
-            colors = fine.prolong(vertex_colors(source.control), 0, fine.finest_level).clip(0.0, 1.0)
-            warnings = grey_vertex_notes(source.control)
     else:
+        fine = source
         transfer, follow = wrapped_transfer(wrapped, target)
         mesh = in_source_space(mesh, request.detail, request.results[0], result)
         if request.detail_texture is not None:
@@ -334,9 +337,9 @@ def bake_wrapped(
             bakes.check()
         detail, warnings = mesh_detail(mesh, transfer)
         detail = replace(detail, follow=follow)
-        if "colors" in bakes.images:
-            colors = vertex_colors(mesh)
-            warnings = [*warnings, *grey_vertex_notes(mesh)]
+    if "colors" in bakes.images:
+        colors, notes = detail_colors(mesh, fine)
+        warnings = [*warnings, *notes]
     tiles, outside = layout_tiles(transfer)
     images = [udim_path(path, tile) for path in bakes.images.values() for tile in tiles]
     check_outputs(images, textures_read(request), force=request.force)
