@@ -119,7 +119,7 @@ MAX_BODY_DISTANCE = 0.5
 
 
 def far_passenger(name: str, body: str, distance: float, factor: float) -> str:
-    """What is said of a passenger that is far from the body or in another unit (`unit_factor`); '' for others."""
+    """Warning about a passenger far from the body, or with a `unit_factor` other than 1; '' if it needs none."""
     if distance <= MAX_BODY_DISTANCE and factor == 1.0:
         return ""
     scaled = f" ({factor:g} times as large it would lie on it)" if factor != 1.0 else ""

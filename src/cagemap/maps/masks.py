@@ -17,7 +17,7 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import row_lengths
 
-# Least mean of a mask, and least share of area; below it nothing is left to match.
+# Smallest mean of a mask, and smallest shared part of a surface's area; with less there is nothing to match.
 LEAST = 1e-4
 # Shares of both areas from which two surfaces correspond as wholes.
 WHOLE_SHARE = 0.98
@@ -34,7 +34,7 @@ class Masks:
     #: (n1,) weights of the target's finest vertices; in a fit, of its level's vertices. None: all weights are 1.
     target: FloatArray | None = None
     source: FloatArray | None = None  #: (n2,) the same of the source
-    #: area with a counterpart that these masks are `within`; None if it is not known
+    #: weights of the area with a counterpart, which these masks contain as a factor (`within`); None if not known
     shared: Masks | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:

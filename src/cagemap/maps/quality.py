@@ -53,7 +53,8 @@ class QualityFigures:
     #: share of the source's area that the image of the target covers. If a surface is open, only the area that has a
     #: counterpart on the other surface counts.
     coverage: float
-    dirichlet: float  #: Dirichlet energy between unit-area surfaces: 1 for an isometry, at least the covered area
+    #: Dirichlet energy, with corresponding parts scaled to equal area: 1 for an isometry, at least the covered area
+    dirichlet: float
     #: (5,) percentiles 1, 5, 50, 95, 99 (by target area) of the area stretch, 1: that of the shared area as a whole
     area_ratios: FloatArray = field(repr=False)
     #: (3,) percentiles 50, 95, 99 (by target area) of the ratio of singular values, 1 meaning conformal

@@ -21,15 +21,15 @@ class RegionFigures:
 
     landmark: str  #: name of the landmark
     area: float  #: area of the region divided by the area of the unmasked target that has a counterpart
-    #: length on the target per length on the source, the shared area of both at equal size: square root of the median
-    #: ratio of areas. 2 if the target's ear is twice as long and twice as wide.
+    #: square root of the median ratio of the areas of a target triangle and of its image. The surfaces are scaled so
+    #: that their corresponding parts have equal area. 2 if the target's ear is twice as long and twice as wide.
     size: float
     aspect_ratio: float  #: median ratio of the singular values of the map's differential: 1 for a conformal map
     folded: float  #: share of the region whose image is folded over
 
 
 def local_size(result: MatchResult) -> FloatArray:
-    """(n1,) length on the target per length on the source at target vertices, the shared area of both at equal size."""
+    """(n1,) length on the target per length on the source at target vertices; corresponding parts have equal area."""
     target, sigma = result.point_map.target, _stretches(result)
     # Sum the areas of a vertex's triangles, and of their images, before dividing.
     areas = np.column_stack([target.areas, target.areas * sigma[0] * sigma[1]])

@@ -205,7 +205,7 @@ def extract_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
 
 
 def _with_own_uv_set(mesh: ControlMesh) -> ControlMesh:
-    """The mesh with the first UV set in use that has more than `NO_UV`, if there is one."""
+    """The mesh, using its first UV set with coordinates other than `NO_UV`; unchanged if it has none."""
     if mesh.uvs is None:
         return mesh
     names = (one.name for one in mesh.all_uv_sets if np.any(one.uvs[one.uv_indices] != NO_UV))

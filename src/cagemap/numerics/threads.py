@@ -129,7 +129,7 @@ def in_threads(work: Callable[[Item], Value], items: Sequence[Item]) -> list[Val
         return list(pool.map(work, items))
 
 
-# Beginning of the attribute that holds the lock of a value while it is computed; no attribute in code has spaces.
+# Prefix of the attribute that holds a lock while a cached value is computed. Names in code contain no spaces.
 _LOCK = "lock of "
 
 if TYPE_CHECKING:

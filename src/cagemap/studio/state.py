@@ -22,7 +22,7 @@ MessageKind = Literal["error", "note"]
 _TILE_NUMBER = re.compile(r"\.1\d{3}$")
 # Ends the name of a copy of the target with a new UV layout.
 _UNWRAPPED_ENDING = "_unwrapped.obj"
-# Titles of transfers of colours, and kinds of detail that are colours.
+# Outputs that show colours: titles of commands, and kinds of images baked from a detailed mesh.
 _COLOR_TITLES, _COLOR_BAKES = ("texture", "material colours"), ("colors", "texture")
 # Older messages disappear from the page.
 MAX_MESSAGES = 100
@@ -120,7 +120,7 @@ class MapState:
     chosen_answer : int
         The one that the map started from.
     sought_answer : str
-        Name of the one of an opened RESULT, until the first checked map; '' for none.
+        Name of the answer that an opened RESULT was computed from, until the preview has looked for it; else ''.
     confidence : str
         Message of the search about the first answer.
     strain : dict of str to float
@@ -330,7 +330,7 @@ def baked_images(outputs: Iterable[Output]) -> tuple[Path, ...]:
 
 
 def color_images(outputs: Iterable[Output]) -> tuple[Path, ...]:
-    """Baked images that are colours: of textures, materials and vertices."""
+    """Baked images that show colours: textures, material colours and vertex colours, not normals or heights."""
     return tuple(image for output in outputs for image in baked_images((output,)) if _is_of_colors(output.title, image))
 
 

@@ -163,7 +163,7 @@ def interpolate_linearly(
     """Linear interpolation of values on a control mesh, at the triangles of a level.
 
     ``nodes`` (c,), below ``count``, are the vertex of every face corner, or a node of `merged_corners`: corners of one
-    node share its value. All corners of a node must be of one vertex.
+    node share its value. All corners of a node must belong to one vertex.
     """
     if level == 0:
         identity = sparse.csr_array(sparse.eye_array(count, format="csr"))

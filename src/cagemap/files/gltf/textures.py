@@ -189,7 +189,7 @@ class AddedTextures:
 
 
 def png_or_jpeg(data: bytes, suffix: str) -> bytes | None:
-    """An image file's content, of other formats as PNG; None if it cannot be read."""
+    """The content of an image file, converted to PNG unless it is PNG or JPEG; None if it cannot be read."""
     if image_suffix(data) in (".png", ".jpg"):
         return data
     from cagemap.files.gltf.material_images import png_bytes

@@ -164,7 +164,7 @@ def _fiducials(path: Path, text: str) -> Named:
 
 
 def _table(path: Path, text: str) -> Named:
-    """Points of a table with columns name and x, y, z, or name and vertex; without a header: name, x, y, z.
+    """Points of a table. Its header names the columns name, x, y, z or name, vertex; the default is name, x, y, z.
 
     A row that begins with # is a comment; below a header only if it is shorter, or holds cagemap's mark.
     """

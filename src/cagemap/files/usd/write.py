@@ -50,7 +50,7 @@ class UsdResults:
     # values by name, with a row for each vertex, face or face corner; ``skel:jointWeights`` and ``blendShape:NAME``
     # become skinning and blend shapes
     attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    # place of values by name: "vertices", "faces" or "corners"; of others by the number of rows, see `interpolation`
+    # "vertices", "faces" or "corners" by name of an attribute, for its rows; by default their number decides
     places: Mapping[str, str] = field(default_factory=dict)
     points: FloatArray | None = None  # (n, 3) new positions of the vertices
     uvs: tuple[str, FloatArray, IndexArray] | None = None  # name, values and indices of a new UV set

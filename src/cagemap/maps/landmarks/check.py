@@ -116,7 +116,7 @@ class LandmarkCheck:
     def for_changed(self, before: Landmarks, now: Landmarks) -> LandmarkCheck:
         """The check for changed landmarks: keeps what is known of unchanged pairs.
 
-        If any pair changed, notes that name it are dropped, and notes `ON_ALL_PAIRS`.
+        Notes that name a changed pair are dropped. Notes `ON_ALL_PAIRS` are dropped if any pair was changed.
         """
         places = {pair: i for i, pair in enumerate(now.places)}
         placed = [(suspect, places.get(before.places[suspect.pair])) for suspect in self.suspects]

@@ -26,9 +26,10 @@ _DEFAULTS = FinishOptions()
 def form_fields(
     options: Options, vertices: int, recorded: Mapping[Key, Value] = MappingProxyType({})
 ) -> dict[str, Any]:
-    """Entries of the form: key, label, hint, kind, value, choices and suffixes; ``always_sent``: unchanged too.
+    """Entries of the form: key, label, hint, kind, value, choices and suffixes.
 
-    Options of an opened RESULT have a ``default`` for other models.
+    The page sends values that a user changed, and those of entries with ``always_sent``. Options of an opened RESULT
+    also have a ``default``, which the page takes when other models are opened.
 
     Parameters
     ----------
