@@ -80,6 +80,12 @@ def write_guests(place: Path) -> None:
     triangles = icosahedron().positions[icosahedron().face_indices].reshape(-1, 3, 3)
     records = b"".join(struct.pack("<12fH", 0, 0, 0, *triangle.ravel(), 0) for triangle in triangles)
     (place / "binary.stl").write_bytes(b"scan".ljust(80) + struct.pack("<I", len(triangles)) + records)
+    header = b"ply\nformat binary_little_endian 1.0\nelement vertex 60\n"
+    header += b"".join(b"property float %s\n" % axis.encode() for axis in "xyz")
+    header += b"element face 20\nproperty list uchar int vertex_indices\nend_header\n"
+    faces = b"".join(struct.pack("<B3i", 3, *corners) for corners in np.arange(60).reshape(20, 3))
+    (place / "float.ply").write_bytes(header + triangles.astype("<f4").tobytes() + faces)
+    np.save(place / "float.npy", triangles[:, 0].astype(np.float32))
     facets = ("\n".join("vertex {} {} {}".format(*corner) for corner in triangle) for triangle in triangles.tolist())
     (place / "text.stl").write_text("solid s\n" + "\n".join(facets) + "\nendsolid s\n")
     slicer = {"label": "nose", "position": [-1, -0.5, 0.25]}
@@ -252,6 +258,8 @@ GUESTS: dict[str, Callable[[Path], object]] = {
     "painted.obj": use_mesh,
     "binary.stl": use_mesh,
     "text.stl": use_mesh,
+    "float.ply": use_mesh,
+    "float.npy": read_attributes,
     **dict.fromkeys(("p.mrk.json", "p.fcsv", "p.pp", "p.csv", "p_vertices.csv", "wrap.json", "c.json"), use_points),
     "lc.json": lambda path: read_landmarks(path, "deer.obj", "pony.obj"),
     **dict.fromkeys(("m.npy", "m.npz", "m.mtx", "dense.mtx", "m.vts"), use_map),
@@ -315,6 +323,17 @@ def test_changed_bytes(scene: Path, tmp_path: Path, name: str) -> None:
     content = (scene / name).read_bytes()
     assert outcome(lambda: READERS[name](place / name))
     assert refused_share(place / name, READERS[name], lambda: mutated_bytes(content, rng), 40) > 0.075
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["float.ply", "binary.stl", "float.npy", "full.usdc", f"R/{ARRAYS}"])
+def test_numbers_that_signal(scene: Path, tmp_path: Path, name: str) -> None:
+    """NumPy warns of a signalling NaN when it is converted: 0x7f800001 in 32 bits."""
+    place, content = shutil.copytree(scene, tmp_path / "work"), (scene / name).read_bytes()
+    for start in np.linspace(8, len(content) - 8, 150).astype(int):
+        path = (place / name).with_stem(f"{Path(name).stem}{start}") if name == "full.usdc" else place / name
+        path.write_bytes(content[:start] + b"\x01\0\x80\x7f" + content[start + 4 :])
+        outcome(lambda path=path: READERS[name](path))  # type: ignore[misc]
 
 
 @pytest.mark.slow

@@ -118,6 +118,22 @@ def test_an_array_that_states_more_than_it_holds_is_refused(kind, sampled, packa
     refuses(FormatError, r"box\.usd[cz]: cannot be read as USD \(its sections are damaged\)", check_crate, path)
 
 
+@pytest.mark.parametrize("length", [11, 13])
+def test_a_list_that_states_more_than_it_holds_is_refused(length: int, tmp_path: Path) -> None:
+    """The names of children, and edits of a list."""
+    path = tmp_path / "lists.usdc"
+    stage = Usd.Stage.CreateNew(str(path))
+    for number in range(11):
+        stage.DefinePrim(f"/a/b{number}")
+    stage.GetPrimAtPath("/a").SetMetadata("apiSchemas", Sdf.TokenListOp.Create(list(map(str, range(13)))))
+    stage.GetRootLayer().Save()
+    check_crate(path)
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<Q", content, content.index(struct.pack("<Q", length), 88), 3_000_000_000)
+    path.write_bytes(content)
+    refuses(FormatError, r"lists\.usdc: cannot be read as USD \(its sections are damaged\)", check_crate, path)
+
+
 def test_sound_arrays_of_all_kinds_pass(tmp_path: Path) -> None:
     stage = Usd.Stage.CreateNew(str(tmp_path / "kinds.usdc"))
     prim = stage.DefinePrim("/a")

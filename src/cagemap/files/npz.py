@@ -161,7 +161,8 @@ def _check_array(
     else:
         if array.dtype.kind not in "fiu":
             raise FormatError(f"{path}: {name} holds {array.dtype}, expected numbers. {remedy}")
-        checked = np.ascontiguousarray(array, dtype=np.float64)
+        with np.errstate(invalid="ignore"):  # of signalling NaN
+            checked = np.ascontiguousarray(array, dtype=np.float64)
         if not spec.nan and array.size and not max(-float(checked.min()), float(checked.max())) <= _LARGEST:
             raise FormatError(f"{path}: {name} holds NaN, infinite or absurdly large numbers. {remedy}")
         if spec.share and array.size and not (checked.min() >= 0.0 and checked.max() <= 1.0):

@@ -172,7 +172,7 @@ def _colors(columns: dict[str, Column]) -> FloatArray | None:
     names = next((names for names in _COLOR_NAMES if all(name in columns for name in names)), None)
     if names is None:
         return None
-    colors = np.column_stack([columns[name].values.astype(np.float64) for name in names])
+    colors = _side_by_side(columns, names)
     colors[~np.isfinite(colors).all(axis=1)] = np.nan
     stated = np.dtype(columns[names[0]].stated)
     return to_unit_range(colors, float(np.iinfo(stated).max) if stated.kind in "iu" and stated.itemsize < 4 else None)
@@ -182,7 +182,7 @@ def _table(path: Path, columns: dict[str, Column], names: tuple[str, ...], what:
     """Columns side by side as float64; None if one is missing."""
     if not all(name in columns for name in names):
         return None
-    table = np.column_stack([columns[name].values.astype(np.float64) for name in names])
+    table = _side_by_side(columns, names)
     bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
     if len(bad):
         raise FormatError(
@@ -190,6 +190,11 @@ def _table(path: Path, columns: dict[str, Column], names: tuple[str, ...], what:
             f"{first_few(bad)}. Repair them in the modelling program and export again."
         )
     return table
+
+
+def _side_by_side(columns: dict[str, Column], names: tuple[str, ...]) -> FloatArray:
+    with np.errstate(invalid="ignore"):  # of signalling NaN
+        return np.column_stack([columns[name].values.astype(np.float64) for name in names])
 
 
 def _indices(path: Path, corners: Column, count: int) -> IndexArray:

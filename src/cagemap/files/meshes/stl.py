@@ -54,7 +54,9 @@ def _binary(content: bytes) -> FloatArray | None:
     count = int.from_bytes(content[_HEAD - 4 : _HEAD], "little")
     if not 0 <= len(content) - (_HEAD + count * _TRIANGLE.itemsize) < _TRIANGLE.itemsize:
         return None
-    return np.frombuffer(content, _TRIANGLE, count, _HEAD)["corners"].reshape(-1, 3).astype(np.float64)
+    corners = np.frombuffer(content, _TRIANGLE, count, _HEAD)["corners"].reshape(-1, 3)
+    with np.errstate(invalid="ignore"):  # of signalling NaN
+        return corners.astype(np.float64)
 
 
 def _text(file: Path, content: bytes) -> FloatArray:

@@ -71,9 +71,11 @@ def _check_section(section: bytes, size: int, counts: int, blocks: int) -> None:
 
 
 # Of the 64 bits that describe a value: an array, a compressed one; the others are its type, and its place in the file.
-_ARRAY, _COMPRESSED, _TYPE_SHIFT, _PLACE = 1 << 63, 1 << 61, 48, (1 << 48) - 1
+_ARRAY, _INLINED, _COMPRESSED, _TYPE_SHIFT, _PLACE = 1 << 63, 1 << 62, 1 << 61, 48, (1 << 48) - 1
 _FLOATS = {7: 2, 8: 4, 9: 8}  # bytes of half, float and double
 _TIME_SAMPLES = 46
+_LISTS = (31, 40, 41, 45, 48, 49, 50)  # dictionaries and lists, which begin with their length
+_EDITS = (*range(32, 40), 55)  # edits of lists: a byte of flags, the first of them without a list, then lists
 _LEAST_COMPRESSED = 16  # shorter arrays are written as they are
 
 
@@ -116,7 +118,7 @@ def _decompress_lz4(block: bytes, size: int) -> bytes:
 
 
 def _check_arrays(content: bytes, values: list[int]) -> None:
-    """Raise `struct.error` for arrays, also in time samples, that state too many numbers."""
+    """Raise `struct.error` for arrays, also in time samples, and lists that state too many elements."""
     version, end = tuple(content[8:11]), len(content)
     for value in values:
         place, kind = value & _PLACE, value >> _TYPE_SHIFT & 0xFF
@@ -127,7 +129,14 @@ def _check_arrays(content: bytes, values: list[int]) -> None:
             (count,) = struct.unpack_from("<Q", content, place)
             samples = struct.unpack_from(f"<{min(count, end)}Q", content, place + 8)
             _check_arrays(content, [one for one in (times, *samples) if one >> _TYPE_SHIFT & 0xFF != _TIME_SAMPLES])
-        if not value & _ARRAY or not place:  # empty arrays have no place
+        if not place or value & _INLINED:  # nothing is stored elsewhere, as of empty arrays
+            continue
+        if kind in _LISTS or kind in _EDITS:
+            after = kind in _EDITS
+            (count,) = struct.unpack_from("<Q", content, place + after)
+            if count > end and not (after and content[place] <= 1):
+                raise struct.error
+        if not value & _ARRAY:
             continue
         place += 0 if version >= (0, 5, 0) else 4  # the rank
         (count,) = struct.unpack_from("<Q" if version >= (0, 7, 0) else "<I", content, place)

@@ -226,6 +226,11 @@ def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
     mesh = pxr.UsdGeom.Mesh(prim)
     where = f"{file}: {prim.GetPath()}"
     positions = np.array(read_value(mesh.GetPointsAttr()), dtype=np.float64).reshape(-1, 3)
+    if len(bad := np.flatnonzero(~np.isfinite(positions).all(axis=1))):
+        raise FormatError(
+            f"{where}: expected finite positions, got NaN or infinity at {len(bad)} vertices (0-based): "
+            f"{first_few(bad)}. Repair them in the modelling program and export again."
+        )
     sizes = index_array(read_value(mesh.GetFaceVertexCountsAttr()))
     indices = index_array(read_value(mesh.GetFaceVertexIndicesAttr()))
     if not len(sizes) or sizes.min() < 1 or sizes.sum() != len(indices):
@@ -251,8 +256,9 @@ def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
     attributes = primvar_arrays(where, control, prim)
     attributes |= {f"{BLEND_SHAPE}{name}": offsets for name, offsets in shapes.items()}
     interpolation, colors = display_colors(where, control, prim)
-    if colors is not None and interpolation in ("vertex", "varying"):
-        control = replace(control, vertex_colors=encode_srgb(attributes["displayColor"].astype(np.float64)))
+    at_vertices = attributes.get("displayColor") if interpolation in ("vertex", "varying") else None
+    if colors is not None and at_vertices is not None:
+        control = replace(control, vertex_colors=encode_srgb(at_vertices.astype(np.float64)))
         colors = None if (colors[:, 3] == 1.0).all() else colors
     elif colors is not None:
         control = replace(control, vertex_colors=_mean_colors(where, control, encode_srgb(colors[:, :3])))

@@ -16,6 +16,8 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cagemap.errors import FormatError
 from cagemap.files.images.image import texture_files
 from cagemap.files.text import text_name
@@ -118,11 +120,15 @@ def _reason(error: Exception) -> str:
 
 @contextmanager
 def damage_as_error(file: str | Path) -> Iterator[None]:
-    """Turn errors of damaged values into a FormatError; USD unpacks values only when they are read."""
+    """Turn errors of damaged values into a FormatError; USD unpacks values only when they are read.
+
+    NumPy's warnings of signalling NaN are switched off: readers check that values are finite.
+    """
     pxr = usd_modules()
     diagnostics = pxr.UsdUtils.CoalescingDiagnosticDelegate()  # as in `_open_with_messages`
     try:
-        yield
+        with np.errstate(invalid="ignore"):
+            yield
     except FormatError:
         raise
     except (pxr.Tf.ErrorException, RuntimeError, UnicodeDecodeError, TypeError, ValueError) as error:
