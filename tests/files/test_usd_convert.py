@@ -345,6 +345,14 @@ def test_several_skeletons_are_refused(painted_path: Path) -> None:
     refuses(FormatError, "expected one skeleton, got /Asset/skeleton, /Asset/other", usd_document, painted_path)
 
 
+@pytest.mark.parametrize("rate", [0.0, -24.0, np.inf])
+def test_an_animation_without_a_rate_is_refused(painted_path: Path, rate: float) -> None:
+    stage = Usd.Stage.Open(str(painted_path))
+    stage.GetRootLayer().timeCodesPerSecond = rate
+    stage.GetRootLayer().Save()
+    refuses(FormatError, f"expected timeCodesPerSecond above 0, got {rate:g}", usd_document, painted_path)
+
+
 def test_bindings_above_a_mesh_and_with_indices_skin_as_in_usd(tmp_path: Path) -> None:
     """Joints, weights and bind transform of the prim above; joints by index; samples before the stage's first time."""
     path = tmp_path / "C.usda"

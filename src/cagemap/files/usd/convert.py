@@ -99,6 +99,8 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
     for skeleton in skeletons.values():
         rig_to_world = local_to_world(skeleton.GetPrim()) @ to_world
         rig = _rig(file, skeleton, rig_to_world)
+        if not 0.0 < (rate := stage.GetTimeCodesPerSecond()) < np.inf:
+            raise FormatError(f"{file}: expected timeCodesPerSecond above 0, got {rate:g}. Export it again.")
         animations, weights = _animations(stage, skeleton, rig, rig_to_world)
         if animations and not is_similarity(rig_to_world):
             text = "%s: %s: its transform scales unevenly, so that joints move otherwise than in USD; apply its scale"
