@@ -30,6 +30,7 @@ from cagemap import (
     PointMap,
     SurfacePoints,
     TriangleSurface,
+    research,
 )
 from cagemap.character.roles import find_body
 from cagemap.errors import ParameterError
@@ -45,6 +46,9 @@ from refusals import refuses
 FUNCTIONS = [name for name in cagemap.__all__ if inspect.isfunction(getattr(cagemap, name))]
 # Given to them are arrays and images alone, or a number.
 OF_ARRAYS = {"blend", "painted_mask", "thread_limit", "with_alpha"}
+# Of `cagemap.research`, those that have no name in `cagemap`.
+STEPS = sorted(set(research.__all__) - set(cagemap.__all__) - {"control_mesh", "tensors"})
+STEPS = [name for name in STEPS if inspect.isfunction(getattr(research, name))]
 
 
 def checked(function: Callable[..., object]) -> dict[str, tuple[type, ...]]:
@@ -57,9 +61,9 @@ def some(kinds: tuple[type, ...]) -> object:
     return known[kinds[0]] if kinds[0] in known else object.__new__(kinds[0])
 
 
-@pytest.mark.parametrize("name", sorted(set(FUNCTIONS) - OF_ARRAYS))
+@pytest.mark.parametrize("name", sorted(set(FUNCTIONS) - OF_ARRAYS) + STEPS)
 def test_values_of_another_kind_are_refused_by_the_name_of_their_parameter(name: str) -> None:
-    function = getattr(cagemap, name)
+    function = getattr(research if name in STEPS else cagemap, name)
     kinds = checked(function)
     assert kinds, f"{name} looks at none of its arguments"
     needed = {
