@@ -140,6 +140,10 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "a face below 0": lambda s: cagemap.refine(ControlMesh.from_faces(s.cube.positions, [[0, 1, -1]]), 1),
     "places that are no numbers": lambda s: cagemap.prepare_surface(s.mesh.with_positions(s.mesh.positions * NAN), 1),
     "too few positions": lambda s: s.mesh.with_positions(s.mesh.positions[:5]),
+    "creases of three vertices": lambda s: s.mesh.with_creases([0, 1, 2], 1.0),
+    "more sharpness than creases": lambda s: s.mesh.with_creases([[0, 1]], [1.0, 2.0]),
+    "more sharpness than corners": lambda s: s.mesh.with_corners([0], [1.0, 2.0]),
+    "distances as a matrix": lambda s: cagemap.geodesic_error(s.map, np.arange(s.n), distances=np.zeros((s.n, s.n))),
     "uvs for other corners": lambda s: s.mesh.with_uvs(np.zeros((3, 2)), np.arange(5)),
     "uvs of three": lambda s: s.mesh.with_uvs(np.zeros((3, 3)), np.zeros(len(s.mesh.face_indices), int)),
     "uvs that are not there": lambda s: cagemap.prepare_surface(

@@ -148,8 +148,9 @@ def operators_for_diffusion_net(
     every gradient, in squared lengths at unit area; the default is DiffusionNet's and reduces gradients where edges are
     shorter than about 0.005. ParameterError if the level or count is out of range.
 
-    mass (n,) are vertex areas, of sum 1 on the finest level. L (n, n) is the cotangent matrix, positive semi-definite.
-    evals (count,) and mass-orthonormal evecs (n, count) solve L x = lambda diag(mass) x. gradX and gradY (n, n) are
+    mass (n,) are the triangles' vertex areas, of sum 1 on the finest level (nearly 1 if quads are not flat, as the area
+    of a quad is the mean of both triangulations). L (n, n) is the cotangent matrix, positive semi-definite. evals
+    (count,) and mass-orthonormal evecs (n, count) solve L x = lambda diag(mass) x. gradX and gradY (n, n) are
     least-squares gradients over the edges at a vertex, in tangent axes: X is the projection of the first axis of space,
     or of the second where the normal is within 26 degrees of the first; Y = normal x X.
     """
