@@ -99,7 +99,6 @@ __all__ = [
 ]
 
 
-SIDES = ("target", "source")
 # As many functions as a match uses, and operators of every level.
 FULL_BASIS = replace(MAP_BASIS, vertices=None)
 
@@ -132,15 +131,11 @@ def make_pair(
         If the sides do not correspond one to one, a self-map is not one of control vertices, or a mesh with
         symmetries is plain.
     """
-    if len(landmarks) != 2:
+    vertices = [whole_numbers(side, "landmarks") for side in landmarks]
+    if len(vertices) != 2 or vertices[0].shape != vertices[1].shape or vertices[0].ndim != 1:
         raise ParameterError(
-            f"landmarks: expected the vertices of the target and those of the source, got {len(landmarks)} arrays. "
-            "Transpose an array (p, 2)."
-        )
-    vertices = [whole_numbers(side, f"landmarks: {name}") for side, name in zip(landmarks, SIDES, strict=True)]
-    if vertices[0].shape != vertices[1].shape or vertices[0].ndim != 1:
-        raise ParameterError(
-            f"expected as many target as source landmarks, got {vertices[0].shape} and {vertices[1].shape}"
+            f"landmarks: expected two arrays (p,), as many target as source landmarks, got {len(vertices)}: "
+            f"{', '.join(str(side.shape) for side in vertices[:2])}. Transpose an array (p, 2)."
         )
     if not all(isinstance(pair, Sequence) and len(pair) == 2 for pair in symmetries):
         raise ParameterError("symmetries: expected pairs of arrays, the target's images and the source's, got others")

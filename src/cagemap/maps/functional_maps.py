@@ -82,8 +82,8 @@ def to_bases(
     The inverse of `from_bases`; same errors.
     """
     matrix = functional_map_from(pair, functional_map)
-    given = [finite_numbers(values, "functions") for values in (target_functions, source_functions)]
-    target, source = _sides(pair, tuple(values.shape[-1] for values in given), (given[0], given[1]), levels)
+    shape = tuple(finite_numbers(values, "functions").shape[-1] for values in (target_functions, source_functions))
+    target, source = _sides(pair, shape, (target_functions, source_functions), levels)
     ours, theirs, areas = target
     to_theirs = fit_functional_map(theirs, areas, ours[:, : matrix.shape[0]])
     ours, theirs, areas = source
