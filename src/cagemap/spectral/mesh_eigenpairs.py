@@ -83,9 +83,11 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
     ]
     values = np.concatenate([pairs.values for pairs in found])
     lowest = np.argsort(values, kind="stable")[:k]
-    vectors = np.empty((len(areas), k))
-    blocks = sparse.block_diag([pairs.vectors for pairs in found], format="csc")
-    vectors[np.concatenate(parts)] = blocks[:, lowest].toarray()
+    vectors, start = np.zeros((len(areas), k)), 0
+    for part, pairs in zip(parts, found, strict=True):
+        columns = np.flatnonzero((lowest >= start) & (lowest < start + len(pairs.values)))
+        vectors[np.ix_(part, columns)] = pairs.vectors[:, lowest[columns] - start]
+        start += len(pairs.values)
     return EigenPairs(values[lowest], vectors, 0)
 
 
