@@ -143,6 +143,7 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "creases of three vertices": lambda s: s.mesh.with_creases([0, 1, 2], 1.0),
     "more sharpness than creases": lambda s: s.mesh.with_creases([[0, 1]], [1.0, 2.0]),
     "more sharpness than corners": lambda s: s.mesh.with_corners([0], [1.0, 2.0]),
+    "no points, evenly spread": lambda s: SurfacePoints.evenly_spread(s.triangles, 0),
     "distances as a matrix": lambda s: cagemap.geodesic_error(s.map, np.arange(s.n), distances=np.zeros((s.n, s.n))),
     "uvs for other corners": lambda s: s.mesh.with_uvs(np.zeros((3, 2)), np.arange(5)),
     "uvs of three": lambda s: s.mesh.with_uvs(np.zeros((3, 3)), np.zeros(len(s.mesh.face_indices), int)),
