@@ -15,8 +15,9 @@ from benchmarks.truth import Truth, compare_with_truth, round_trip, true_map
 from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.pipeline import ENOUGH, MatchConfig, choose_level, default_basis, match, prepare_surfaces
+from cagemap.pipeline import MatchConfig, choose_level, default_basis, match, prepare_surfaces
 from cagemap.spectral import Surface
+from cagemap.spectral.surface import ENOUGH
 from cagemap.subdivision import Refinement, level_triangles, refine
 from cagemap.surface.triangle_surface import TriangleSurface
 

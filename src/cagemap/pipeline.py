@@ -48,8 +48,6 @@ from cagemap.paper.method import paper_map, search_levels
 from cagemap.paper.symmetries import paired_mirrors
 from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
 from cagemap.spectral.surface import DEFAULT_VERTICES, Surface
-from cagemap.spectral.surface import ENOUGH as ENOUGH
-from cagemap.spectral.surface import METHODS as METHODS
 from cagemap.spectral.surface import choose_level as choose_level
 from cagemap.spectral.surface import default_basis as default_basis
 from cagemap.spectral.surface import no_progress as no_progress

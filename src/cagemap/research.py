@@ -37,7 +37,8 @@ from cagemap.maps.quality import judge as _judge
 from cagemap.maps.result import LevelMap
 from cagemap.mesh.inputs import control_mesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, real_numbers, whole_numbers
+from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, whole_numbers
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
 from cagemap.paper.functional_constraints import (
@@ -98,16 +99,17 @@ __all__ = [
 ]
 
 
-SIDES = ("target", "source")
 # As many functions as a match uses, and operators of every level.
 FULL_BASIS = replace(MAP_BASIS, vertices=None)
 
 
+@kinds_checked
 def prepare(mesh: Any, level: int, basis: BasisConfig = FULL_BASIS, name: str = "mesh") -> Surface:
     """Refine a mesh, build its operators and its basis, see `control_mesh` and `cagemap.prepare_surface`."""
     return prepare_surface(control_mesh(mesh, name), level, basis)
 
 
+@kinds_checked
 def make_pair(
     target: Surface,
     source: Surface,
@@ -129,10 +131,11 @@ def make_pair(
         If the sides do not correspond one to one, a self-map is not one of control vertices, or a mesh with
         symmetries is plain.
     """
-    vertices = [whole_numbers(side, f"landmarks: {name}") for side, name in zip(landmarks, SIDES, strict=True)]
-    if vertices[0].shape != vertices[1].shape or vertices[0].ndim != 1:
+    vertices = [whole_numbers(side, "landmarks") for side in landmarks]
+    if len(vertices) != 2 or vertices[0].shape != vertices[1].shape or vertices[0].ndim != 1:
         raise ParameterError(
-            f"expected as many target as source landmarks, got {vertices[0].shape} and {vertices[1].shape}"
+            f"landmarks: expected two arrays (p,), as many target as source landmarks, got {len(vertices)}: "
+            f"{', '.join(str(side.shape) for side in vertices[:2])}. Transpose an array (p, 2)."
         )
     if not all(isinstance(pair, Sequence) and len(pair) == 2 for pair in symmetries):
         raise ParameterError("symmetries: expected pairs of arrays, the target's images and the source's, got others")
@@ -145,16 +148,19 @@ def make_pair(
     return Pair.of_vertices(target, source, vertices[0], vertices[1], self_maps)
 
 
+@kinds_checked
 def eigenfunctions(surface: Surface, level: int) -> tuple[FloatArray, FloatArray]:
     """Basis functions (n, k) at a level's vertices, and eigenvalues (k,) at unit area."""
     return surface.basis.at(level), surface.basis.eigenvalues[: surface.basis.size(level)]
 
 
+@kinds_checked
 def heat_and_wave_filters(target: Surface, source: Surface, heat: int = 10, wave: int = 20) -> Filters:
     """Filters rho_t for two surfaces; `signature_functions` and `landmark_functions` take them."""
     return choose_filters(target.basis.eigenvalues, source.basis.eigenvalues, heat, wave)
 
 
+@kinds_checked
 def landmark_functions(surface: Surface, filters: Filters, vertices: IndexArray, level: int) -> FloatArray:
     """Landmark descriptors Phi~ rho_t(Lambda~) Phi~^T delta_v (Definition 3) at a level's vertices; (n, p q)."""
     rows = surface.basis.rows(level, whole_numbers(vertices, "vertices"))
@@ -162,6 +168,7 @@ def landmark_functions(surface: Surface, filters: Filters, vertices: IndexArray,
     return surface.basis.at(level) @ landmark_descriptors(rows, at_eigenvalues)
 
 
+@kinds_checked
 def functional_map(
     pair: Pair, constraints: Constraints, weights: MapWeights = MapWeights(), levels: LevelPair | None = None
 ) -> FloatArray:
@@ -186,6 +193,7 @@ def functional_map(
     return matrix
 
 
+@kinds_checked
 def point_map(pair: Pair, map_like: MapLike) -> PointMap:
     """T12 of a functional map without refinement (5.4).
 
@@ -213,11 +221,13 @@ def point_map(pair: Pair, map_like: MapLike) -> PointMap:
     return recover_points(pair, level_map)
 
 
+@kinds_checked
 def zoomout(pair: Pair, start: MapLike, schedule: ZoomOutSchedule = ZoomOutSchedule()) -> FloatArray:
     """C12 (k1, k2) by ZoomOut from any map, on sampled vertices."""
     return zoomout_of_map(pair, start, schedule)
 
 
+@kinds_checked
 def elastic(pair: Pair, start: MapLike | None = None, prepared: PreparedPair | None = None) -> PointMap:
     """T12 by the elastic fit from any map: deform, project, unfold; landmarks are constraints.
 
@@ -242,6 +252,7 @@ def elastic(pair: Pair, start: MapLike | None = None, prepared: PreparedPair | N
     return map_of_places(problem, search_placements(problem, start=places)[0].map_positions)
 
 
+@kinds_checked
 def project(pair: Pair, start: MapLike, prepared: PreparedPair | None = None) -> PointMap:
     """T12 of closest points to a subdivision surface through the images of about 3000 vertices.
 
@@ -260,16 +271,19 @@ def project(pair: Pair, start: MapLike, prepared: PreparedPair | None = None) ->
     return _project(prepared, places, pair.landmarks)
 
 
+@kinds_checked
 def unfold(pair: Pair, map_like: MapLike) -> PointMap:
     """T12 without most of its folds, see `cagemap.unfold`; images of landmarks stay."""
     return _unfold(point_map(pair, map_like), held_vertices(pair.landmarks))
 
 
+@kinds_checked
 def judge(pair: Pair, map_like: MapLike) -> QualityFigures:
     """Quality figures of any map without ground truth, see `cagemap.judge`."""
     return _judge(pair.target, point_map(pair, map_like), pair.landmarks)
 
 
+@kinds_checked
 def transport(pair: Pair, matrix: FloatArray, values: FloatArray, level: int, to: int) -> FloatArray:
     """Functions from source to target through C alone (5.4), smoothed by the bases.
 
@@ -286,7 +300,7 @@ def transport(pair: Pair, matrix: FloatArray, values: FloatArray, level: int, to
     -------
     (n1,) or (n1, q) array
     """
-    matrix, values = real_numbers(matrix, "functional map"), real_numbers(values, "values")
+    matrix = functional_map_of(pair, matrix)
     k1, k2 = matrix.shape
     coefficients = matrix @ pair.source.basis.project(values, level, count=k2)
     rows = pair.target.basis.at(to)
@@ -295,6 +309,7 @@ def transport(pair: Pair, matrix: FloatArray, values: FloatArray, level: int, to
     return np.asarray(rows[:, :k1] @ coefficients)
 
 
+@kinds_checked
 def result_of_map(pair: Pair, point_map: PointMap, names: Sequence[str] = ()) -> MatchResult:
     """A result, with quality figures, of any point map of the finest levels.
 

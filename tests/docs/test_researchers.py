@@ -21,9 +21,11 @@ from cagemap.mesh import Plain
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.spectral import BasisConfig
 from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
 
 from locations import ROOT
 from plain_meshes import far_apart, marks_at
+from refusals import refuses
 
 PAGE = ROOT / "docs" / "researchers.md"
 BASIS = BasisConfig(schedule=(20, 10))
@@ -142,6 +144,35 @@ def test_what_does_not_fit_is_refused(itself):
     other = PointMap.from_vertices(itself.target.finest_triangles, coarse, np.zeros(len(itself.target.vertices), int))
     with pytest.raises(ParameterError, match=r"the finest of the pair, got .* belongs to another level"):
         research.result_of_map(itself, other)
+
+
+def test_arrays_of_another_shape_and_nan_are_refused_by_name(itself):
+    target, constraints = itself.target, research.gather_constraints(itself)
+    vertices, values = target.control.n_vertices, target.basis.at(1)
+    nan, eye = np.nan, np.eye(30)
+    refuses(ParameterError, "got 3: .*Transpose", research.make_pair, target, target, np.zeros((3, 2), int))
+    assert TriangleSurface.from_faces(np.eye(3).tolist(), [[0, 1, 2]]).n == 3
+    for given in (np.ones(30), np.ones((29, 2)), np.ones((30, 2)) * nan):
+        refuses(ParameterError, "^target descriptors: expected", constraints.with_descriptors, given, np.ones((30, 2)))
+    refuses(ParameterError, "^operators: expected finite", constraints.with_operators, eye * nan, eye)
+    refuses(ParameterError, "map: expected", research.transport, itself, np.ones(30), values[:, 0], 1, 1)
+    refuses(ParameterError, "map: expected", research.to_bases, itself, np.eye(31), values, values)
+    refuses(ParameterError, "map: expected finite", research.from_bases, itself, eye * nan, values, values)
+    refuses(ParameterError, "functions: expected finite", research.from_bases, itself, eye, values * nan, values)
+    refuses(ParameterError, "functions: expected finite", target.basis.project, np.full(vertices, nan), 0)
+    for chosen in (np.arange(vertices) < 3, [0.5]):
+        refuses(ParameterError, "vertices: expected whole numbers", target.basis.rows, 0, chosen)
+    np.testing.assert_array_equal(target.basis.rows(0, [1, 2]), target.basis.at(0)[1:3])
+
+
+def test_operators_are_taken_where_coarse_levels_have_no_functions(recwarn):
+    surface = research.prepare(shapes.creature(), 1, BasisConfig(count=12))
+    vertices = np.arange(0, 40, 5)
+    pair = research.make_pair(surface, surface, (vertices, vertices))
+    constraints = research.gather_constraints(pair).with_operators(np.eye(12), np.eye(12))
+    found = research.functional_map(pair, constraints, research.MapWeights(decay=0.0))
+    np.testing.assert_allclose(found, np.eye(12), atol=1e-6)
+    assert not recwarn.list
 
 
 def test_a_result_with_landmarks_between_vertices_is_written_and_read(itself, tmp_path):

@@ -238,6 +238,9 @@ def test_what_is_no_surface_is_refused_by_name(faces: list[list[int]], message: 
         InvalidMeshError, match=r"scan\.obj: expected a surface with an area, got 2 faces.*Repair it in"
     ):
         plain_mesh(line)
+    for scale in (1e200, 1e-200):
+        huge = ControlMesh.from_faces(scale * np.eye(3), [[0, 1, 2]])
+        refuses(InvalidMeshError, "expected an extent between 1e-60 and 1e\\+60", plain_mesh, huge)
 
 
 def test_a_mesh_of_skew_quads_looks_outwards_once_it_is_turned_round() -> None:

@@ -12,7 +12,9 @@ import numpy as np
 
 import cagemap
 from cagemap.deform.config import ElasticConfig
+from cagemap.deform.placement import Placement
 from cagemap.files.images.image import Image
+from cagemap.maps.result import LevelMap
 from cagemap.pipeline import MatchConfig
 from cagemap.research import gather_constraints
 
@@ -63,6 +65,7 @@ def test_values_show_themselves_in_a_line() -> None:
     values = (mesh, result, result.landmarks, pair, cagemap.transfer_of(result), image, result.target.operators)
     values += (pair.landmarks, result.quality, result.spectral, cagemap.Masks(target=np.ones(4)))
     values += (cagemap.weld_mesh(mesh), cagemap.plain_mesh(mesh), gather_constraints(pair))
+    values += (LevelMap((0, 0), np.eye(9), np.arange(9)), Placement(np.zeros((9, 3))))
     for value in values:
         assert re.fullmatch(rf"{type(value).__name__}\(.{{10,250}}\)", repr(value)), repr(value)
         assert "array" not in repr(value)

@@ -30,6 +30,7 @@ from cagemap import (
     PointMap,
     SurfacePoints,
     TriangleSurface,
+    research,
 )
 from cagemap.character.roles import find_body
 from cagemap.errors import ParameterError
@@ -45,6 +46,9 @@ from refusals import refuses
 FUNCTIONS = [name for name in cagemap.__all__ if inspect.isfunction(getattr(cagemap, name))]
 # Given to them are arrays and images alone, or a number.
 OF_ARRAYS = {"blend", "painted_mask", "thread_limit", "with_alpha"}
+# Of `cagemap.research`, those that have no name in `cagemap`.
+STEPS = sorted(set(research.__all__) - set(cagemap.__all__) - {"control_mesh", "tensors"})
+STEPS = [name for name in STEPS if inspect.isfunction(getattr(research, name))]
 
 
 def checked(function: Callable[..., object]) -> dict[str, tuple[type, ...]]:
@@ -57,9 +61,9 @@ def some(kinds: tuple[type, ...]) -> object:
     return known[kinds[0]] if kinds[0] in known else object.__new__(kinds[0])
 
 
-@pytest.mark.parametrize("name", sorted(set(FUNCTIONS) - OF_ARRAYS))
+@pytest.mark.parametrize("name", sorted(set(FUNCTIONS) - OF_ARRAYS) + STEPS)
 def test_values_of_another_kind_are_refused_by_the_name_of_their_parameter(name: str) -> None:
-    function = getattr(cagemap, name)
+    function = getattr(research if name in STEPS else cagemap, name)
     kinds = checked(function)
     assert kinds, f"{name} looks at none of its arguments"
     needed = {
@@ -136,6 +140,11 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "a face below 0": lambda s: cagemap.refine(ControlMesh.from_faces(s.cube.positions, [[0, 1, -1]]), 1),
     "places that are no numbers": lambda s: cagemap.prepare_surface(s.mesh.with_positions(s.mesh.positions * NAN), 1),
     "too few positions": lambda s: s.mesh.with_positions(s.mesh.positions[:5]),
+    "creases of three vertices": lambda s: s.mesh.with_creases([0, 1, 2], 1.0),
+    "more sharpness than creases": lambda s: s.mesh.with_creases([[0, 1]], [1.0, 2.0]),
+    "more sharpness than corners": lambda s: s.mesh.with_corners([0], [1.0, 2.0]),
+    "no points, evenly spread": lambda s: SurfacePoints.evenly_spread(s.triangles, 0),
+    "distances as a matrix": lambda s: cagemap.geodesic_error(s.map, np.arange(s.n), distances=np.zeros((s.n, s.n))),
     "uvs for other corners": lambda s: s.mesh.with_uvs(np.zeros((3, 2)), np.arange(5)),
     "uvs of three": lambda s: s.mesh.with_uvs(np.zeros((3, 3)), np.zeros(len(s.mesh.face_indices), int)),
     "uvs that are not there": lambda s: cagemap.prepare_surface(

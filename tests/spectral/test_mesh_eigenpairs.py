@@ -54,6 +54,33 @@ def test_meshes_of_quads_boundaries_and_two_parts_are_taken():
     assert (np.abs(cagemap.eigenpairs((twice, faces), 3).values) < 1e-8).tolist() == [True, True, False]
 
 
+def ball(level):
+    """Positions and triangles of a subdivided icosahedron, whose eigenvalues repeat 3 to 5 times."""
+    refinement = refine(shapes.icosahedron(), level)
+    return refinement.finest.positions, level_triangles(refinement, level)
+
+
+@pytest.mark.parametrize("count", [3, 45])
+def test_meshes_of_many_parts_are_taken(count):
+    """Zero is an eigenvalue of high multiplicity, which one Lanczos iteration for all parts does not find."""
+    positions, triangles = ball(2)
+    sizes = np.linspace(0.5, 1.5, 40)
+    together = np.vstack([size * positions + 5.0 * i for i, size in enumerate(sizes)])
+    faces = np.vstack([triangles + i * len(positions) for i in range(40)])
+    pairs = cagemap.eigenpairs((together, faces), count)
+    of_one = cagemap.eigenpairs((positions, triangles), 4).values
+    expected = np.sort(np.outer(1.0 / sizes**2, of_one).ravel())
+    np.testing.assert_allclose(pairs.values, expected[:count], atol=1e-8)
+    areas = vertex_areas(together, faces)
+    np.testing.assert_allclose(pairs.vectors.T @ (areas[:, None] * pairs.vectors), np.eye(count), atol=1e-10)
+
+
+@pytest.mark.parametrize("count", [5, 51])
+def test_values_ascend_within_a_repeated_eigenvalue(count):
+    values = cagemap.eigenpairs(ball(4), count, 1e-9).values
+    assert (np.diff(values) >= 0.0).all()
+
+
 def test_what_cannot_be_computed_is_refused(arrays):
     loose = np.vstack([arrays[0], [[9.0, 9.0, 9.0]]]), arrays[1]
     refuses(InvalidMeshError, "found none at 1 of them, such as \\[2434\\]", cagemap.eigenpairs, loose, 5)

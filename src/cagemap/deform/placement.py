@@ -16,7 +16,7 @@ from cagemap.numerics.arrays import FloatArray
 class Placement:
     """Positions on the source of a graph's, or the target mesh's, vertices."""
 
-    positions: FloatArray  #: (n, 3) near the source, at unit area
+    positions: FloatArray = field(repr=False)  #: (n, 3) near the source, at unit area
     cost: float = 0.0  #: sum of `costs`; 0 if not computed
     #: (n,) squared distances both ways and elastic energy by vertex; empty if not computed
     costs: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from cagemap.errors import ParameterError
 from cagemap.maps.pair import LevelPair, Pair
 from cagemap.maps.point_map import PointMap
-from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, real_numbers, whole_numbers
+from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, finite_numbers, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads
 from cagemap.spectral.surface import Surface
@@ -60,7 +60,7 @@ def from_bases(
     pyFM's ``model.FM_12`` with ``model.mesh2.eigenvectors`` as the target's functions and ``mesh1``'s as the source's;
     geomfum's matrix with those of ``basis_b.vecs`` and ``basis_a.vecs``.
     """
-    matrix = real_numbers(functional_map, "functional map")
+    matrix = finite_numbers(functional_map, "map")
     target, source = _sides(pair, matrix.shape, (target_functions, source_functions), levels)
     k1, k2 = min(matrix.shape[0], pair.target.basis.count), min(matrix.shape[1], pair.source.basis.count)
     ours, theirs, areas = target
@@ -81,9 +81,9 @@ def to_bases(
 
     The inverse of `from_bases`; same errors.
     """
-    matrix = real_numbers(functional_map, "functional map")
-    given = [real_numbers(values, "functions") for values in (target_functions, source_functions)]
-    target, source = _sides(pair, tuple(values.shape[-1] for values in given), (given[0], given[1]), levels)
+    matrix = functional_map_from(pair, functional_map)
+    shape = tuple(finite_numbers(values, "functions").shape[-1] for values in (target_functions, source_functions))
+    target, source = _sides(pair, shape, (target_functions, source_functions), levels)
     ours, theirs, areas = target
     to_theirs = fit_functional_map(theirs, areas, ours[:, : matrix.shape[0]])
     ours, theirs, areas = source
@@ -97,7 +97,7 @@ def _sides(
     surfaces, sides = (pair.target, pair.source), []
     for i, name in enumerate(("target", "source")):
         surface, level = surfaces[i], surfaces[i].finest_level if levels is None else levels[i]
-        triangles, theirs = surface.triangles(level), real_numbers(functions[i], f"{name} functions")
+        triangles, theirs = surface.triangles(level), finite_numbers(functions[i], f"{name} functions")
         if len(shape) != 2 or theirs.ndim != 2 or len(theirs) != triangles.n or theirs.shape[1] < shape[i]:
             raise ParameterError(
                 f"{name} functions: expected {triangles.n} rows, the vertices of level {level}, and as many columns as "
@@ -133,10 +133,7 @@ def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
             f"{len(source.vertices) - 1} for every target vertex of a level, {' or '.join(map(str, counts))} of them, "
             f"got {type(given).__name__} {values.shape}"
         )
-    matrix = real_numbers(values, "functional map")
-    if not np.isfinite(matrix).all():
-        raise ParameterError("map: expected finite numbers in the functional map, got others")
-    return matrix
+    return finite_numbers(values, "map")
 
 
 def functional_map_from(pair: Pair, given: MapLike, sizes: tuple[int, int] | None = None) -> FloatArray:

@@ -83,6 +83,11 @@ def geodesic_error(
 
 def _errors_by(distances: Callable[[int], ArrayLike], images: SurfacePoints, true_images: SurfacePoints) -> FloatArray:
     """(s,) distances from the vertices nearest to the true images to the images, by another library."""
+    if not callable(distances):
+        raise ParameterError(
+            f"distances: expected a function of a source vertex, got a {type(distances).__name__}; a matrix D has "
+            "D.__getitem__"
+        )
     nearest = true_images.heaviest_corners
     errors = np.empty(len(images))
     for vertex in np.unique(nearest):

@@ -46,8 +46,8 @@ class LevelMap:
     """Functional map and vertex matches between one level of the target and one of the source."""
 
     levels: LevelPair  # of target and source
-    functional_map: FloatArray  # (k1, k2) C12 on the basis functions of these levels
-    match: IndexArray  # (n1,) source vertex of every target vertex
+    functional_map: FloatArray = field(repr=False)  # (k1, k2) C12 on the basis functions of these levels
+    match: IndexArray = field(repr=False)  # (n1,) source vertex of every target vertex
     points: PointMap | None = None  # images as points of the source; None until the finer levels are found
 
 

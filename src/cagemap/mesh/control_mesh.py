@@ -210,9 +210,11 @@ class ControlMesh:
 
     def with_creases(self, edges: ArrayLike, sharpness: ArrayLike) -> ControlMesh:
         """Return the same mesh with other creases: (k, 2) vertices of edges and (k,) or one sharpness."""
-        pairs = np.array(whole_numbers(edges, f"{self.name}: crease edges")).reshape(-1, 2)
-        values = np.array(np.broadcast_to(real_numbers(sharpness, f"{self.name}: crease sharpness"), len(pairs)))
-        return replace(self, crease_edges=pairs, crease_sharpness=values)
+        pairs = np.array(whole_numbers(edges, f"{self.name}: crease edges"))
+        if pairs.size % 2:
+            raise ParameterError(f"{self.name}: expected crease edges (k, 2), got an array {pairs.shape}")
+        pairs = pairs.reshape(-1, 2)
+        return replace(self, crease_edges=pairs, crease_sharpness=self._sharpness(sharpness, len(pairs)))
 
     def without_sharpness(self) -> ControlMesh:
         """Return the same mesh without creases and sharp corners."""
@@ -221,8 +223,14 @@ class ControlMesh:
     def with_corners(self, vertices: ArrayLike, sharpness: ArrayLike) -> ControlMesh:
         """Return the same mesh with other sharp corners: (k,) vertices and (k,) or one sharpness."""
         corners = np.array(whole_numbers(vertices, f"{self.name}: corner vertices")).ravel()
-        values = np.array(np.broadcast_to(real_numbers(sharpness, f"{self.name}: corner sharpness"), len(corners)))
-        return replace(self, corner_vertices=corners, corner_sharpness=values)
+        return replace(self, corner_vertices=corners, corner_sharpness=self._sharpness(sharpness, len(corners)))
+
+    def _sharpness(self, given: ArrayLike, count: int) -> FloatArray:
+        """(count,) sharpness, from as many numbers or from one."""
+        values = real_numbers(given, f"{self.name}: sharpness")
+        if values.shape not in ((), (1,), (count,)):
+            raise ParameterError(f"{self.name}: expected one sharpness, or {count}, got an array {values.shape}")
+        return np.array(np.broadcast_to(values, count))
 
     def with_uvs(self, uvs: FloatArray | None, uv_indices: IndexArray | None) -> ControlMesh:
         """Return the same mesh with other texture coordinates (p, 2) and their index for every corner, or with none.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -29,7 +29,7 @@ SAME_PLANE = 0.99
 class Mirror:
     """An exact or approximate mirror plane of a control mesh."""
 
-    image: IndexArray  #: (n,) nearest vertex of every vertex's mirror image
+    image: IndexArray = field(repr=False)  #: (n,) nearest vertex of every vertex's mirror image
     normal: FloatArray  #: (3,) unit vector; the plane is ``normal @ x == offset``
     offset: float
     exact: bool  #: whether the image is a symmetry of the mesh, see `is_symmetry`

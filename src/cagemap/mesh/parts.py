@@ -131,7 +131,10 @@ def _faces_of_passengers(mesh: ControlMesh) -> NDArray[np.bool_]:
 
 
 def find_part(mesh: ControlMesh, name: str) -> Part:
-    """Part by name, ``KIND:NAME`` or ``largest``; ParameterError unless exactly one matches."""
+    """Part by name, ``KIND:NAME`` or ``largest``; ParameterError unless exactly one matches.
+
+    ``extract_faces(mesh, part.faces)`` is the part as a mesh.
+    """
     parts = list_parts(mesh)
     if name == LARGEST:
         return largest_part(mesh)

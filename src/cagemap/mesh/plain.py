@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh.checks import extra_faces, inside_out_problem, zero_area_problem
+from cagemap.mesh.checks import extent_problem, extra_faces, inside_out_problem, zero_area_problem
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.faces import (
     degenerate_faces,
@@ -52,6 +52,9 @@ def plain_mesh(mesh: MeshLike) -> RepairedMesh:
     InvalidMeshError if the arrays are no mesh, or the mesh is one-sided or has no area.
     """
     require_structure(mesh)
+    extent = extent_problem(mesh)
+    if extent is not None and extent.kind == "size":
+        raise InvalidMeshError(f"{mesh.name}: {extent}")
     work = replace(
         mesh.without_sharpness(),
         scheme=Plain(),

@@ -47,6 +47,14 @@ def real_numbers(values: ArrayLike, what: str) -> FloatArray:
         raise ParameterError(f"{what}: expected an array of real numbers, got {shown(values)}") from None
 
 
+def finite_numbers(values: ArrayLike, what: str) -> FloatArray:
+    """Convert values to a float64 array; ParameterError if they are no finite real numbers."""
+    given = real_numbers(values, what)
+    if not np.isfinite(given).all():
+        raise ParameterError(f"{what}: expected finite numbers, got NaN or infinity among {given.size}")
+    return given
+
+
 def shown(value: object) -> str:
     """Text of a value for messages, at most 60 characters."""
     text = repr(value)

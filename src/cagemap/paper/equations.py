@@ -54,7 +54,7 @@ def solve_functional_map(
         right = right - normal_equations(start)
     unknown = np.ones((k1, k2), dtype=bool)
     unknown[:low1, :low2] = False
-    if pairs:
+    if pairs and start.size:
         start[unknown] = _solve_coupled(normal_equations, gram, diagonal, right, unknown)
     else:
         start[unknown] = _solve_rows(gram, diagonal, right, unknown)

@@ -11,8 +11,8 @@ from scipy import sparse
 from cagemap.errors import ParameterError
 from cagemap.maps.pair import Pair
 from cagemap.mesh.curves import Curve
-from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers
-from cagemap.numerics.kinds import Config
+from cagemap.numerics.arrays import FloatArray, IndexArray, finite_numbers
+from cagemap.numerics.kinds import Config, kinds_checked
 from cagemap.numerics.threads import in_threads
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors, normalise_columns, signatures
 from cagemap.paper.symmetries import check_symmetry, symmetry_at, symmetry_operator
@@ -102,8 +102,13 @@ class Constraints:
         for a landmark kernel.
         """
         sides = []
-        for data, given in ((self.target, target), (self.source, source)):
-            scaled = weight * normalise_columns(real_numbers(given, "descriptors"))
+        for name, data, given in (("target", self.target, target), ("source", self.source, source)):
+            columns = finite_numbers(given, f"{name} descriptors")
+            if columns.ndim != 2 or len(columns) != data.count:
+                raise ParameterError(
+                    f"{name} descriptors: expected coefficients ({data.count}, q) of q functions, got {columns.shape}"
+                )
+            scaled = weight * normalise_columns(columns)
             sides.append(replace(data, descriptors=np.hstack([data.descriptors, scaled])))
         return Constraints(*sides)
 
@@ -111,7 +116,7 @@ class Constraints:
         """Add a pair of operators (k1, k1), (k2, k2) of norm about 1 that C shall commute with."""
         sides = ((self.target, target), (self.source, source))
         return Constraints(
-            *(replace(data, operators=(*data.operators, real_numbers(given, "operators"))) for data, given in sides)
+            *(replace(data, operators=(*data.operators, finite_numbers(given, "operators"))) for data, given in sides)
         )
 
 
@@ -124,6 +129,7 @@ class DescriptorConfig(Config):
     signature_weight: float = 3.0  #: norm of a signature, relative to 1 of a landmark kernel; 0: no signatures
 
 
+@kinds_checked
 def gather_constraints(pair: Pair, config: DescriptorConfig = DescriptorConfig()) -> Constraints:
     """Descriptors F~ and operators O~ of both surfaces on their whole bases.
 
@@ -140,6 +146,7 @@ def gather_constraints(pair: Pair, config: DescriptorConfig = DescriptorConfig()
     return Constraints(*data)
 
 
+@kinds_checked
 def signature_functions(surface: Surface, filters: Filters, level: int) -> FloatArray:
     """(n_level, q) signatures diag(Phi~ rho_t(Lambda~) Phi~^T) at the vertices of a level (Definition 3)."""
     at_eigenvalues = filters.at(surface.basis.eigenvalues[: surface.basis.size(level)])

@@ -23,7 +23,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import facing_points
 from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.kinds import Config
+from cagemap.numerics.kinds import Config, kinds_checked
 from cagemap.paper.embeddings import functions_at, spectral_rows
 from cagemap.paper.equations import solve_functional_map
 from cagemap.paper.functional_constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
@@ -63,6 +63,7 @@ class HfmConfig(Config):
 Displacement = tuple[FloatArray, FloatArray]
 
 
+@kinds_checked
 def hfm_map(
     pair: Pair,
     config: HfmConfig = HfmConfig(),

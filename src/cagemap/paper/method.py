@@ -14,7 +14,7 @@ from cagemap.maps.pair import LevelPair, Pair, Progress, no_progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.kinds import Config
+from cagemap.numerics.kinds import Config, kinds_checked
 from cagemap.paper.embeddings import (
     Rows,
     nearest_candidates,
@@ -47,6 +47,7 @@ class PaperConfig(Config):
     rounds: int = 1  #: alternations of P and orthonormal C on every level (2.1.4); 0: keep C of eqs. 13-16
 
 
+@kinds_checked
 def paper_map(
     pair: Pair,
     config: PaperConfig = PaperConfig(),
@@ -166,6 +167,7 @@ def refit_map(pair: Pair, levels: LevelPair, match: IndexArray) -> FloatArray:
     return fit_functional_map(rows, areas[chosen], values)
 
 
+@kinds_checked
 def recover_points(pair: Pair, matched: LevelMap) -> PointMap:
     """Vertex-to-point map of a pair of levels from its vertex matches."""
     rows = _both_rows(pair, matched.functional_map, matched.levels)

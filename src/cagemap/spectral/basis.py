@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray, read_only, real_numbers
+from cagemap.numerics.arrays import FloatArray, IndexArray, finite_numbers, read_only, whole_numbers
 from cagemap.numerics.products import multiply
 from cagemap.numerics.threads import ROW_BLOCK, row_slices
 from cagemap.operators import Operators, lumped_areas
@@ -91,6 +91,7 @@ class HierarchicalBasis:
     def rows(self, level: int, vertices: IndexArray) -> FloatArray:
         """Rows (q, k~_level) of Phi~^level at vertices (q,), in time linear in q; ParameterError for missing ones."""
         self._check_level(level)
+        vertices = whole_numbers(vertices, "vertices")
         bands = [(coarser, band) for coarser, band in enumerate(self.bands[: level + 1]) if band.shape[1]]
         rows = [multiply(self.hierarchy.rows(vertices, level, coarser), band) for coarser, band in bands]
         return np.hstack([np.zeros((len(vertices), 0)), *rows])
@@ -112,7 +113,7 @@ class HierarchicalBasis:
         if not 1 <= size <= self.count:
             raise ParameterError(f"expected 1 to {self.count} basis functions, got {size}")
         n = self.hierarchy.levels[level].n_vertices
-        functions = real_numbers(values, "functions")
+        functions = finite_numbers(values, "functions")
         if functions.shape[0] != n:
             raise ParameterError(
                 f"expected functions with {n} rows, one for each vertex of level {level}, got {functions.shape}"

@@ -42,15 +42,21 @@ class EigenPairs:
 
 
 def residual_norms(
-    values: FloatArray, stiffness_vectors: FloatArray, mass_vectors: FloatArray, areas: FloatArray
+    values: FloatArray,
+    stiffness_vectors: FloatArray,
+    mass_vectors: FloatArray,
+    areas: FloatArray,
+    area: float | None = None,
 ) -> FloatArray:
     """(m,) relative residuals, ||W x - lambda M x||_{D^{-1}} / max(lambda, 4 pi / area), of M-orthonormal X (n, m).
 
     ``stiffness_vectors`` is W X, ``mass_vectors`` M X, ``areas`` the lumped mass matrix D = M 1 (n,), equal to M at the
-    finest level. The lower bound 4 pi / area, for eigenvalues near 0, is the mean distance of eigenvalues (Weyl's law).
+    finest level. The lower bound 4 pi / area, for eigenvalues near 0, is the mean distance of eigenvalues (Weyl's law);
+    ``area`` is by default the sum of ``areas``.
     """
     squares = (1.0 / areas) @ (stiffness_vectors - mass_vectors * values) ** 2
-    return np.asarray(np.sqrt(squares) / np.maximum(values, 4.0 * np.pi / float(areas.sum())))
+    least = 4.0 * np.pi / (float(areas.sum()) if area is None else area)
+    return np.asarray(np.sqrt(squares) / np.maximum(values, least))
 
 
 def band_pairs(

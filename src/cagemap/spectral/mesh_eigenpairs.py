@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import linalg, sparse
+from scipy.sparse.csgraph import connected_components
 
 from cagemap.errors import InvalidMeshError, ParameterError, SolverError
 from cagemap.mesh.faces import cage_triangles, faces_of_one_size
@@ -67,6 +68,31 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
         )
     if not 1 <= k <= len(areas):
         raise ParameterError(f"k: expected 1 to {len(areas)} pairs, the mesh's vertices, got {k}")
+    area = float(areas.sum())
+    try:
+        return _pairs(weights, areas, k, accuracy, area)
+    except SolverError:
+        count, labels = connected_components(weights, directed=False)
+        if count == 1:
+            raise
+    # With many parts 0 is repeated too often for one Lanczos iteration: each part is solved alone.
+    parts = [np.flatnonzero(labels == part) for part in range(count)]
+    found = [
+        _pairs(sparse.csr_array(weights[part][:, part]), areas[part], min(k, len(part)), accuracy, area)
+        for part in parts
+    ]
+    values = np.concatenate([pairs.values for pairs in found])
+    lowest = np.argsort(values, kind="stable")[:k]
+    vectors, start = np.zeros((len(areas), k)), 0
+    for part, pairs in zip(parts, found, strict=True):
+        columns = np.flatnonzero((lowest >= start) & (lowest < start + len(pairs.values)))
+        vectors[np.ix_(part, columns)] = pairs.vectors[:, lowest[columns] - start]
+        start += len(pairs.values)
+    return EigenPairs(values[lowest], vectors, 0)
+
+
+def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float, area: float) -> EigenPairs:
+    """Lowest pairs of a mesh or a part of it; ``area`` is that of the whole mesh."""
     mass = sparse.csr_array(sparse.diags_array(areas))
     # Lanczos may be in single precision; the inverse iterations below remove its rounding error.
     initial = band_pairs(weights, mass, 0, k, accuracy=max(min(accuracy, SOLVER.single_accuracy), 1e-10))
@@ -76,9 +102,10 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
     parts = row_slices(k, COLUMN_BLOCK)
     for iteration in range(MAX_INVERSE_ITERATIONS + 1):
         if shifted is not None or initial.vectors.dtype == np.float64:
-            worst = max(_worst_residual(weights, areas, values[part], vectors[:, part]) for part in parts)
+            worst = max(_worst_residual(weights, areas, values[part], vectors[:, part], area) for part in parts)
         if worst <= accuracy:
-            return EigenPairs(values, vectors, 0)
+            order = np.argsort(values, kind="stable")  # equal ones differ by rounding
+            return EigenPairs(values[order], vectors.take(order, axis=1), 0)
         if iteration == MAX_INVERSE_ITERATIONS:
             break
         shifted = factor(shifted_matrix(weights, mass, shift)) if shifted is None else shifted
@@ -88,7 +115,8 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
         for part in parts:
             values[part] = np.einsum("ij,ij->j", vectors[:, part], multiply(weights, vectors[:, part]))
     raise SolverError(
-        f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; ask for a lower accuracy"
+        f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; ask for a lower accuracy, such as "
+        f"{10.0 * worst:.0e}"
     )
 
 
@@ -104,9 +132,11 @@ def _orthonormalise(vectors: FloatArray, areas: FloatArray) -> None:
     in_threads(orthonormalise, rows)
 
 
-def _worst_residual(weights: sparse.csr_array, areas: FloatArray, values: FloatArray, vectors: FloatArray) -> float:
+def _worst_residual(
+    weights: sparse.csr_array, areas: FloatArray, values: FloatArray, vectors: FloatArray, area: float
+) -> float:
     """The largest of `residual_norms`."""
-    return float(residual_norms(values, multiply(weights, vectors), areas[:, None] * vectors, areas).max())
+    return float(residual_norms(values, multiply(weights, vectors), areas[:, None] * vectors, areas, area).max())
 
 
 @kinds_checked
@@ -120,8 +150,9 @@ def operators_for_diffusion_net(
     every gradient, in squared lengths at unit area; the default is DiffusionNet's and reduces gradients where edges are
     shorter than about 0.005. ParameterError if the level or count is out of range.
 
-    mass (n,) are vertex areas, of sum 1 on the finest level. L (n, n) is the cotangent matrix, positive semi-definite.
-    evals (count,) and mass-orthonormal evecs (n, count) solve L x = lambda diag(mass) x. gradX and gradY (n, n) are
+    mass (n,) are the triangles' vertex areas, of sum 1 on the finest level (nearly 1 if quads are not flat, as the area
+    of a quad is the mean of both triangulations). L (n, n) is the cotangent matrix, positive semi-definite. evals
+    (count,) and mass-orthonormal evecs (n, count) solve L x = lambda diag(mass) x. gradX and gradY (n, n) are
     least-squares gradients over the edges at a vertex, in tangent axes: X is the projection of the first axis of space,
     or of the second where the normal is within 26 degrees of the first; Y = normal x X.
     """

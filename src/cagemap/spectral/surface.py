@@ -222,7 +222,7 @@ def prepare_checked(
     if not isinstance(scheme, Plain) and not 1 <= level <= MOST_LEVELS:
         raise ParameterError(
             f"level: expected 1 to {MOST_LEVELS}, got {level}; level 0 is the control mesh, and only a plain mesh "
-            "(scheme none) is matched as it is"
+            "(scheme none) is matched as it is: use `plain_mesh`"
         )
     with one_blas_thread():
         progress(f"refine {control.name}")

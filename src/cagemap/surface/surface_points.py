@@ -69,6 +69,8 @@ class SurfacePoints:
 
         Systematic sampling along the order of the search tree, where consecutive triangles are near each other.
         """
+        if count < 1:
+            raise ParameterError(f"count: expected 1 point or more, got {count}")
         order = surface.tree.order
         ends = np.cumsum(surface.areas[order])
         targets = (np.arange(count) + 0.5) * (ends[-1] / count)

@@ -58,6 +58,7 @@ class TriangleSurface:
 
         ParameterError if the surface has no area or a position is not finite.
         """
+        positions, faces = real_numbers(positions, "positions"), whole_numbers(faces, "faces")
         area = surface_area(positions, faces)
         if not 0.0 < area < np.inf:
             raise ParameterError(f"expected a surface of finite, positive area, got {area}: check its positions")
