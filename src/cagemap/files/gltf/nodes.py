@@ -267,12 +267,7 @@ def _with_bound(rig: Rig, joints: IndexArray, skin: Skin, taken: tuple[str, ...]
 def _joint_nodes(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> list[int]:
     """Nodes that become joints, parents before children."""
     stated = {int(node) for skin in skins for node in skin.nodes}
-    targets = (
-        document.table(channel, "target", "animations")
-        for animation in document.entries("animations")
-        for channel in document.entries("channels", animation, "animations")
-    )
-    moved = {target.get("node") for target in targets if target.get("path") != "weights"}
+    moved = moved_nodes(document)
     chosen = stated | _moved_props(document, nodes, stated, moved)
     turned = nodes.local[:, :3, :3]
     lengths = np.linalg.norm(turned, axis=2)
@@ -284,6 +279,16 @@ def _joint_nodes(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> l
             if node in moved or not similar[node]:
                 chosen.add(node)
     return [node for node in nodes.order if node in chosen]
+
+
+def moved_nodes(document: Document) -> set[int]:
+    """Nodes that animations move; weights of blend shapes move none."""
+    targets = (
+        document.table(channel, "target", "animations")
+        for animation in document.entries("animations")
+        for channel in document.entries("channels", animation, "animations")
+    )
+    return {one["node"] for one in targets if one.get("path") != "weights" and one.get("node") is not None}
 
 
 def _moved_props(document: Document, nodes: Nodes, joints: set[int], moved: set[int]) -> set[int]:
