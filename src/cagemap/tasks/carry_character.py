@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from cagemap.character.doubled_pieces import doubled_pieces, pieces_in_surface
 from cagemap.character.normals import move_vertices, with_shape_normals
-from cagemap.character.passenger_pieces import PassengerKind
+from cagemap.character.passenger_pieces import PIECES, PassengerKind, PieceConfig, find_pieces
 from cagemap.character.passengers import CarriedPassenger, carry_passengers
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body
@@ -25,7 +25,7 @@ from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.mesh.parts import MIN_BODY_EXTENT, extract_faces, join_meshes, numbers_on_part, passenger_word
 from cagemap.mesh.repairs import RepairedMesh
 from cagemap.mesh.topology import used_vertices
-from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, members_of
 from cagemap.pipeline import choose_level, match, prepare_surfaces
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights
 from cagemap.tasks.match_parts import lost_landmark_notes, ready_mesh
@@ -193,7 +193,22 @@ def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
     rows = bodies.rows(1)
     carried = carry_shapes(bodies.result, {name: offsets[rows] for name, offsets in shapes.items()})
     assert isinstance(carried, dict)
-    return {name: bodies.on_target(offsets) for name, offsets in carried.items()}
+    made = {name: bodies.on_target(offsets) for name, offsets in carried.items()}
+    for piece in rigid_pieces(bodies):
+        for offsets in made.values():
+            offsets[piece] = offsets[piece].mean(axis=0)
+    return made
+
+
+def rigid_pieces(bodies: Bodies, config: PieceConfig = PIECES) -> list[IndexArray]:
+    """Vertices of each unmatched piece of the target's mesh that keeps its shape, such as an eyeball."""
+    mesh, unmatched = bodies.given[0].mesh, bodies.ready[0].vertex_of < 0
+    if not unmatched.any():
+        return []
+    places = bodies.result.point_map.target.scale * mesh.positions
+    pieces = find_pieces(mesh, places, np.zeros(mesh.n_vertices), None, config)
+    groups = zip(members_of(pieces.group), pieces.is_rigid, strict=True)
+    return [vertices for vertices, is_rigid in groups if is_rigid and unmatched[vertices].all()]
 
 
 @dataclass(frozen=True, eq=False)

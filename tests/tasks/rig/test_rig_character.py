@@ -308,6 +308,18 @@ def test_a_piece_that_stays_moves_as_that_of_the_character(body: ControlMesh, in
         np.testing.assert_allclose(made.shapes[name], 2.0 * offsets, atol=1e-3)
 
 
+def test_a_ball_in_the_mesh_keeps_its_shape(body: ControlMesh) -> None:
+    """The character has none there: shapes of its body move the ball as a whole."""
+    button = ball("button", body.positions[body.face_indices[:2]].mean(axis=0), 0.05)
+    meshes = [replace(one, face_objects=None, object_names=()) for one in (body, button)]
+    target = Part("body", replace(with_options(join_meshes(meshes), "none"), name="B.glb"))
+    source = Part("body", replace(body, name="C.glb"), shapes={"grow": 0.1 * body.positions})
+    (made,) = carry_character(Character((target,)), Character((source,))).character.parts
+    shifts = made.shapes["grow"][body.n_vertices :]
+    assert np.linalg.norm(shifts, axis=1).min() > 0.0
+    np.testing.assert_allclose(np.ptp(shifts, axis=0), 0.0, atol=1e-12)
+
+
 @pytest.mark.slow
 def test_feet_that_are_pieces_are_not_carried_to_a_body_with_feet() -> None:
     body = bare_body(2)
