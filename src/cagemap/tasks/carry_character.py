@@ -97,6 +97,8 @@ def carry_character(
     extras = [_with_body_weights(part, body, taken) for part in others]
     stages("passengers")
     carried = carry_passengers(result, [part.mesh for part in to_carry], kinds=kinds)
+    if passengers is None:
+        notes += _doubled_passengers(matched, zip(chosen, carried[: len(chosen)], strict=True))
     dressed = [
         move_vertices(part, one.positions, {name: one.carry_offsets(offsets) for name, offsets in part.shapes.items()})
         for part, one in zip(to_carry, carried, strict=True)
@@ -293,6 +295,19 @@ def _values_of_pairs(
         None if pieces.weights is None else pieces.weights[taken],
         {name: carried.carry_offsets(offsets)[taken] for name, offsets in pieces.shapes.items()},
     )
+
+
+def _doubled_passengers(bodies: Bodies, carried: Iterable[tuple[Part, CarriedPassenger]]) -> list[str]:
+    """A note on carried parts at whose place the mesh of the target's body has pieces."""
+    own = _set_aside(bodies.given[0], bodies.ready[0])
+    if own is None:
+        return []
+    doubled = []
+    for part, place in carried:
+        pairs = doubled_pieces(part.mesh.with_positions(place.positions), own.mesh)
+        doubled += [part.name] if sum(len(faces) for faces, _ in pairs) == part.mesh.n_faces else []
+    text = "has pieces where they are carried to: --passengers without them leaves them out"
+    return [f"{', '.join(doubled)}: the mesh of {bodies.given[0].mesh.name} {text}"] if doubled else []
 
 
 def _set_aside(body: Part, ready: RepairedMesh) -> Part | None:

@@ -308,6 +308,18 @@ def test_a_piece_that_stays_moves_as_that_of_the_character(body: ControlMesh, in
         np.testing.assert_allclose(made.shapes[name], 2.0 * offsets, atol=1e-3)
 
 
+def test_a_part_where_the_mesh_of_the_body_has_a_piece_is_named(body: ControlMesh) -> None:
+    """Eyes of the character, carried to a body whose mesh has eyes."""
+    place = body.positions[np.argmax(body.positions[:, 2])] + [0, 0, 0.3]
+    eye, hat = ball("eye", place, 0.1), ball("hat", -place, 0.1)
+    meshes = [replace(one, face_objects=None, object_names=()) for one in (body, eye)]
+    target = Character((Part("body", replace(with_options(join_meshes(meshes), "none"), name="B.glb")),))
+    source = Character((Part("body", replace(body, name="C.glb")), Part("eye", eye), Part("hat", hat)))
+    said = "eye: the mesh of B.glb has pieces where they are carried to: --passengers without them leaves them out"
+    assert said in carry_character(target, source).notes
+    assert said not in carry_character(target, source, passengers=["eye"]).notes
+
+
 def test_a_ball_in_the_mesh_keeps_its_shape(body: ControlMesh) -> None:
     """The character has none there: shapes of its body move the ball as a whole."""
     button = ball("button", body.positions[body.face_indices[:2]].mean(axis=0), 0.05)
