@@ -37,13 +37,14 @@ def test_a_piece_where_the_target_has_its_own_is_found(own: list[tuple[float, fl
     carried = balls((0.0, 1.0), (5.0, 1.0))
     size = carried.n_faces // 2
     found = doubled_pieces(carried, balls(*own))
-    assert [set(faces.tolist()) for faces in found] == [set(range(k * size, (k + 1) * size)) for k in doubled]
+    assert [set(faces.tolist()) for faces, _ in found] == [set(range(k * size, (k + 1) * size)) for k in doubled]
 
 
 def test_a_piece_of_the_target_stands_for_one_piece() -> None:
     """A hat on hair is carried to a body that has hair."""
-    (hair,) = doubled_pieces(balls((0.0, 1.1), (0.0, 1.0)), balls((0.0, 1.02)))
+    ((hair, own),) = doubled_pieces(balls((0.0, 1.1), (0.0, 1.0)), balls((0.0, 1.02)))
     assert hair.min() > 0
+    assert own.min() == 0
 
 
 @pytest.mark.parametrize(

@@ -245,6 +245,23 @@ def test_shapes_without_a_rig_and_weights_at_rest(tmp_path: Path) -> None:
     body = made.parts[0]
     shaped = body.mesh.positions + 0.5 * body.shapes["raise"]
     np.testing.assert_allclose(posed(path, "rest", 0.0)["body"], shaped, atol=1e-5)
+    again = usd_document(path)
+    assert "animations" not in again.json
+    assert read_shape_keys(read_scene(again), None).keys() == {("body", "raise")}
+
+
+def test_parts_that_follow_the_weights_of_others_are_named(tmp_path: Path) -> None:
+    """A lash at rest has the shape of a half closed lid."""
+    made = lively()
+    body = made.parts[0]
+    lash, raised = replace(body, name="lash"), replace(body, name="lid")
+    made = replace(made, parts=(raised, lash), animations=())
+    document = character_glb(made)
+    document.json["meshes"][0]["weights"] = [0.5, 0.0]
+    said = "rest: other parts decide the weights of raise of lash, since USD has one weight for shapes of one name"
+    assert _written(tmp_path / "OUT.usda", made, document) == [said]
+    document.json["meshes"][1]["weights"] = [0.5, 0.0]
+    assert _written(tmp_path / "SAME.usda", made, document) == []
 
 
 def test_a_layer_over_a_character_plays_as_it_does(tmp_path: Path) -> None:

@@ -28,9 +28,11 @@ from cagemap.files.usd.convert import read_usd_character
 from cagemap.files.usd.space import StageSpace, stage_units
 from cagemap.files.usd.stages import open_stage
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import join_meshes
+from cagemap.subdivision import with_options
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import Bodies, body_shapes, match_bodies
-from cagemap.tasks.face import _cut, _head_vertices, _landmarks, _on_body, contact_sheet
+from cagemap.tasks.face import _cut, _head_vertices, _landmarks, _on_body, contact_sheet, face_shapes
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.face import FaceRequest
 
@@ -117,6 +119,22 @@ def test_on_the_kits_own_head_every_shape_comes_back() -> None:
     found = match_bodies(Part("head", kit.mesh), kit, Landmarks.none(), Stages())
     for name, offsets in body_shapes(found).items():
         assert np.abs(offsets - kit.shapes[name]).max() < 1e-3 * np.abs(kit.shapes[name]).max(), name
+
+
+@pytest.mark.slow
+def test_eyeballs_in_the_mesh_of_the_head_stay() -> None:
+    """They neither follow the lids nor are flattened; a lash, which is no ball, follows."""
+    kit = read_face_kit(("eyeBlinkLeft",))
+    lid = np.argmax(np.linalg.norm(kit.shapes["eyeBlinkLeft"], axis=1))
+    eye, lash = ball(1), ball(1)
+    size = 0.05 * np.ptp(kit.mesh.positions, axis=0).max()
+    eye = eye.with_positions(kit.mesh.positions[lid] - [0, 0, size] + size * eye.positions)
+    lash = lash.with_positions(kit.mesh.positions[lid] + size * lash.positions * [1.0, 0.05, 0.05])
+    head = Part("head", replace(with_options(join_meshes([kit.mesh, eye, lash]), "none"), name="head"))
+    found = match_bodies(head, kit, Landmarks.none(), Stages())
+    shift = face_shapes(found)["eyeBlinkLeft"][-2 * eye.n_vertices :].reshape(2, -1, 3)
+    assert not shift[0].any()
+    assert np.linalg.norm(shift[1], axis=1).min() > 0.0
 
 
 @pytest.mark.slow

@@ -40,8 +40,8 @@ _MIN_EXTRA_DISTANCE = 0.1
 _MIN_AWAY_SHARE = 0.65
 
 
-def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[IndexArray]:
-    """Faces of every connected piece of ``carried`` that is at the place of a piece of ``own``, the target's.
+def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[tuple[IndexArray, IndexArray]]:
+    """Faces of every connected piece of ``carried`` at the place of a piece of ``own``, the target's, and of that one.
 
     Two pieces are compared only if each has the other's nearest bounding box.
     """
@@ -51,7 +51,7 @@ def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[IndexArray]:
     to_own = np.asarray(cKDTree(own_boxes).query(boxes)[1])
     to_carried = np.asarray(cKDTree(boxes).query(own_boxes)[1])
     return [
-        faces
+        (faces, own_pieces[to_own[piece]])
         for piece, faces in enumerate(pieces)
         if to_carried[to_own[piece]] == piece
         and _are_at_one_place(_surface(carried, faces), _surface(own, own_pieces[to_own[piece]]))

@@ -27,7 +27,7 @@ class PieceConfig(Config):
     concentric_share: float = 0.5  # largest distance of the centres of one group, over the larger radius
 
 
-_CONFIG = PieceConfig()
+PIECES = PieceConfig()
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,13 @@ class Pieces:
     has_local_scale: bool  # whether rigid groups scale with their surroundings, not with the whole body
 
 
-def find_pieces(mesh: ControlMesh, points: FloatArray, heights: FloatArray, kind: PassengerKind | None) -> Pieces:
+def find_pieces(
+    mesh: ControlMesh,
+    points: FloatArray,
+    heights: FloatArray,
+    kind: PassengerKind | None,
+    config: PieceConfig = PIECES,
+) -> Pieces:
     """Group the connected pieces of a mesh; decide which are rigid.
 
     ``points``: (n, 3), its vertices in the source's unit, and ``heights`` (n,), their signed distances from the body.
@@ -55,14 +61,14 @@ def find_pieces(mesh: ControlMesh, points: FloatArray, heights: FloatArray, kind
     radius = np.zeros(count)
     np.maximum.at(radius, piece, np.linalg.norm(offsets, axis=1))
     mean_height = np.bincount(piece, np.abs(heights), minlength=count) / sizes
-    is_rigid = (radius < _CONFIG.max_radius) & (extents[:, 1] > _CONFIG.min_compactness * extents[:, 2]) | (
-        mean_height > _CONFIG.prop_distance
+    is_rigid = (radius < config.max_radius) & (extents[:, 1] > config.min_compactness * extents[:, 2]) | (
+        mean_height > config.prop_distance
     )
     if kind is not None:
         is_rigid = np.full(count, kind != "cloth")
-    near = cKDTree(centres).query_pairs(_CONFIG.concentric_share * _CONFIG.max_radius, output_type="ndarray")
+    near = cKDTree(centres).query_pairs(config.concentric_share * config.max_radius, output_type="ndarray")
     heads, tails = near.astype(np.int64).T
-    is_joined = np.linalg.norm(centres[heads] - centres[tails], axis=1) < _CONFIG.concentric_share * np.maximum(
+    is_joined = np.linalg.norm(centres[heads] - centres[tails], axis=1) < config.concentric_share * np.maximum(
         radius[heads], radius[tails]
     )
     is_joined &= is_rigid[heads] & is_rigid[tails]

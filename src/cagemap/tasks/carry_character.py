@@ -11,24 +11,26 @@ from scipy.spatial import cKDTree
 
 from cagemap.character.doubled_pieces import doubled_pieces, pieces_in_surface
 from cagemap.character.normals import move_vertices, with_shape_normals
-from cagemap.character.passenger_pieces import PassengerKind
-from cagemap.character.passengers import carry_passengers
+from cagemap.character.passenger_pieces import PIECES, PassengerKind, PieceConfig, find_pieces
+from cagemap.character.passengers import CarriedPassenger, carry_passengers
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body
 from cagemap.character.skeleton import carry_rig
 from cagemap.character.values import Character, Part
 from cagemap.errors import ParameterError
 from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.mesh.parts import MIN_BODY_EXTENT, extract_faces, join_meshes, numbers_on_part, passenger_word
 from cagemap.mesh.repairs import RepairedMesh
 from cagemap.mesh.topology import used_vertices
-from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, members_of
 from cagemap.pipeline import choose_level, match, prepare_surfaces
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights
 from cagemap.tasks.match_parts import lost_landmark_notes, ready_mesh
 from cagemap.tasks.progress import Stages
+from cagemap.transfer.skin import normalise_rows, prune_rows
 
 # Least number of finest vertices of a body that is subdivided; plain meshes are not.
 BODY_VERTICES = 100_000
@@ -82,17 +84,21 @@ def carry_character(
     notes += matched.notes
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]
     others = [part for part in target.parts if part is not target_body]
-    pieces, left_out = _pieces_to_carry(matched, others, named=set(kinds or ()))
+    pieces, counterparts, left_out = _pieces_to_carry(matched, others, named=set(kinds or ()))
     notes += left_out
     to_carry = [*chosen, *([] if pieces is None else [pieces])]
     stages("weights and shapes")
     weights, shapes = _body_weights(matched, influences), body_shapes(matched)
+    if counterparts is not None:
+        weights, shapes = counterparts.replace_values(weights, shapes, influences)
     body = replace(target_body, name=source_body.name, weights=weights, shapes={**shapes, **target_body.shapes})
     body = with_shape_normals(body, [name for name in source_body.shape_normals if name not in target_body.shapes])
     taken = {part.name for part in (body, *to_carry)}
     extras = [_with_body_weights(part, body, taken) for part in others]
     stages("passengers")
     carried = carry_passengers(result, [part.mesh for part in to_carry], kinds=kinds)
+    if passengers is None:
+        notes += _doubled_passengers(matched, zip(chosen, carried[: len(chosen)], strict=True))
     dressed = [
         move_vertices(part, one.positions, {name: one.carry_offsets(offsets) for name, offsets in part.shapes.items()})
         for part, one in zip(to_carry, carried, strict=True)
@@ -189,11 +195,50 @@ def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
     rows = bodies.rows(1)
     carried = carry_shapes(bodies.result, {name: offsets[rows] for name, offsets in shapes.items()})
     assert isinstance(carried, dict)
-    return {name: bodies.on_target(offsets) for name, offsets in carried.items()}
+    made = {name: bodies.on_target(offsets) for name, offsets in carried.items()}
+    for piece in rigid_pieces(bodies):
+        for offsets in made.values():
+            offsets[piece] = offsets[piece].mean(axis=0)
+    return made
 
 
-def _pieces_to_carry(bodies: Bodies, others: Sequence[Part], named: Collection[str]) -> tuple[Part | None, list[str]]:
-    """The unmatched pieces of the source's body, and notes; pieces that the target has too are left out.
+def rigid_pieces(bodies: Bodies, config: PieceConfig = PIECES) -> list[IndexArray]:
+    """Vertices of each unmatched piece of the target's mesh that keeps its shape, such as an eyeball."""
+    mesh, unmatched = bodies.given[0].mesh, bodies.ready[0].vertex_of < 0
+    if not unmatched.any():
+        return []
+    places = bodies.result.point_map.target.scale * mesh.positions
+    pieces = find_pieces(mesh, places, np.zeros(mesh.n_vertices), None, config)
+    groups = zip(members_of(pieces.group), pieces.is_rigid, strict=True)
+    return [vertices for vertices, is_rigid in groups if is_rigid and unmatched[vertices].all()]
+
+
+@dataclass(frozen=True, eq=False)
+class _Counterparts:
+    """Unmatched vertices of the target's body whose piece the source has too, and the values of the source's piece."""
+
+    vertices: IndexArray  # (k,) of the target's body
+    weights: sparse.csr_array | None  # (k, j)
+    shapes: dict[str, FloatArray]  # (k, 3) each
+
+    def replace_values(
+        self, weights: sparse.csr_array | None, shapes: Mapping[str, FloatArray], influences: int | None
+    ) -> tuple[sparse.csr_array | None, dict[str, FloatArray]]:
+        """Weights and shapes of the target's body, with those of the source's pieces at ``vertices``."""
+        if weights is not None and self.weights is not None:
+            table = weights.toarray()
+            table[self.vertices] = normalise_rows(prune_rows(self.weights.toarray(), influences), np.ones(1))
+            weights = sparse.csr_array(table)
+        made = {name: offsets.copy() for name, offsets in shapes.items()}
+        for name, offsets in self.shapes.items():
+            made[name][self.vertices] = offsets
+        return weights, made
+
+
+def _pieces_to_carry(
+    bodies: Bodies, others: Sequence[Part], named: Collection[str]
+) -> tuple[Part | None, _Counterparts | None, list[str]]:
+    """The unmatched pieces of the source's body but those that the target has too; values of these; and notes.
 
     ``others``: the target's parts beside its body.
     ``named``: names of passengers; pieces with one of these names are all carried.
@@ -201,13 +246,14 @@ def _pieces_to_carry(bodies: Bodies, others: Sequence[Part], named: Collection[s
     unmatched, pieces = (_set_aside(part, ready) for part, ready in zip(bodies.given, bodies.ready, strict=True))
     own = [part.mesh for part in (*([] if unmatched is None else [unmatched]), *others)]
     if pieces is None or pieces.name in named:
-        return pieces, []
+        return pieces, None, []
     mesh = pieces.mesh
-    placed = mesh.with_positions(carry_passengers(bodies.result, [mesh])[0].positions)
-    found = pieces_in_surface(mesh, placed, bodies.result.point_map)
-    found += doubled_pieces(placed, join_meshes(own)) if own else []
+    (carried,) = carry_passengers(bodies.result, [mesh])
+    placed = mesh.with_positions(carried.positions)
+    pairs = doubled_pieces(placed, join_meshes(own)) if own else []
+    found = [*pieces_in_surface(mesh, placed, bodies.result.point_map), *(faces for faces, _ in pairs)]
     if not found:
-        return pieces, []
+        return pieces, None, []
     doubled = {int(faces[0]): faces for faces in found}.values()  # each piece once
     sizes = first_few([count_noun(len(faces), "face") for faces in doubled])
     target, source = bodies.given
@@ -216,7 +262,52 @@ def _pieces_to_carry(bodies: Bodies, others: Sequence[Part], named: Collection[s
         f"has its own there: to carry all, name {pieces.name!r} (rig: --rigid, --cloth), or make one an object"
     )
     left = np.setdiff1d(np.arange(mesh.n_faces), np.concatenate(found))
-    return _part_of_faces(pieces, left) if len(left) else None, [note]
+    counterparts = None if unmatched is None else _values_of_pairs(bodies, unmatched.mesh, pieces, carried, pairs)
+    return _part_of_faces(pieces, left) if len(left) else None, counterparts, [note]
+
+
+def _values_of_pairs(
+    bodies: Bodies,
+    own: ControlMesh,
+    pieces: Part,
+    carried: CarriedPassenger,
+    pairs: Sequence[tuple[IndexArray, IndexArray]],
+) -> _Counterparts:
+    """Values of the source's pieces at the nearest vertices of the target's.
+
+    ``own``: unmatched pieces of the target's body.
+    ``pairs``: faces of ``pieces``, and of ``own`` and further meshes.
+    """
+    on_own = numbers_on_part(own, bodies.given[0].mesh)
+    vertices, rows = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    for faces, own_faces in pairs:
+        if own_faces[0] < own.n_faces:
+            of_own, of_piece = (
+                np.unique(mesh.face_indices[np.isin(mesh.corner_faces, of_pair)])
+                for mesh, of_pair in ((own, own_faces), (pieces.mesh, faces))
+            )
+            vertices.append(np.flatnonzero(np.isin(on_own, of_own) & (bodies.ready[0].vertex_of < 0)))
+            places = bodies.given[0].mesh.positions[vertices[-1]]
+            rows.append(of_piece[nearest_rows(carried.positions[of_piece], places)])
+    taken = np.concatenate(rows)
+    return _Counterparts(
+        np.concatenate(vertices),
+        None if pieces.weights is None else pieces.weights[taken],
+        {name: carried.carry_offsets(offsets)[taken] for name, offsets in pieces.shapes.items()},
+    )
+
+
+def _doubled_passengers(bodies: Bodies, carried: Iterable[tuple[Part, CarriedPassenger]]) -> list[str]:
+    """A note on carried parts at whose place the mesh of the target's body has pieces."""
+    own = _set_aside(bodies.given[0], bodies.ready[0])
+    if own is None:
+        return []
+    doubled = []
+    for part, place in carried:
+        pairs = doubled_pieces(part.mesh.with_positions(place.positions), own.mesh)
+        doubled += [part.name] if sum(len(faces) for faces, _ in pairs) == part.mesh.n_faces else []
+    text = "has pieces where they are carried to: --passengers without them leaves them out"
+    return [f"{', '.join(doubled)}: the mesh of {bodies.given[0].mesh.name} {text}"] if doubled else []
 
 
 def _set_aside(body: Part, ready: RepairedMesh) -> Part | None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from cagemap.character.body_frames import BodyFrames
 from cagemap.character.bones import humanoid_joints
+from cagemap.character.passenger_pieces import PieceConfig
 from cagemap.character.self_collision import move_apart
 from cagemap.character.values import Character, Part, Rig
 from cagemap.errors import ParameterError
@@ -25,7 +26,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.camera import View, frame
 from cagemap.pictures.render import Image, Model, Skin, render
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.carry_character import Bodies, body_shapes, match_bodies, with_part
+from cagemap.tasks.carry_character import Bodies, body_shapes, match_bodies, rigid_pieces, with_part
 from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.face import FaceRequest
@@ -41,6 +42,8 @@ from cagemap.tasks.rig_character import (
 
 # Least trusted share of a head's area: heads have 0.98 and more, a whole body 0.5.
 _LEAST_TRUSTED_SHARE = 0.8
+# Radius of eyeballs in units of sqrt(area) of the head; MakeHuman's have 0.04, drawn characters' are larger.
+_EYES = PieceConfig(max_radius=0.1)
 _COLUMNS, _PIXELS = 9, 200
 _VIEW = View("face", 15.0, 3.0)
 
@@ -141,7 +144,7 @@ def _landmarks(request: FaceRequest, head: Part, character: Character) -> tuple[
 
 
 def face_shapes(bodies: Bodies) -> dict[str, FloatArray]:
-    """Shapes of the built-in face on the head, by name, without new collisions.
+    """Shapes of the built-in face on the head, by name, without new collisions. Eyeballs in its mesh stay.
 
     mouthClose corrects jawOpen: its collisions are those of both, and without jawOpen it stays as carried.
     """
@@ -154,7 +157,11 @@ def face_shapes(bodies: Bodies) -> dict[str, FloatArray]:
     if shapes.keys() >= {"mouthClose", "jawOpen"}:
         opened = mesh.positions + shapes["jawOpen"]
         shapes["mouthClose"] = move_apart(mesh.positions, opened + shapes["mouthClose"], triangles, forward) - opened
-    return {name: bodies.on_target(offsets) for name, offsets in shapes.items()}
+    shapes = {name: bodies.on_target(offsets) for name, offsets in shapes.items()}
+    for piece in rigid_pieces(bodies, _EYES):
+        for offsets in shapes.values():
+            offsets[piece] = 0.0
+    return shapes
 
 
 def _on_body(shapes: dict[str, FloatArray], head: Part, body: Part) -> dict[str, FloatArray]:

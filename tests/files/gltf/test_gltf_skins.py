@@ -107,6 +107,31 @@ def test_animations_of_joints_with_negative_scales(scale: tuple[float, ...]) -> 
     )
 
 
+@pytest.mark.parametrize("node", ["ball", "socket"])
+def test_a_mesh_below_a_joint_keeps_its_own_motion(node: str) -> None:
+    """The mesh's node or one above it moves; also when the character is written again."""
+    document = arm()
+    nodes, (animation,) = document.json["nodes"], document.json["animations"]
+    nodes[2]["children"] = [5]
+    nodes.append({"name": "socket", "children": [3], "scale": [1, 2, 1]})
+    animation["channels"].append({"sampler": 1, "target": {"node": 3 if node == "ball" else 5, "path": "translation"}})
+    for character in (character_of(document), character_of(character_glb(character_of(document), document))):
+        rig, ball = character.rig, character.parts[0]
+        assert rig.names[-1] == node
+        assert set(ball.weights.indices) == {len(rig.names) - 1}
+        posed = skinned_positions(ball, rig, pose_at(rig, character.animations[0], 0.5))
+        height = 2.0 if node == "ball" else 7.0  # 1 of the upper joint; at rest the ball is 5 above its parent
+        np.testing.assert_allclose(posed[0], [1, 0, height], atol=1e-6)
+
+
+def test_a_moved_mesh_of_no_size_at_rest_is_left_out(caplog: pytest.LogCaptureFixture) -> None:
+    document = arm()
+    document.json["nodes"][3]["scale"] = [0, 0, 0]
+    document.json["animations"][0]["channels"].append({"sampler": 1, "target": {"node": 3, "path": "scale"}})
+    assert character_of(document).rig.names == ("upper", "lower")
+    assert "is scaled to nothing and left out" in caplog.text
+
+
 def test_an_animated_armature_is_a_joint() -> None:
     document = arm(above={"translation": [0, 0, 3]})
     document.json["animations"][0]["channels"][0]["target"]["node"] = 0

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from examples.shapes import cube
 
-from cagemap.character.values import Character
+from cagemap.character.values import Character, Part
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import character_of, read_character, read_shape_keys
@@ -23,7 +23,7 @@ from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.ownership import is_own
 from cagemap.mesh.parts import extract_faces
 
-from gltf_scenes import arm
+from gltf_scenes import arm, changed
 from refusals import refuses
 from usd_characters import lively, with_shape_weights
 
@@ -281,3 +281,54 @@ def test_variants_of_materials_stay_and_lost_values_of_primitives_are_named(capl
     assert primitive["extensions"] == variants
     assert "extensions" not in again.json["meshes"][1]["primitives"][0]
     assert caplog.messages == ["made.glb: strip: ACME_hair, COLOR_1, _HEAT are left out, which cagemap does not read"]
+
+
+def _expressive(version: str) -> Document:
+    """`arm` with an expression that raises the strip, and one of a second node, with first-person flags."""
+    document = arm()
+    nodes, meshes = document.json["nodes"], document.json["meshes"]
+    nodes.append({"name": "lash", "mesh": 2})
+    document.json["scenes"][0]["nodes"].append(5)
+    meshes.append(json.loads(json.dumps(meshes[0])))
+    for name in ("JOINTS_0", "WEIGHTS_0"):
+        meshes[2]["primitives"][0]["attributes"].pop(name)
+    if version == "VRM":
+        groups = [{"name": "aa", "binds": [{"mesh": 0, "index": 0, "weight": 100}, {"mesh": 2, "index": 0}]}]
+        groups.append({"name": "lashes", "binds": [{"mesh": 2, "index": 0, "weight": 100}]})
+        flags = [{"mesh": number, "firstPersonFlag": "Auto"} for number in range(3)]
+        vrm = {"blendShapeMaster": {"blendShapeGroups": groups}}
+    else:
+        binds = [{"node": 4, "index": 0, "weight": 1.0}, {"node": 5, "index": 0, "weight": 1.0}]
+        custom = {"lashes": {"morphTargetBinds": binds[1:]}, "color": {"materialColorBinds": []}, "odd": 7}
+        vrm = {"expressions": {"preset": {"aa": {"morphTargetBinds": binds}}, "custom": custom}}
+        flags = [{"node": node, "type": "auto"} for node in (3, 4, 5)]
+    vrm["firstPerson"] = {"meshAnnotations": flags}
+    return changed(document, extensions={version: vrm}, extensionsUsed=[version])
+
+
+@pytest.mark.parametrize("version", ["VRM", "VRMC_vrm"])
+def test_expressions_refer_to_the_shapes_that_are_written(version: str, caplog: pytest.LogCaptureFixture) -> None:
+    """Another order of shapes changes numbers; a mesh, or a shape, that is not written is referred to no more."""
+    document = _expressive(version)
+    ball, strip, lash = character_of(document).parts
+    own = np.ones_like(strip.shapes["raise"])
+    longer = replace(strip, shapes={"own": own} | strip.shapes)
+    key, numbers = ("mesh", [1, 0, 2]) if version == "VRM" else ("node", [3, 4, 5])
+
+    def written(*parts: Part) -> tuple[list[Any], list[Any], list[Any]]:
+        vrm = character_glb(replace(character_of(document), parts=parts), document).json["extensions"][version]
+        if version == "VRM":
+            binds = [group["binds"] for group in vrm["blendShapeMaster"]["blendShapeGroups"]]
+        else:
+            kinds = vrm["expressions"]
+            assert kinds["custom"]["color"] == {"materialColorBinds": []}
+            binds = [kinds["preset"]["aa"]["morphTargetBinds"], kinds["custom"]["lashes"]["morphTargetBinds"]]
+        flags = sorted(flag[key] for flag in vrm["firstPerson"]["meshAnnotations"])
+        return *([(bind[key], bind["index"]) for bind in of_one] for of_one in binds), flags
+
+    first, second = numbers[1:]
+    assert written(ball, longer, lash) == ([(first, 1), (second, 0)], [(second, 0)], sorted(numbers))
+    assert caplog.text == ""
+    assert written(ball, longer) == ([(first, 1)], [], sorted(numbers[:2]))
+    assert "expressions that move nothing, since their meshes or shapes are not carried: lashes" in caplog.text
+    assert written(strip, replace(lash, shapes={})) == ([(first, 0)], [], sorted(numbers[1:]))

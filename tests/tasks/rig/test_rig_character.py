@@ -9,11 +9,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from cagemap import tasks
 from cagemap.character.poses import pose_at
-from cagemap.character.values import Character, Part, skinned_positions
+from cagemap.character.values import Character, Part, Rig, skinned_positions
 from cagemap.errors import ParameterError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import read_character, read_shape_keys
@@ -284,6 +285,51 @@ def test_a_piece_that_the_body_has_itself_is_not_carried(body: ControlMesh, own_
     every = carry_character(*characters, kinds={"body pieces": "rigid"})
     assert every.character.parts[-1].mesh.n_vertices == balls[0].n_vertices + balls[1].n_vertices
     assert not any("not carried" in note for note in every.notes)
+
+
+@pytest.mark.parametrize("influences", [1, None])
+def test_a_piece_that_stays_moves_as_that_of_the_character(body: ControlMesh, influences: int | None) -> None:
+    """Eyes in the mesh of both bodies: those of the character follow joints of their own, and not the lids."""
+    place = body.positions[np.argmax(body.positions[:, 2])] + [0, 0, 0.3]
+    eye = ball("eye", place, 0.1)
+    meshes = [replace(one, face_objects=None, object_names=()) for one in (body, eye)]
+    mesh = with_options(join_meshes(meshes), "none")
+    of_eye = np.arange(mesh.n_vertices) >= body.n_vertices
+    weights = np.where(of_eye[:, None], [0.0, 0.4, 0.6], [1.0, 0.0, 0.0])
+    shapes = {"blink": np.where(of_eye, 0.0, 1.0)[:, None] * np.ones(3), "look": of_eye[:, None] * np.ones(3)}
+    source = Part("body", replace(mesh, name="C.glb"), sparse.csr_array(weights), shapes)
+    target = Part("body", replace(mesh.with_positions(2.0 * mesh.positions), name="B.glb"))
+    rig = Rig(("root", "eye", "pupil"), np.array([-1, 0, 1]), *2 * [np.tile(np.eye(4), (3, 1, 1))])
+    carried = carry_character(Character((target,)), Character((source,), rig), influences=influences)
+    (made,) = carried.character.parts
+    expected = np.where(of_eye[:, None], [0.0, 0.0, 1.0], weights) if influences else weights
+    np.testing.assert_allclose(made.weights.toarray(), expected, atol=1e-6)
+    for name, offsets in shapes.items():
+        np.testing.assert_allclose(made.shapes[name], 2.0 * offsets, atol=1e-3)
+
+
+def test_a_part_where_the_mesh_of_the_body_has_a_piece_is_named(body: ControlMesh) -> None:
+    """Eyes of the character, carried to a body whose mesh has eyes."""
+    place = body.positions[np.argmax(body.positions[:, 2])] + [0, 0, 0.3]
+    eye, hat = ball("eye", place, 0.1), ball("hat", -place, 0.1)
+    meshes = [replace(one, face_objects=None, object_names=()) for one in (body, eye)]
+    target = Character((Part("body", replace(with_options(join_meshes(meshes), "none"), name="B.glb")),))
+    source = Character((Part("body", replace(body, name="C.glb")), Part("eye", eye), Part("hat", hat)))
+    said = "eye: the mesh of B.glb has pieces where they are carried to: --passengers without them leaves them out"
+    assert said in carry_character(target, source).notes
+    assert said not in carry_character(target, source, passengers=["eye"]).notes
+
+
+def test_a_ball_in_the_mesh_keeps_its_shape(body: ControlMesh) -> None:
+    """The character has none there: shapes of its body move the ball as a whole."""
+    button = ball("button", body.positions[body.face_indices[:2]].mean(axis=0), 0.05)
+    meshes = [replace(one, face_objects=None, object_names=()) for one in (body, button)]
+    target = Part("body", replace(with_options(join_meshes(meshes), "none"), name="B.glb"))
+    source = Part("body", replace(body, name="C.glb"), shapes={"grow": 0.1 * body.positions})
+    (made,) = carry_character(Character((target,)), Character((source,))).character.parts
+    shifts = made.shapes["grow"][body.n_vertices :]
+    assert np.linalg.norm(shifts, axis=1).min() > 0.0
+    np.testing.assert_allclose(np.ptp(shifts, axis=0), 0.0, atol=1e-12)
 
 
 @pytest.mark.slow

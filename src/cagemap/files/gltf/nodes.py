@@ -267,22 +267,42 @@ def _with_bound(rig: Rig, joints: IndexArray, skin: Skin, taken: tuple[str, ...]
 def _joint_nodes(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> list[int]:
     """Nodes that become joints, parents before children."""
     stated = {int(node) for skin in skins for node in skin.nodes}
-    moved = {
-        document.table(channel, "target", "animations").get("node")
-        for animation in document.entries("animations")
-        for channel in document.entries("channels", animation, "animations")
-    }
+    moved = moved_nodes(document)
+    chosen = stated | _moved_props(document, nodes, stated, moved)
     turned = nodes.local[:, :3, :3]
     lengths = np.linalg.norm(turned, axis=2)
     even = np.ptp(lengths, axis=1) <= 1e-4 * lengths.max(axis=1, initial=0.0)
     cosines = np.abs(turned @ turned.transpose(0, 2, 1) - lengths[:, :, None] ** 2 * np.eye(3)).max(axis=(1, 2))
     similar = even & (cosines <= 1e-4 * lengths.max(axis=1) ** 2)
-    chosen = set(stated)
-    for node in stated:
+    for node in list(chosen):
         while (node := int(nodes.parents[node])) >= 0:
             if node in moved or not similar[node]:
                 chosen.add(node)
     return [node for node in nodes.order if node in chosen]
+
+
+def moved_nodes(document: Document) -> set[int]:
+    """Nodes that animations move; weights of blend shapes move none."""
+    targets = (
+        document.table(channel, "target", "animations")
+        for animation in document.entries("animations")
+        for channel in document.entries("channels", animation, "animations")
+    )
+    return {one["node"] for one in targets if one.get("path") != "weights" and one.get("node") is not None}
+
+
+def _moved_props(document: Document, nodes: Nodes, joints: set[int], moved: set[int]) -> set[int]:
+    """Animated nodes between a joint and a mesh without skin, and such meshes' own nodes."""
+    found: set[int] = set()
+    for node in nodes.in_scene:
+        entry, above = document.entry("nodes", node), list[int]()
+        if entry.get("mesh") is None or entry.get("skin") is not None or not is_invertible(nodes.world[[node]])[0]:
+            continue
+        while node >= 0 and node not in joints:
+            above.append(node)
+            node = int(nodes.parents[node])
+        found |= moved.intersection(above) if node >= 0 else set()
+    return found
 
 
 def nearest_joint(nodes: Nodes, joint_of: IndexArray, node: int) -> int:

@@ -111,7 +111,7 @@ def _part_in_world(
             to_world = skin.to_world
             joint_to_world = np.tile(to_world, (len(joints.rig.names), 1, 1))
             joint_to_world[rig_joints] = skin.inverse_bind @ joints.rig.bind[rig_joints]
-    elif joints is not None and (above := nearest_joint(nodes, joints.joint_of, int(nodes.parents[node]))) >= 0:
+    elif joints is not None and (above := nearest_joint(nodes, joints.joint_of, node)) >= 0:
         count = arrays.control.n_vertices
         weights = sparse.csr_array(
             (np.ones(count), (np.arange(count), np.full(count, above))), shape=(count, len(joints.rig.names))

@@ -130,7 +130,7 @@ class Contents:
             ("shapes", _count_and_names(self.shapes), "are carried"),
             ("textures", _count_and_names(self.textures), "are baked for the other body"),
             ("animations", _count_and_names(moving), "are retargeted"),
-            ("extensions", _count_and_names(self.extensions), "are kept as they are"),
+            ("extensions", _count_and_names(self.extensions), "are kept"),
             ("vertices", welded, "copies along seams are welded, so that later vertices have other numbers here"),
         )
         lines = [f"    {name:<12}{held}: {done}" for name, held, done in rows if held]

@@ -20,6 +20,7 @@ from cagemap.files.gltf.binary import NGONS, Binary, remove_unused
 from cagemap.files.gltf.character import animation_entries, character_of, reorder_columns
 from cagemap.files.gltf.document import glb_bytes, read_document, write_document
 from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.expressions import ReplacedMesh, renumber_expressions
 from cagemap.files.gltf.geometry import Z_TO_Y, is_z_up, mesh_entry
 from cagemap.files.gltf.nodes import decompose_transform, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene, transform_normals, transform_offsets
@@ -29,6 +30,7 @@ from cagemap.files.text import whole_characters
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV, UvSet
 from cagemap.mesh.faces import merged_corners, reversed_corners
+from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.plain import turn_faces
 from cagemap.numerics.arrays import FloatArray
 
@@ -283,10 +285,22 @@ class _Made:
 
     def document(self) -> Document:
         """The finished document."""
+        self._renumber_expressions()
         for name in ("materials", "meshes"):
             if not self.top.get(name):
                 self.top.pop(name, None)
         return self._binary.document(self.top)
+
+    def _renumber_expressions(self) -> None:
+        """Have VRM's expressions refer to the meshes and shapes of now; warn of those that move nothing any more."""
+        replaced = []
+        for node, number in self._mesh_of_node.items():
+            now = self._nodes[node].get("mesh")
+            shapes = () if now is None else self._shapes(self._meshes[now])
+            replaced.append(ReplacedMesh(node, number, now, self._shapes_before(node), shapes))
+        if empty := renumber_expressions(self.top.get("extensions"), replaced):
+            text = "%s: expressions that move nothing, since their meshes or shapes are not carried: %s"
+            _log.warning(text, self._scene and self._scene.document.file, first_few(empty))
 
     def _scene_roots(self) -> list[Any]:
         """Root nodes of the displayed scene."""

@@ -23,6 +23,8 @@ _RATES = (24, 25, 30, 60)
 _FRAME_ROUNDING = 2e-4
 # Frames before the next key at which a stepped value is written once more, since USD interpolates.
 _STEP = 1e-3
+# Keys of a blend shape whose weight is 0.
+_REST: ShapeKeys = np.zeros(1), np.zeros((1, 1)), "LINEAR"
 SKELETON, _ANIMATIONS = "/Asset/skeleton", "/Asset/animations"
 
 
@@ -42,10 +44,14 @@ def write_rig(stage: Any, rig: Rig, animations: Sequence[Animation], scene: Scen
     numbers = {name: number for number, name in enumerate(animation_names(scene.document))}
     clips: dict[str, tuple[tuple[Track, ...], dict[str, ShapeKeys]]] = {}
     for name in dict.fromkeys([*tracks, *numbers]) or ["rest"]:
-        weights: dict[str, ShapeKeys] = {}
-        for (part, shape), keys in read_shape_keys(scene, numbers.get(name)).items():
-            if not all(map(np.array_equal, weights.setdefault(shape, keys)[:2], keys[:2])):
-                notes.append(f"{name}: {shape} of {part} follows that of another part, since USD has one weight")
+        keys_of, weights = read_shape_keys(scene, numbers.get(name)), dict[str, ShapeKeys]()
+        for (_, shape), keys in keys_of.items():
+            weights.setdefault(shape, keys)
+        shapes = ((one.part.name, shape) for one in scene.parts for shape in one.part.shapes if shape in weights)
+        others = [f"{one[1]} of {one[0]}" for one in shapes if not _same_keys(keys_of.get(one, _REST), weights[one[1]])]
+        if others:
+            text = f"other parts decide the weights of {first_few(others)}"
+            notes.append(f"{name}: {text}, since USD has one weight for shapes of one name")
         if tracks.get(name) or weights:
             clips[name] = tracks.get(name, ()), weights
     if not clips:
@@ -74,6 +80,11 @@ def write_rig(stage: Any, rig: Rig, animations: Sequence[Animation], scene: Scen
         first, *others = clips
         notes.append(f"USD plays one animation, {first}; bind {first_few(others)} in {_ANIMATIONS} to play them")
     return notes
+
+
+def _same_keys(first: ShapeKeys, second: ShapeKeys) -> bool:
+    """Whether two weights have the same keys, or are 0 throughout."""
+    return all(map(np.array_equal, first[:2], second[:2])) or not (first[1].any() or second[1].any())
 
 
 def remove_scale(rig: Rig, animations: Sequence[Animation]) -> tuple[Rig, tuple[Animation, ...]]:

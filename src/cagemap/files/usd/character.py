@@ -18,6 +18,7 @@ from cagemap.files.gltf.binary import NGONS
 from cagemap.files.gltf.character import to_rig_space
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import uv_sets_in_order
+from cagemap.files.gltf.nodes import moved_nodes
 from cagemap.files.gltf.parts import Scene, transform_normals
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.ownership import mark
@@ -173,13 +174,7 @@ def _left_out(scene: Scene) -> list[str]:
     names += [f"{word}{_CONTENTS.get(word, '')}" for word in extensions if word not in _HELD]
     names += ["cameras"] if document.entries("cameras") else []
     joints = set() if scene.joints is None else set(np.flatnonzero(scene.joints.joint_of >= 0).tolist())
-    moved = {
-        channel["target"].get("node")
-        for animation in document.entries("animations")
-        for channel in animation["channels"]
-        if channel["target"].get("path") != "weights"
-    }
-    names += [f"the motion of {scene.nodes.names[node]}" for node in sorted(moved - joints - {None})]
+    names += [f"the motion of {scene.nodes.names[node]}" for node in sorted(moved_nodes(document) - joints)]
     kinds = ("nodes", "meshes", "materials", "scenes")
     extras = [entry.get("extras") for kind in kinds for entry in document.entries(kind)]
     if any(set(one) - {"targetNames"} if isinstance(one, dict) else one for one in extras):

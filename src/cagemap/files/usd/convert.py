@@ -82,7 +82,7 @@ def read_usd_character(path: str | Path) -> Character:
         return _read(Path(path), open_stage(path), read_usd_meshes(path))[0]
 
 
-# Times in seconds, and weights (k, shapes) of named blend shapes, by animation.
+# Times in seconds, and weights (k, shapes) of named blend shapes, by animation; with the name "" those at rest.
 _ShapeWeights = dict[str, tuple[FloatArray, dict[str, FloatArray]]]
 
 
@@ -213,8 +213,9 @@ def _animations(
                     tracks.append(Track(joints.index(joint), channel, times[kept], keys[kept]))
         shapes = [str(shape) for shape in animation.GetBlendShapesAttr().Get() or []]
         times, values = _samples(stage, animation.GetBlendShapeWeightsAttr(), len(shapes), start)
-        if len(times):
-            weights[name] = times, dict(zip(shapes, values.T, strict=True))
+        if len(times):  # of the bound animation, those without time samples are at rest
+            is_rest = len(times) == 1 and animation.GetPrim() == bound
+            weights["" if is_rest else name] = times, dict(zip(shapes, values.T, strict=True))
         if tracks or name in weights:
             found.append(Animation(name, tuple(tracks)))
     return tuple(found), weights
@@ -240,7 +241,7 @@ def _samples(stage: Any, attribute: Any, rows: int, start: float) -> tuple[Float
 
 
 def _with_shape_weights(document: Document, character: Character, weights: _ShapeWeights) -> Document:
-    """The document with weights of blend shapes in its animations."""
+    """The document with weights of blend shapes, in its meshes those at rest."""
     binary, top = Binary(document), json.loads(json.dumps(document.json))
     nodes = {entry["name"]: number for number, entry in enumerate(top["nodes"]) if "mesh" in entry}
     for name, (times, values) in weights.items():
@@ -253,6 +254,9 @@ def _with_shape_weights(document: Document, character: Character, weights: _Shap
             if not set(part.shapes) & set(values):
                 continue
             table = np.column_stack([values.get(shape, np.zeros(len(times))) for shape in part.shapes])
+            if not name:
+                top["meshes"][top["nodes"][nodes[part.name]]["mesh"]]["weights"] = table[0].tolist()
+                continue
             keys = times.astype("<f4")
             sampler = {
                 "input": binary.accessor(keys, min=[float(keys.min())], max=[float(keys.max())]),

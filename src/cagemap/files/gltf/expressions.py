@@ -1,0 +1,73 @@
+"""VRM's references to meshes and their blend shapes by number, after meshes were replaced."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+
+class ReplacedMesh(NamedTuple):
+    """A mesh node of a given document, and the mesh that it has now."""
+
+    node: int
+    mesh_before: int
+    mesh: int | None  # None: without a mesh now
+    shapes_before: Sequence[str]
+    shapes: Sequence[str]
+
+
+def renumber_expressions(extensions: Any, replaced: Sequence[ReplacedMesh]) -> list[str]:
+    """Renumber the meshes and shapes of VRM's expressions and first-person flags; remove those that are gone.
+
+    Returns the names of expressions that move no shape any more. What is not as VRM says stays as it is.
+
+    ``extensions``: of the document; changed in place.
+    """
+    empty = []
+    for name, key in (("VRMC_vrm", "node"), ("VRM", "mesh")):
+        vrm = _table(extensions, name)
+        person = _table(vrm, "firstPerson")
+        if isinstance(person.get("meshAnnotations"), list):
+            person["meshAnnotations"] = _renumbered(person["meshAnnotations"], key, replaced, shapes=False)
+        for label, expression, binds in _expressions(vrm):
+            before = expression.get(binds)
+            if isinstance(before, list):
+                expression[binds] = _renumbered(before, key, replaced, shapes=True)
+                empty += [label] if before and not expression[binds] else []
+    return empty
+
+
+def _expressions(vrm: dict[str, Any]) -> list[tuple[str, dict[str, Any], str]]:
+    """Names and entries of expressions, and the key of their shapes: of VRM 1, then of VRM 0."""
+    kinds = (_table(_table(vrm, "expressions"), kind) for kind in ("preset", "custom"))
+    found = [(name, one, "morphTargetBinds") for kind in kinds for name, one in kind.items()]
+    groups = _table(vrm, "blendShapeMaster").get("blendShapeGroups")
+    tables = [one for one in groups if isinstance(one, dict)] if isinstance(groups, list) else []
+    found += [(str(one.get("name")), one, "binds") for one in tables]
+    return [one for one in found if isinstance(one[1], dict)]
+
+
+def _renumbered(entries: list[Any], key: str, replaced: Sequence[ReplacedMesh], *, shapes: bool) -> list[Any]:
+    """Entries that refer to a node or mesh by ``key``, and to one of its ``shapes``, with the numbers of now."""
+    kept: list[Any] = []
+    for entry in entries:
+        number = entry.get(key) if isinstance(entry, dict) else None
+        users = [one for one in replaced if number == (one.node if key == "node" else one.mesh_before)]
+        kept += [] if users else [entry]
+        for one in users:
+            made = entry | {key: one.node if key == "node" else one.mesh}
+            if shapes and one.mesh is not None:
+                index = entry.get("index")
+                known = isinstance(index, int) and 0 <= index < len(one.shapes_before)
+                name = one.shapes_before[index] if known else None
+                if name not in one.shapes:
+                    continue
+                made["index"] = one.shapes.index(name)
+            kept += [made] if one.mesh is not None and made not in kept else []
+    return kept
+
+
+def _table(table: Any, key: str) -> dict[str, Any]:
+    """A table inside a table; empty if it is none."""
+    value = table.get(key) if isinstance(table, dict) else None
+    return value if isinstance(value, dict) else {}
