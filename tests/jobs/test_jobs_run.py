@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import signal
 import struct
 import sys
 import threading
@@ -11,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from importlib.machinery import ModuleSpec
 from pathlib import Path
+from queue import Queue
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -22,7 +25,16 @@ from cagemap.files.meshes.formats import referred_files
 from cagemap.files.ownership import mark
 from cagemap.files.result.manifest import file_hash, stated_inputs
 from cagemap.jobs.plan import Plan, Task, content_hash
-from cagemap.jobs.run import TaskOutcome, _outcome_of, execute, kept_outcome, missing_tasks, open_client, run_plan
+from cagemap.jobs.run import (
+    TaskOutcome,
+    _outcome_of,
+    _start_loop,
+    execute,
+    kept_outcome,
+    missing_tasks,
+    open_client,
+    run_plan,
+)
 
 from forked import forking
 from library_runner import write_name
@@ -392,6 +404,17 @@ def test_the_dashboard_s_address_is_told_and_workers_share_the_memory(monkeypatc
     assert told == ["Dask's dashboard: http://127.0.0.1:4321/status"]
     assert list(asked["callbacks"]) == ["replace lost workers"]
     assert asked["n_workers"] * asked["memory_limit"] == pytest.approx(MEMORY_LIMIT, abs=3)
+    assert asked["silence_logs"] == logging.CRITICAL  # in workers too: outcomes say what went wrong
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="Windows has no signal masks")
+def test_workers_inherit_that_ctrl_c_is_blocked() -> None:
+    masks: Queue[set[int]] = Queue()
+    runner = _start_loop()
+    runner.loop.add_callback(lambda: masks.put(signal.pthread_sigmask(signal.SIG_BLOCK, ())))
+    assert signal.SIGINT in masks.get(timeout=60)
+    runner.stop()
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 def test_an_interrupted_start_of_dask_has_nothing_to_close_at_exit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ import json
 import logging
 import os
 import shutil
+import signal
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator
@@ -26,6 +27,7 @@ from cagemap.numerics.threads import core_count
 
 if TYPE_CHECKING:
     from distributed import Client
+    from distributed.utils import LoopRunner
 
 MAX_RETRIES = 2  # of a task whose worker was lost
 LOST_WORKER_SECONDS = 15  # until a worker that Dask does not start again is replaced
@@ -286,9 +288,11 @@ def _local(stack: ExitStack, workers: int) -> Client:
         "distributed.nanny.pre-spawn-environ": environment,
     }
     stack.enter_context(dask.config.set(settings))
-    logging.getLogger("distributed").setLevel(logging.ERROR)  # lost workers are reported as outcomes
+    runner = _start_loop()
     try:
         cluster = LocalCluster(
+            loop=runner.loop,
+            silence_logs=logging.CRITICAL,  # lost workers are reported as outcomes
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
@@ -299,6 +303,7 @@ def _local(stack: ExitStack, workers: int) -> Client:
     except KeyboardInterrupt:
         atexit.unregister(close_clusters)  # Dask cannot close workers that have not started; they end with us
         raise
+    stack.callback(runner.stop)
     cluster = stack.enter_context(cluster)
     client = stack.enter_context(Client(cluster))
     # Dask does not start a worker again that died while it was being started.
@@ -306,6 +311,25 @@ def _local(stack: ExitStack, workers: int) -> Client:
     cluster.periodic_callbacks["replace lost workers"] = replace_lost  # Dask stops it with the cluster
     client.loop.add_callback(replace_lost.start)
     return client
+
+
+def _start_loop() -> LoopRunner:
+    """Start Dask's event loop with Ctrl-C blocked, as workers inherit: a terminal sends it to all processes."""
+    from multiprocessing.resource_tracker import ensure_running
+
+    from distributed.utils import LoopRunner
+
+    runner = LoopRunner()
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        runner.start()
+        return runner
+    ensure_running()  # before, since its start unblocks Ctrl-C
+    earlier = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+    try:
+        runner.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, earlier)
+    return runner
 
 
 def _require_dask() -> None:
