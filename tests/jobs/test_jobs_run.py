@@ -242,7 +242,9 @@ def test_a_table_of_an_earlier_run_is_replaced_unless_edited(tmp_path: Path) -> 
     table.write_text("changed")  # as the last finished run left it
     assert execute(task(tmp_path, "one", key="mended"), tmp_path, write_table).state == "done"
     table.write_text("edited")
-    assert execute(task(tmp_path, "one", key="again"), tmp_path, write_table).state == "failed"
+    edited = execute(task(tmp_path, "one", key="again"), tmp_path, write_table)
+    assert edited.state == "failed"
+    assert edited.failure["remedy"] == "Give another name, or move it away."  # `cagemap run` has no --force
     assert table.read_text() == "edited"
 
 

@@ -162,7 +162,8 @@ def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: TaskOutco
             return TaskOutcome(task.name, "done", "", seconds, figures, tuple(outputs))
     except Exception as error:
         seconds = time.perf_counter() - start
-        return TaskOutcome(task.name, "failed", explain_error(error), seconds, code=error_code(error))
+        message = explain_error(error).replace("allow it (--force)", "move it away")  # jobs have no such option
+        return TaskOutcome(task.name, "failed", message, seconds, code=error_code(error))
 
 
 def _run_tasks(
