@@ -162,8 +162,12 @@ def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: TaskOutco
             return TaskOutcome(task.name, "done", "", seconds, figures, tuple(outputs))
     except Exception as error:
         seconds = time.perf_counter() - start
-        message = explain_error(error).replace("allow it (--force)", "move it away")  # jobs have no such option
-        return TaskOutcome(task.name, "failed", message, seconds, code=error_code(error))
+        return TaskOutcome(task.name, "failed", explain_in_job(error), seconds, code=error_code(error))
+
+
+def explain_in_job(error: Exception) -> str:
+    """`explain_error` without ``--force``, which jobs do not have."""
+    return explain_error(error).replace("allow it (--force)", "move it away")
 
 
 def _run_tasks(
