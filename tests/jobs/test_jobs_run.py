@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from importlib.machinery import ModuleSpec
 from pathlib import Path
-from queue import Queue
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -27,8 +26,8 @@ from cagemap.files.result.manifest import file_hash, stated_inputs
 from cagemap.jobs.plan import Plan, Task, content_hash
 from cagemap.jobs.run import (
     TaskOutcome,
+    _block_interrupts,
     _outcome_of,
-    _start_loop,
     execute,
     kept_outcome,
     missing_tasks,
@@ -411,11 +410,9 @@ def test_the_dashboard_s_address_is_told_and_workers_share_the_memory(monkeypatc
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="Windows has no signal masks")
 def test_workers_inherit_that_ctrl_c_is_blocked() -> None:
-    masks: Queue[set[int]] = Queue()
-    runner = _start_loop()
-    runner.loop.add_callback(lambda: masks.put(signal.pthread_sigmask(signal.SIG_BLOCK, ())))
-    assert signal.SIGINT in masks.get(timeout=60)
-    runner.stop()
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(_block_interrupts).result()
+        assert signal.SIGINT in thread.submit(signal.pthread_sigmask, signal.SIG_BLOCK, ()).result()
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 

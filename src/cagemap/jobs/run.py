@@ -11,7 +11,7 @@ import shutil
 import signal
 import time
 import uuid
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,7 +27,6 @@ from cagemap.numerics.threads import core_count
 
 if TYPE_CHECKING:
     from distributed import Client
-    from distributed.utils import LoopRunner
 
 MAX_RETRIES = 2  # of a task whose worker was lost
 LOST_WORKER_SECONDS = 15  # until a worker that Dask does not start again is replaced
@@ -182,14 +181,14 @@ def _run_tasks(
 
     run = uuid.uuid4().hex[:8]
 
-    def submit(task: Task, earlier_outcomes: Iterable[Any], trial: int) -> Any:
+    def submit(task: Task, ended: Mapping[str, Any], trial: int) -> Any:
         key = f"{task.kind}-{task.slug}-{run}-{trial}"
+        earlier_outcomes = [ended.get(name, kept_outcomes.get(name)) for name in (*task.needs, *task.predecessors)]
         return client.submit(execute, task, plan.root, runner, *earlier_outcomes, key=key, pure=False)
 
     futures: dict[str, Any] = {}
     for task in missing:
-        earlier = [futures.get(name, kept_outcomes.get(name)) for name in _earlier_tasks(task)]
-        futures[task.name] = submit(task, earlier, 1)
+        futures[task.name] = submit(task, futures, 1)
     names = {future.key: name for name, future in futures.items()}
     outcomes: dict[str, TaskOutcome] = {}
     lost = set()
@@ -205,7 +204,7 @@ def _run_tasks(
     # Dask blames every task of a dead worker: rerun them one by one.
     for task in missing:
         if task.name in lost:
-            future = submit(task, [outcomes.get(name, kept_outcomes.get(name)) for name in _earlier_tasks(task)], 2)
+            future = submit(task, outcomes, 2)
             wait(future)
             outcomes[task.name] = _outcome_of(future) or _lost_outcome(task, outcomes)
             report(outcomes[task.name], len(outcomes), len(missing))
@@ -217,17 +216,10 @@ def _outcome_of(future: Any) -> TaskOutcome | None:
     from distributed import KilledWorker
 
     with suppress(KilledWorker):
-        return _count_as_done(future.result()) if future.status == "finished" else None
+        outcome: TaskOutcome | None = future.result() if future.status == "finished" else None
+        # "kept" are tasks that a lost worker or another run finished meanwhile.
+        return outcome if outcome is None or outcome.state != "kept" else replace(outcome, state="done")
     return None
-
-
-def _earlier_tasks(task: Task) -> tuple[str, ...]:
-    return (*task.needs, *task.predecessors)
-
-
-def _count_as_done(outcome: TaskOutcome) -> TaskOutcome:
-    """State "done" for tasks that a lost worker or another run finished meanwhile."""
-    return replace(outcome, state="done") if outcome.state == "kept" else outcome
 
 
 def _skip_message(outcome: TaskOutcome) -> str:
@@ -284,6 +276,7 @@ def _local(stack: ExitStack, workers: int) -> Client:
     from distributed import Client, LocalCluster
     from distributed.deploy.spec import close_clusters
     from distributed.system import MEMORY_LIMIT
+    from distributed.utils import LoopRunner
     from tornado.ioloop import PeriodicCallback
 
     environment = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "CAGEMAP_THREADS")}
@@ -293,7 +286,9 @@ def _local(stack: ExitStack, workers: int) -> Client:
         "distributed.nanny.pre-spawn-environ": environment,
     }
     stack.enter_context(dask.config.set(settings))
-    runner = _start_loop()
+    runner = LoopRunner()
+    runner.start()
+    runner.loop.add_callback(_block_interrupts)
     try:
         cluster = LocalCluster(
             loop=runner.loop,
@@ -318,23 +313,13 @@ def _local(stack: ExitStack, workers: int) -> Client:
     return client
 
 
-def _start_loop() -> LoopRunner:
-    """Start Dask's event loop with Ctrl-C blocked, as workers inherit: a terminal sends it to all processes."""
+def _block_interrupts() -> None:
+    """Block Ctrl-C in this thread and in workers that it starts: a terminal sends it to all processes."""
     from multiprocessing.resource_tracker import ensure_running
 
-    from distributed.utils import LoopRunner
-
-    runner = LoopRunner()
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        runner.start()
-        return runner
-    ensure_running()  # before, since its start unblocks Ctrl-C
-    earlier = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
-    try:
-        runner.start()
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, earlier)
-    return runner
+    if hasattr(signal, "pthread_sigmask"):  # not on Windows
+        ensure_running()  # before, since its start unblocks Ctrl-C
+        signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
 
 
 def _require_dask() -> None:

@@ -78,11 +78,9 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
         asset_sizes = [sizes[model] for model in _models(task)]
         vertex_sizes = [size.both for size in asset_sizes]
         seconds = _seconds(task, vertex_sizes)
-        total, memory, disk = (
-            total + seconds,
-            max(memory, worker_memory(vertex_sizes)),
-            disk + _bytes(task, asset_sizes),
-        )
+        total += seconds
+        memory = max(memory, worker_memory(vertex_sizes))
+        disk += _bytes(task, asset_sizes)
         shown = " + ".join(f"{size.finest:,}" for size in asset_sizes)
         lines.append(
             f"  {number} {task.name}: {shown} vertices, about {seconds:.0f} s{_expected_refusal(task, asset_sizes)}"

@@ -21,15 +21,7 @@ from cagemap.jobs.farm import PAGE_STEP, farm_steps, openjd_template, parse_task
 from cagemap.jobs.job import Job, read_job
 from cagemap.jobs.page import PairRow, pair_rows, remarks_of, write_library
 from cagemap.jobs.plan import STATE_FOLDER, Plan, Task, plan_job
-from cagemap.jobs.run import (
-    TaskOutcome,
-    execute,
-    explain_in_job,
-    kept_outcome,
-    missing_tasks,
-    open_client,
-    run_plan,
-)
+from cagemap.jobs.run import TaskOutcome, execute, explain_in_job, kept_outcome, missing_tasks, open_client, run_plan
 from cagemap.jobs.tree import spanning_tree
 from cagemap.mesh.mesh_report import count_noun
 from cagemap.numerics.threads import core_count
