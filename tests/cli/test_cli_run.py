@@ -110,6 +110,13 @@ def test_a_dry_run_counts_each_side_by_its_own_options(folder, option, levels):
         assert re.search(rf"prepare {name} \w+: {count} vertices", said)
 
 
+def test_a_dry_run_counts_a_given_map_at_the_level_that_its_import_chooses(folder: Path) -> None:
+    (folder / "map.npy").touch()
+    job = job_text("vertices = 500", {"pony": {}, "deer": {}}, [{"source": "pony", "target": "deer", "map": "map.npy"}])
+    (folder / "job.toml").write_text(job)
+    assert "match pony -> deer: 142,466 + 111,618 vertices" in run_job(folder, "--dry-run")
+
+
 def test_a_dry_run_shares_the_work_between_workers_but_no_task(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dry_run, "_seconds", lambda task, sizes: 600.0)
     minutes = {}

@@ -298,6 +298,8 @@ def test_of_a_link_the_folder_that_cannot_be_written_is_named(tmp_path: Path, mo
     (tmp_path / "closed").mkdir()
     monkeypatch.setattr("os.access", lambda path, _: Path(path).name != "closed")
     refuses(FormatError, r"a\.txt: cannot write to the folder .*closed\.", require_replaceable, tmp_path / "a.txt")
+    monkeypatch.chdir(tmp_path / "closed")
+    refuses(FormatError, r"^b\.txt: cannot write to the folder .*closed\.", require_replaceable, "b.txt")
 
 
 def test_of_two_writers_of_a_new_folder_both_are_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -141,6 +141,28 @@ def test_a_missing_job_file_is_named(tmp_path: Path) -> None:
     refuses(FormatError, "expected a job file, there is no such file", read_job, tmp_path / "job.toml", COMMANDS)
 
 
+def test_missing_files_of_options_are_named_from_the_job_s_own_folder(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = HEAD + ASSETS + PAIRS + table("outputs", command="transfer", weights="gone.csv")
+    (folder / "job.toml").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(folder)
+    refuses(FormatError, r"outputs\.0\.weights: gone\.csv does not exist", read_job, "job.toml", COMMANDS)
+
+
+def test_files_are_beside_the_file_that_a_linked_job_file_points_to(folder: Path, tmp_path_factory) -> None:
+    (folder / "job.toml").write_text(HEAD + ASSETS + PAIRS, encoding="utf-8")
+    link = tmp_path_factory.mktemp("elsewhere") / "night.toml"
+    link.symlink_to(folder / "job.toml")
+    job = read_job(link, COMMANDS)
+    assert (job.assets["a"].file, job.output) == (folder / "a.obj", folder / "out")
+
+
+def test_a_job_file_may_begin_with_a_byte_order_mark(folder: Path) -> None:
+    (folder / "job.toml").write_text(HEAD + ASSETS + PAIRS, encoding="utf-8-sig")
+    assert read_job(folder / "job.toml", COMMANDS).output == folder / "out"
+
+
 def test_a_job_file_that_may_not_be_read_is_named(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(path: Path, **_: object) -> None:
         raise PermissionError(13, "Permission denied", str(path))

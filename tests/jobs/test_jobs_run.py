@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import signal
 import struct
 import sys
 import threading
@@ -22,7 +24,16 @@ from cagemap.files.meshes.formats import referred_files
 from cagemap.files.ownership import mark
 from cagemap.files.result.manifest import file_hash, stated_inputs
 from cagemap.jobs.plan import Plan, Task, content_hash
-from cagemap.jobs.run import TaskOutcome, _outcome_of, execute, kept_outcome, missing_tasks, open_client, run_plan
+from cagemap.jobs.run import (
+    TaskOutcome,
+    _block_interrupts,
+    _outcome_of,
+    execute,
+    kept_outcome,
+    missing_tasks,
+    open_client,
+    run_plan,
+)
 
 from forked import forking
 from library_runner import write_name
@@ -230,7 +241,9 @@ def test_a_table_of_an_earlier_run_is_replaced_unless_edited(tmp_path: Path) -> 
     table.write_text("changed")  # as the last finished run left it
     assert execute(task(tmp_path, "one", key="mended"), tmp_path, write_table).state == "done"
     table.write_text("edited")
-    assert execute(task(tmp_path, "one", key="again"), tmp_path, write_table).state == "failed"
+    edited = execute(task(tmp_path, "one", key="again"), tmp_path, write_table)
+    assert edited.state == "failed"
+    assert edited.failure["remedy"] == "Give another name, or move it away."  # `cagemap run` has no --force
     assert table.read_text() == "edited"
 
 
@@ -392,6 +405,15 @@ def test_the_dashboard_s_address_is_told_and_workers_share_the_memory(monkeypatc
     assert told == ["Dask's dashboard: http://127.0.0.1:4321/status"]
     assert list(asked["callbacks"]) == ["replace lost workers"]
     assert asked["n_workers"] * asked["memory_limit"] == pytest.approx(MEMORY_LIMIT, abs=3)
+    assert asked["silence_logs"] == logging.CRITICAL  # in workers too: outcomes say what went wrong
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="Windows has no signal masks")
+def test_workers_inherit_that_ctrl_c_is_blocked() -> None:
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(_block_interrupts).result()
+        assert signal.SIGINT in thread.submit(signal.pthread_sigmask, signal.SIG_BLOCK, ()).result()
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 def test_an_interrupted_start_of_dask_has_nothing_to_close_at_exit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -275,11 +275,10 @@ def require_writable_folder(path: str | Path) -> None:
     """Refuse a path whose parent folder is missing or cannot be written to, or whose name is too long."""
     target = _resolve_links(path)
     folder = target.parent
-    above = folder if os.path.islink(path) else Path(path).parent
     if not os.path.isdir(folder):
-        raise FormatError(f"{path}: the folder {above} does not exist. Create it, or give another output.")
+        raise FormatError(f"{path}: the folder {folder} does not exist. Create it, or give another output.")
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise FormatError(f"{path}: cannot write to the folder {above}. Give one that you may write to.")
+        raise FormatError(f"{path}: cannot write to the folder {folder}. Give one that you may write to.")
     try:
         os.lstat(folder / f".{target.name}.12345678.part")  # as long as temporary names
     except OSError as error:

@@ -80,7 +80,7 @@ def read_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
     """Text and table of a TOML file; errors name the file."""
     require_file(path, what)
     try:
-        text = path.read_bytes().decode("utf-8")
+        text = path.read_bytes().decode("utf-8-sig")
         return text, tomllib.loads(text)
     except RecursionError:
         raise FormatError(

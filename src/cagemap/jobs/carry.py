@@ -70,7 +70,8 @@ def add_carry_tasks(plan: Plan, job: Job, version: str) -> Plan:
         if job.assets[name].landmarks is not None:
             continue
         steps = [_match_between(start, end, matches) for start, end in itertools.pairwise(path)]
-        opposite = _opposite_match(path, matches)
+        has_both = len(path) == 2 and (path[1], path[0]) in matches
+        opposite = matches.get((path[0], path[1])) if has_both else None
         landmark_file = job.carry.folder / f"{name}.json"
         request = {
             "asset": name,
@@ -181,9 +182,3 @@ def _match_between(start: str, end: str, matches: Mapping[PairNames, Task]) -> t
     """The match between two models, and whether its map starts at the first."""
     direct = matches.get((end, start))  # keys are (source, target); maps go from target to source
     return (direct, True) if direct is not None else (matches[start, end], False)
-
-
-def _opposite_match(path: list[str], matches: Mapping[PairNames, Task]) -> Task | None:
-    """The match in the opposite direction, if the path is one map."""
-    has_both = len(path) == 2 and (path[1], path[0]) in matches
-    return matches.get((path[0], path[1])) if has_both else None

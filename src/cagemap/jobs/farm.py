@@ -134,15 +134,8 @@ def slurm_script(job: Path, steps: tuple[Step, ...]) -> str:
     ]
     for step in steps:
         lines.append("now=")
-        lines += [
-            f'now=${{now:+$now:}}$(submit {step.name} {first} {count} "$before" "$@")'
-            for first, count in _slurm_arrays(step)
-        ]
+        for first in range(step.first, step.last + 1, MAX_SLURM_ARRAY_SIZE):
+            count = min(MAX_SLURM_ARRAY_SIZE, step.last + 1 - first)
+            lines.append(f'now=${{now:+$now:}}$(submit {step.name} {first} {count} "$before" "$@")')
         lines.append("before=$now")
     return "\n".join([*lines, 'echo "submitted; the last job is $before"', ""])
-
-
-def _slurm_arrays(step: Step) -> Iterator[tuple[int, int]]:
-    """First number and count of every array of a step."""
-    for first in range(step.first, step.last + 1, MAX_SLURM_ARRAY_SIZE):
-        yield first, min(MAX_SLURM_ARRAY_SIZE, step.last + 1 - first)

@@ -63,7 +63,7 @@ def read_job(
         for name, request in requests.items()
     }
     if parsed is not None:
-        problems += find_problems(parsed, file.parent, commands)
+        problems += find_problems(parsed, file.resolve().parent, commands)
     if problems or parsed is None:
         lines = sorted(
             (find_line(text, key_path), f"{'.'.join(map(str, key_path)) or 'the file'}: {message}")

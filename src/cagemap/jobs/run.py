@@ -8,9 +8,10 @@ import json
 import logging
 import os
 import shutil
+import signal
 import time
 import uuid
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -160,7 +161,12 @@ def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: TaskOutco
             return TaskOutcome(task.name, "done", "", seconds, figures, tuple(outputs))
     except Exception as error:
         seconds = time.perf_counter() - start
-        return TaskOutcome(task.name, "failed", explain_error(error), seconds, code=error_code(error))
+        return TaskOutcome(task.name, "failed", explain_in_job(error), seconds, code=error_code(error))
+
+
+def explain_in_job(error: Exception) -> str:
+    """`explain_error` without ``--force``, which jobs do not have."""
+    return explain_error(error).replace("allow it (--force)", "move it away")
 
 
 def _run_tasks(
@@ -175,14 +181,14 @@ def _run_tasks(
 
     run = uuid.uuid4().hex[:8]
 
-    def submit(task: Task, earlier_outcomes: Iterable[Any], trial: int) -> Any:
+    def submit(task: Task, ended: Mapping[str, Any], trial: int) -> Any:
         key = f"{task.kind}-{task.slug}-{run}-{trial}"
+        earlier_outcomes = [ended.get(name, kept_outcomes.get(name)) for name in (*task.needs, *task.predecessors)]
         return client.submit(execute, task, plan.root, runner, *earlier_outcomes, key=key, pure=False)
 
     futures: dict[str, Any] = {}
     for task in missing:
-        earlier = [futures.get(name, kept_outcomes.get(name)) for name in _earlier_tasks(task)]
-        futures[task.name] = submit(task, earlier, 1)
+        futures[task.name] = submit(task, futures, 1)
     names = {future.key: name for name, future in futures.items()}
     outcomes: dict[str, TaskOutcome] = {}
     lost = set()
@@ -198,7 +204,7 @@ def _run_tasks(
     # Dask blames every task of a dead worker: rerun them one by one.
     for task in missing:
         if task.name in lost:
-            future = submit(task, [outcomes.get(name, kept_outcomes.get(name)) for name in _earlier_tasks(task)], 2)
+            future = submit(task, outcomes, 2)
             wait(future)
             outcomes[task.name] = _outcome_of(future) or _lost_outcome(task, outcomes)
             report(outcomes[task.name], len(outcomes), len(missing))
@@ -210,17 +216,10 @@ def _outcome_of(future: Any) -> TaskOutcome | None:
     from distributed import KilledWorker
 
     with suppress(KilledWorker):
-        return _count_as_done(future.result()) if future.status == "finished" else None
+        outcome: TaskOutcome | None = future.result() if future.status == "finished" else None
+        # "kept" are tasks that a lost worker or another run finished meanwhile.
+        return outcome if outcome is None or outcome.state != "kept" else replace(outcome, state="done")
     return None
-
-
-def _earlier_tasks(task: Task) -> tuple[str, ...]:
-    return (*task.needs, *task.predecessors)
-
-
-def _count_as_done(outcome: TaskOutcome) -> TaskOutcome:
-    """State "done" for tasks that a lost worker or another run finished meanwhile."""
-    return replace(outcome, state="done") if outcome.state == "kept" else outcome
 
 
 def _skip_message(outcome: TaskOutcome) -> str:
@@ -277,6 +276,7 @@ def _local(stack: ExitStack, workers: int) -> Client:
     from distributed import Client, LocalCluster
     from distributed.deploy.spec import close_clusters
     from distributed.system import MEMORY_LIMIT
+    from distributed.utils import LoopRunner
     from tornado.ioloop import PeriodicCallback
 
     environment = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "CAGEMAP_THREADS")}
@@ -286,9 +286,13 @@ def _local(stack: ExitStack, workers: int) -> Client:
         "distributed.nanny.pre-spawn-environ": environment,
     }
     stack.enter_context(dask.config.set(settings))
-    logging.getLogger("distributed").setLevel(logging.ERROR)  # lost workers are reported as outcomes
+    runner = LoopRunner()
+    runner.start()
+    runner.loop.add_callback(_block_interrupts)
     try:
         cluster = LocalCluster(
+            loop=runner.loop,
+            silence_logs=logging.CRITICAL,  # lost workers are reported as outcomes
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
@@ -299,6 +303,7 @@ def _local(stack: ExitStack, workers: int) -> Client:
     except KeyboardInterrupt:
         atexit.unregister(close_clusters)  # Dask cannot close workers that have not started; they end with us
         raise
+    stack.callback(runner.stop)
     cluster = stack.enter_context(cluster)
     client = stack.enter_context(Client(cluster))
     # Dask does not start a worker again that died while it was being started.
@@ -306,6 +311,15 @@ def _local(stack: ExitStack, workers: int) -> Client:
     cluster.periodic_callbacks["replace lost workers"] = replace_lost  # Dask stops it with the cluster
     client.loop.add_callback(replace_lost.start)
     return client
+
+
+def _block_interrupts() -> None:
+    """Block Ctrl-C in this thread and in workers that it starts: a terminal sends it to all processes."""
+    from multiprocessing.resource_tracker import ensure_running
+
+    if hasattr(signal, "pthread_sigmask"):  # not on Windows
+        ensure_running()  # before, since its start unblocks Ctrl-C
+        signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
 
 
 def _require_dask() -> None:

@@ -64,8 +64,8 @@ def build_coarse_levels(plain: Refinement) -> Refinement:
     control, dense = plain.control, plain.finest
     if dense.faces is None:
         raise InvalidMeshError(
-            f"{control.name}: expected a plain mesh of triangles or of quads alone, got faces of different sizes; "
-            "cagemap.plain_mesh splits them"
+            f"{control.name}: expected a plain mesh of triangles or of quads alone, got faces of different sizes. "
+            "Triangulate them, as cagemap.plain_mesh does."
         )
     surfaces, steps = [(control.positions, level_triangles(plain, 0))], list[Simplified]()
     for size in reversed([size for size in COARSE_SIZES if size <= MAX_SHARE * control.n_vertices]):

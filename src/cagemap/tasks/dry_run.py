@@ -28,6 +28,7 @@ from cagemap.jobs.run import missing_tasks
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import count_noun
 from cagemap.subdivision.refinement import default_scheme, vertex_counts
+from cagemap.tasks.import_map import MAP_VERTICES
 from cagemap.tasks.method import SIDES, side_levels
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.subdivision import SubdivisionRequest
@@ -78,11 +79,9 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
         asset_sizes = [sizes[model] for model in _models(task)]
         vertex_sizes = [size.both for size in asset_sizes]
         seconds = _seconds(task, vertex_sizes)
-        total, memory, disk = (
-            total + seconds,
-            max(memory, worker_memory(vertex_sizes)),
-            disk + _bytes(task, asset_sizes),
-        )
+        total += seconds
+        memory = max(memory, worker_memory(vertex_sizes))
+        disk += _bytes(task, asset_sizes)
         shown = " + ".join(f"{size.finest:,}" for size in asset_sizes)
         lines.append(
             f"  {number} {task.name}: {shown} vertices, about {seconds:.0f} s{_expected_refusal(task, asset_sizes)}"
@@ -137,7 +136,7 @@ def _size(job: Job, name: str, side: str, plan: Plan, read: Callable[[str], Cont
     """Size of an asset as target or source, with the options of its first task."""
     tasks = (task for task in plan.tasks if task.kind in ("prepare", "match") and (name, side) in _models(task))
     options: dict[str, Any] = next((task.request.get("options", task.request) for task in tasks), {})
-    request = MatchRequest(Path(), Path(), Path())
+    request = MatchRequest(Path(), Path(), Path(), vertices=MAP_VERTICES if "map" in options else None)
     request = replace(request, **{key: value for key, value in options.items() if key in _SIZE_OPTIONS})
     try:
         scheme = getattr(request, f"{side}_scheme") or job.assets[name].scheme or request.scheme

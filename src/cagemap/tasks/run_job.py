@@ -21,7 +21,7 @@ from cagemap.jobs.farm import PAGE_STEP, farm_steps, openjd_template, parse_task
 from cagemap.jobs.job import Job, read_job
 from cagemap.jobs.page import PairRow, pair_rows, remarks_of, write_library
 from cagemap.jobs.plan import STATE_FOLDER, Plan, Task, plan_job
-from cagemap.jobs.run import TaskOutcome, execute, kept_outcome, missing_tasks, open_client, run_plan
+from cagemap.jobs.run import TaskOutcome, execute, explain_in_job, kept_outcome, missing_tasks, open_client, run_plan
 from cagemap.jobs.tree import spanning_tree
 from cagemap.mesh.mesh_report import count_noun
 from cagemap.numerics.threads import core_count
@@ -190,7 +190,7 @@ def _write_page(
     try:  # with a full disk the outcomes are still reported
         page = write_library(plan.root, title, rows_in_user_words(pair_rows(plan, outcomes, verdict.errors)), notes)[0]
     except (CagemapError, OSError) as error:
-        notes.append(f"the page could not be written: {error}")
+        notes.append(f"the page could not be written: {explain_in_job(error)}")
     whole = page is not None and all(outcome.usable for outcome in outcomes.values())
     return summary(plan, outcomes, notes, page, time.perf_counter() - started), whole
 

@@ -15,6 +15,7 @@ from cagemap.files.result.manifest import MANIFEST, read_files
 from cagemap.maps.pair import nearest_free_vertices
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.mesh.mesh_report import count_noun
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.suggest import SuggestRequest
@@ -40,7 +41,7 @@ def run_suggest(request: SuggestRequest, stages: Stages) -> SummaryAndWarnings:
     target, source = result.target.control.file_vertex, result.source.control.file_vertex
     new = zip(landmarks.names, landmarks.target.tolist(), landmarks.source.tolist(), strict=True)
     lines = [f"  {name}: target vertex {target(a)}, now on source vertex {source(b)}" for name, a, b in [*new][-count:]]
-    head = f"{count} more landmarks would tell most here:"
+    head = f"{count_noun(count, 'more landmark')} would tell most here:"
     warnings = [
         f"curve '{name}': has points between vertices, which a file of pairs cannot hold, and is not in {output}. Draw "
         "it along vertices, or put the new landmarks into the files of points of both meshes"

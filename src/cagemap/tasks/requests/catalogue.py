@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
+from cagemap.files import INVERT_PREFIX
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.options import Option, option_fields, strip_none, validate_request
 from cagemap.tasks.requests.report import ReportRequest
@@ -40,8 +41,6 @@ NamedFiles = tuple[tuple[str, Path], ...]
 Value = bool | str | int | float | Path | tuple[str, ...] | tuple[Path, ...] | NamedFiles | None
 # Command and field of its request.
 Key = tuple[str, str]
-# Prefix of a mask's name or file that inverts it.
-_NOT = "not:"
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,7 @@ class CommandOption:
         if isinstance(value, Path):
             return _placed(value, require)
         if self.kind == "name or file" and isinstance(value, str):
-            name = value.removeprefix(_NOT)
+            name = value.removeprefix(INVERT_PREFIX)
             if Path(name).suffix.lower() not in self.suffixes:
                 return value
             return value[: len(value) - len(name)] + str(_placed(Path(name), require))

@@ -39,7 +39,7 @@ class FunctionsRequest:
         ),
     ] = "eigenfunctions"
     level: Annotated[
-        int | None, Option("Finest level of the surface.  [default: about 50000 vertices]", INPUT, ("-l",), min=1)
+        int | None, Option("Finest level of the surface.  [default: about 50000 vertices]", INPUT, ("-l",), min=0)
     ] = None
     at: Annotated[
         int | None, Option("Level at whose vertices the functions are given.  [default: the finest]", FUNCTIONS, min=0)
