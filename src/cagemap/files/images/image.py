@@ -367,6 +367,11 @@ def tile_pattern(path: str | Path) -> Path:
     return file if UDIM_MARK in file.name else file.with_name(f"{file.stem}.{UDIM_MARK}{file.suffix}")
 
 
+def set_of_tile(path: Path) -> Path:
+    """The pattern of the set that a tile such as ``skin.1001.png`` belongs to; the path itself without such a name."""
+    return path.with_name(re.sub(r"(?<!\d)1\d{3}(?=\.\w+\Z)", UDIM_MARK, path.name))
+
+
 def first_image(texture: Image | Mapping[int, Image]) -> Image:
     """The image, or that of the first tile; all tiles have the same pixel type and channels."""
     return texture if isinstance(texture, Image) else next(iter(texture.values()))
