@@ -220,6 +220,14 @@ def test_smooth_lookups_of_the_detail_s_image_are_prepared_once(place: Path, mon
     assert len(prepared) == 1
 
 
+def test_a_detail_that_is_the_source_bakes_no_rounding_as_heights(place: Path) -> None:
+    write_mesh(place / "fine.obj", finest_mesh(identity_result().source.refinement))
+    for kind in ("displacement", "vector-displacement"):
+        pixels, summary, _ = transfer(f"{kind}.png", bake=(kind,), detail=place / "fine.obj", size=16)
+        assert "(value - 0.5) * 1 in" in summary
+        assert np.ptp(pixels) <= 1
+
+
 def test_one_tile_of_a_set_is_not_repeated_over_the_others_in_silence(
     place: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
