@@ -176,9 +176,7 @@ def _run(request: WrapRequest, stages: Stages) -> SummaryAndWarnings:
         space = to_standard(original) @ space
     if more and not np.allclose(space, np.eye(4)):
         length = np.cbrt(abs(np.linalg.det(space[:3, :3])))
-        outside.append(
-            f"images are in the source's units and axes; one of its units is {length:.6g} of {output.name}"
-        )
+        outside.append(f"images are in the source's units and axes; one of its units is {length:.6g} of {output.name}")
     return "\n".join(lines + more), warnings + outside + fold_warnings(figures)
 
 

@@ -109,8 +109,7 @@ def stored_lengths(
                 "Write floats (.exr, .tif), or scale the values before."
             )
     middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
-    ratio = scale_ratio(transfer)
-    return (middle, 1.0, scale * ratio) if dtype.kind == "u" else (middle, ratio, scale)
+    return middle, *((1.0, scale * scale_ratio(transfer)) if dtype.kind == "u" else (scale_ratio(transfer), scale))
 
 
 def scale_ratio(transfer: Transfer) -> float:

@@ -72,15 +72,14 @@ def lay_out(
     one of the lowest ``rank`` (t,).
     """
     corners = np.ascontiguousarray(texel_coordinates(corner_uvs, height, width))
+    triangle_bands = _sort_into_bands(corners, height, width, band_rows, 0.0)
     triangle, opposite = np.nonzero(neighbors < 0)
     if rank is not None:
+        triangle_bands = [band[np.argsort(rank[band], kind="stable")] for band in triangle_bands]
         order = np.argsort(rank[triangle], kind="stable")
         triangle, opposite = triangle[order], opposite[order]
     start = (opposite + 1) % 3
     edges = np.stack([corners[triangle, start], corners[triangle, (start + 1) % 3]], axis=1)
-    triangle_bands = _sort_into_bands(corners, height, width, band_rows, 0.0)
-    if rank is not None:
-        triangle_bands = [band[np.argsort(rank[band], kind="stable")] for band in triangle_bands]
     edge_bands = _sort_into_bands(edges, height, width, band_rows, gutter)
     return Layout(
         corners,
