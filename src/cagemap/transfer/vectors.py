@@ -266,8 +266,8 @@ def _first_three_channels(pixels: Pixels) -> Pixels:
     """The first three channels."""
     if pixels.ndim != 3 or pixels.shape[2] < 3:
         raise ParameterError(
-            f"expected three channels of directions, got an image of shape {pixels.shape}. Heights in one channel go "
-            "through --displacement."
+            f"expected three channels of directions, got an image of shape {pixels.shape}. Heights in one channel "
+            "are a displacement map."
         )
     return np.ascontiguousarray(pixels[:, :, :3])
 
