@@ -169,6 +169,11 @@ def test_layouts_that_lie_over_themselves_are_warned_of(run: Run, result_folder:
     outcome = run.done("transfer R --texture t.png --size 32 -o b.png")
     assert "50 % of the target's layout lies over other parts" in outcome.err
     assert "materials of the source lie over each other in its layout (skin, eyes)" in outcome.err
+    n_faces = result.target.control.n_faces
+    np.save(result_folder.parent / "eyes.npy", (np.arange(n_faces) >= n_faces // 2).astype(float))
+    layer = run.done("transfer R --texture t.png --target-mask eyes.npy --mask-edge 0 --size 32 -o layer.png")
+    assert "the target's layout lies over" not in layer.err
+    assert (read_image(result_folder.parent / "layer.png").pixels[..., -1] > 250).mean() > 0.2
     colours = run("transfer R --material-colors --size 32 -o c.png")
     assert "materials of the source" not in colours.err
 

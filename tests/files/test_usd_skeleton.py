@@ -303,6 +303,18 @@ def test_a_wrapped_cage_is_in_the_targets_own_units_and_axes(folder: Path) -> No
     np.testing.assert_allclose(between_spaces(folder / "large.usda", folder / "x.obj"), np.eye(4))
 
 
+@pytest.mark.parametrize(("output", "unit"), [("w.usda", "100"), ("w.obj", "100"), ("w.glb", "")])
+def test_units_of_baked_lengths_are_compared_with_those_of_the_written_cage(
+    folder: Path, output: str, unit: str
+) -> None:
+    """A .glb is in metres with Y up, as the source here."""
+    warnings = run_wrap(
+        WrapRequest((folder / "RESULT",), folder / output, displacement=folder / "d.exr", size=16), Stages()
+    )[1]
+    expected = [f"images are in the source's units and axes; one of its units is {unit} of {output}"] if unit else []
+    assert [text for text in warnings if "units" in text] == expected
+
+
 @pytest.mark.parametrize("given", ["hat.usda", "hat.glb", "hat.obj"])
 @pytest.mark.parametrize("output", ["worn.usda", "worn.glb", "worn.obj"])
 def test_a_passenger_is_at_its_place_in_the_world(folder: Path, given: str, output: str) -> None:

@@ -70,3 +70,12 @@ def test_a_file_gets_those_of_a_part_at_its_faces(tmp_path: Path) -> None:
     transfer(tmp_path / "o.npz", attribute=tmp_path / "labels.npz")
     found = np.load(tmp_path / "o.npz")["label"]
     np.testing.assert_array_equal(found, np.append(1 + np.arange(COUNT), np.zeros(2 * COUNT)))
+
+
+def test_a_file_that_does_not_say_the_place_of_its_values_is_warned_of_once(tmp_path: Path) -> None:
+    write_result(tmp_path / "R", identity_result(0, (RING, RING)))
+    np.savez(tmp_path / "v.npz", one=np.arange(COUNT), two=np.arange(COUNT))
+    (warning,) = transfer(tmp_path / "o.npz", attribute=tmp_path / "v.npz")[1]
+    assert warning.startswith("one, two: as many rows as control vertices and as control faces")
+    (tmp_path / "g.json").write_text('{"groups": [{"name": "lips", "vertices": [0, 5]}]}')
+    assert transfer(tmp_path / "o.json", attribute=tmp_path / "g.json")[1] == []  # groups are of vertices

@@ -220,6 +220,33 @@ def test_smooth_lookups_of_the_detail_s_image_are_prepared_once(place: Path, mon
     assert len(prepared) == 1
 
 
+def test_a_detail_that_is_the_source_bakes_no_rounding_as_heights(place: Path) -> None:
+    write_mesh(place / "fine.obj", finest_mesh(identity_result().source.refinement))
+    for kind in ("displacement", "vector-displacement"):
+        pixels, summary, _ = transfer(f"{kind}.png", bake=(kind,), detail=place / "fine.obj", size=16)
+        assert "(value - 0.5) * 1 in" in summary
+        assert np.ptp(pixels) <= 1
+
+
+def test_one_tile_of_a_set_is_not_repeated_over_the_others_in_silence(
+    place: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    target, source = textured_cube("large.obj", 2.0), textured_cube("small.obj")
+    assert source.uvs is not None
+    for tile in (1001, 1002, 1003):
+        write_image(place / f"skin_{tile}.png", np.full((8, 8, 3), tile - 1000, dtype=np.uint8))
+    for scale, n_warnings in (((1, 1), 0), ((3, 1), 1)):
+        cubes = target, source.with_uvs(source.uvs * scale, source.uv_indices)
+        write_result(place / "RESULT", identity_result(1, cubes), force=True)
+        caplog.clear()
+        transfer("t.png", texture=place / "skin_1001.png", size=16)
+        transfer("t.png", texture=place / "skin_<UDIM>.png", size=16)
+        assert [record.getMessage() for record in caplog.records] == n_warnings * [
+            f"{place / 'skin_1001.png'} is repeated over all tiles of the source's layout: give "
+            f"{place / 'skin_<UDIM>.png'} for the whole set"
+        ]
+
+
 def test_vertices_of_no_face_are_not_counted_as_grey(place: Path) -> None:
     detail = textured_cube("scan.obj")
     positions = np.vstack([detail.positions, np.zeros((2, 3))])

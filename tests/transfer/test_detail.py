@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -130,6 +131,20 @@ def test_lookups_become_exact_by_the_least_change() -> None:
     again = image.copy()
     make_lookups_exact(again, places, to(lookups @ again.reshape(-1, 2).astype(np.float64)))
     np.testing.assert_array_equal(again, image)
+
+
+def test_many_corners_in_few_texels_need_no_matrix_of_all_their_pairs() -> None:
+    """A fine surface and a small image: 4000 corners in 9 texels would be 16 million numbers."""
+    rng = np.random.default_rng(3)
+    image, places = np.zeros((3, 3, 1), dtype=np.float32), rng.uniform(0, 3, (4000, 2))
+    wanted = rng.normal(size=(4000, 1))
+    tracemalloc.start()
+    make_lookups_exact(image, places, to(wanted))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10e6
+    least = np.linalg.lstsq(lookup_matrix(places, 3, 3).toarray(), wanted)[0]
+    np.testing.assert_allclose(image.reshape(-1, 1), least, atol=1e-3)
 
 
 def test_displaced_corners_that_share_their_texels_lie_on_the_surface_and_may_slide_along_it() -> None:

@@ -259,3 +259,9 @@ def test_attributes_that_do_not_fit_their_file_are_refused(tmp_path: Path) -> No
     refuses(FormatError, "below 2\\^63", read_attributes, tmp_path / "vast.npy")
     (tmp_path / "long.csv").write_text("x\n12345678901234567890\n1\n")
     np.testing.assert_array_equal(read_attributes(tmp_path / "long.csv")["x"], [1.2345678901234567e19, 1.0])
+
+
+def test_a_scale_of_0_is_refused_for_all_displacement(tripled: Transfer) -> None:
+    for bake, channels in ((bake_displacement, 1), (bake_vector_displacement, 3)):
+        texture = np.zeros((4, 4, channels), dtype=np.float32)
+        refuses(ParameterError, "scale: expected a number other than 0", bake, tripled, texture, size=4, scale=0.0)

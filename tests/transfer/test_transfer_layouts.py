@@ -7,12 +7,14 @@ import pytest
 from examples.shapes import torus
 
 from cagemap.errors import ParameterError
+from cagemap.maps.masks import Masks
 from cagemap.mesh.control_mesh import MIN_UV_AREA, ControlMesh
 from cagemap.subdivision import Level, refine
 from cagemap.surface.triangles import triangle_areas, triangle_neighbors
 from cagemap.transfer import BakeOptions, bake_face_colors, bake_texture, prepare_transfer, target_tiles, unwrap
 from cagemap.transfer import baking as bake_module
 from cagemap.transfer.locate import TexelSamples
+from cagemap.transfer.masks import bake_mask
 from cagemap.transfer.textured_surface import TexturedSurface
 
 from bake_images import BARE, noise, ramps
@@ -31,6 +33,21 @@ def test_holes_get_no_texels() -> None:
     assert np.all(baked[19:45, 19:45] == 0)
     assert np.all(np.delete(baked.reshape(64, 64), np.s_[16:48], axis=0) == 200)
     assert np.all(baked[30, 16] == 200)
+
+
+@pytest.mark.parametrize("right", [False, True])
+@pytest.mark.parametrize("side", ["target", "source"])
+def test_texels_of_overlapping_halves_take_the_half_that_the_masks_allow(right: bool, side: str) -> None:
+    source = plane(8, 8)
+    uvs = np.abs(source.uvs * (2.0, 1.0) - (1.0, 0.0))  # the left half is mirrored over the right one
+    target = source.with_uvs(uvs, source.uv_indices)
+    allowed = (source.positions[:, 0] >= 0.5) == right
+    masks = Masks(**{side: np.where(np.isclose(source.positions[:, 0], 0.5), 1.0, allowed)})
+    transfer = prepare_transfer(target, source, identity_map(source), masks)
+    baked = bake_texture(transfer, np.linspace(0, 1, 256)[None, :, None] * np.ones((2, 1, 1)), size=64, options=BARE)
+    u = (np.arange(64) + 0.5) / 64
+    np.testing.assert_allclose(baked[:, :, 0], np.broadcast_to(0.5 + (0.5 if right else -0.5) * u, (64, 64)), atol=0.01)
+    assert bake_mask(transfer, size=64, options=BARE).min() > 0.99
 
 
 def test_smooth_lookups_see_nothing_beside_an_island() -> None:

@@ -170,7 +170,9 @@ def render_skins(
     openness = np.where(seen.openness < 0, neighbor_openness, seen.openness)
     for skin in skins:
         colors = encode_srgb(seen.radiance(scene, skin))
-        refined = np.flatnonzero(_contrast(colors.reshape(height, width, 3)) > MIN_REFINED_CONTRAST)
+        image, around = colors.reshape(height, width, 3), (3, 3, 1)
+        contrast = (maximum_filter(image, around) - minimum_filter(image, around)).max(axis=2)
+        refined = np.flatnonzero(contrast > MIN_REFINED_CONTRAST)
         if samples > 1 and len(refined):
             light = np.zeros((len(refined), 3))
             for row, column in np.ndindex(samples, samples):
@@ -179,12 +181,6 @@ def render_skins(
                 light += _cast_eye_rays(scene, rays, openness=openness[refined]).radiance(scene, skin)
             colors[refined] = encode_srgb(light / samples**2)
         yield np.round(colors * 255).astype(np.uint8).reshape(height, width, 3)
-
-
-def _contrast(image: FloatArray) -> FloatArray:
-    """(h, w) largest difference of any channel in a pixel's 3 x 3 neighbourhood."""
-    size = (3, 3, 1)
-    return np.asarray((maximum_filter(image, size) - minimum_filter(image, size)).max(axis=2))
 
 
 def visible_points(model: Model, camera: Camera, points: FloatArray) -> NDArray[np.bool_]:

@@ -217,7 +217,9 @@ def _skins(models: _ModelPair, texture: Pixels | None, baked: Pixels | None) -> 
         source_skin = Skin(texture=pixels, corner_uvs=models.source.corner_uvs())
         if baked is not None and models.target.uvs is not None:
             return "texture", source_skin, Skin(texture=display_image(baked), corner_uvs=models.target.corner_uvs())
-        return "texture", source_skin, Skin(vertex_colors=_pull_back_texture(models, pixels))
+        corners = models.source.corner_uvs()[models.result.triangle]
+        places = np.einsum("nc,ncd->nd", models.result.barycentric, corners)
+        return "texture", source_skin, Skin(vertex_colors=sample_texture(pixels, places)[:, :3])
     control = models.result.source.control
     colors_of_faces = np.zeros((1, 3)) if control.face_colors is None else face_colors(control)
     if np.ptp(colors_of_faces, axis=0).any():  # a single colour shows nothing
@@ -227,12 +229,6 @@ def _skins(models: _ModelPair, texture: Pixels | None, baked: Pixels | None) -> 
     source_checker = _checker(models.result.source.vertices, models.result.source.vertices)
     target_checker = _checker(models.result.image(), models.result.source.vertices)
     return "checker", Skin(vertex_colors=source_checker), Skin(vertex_colors=target_checker)
-
-
-def _pull_back_texture(models: _ModelPair, texture: FloatArray) -> FloatArray:
-    """(n1, 3) the source's texture at the image of every target vertex."""
-    corners = models.source.corner_uvs()[models.result.triangle]
-    return sample_texture(texture, np.einsum("nc,ncd->nd", models.result.barycentric, corners))[:, :3]
 
 
 def _checker(points: FloatArray, reference: FloatArray) -> FloatArray:

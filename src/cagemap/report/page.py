@@ -302,15 +302,13 @@ def _message_list(result: MatchResult, warnings: list[str], notes: list[str]) ->
     return f'<ul class="notes">{"".join(items)}</ul>' if items else ""
 
 
-def _picture(image: Image, caption: str) -> str:
-    return (
+def _pictures(pictures: Iterable[tuple[Image, str]]) -> str:
+    figures = (
         f'<figure><img src="{data_uri(image)}" width="{image.shape[1]}" height="{image.shape[0]}" '
         f'alt="{escape(caption)}"><figcaption>{escape(caption)}</figcaption></figure>'
+        for image, caption in pictures
     )
-
-
-def _pictures(pictures: Iterable[tuple[Image, str]]) -> str:
-    return '<div class="pair">' + "".join(_picture(image, caption) for image, caption in pictures) + "</div>"
+    return f'<div class="pair">{"".join(figures)}</div>'
 
 
 def _picture_pair(figure: Figure, result: MatchResult) -> str:

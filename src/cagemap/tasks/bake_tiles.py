@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
@@ -21,6 +22,7 @@ from cagemap.files.images.image import (
     first_image,
     pixel_type,
     read_texture,
+    set_of_tile,
     texture_files,
     texture_pixels,
     udim_path,
@@ -45,10 +47,10 @@ from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import files_read
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
 from cagemap.transfer import BakeOptions, Transfer, target_tiles, transfer_of, unwrap
-from cagemap.transfer.baking import layout_cells
+from cagemap.transfer.baking import layout_cells, masked_faces
 from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.overlapping_uvs import overlapping_materials, overlapping_share
-from cagemap.transfer.texture import Pixels
+from cagemap.transfer.texture import Pixels, tile_cells
 
 # Default width and height of an image, if no source or base image gives a size.
 DEFAULT_SIZE = 2048
@@ -96,6 +98,11 @@ def read_source_image(
 ) -> SourceImage:
     """Read an image of the source, or ``channels`` of heights or directions, which the output must be able to hold."""
     texture = read_texture(path)
+    if len(texture_files(set_of_tile(path))) > 1 and isinstance(texture, Image):
+        cells = tile_cells(result.source.control.uv_corners()[0])
+        if (cells != cells[:1]).any():
+            text = "%s is repeated over all tiles of the source's layout: give %s for the whole set"
+            _log.warning(text, path, set_of_tile(path))
     if channels is not None:  # their values are taken without alpha
         texture = (
             unpremultiply(texture)
@@ -164,7 +171,7 @@ def prepare_bake(
     transfer = transfer_of(result)
     tiles, outside = layout_tiles(transfer)
     warnings += [*outside, *missing_uv_warnings(result.target.control)]
-    warnings += target_overlap_warnings(result.target.control)
+    warnings += target_overlap_warnings(result.target.control, masked_faces(transfer))
     if any(given_images):
         warnings += missing_uv_warnings(result.source.control, "all of them get one texel of the image")
         warnings += [] if result.masks.source is not None else _source_overlap_warnings(result.source.control)
@@ -211,9 +218,9 @@ def missing_uv_warnings(control: ControlMesh, effect: str = "no image is baked t
     ]
 
 
-def target_overlap_warnings(control: ControlMesh) -> list[str]:
-    """A warning if the target's layout overlaps itself."""
-    share = overlapping_share(control)
+def target_overlap_warnings(control: ControlMesh, masked: NDArray[np.bool_] | None = None) -> list[str]:
+    """A warning if the target's layout overlaps itself, without control faces that are ``masked``."""
+    share = overlapping_share(control, masked)
     if share < MIN_REPORTED_OVERLAP:
         return []
     return [

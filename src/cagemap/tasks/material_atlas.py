@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.material_images import MaterialImage, read_material_image
+from cagemap.files.gltf.material_images import read_material_image
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.images.image import Image, Pixels
 from cagemap.files.inner_texture import color_image, color_texture, is_of_set_in_use
@@ -54,7 +54,10 @@ def material_atlas(document: Document | None, control: ControlMesh) -> MaterialA
     if any(image is not None and not is_of_set_in_use(image, document, control) for image in found):
         return None
     colors = [_color(control, material) for material in used.tolist()]
-    keys = [color if image is None else _look(image) for image, color in zip(found, colors, strict=True)]
+    keys = [  # equal for the same image with the same wrapping and transform
+        color if image is None else (image.image, image.wraps, *image.transform.ravel().tolist())
+        for image, color in zip(found, colors, strict=True)
+    ]
     looks = dict(zip(keys, found, strict=True))
     if len(looks) < 2:
         return None
@@ -87,11 +90,6 @@ def material_atlas(document: Document | None, control: ControlMesh) -> MaterialA
     return MaterialAtlas(
         replace(read[0], pixels=atlas, channel_names=()), control.with_uvs(uvs, uv_indices.ravel()), size
     )
-
-
-def _look(image: MaterialImage) -> tuple[object, ...]:
-    """Equal for the same image with the same wrapping and transform."""
-    return image.image, image.wraps, *image.transform.ravel().tolist()
 
 
 def _color(control: ControlMesh, material: int) -> tuple[object, ...]:

@@ -37,7 +37,9 @@ def run_suggest(request: SuggestRequest, stages: Stages) -> SummaryAndWarnings:
     landmarks = suggested_landmarks(result, count)
     left_out = [pair.name for pair in landmarks.curves if not is_along_vertices(pair)]
     landmarks = replace(landmarks, curves=tuple(filter(is_along_vertices, landmarks.curves)))
-    write_landmarks(output, _to_file_numbers(landmarks, result), force=request.force)
+    numbers = [side.control.file_vertices for side in (result.target, result.source)]
+    to_file = (lambda vertices, own=own: vertices if own is None else own[vertices] for own in numbers)
+    write_landmarks(output, landmarks.renumbered(*to_file), force=request.force)
     target, source = result.target.control.file_vertex, result.source.control.file_vertex
     new = zip(landmarks.names, landmarks.target.tolist(), landmarks.source.tolist(), strict=True)
     lines = [f"  {name}: target vertex {target(a)}, now on source vertex {source(b)}" for name, a, b in [*new][-count:]]
@@ -48,14 +50,6 @@ def run_suggest(request: SuggestRequest, stages: Stages) -> SummaryAndWarnings:
         for name in left_out
     ]
     return "\n".join([head, *lines, f"wrote {output}; correct them and match again"]), warnings
-
-
-def _to_file_numbers(landmarks: Landmarks, result: MatchResult) -> Landmarks:
-    """Landmarks of parts in the numbering of their files."""
-    numbers = [side.control.file_vertices for side in (result.target, result.source)]
-    return landmarks.renumbered(
-        *(lambda vertices, own=own: vertices if own is None else own[vertices] for own in numbers)
-    )
 
 
 def suggested_landmarks(result: MatchResult, count: int) -> Landmarks:

@@ -177,11 +177,10 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
     assert isinstance(carried, dict)
     places = {name: place_of_rows(source, len(array)) for name, array in values.items()}
     given = source if rows is None else rows.whole
-    warnings = [
-        f"{name}: {ASSUMED_AT_VERTICES}"
-        for name, place in places.items()
-        if place == "vertices" and (source.n_vertices == source.n_faces or given.n_vertices == given.n_faces)
-    ]
+    ambiguous = source.n_vertices == source.n_faces or given.n_vertices == given.n_faces
+    ambiguous &= request.attribute.suffix.lower() in (".npy", ".npz", ".csv")  # others say where values are
+    assumed = [name for name, place in places.items() if place == "vertices" and ambiguous]
+    warnings = [f"{first_few(assumed)}: {ASSUMED_AT_VERTICES}"] if assumed else []
     target_rows = file_rows(request.result, result, "target")
     carried, notes = keep_base(request, result, carried, target_rows, places)
     whole = to_file_values(request, carried, target_rows, places)

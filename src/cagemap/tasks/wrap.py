@@ -18,7 +18,7 @@ from cagemap.files.meshes.obj_write import write_obj_positions
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import input_file, mesh_hash, note_transfer, read_files
 from cagemap.files.usd.prims import transform_points
-from cagemap.files.usd.space import between_spaces
+from cagemap.files.usd.space import between_spaces, to_standard
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults
 from cagemap.files.values.part_numbering import file_rows, rows_of
@@ -172,11 +172,11 @@ def _run(request: WrapRequest, stages: Stages) -> SummaryAndWarnings:
     lines = [f"wrote {output}: {written} vertices{among} (level {wrapped.level})", distances_text(figures)]
     if request.mhclo is not None:
         lines.append(f"wrote {request.mhclo}: the mesh follows {result.source.control.name}")
+    if output.suffix.lower() == ".glb" and original is not None and is_usd(original):  # in metres with Y up
+        space = to_standard(original) @ space
     if more and not np.allclose(space, np.eye(4)):
         length = np.cbrt(abs(np.linalg.det(space[:3, :3])))
-        outside.append(
-            f"images are in the source's units and axes; one of its units is {length:.6g} of {request.output.name}"
-        )
+        outside.append(f"images are in the source's units and axes; one of its units is {length:.6g} of {output.name}")
     return "\n".join(lines + more), warnings + outside + fold_warnings(figures)
 
 

@@ -55,7 +55,7 @@ def distances_text(figures: Mapping[str, Any]) -> str:
 def _distance_text(residual: Mapping[str, Any]) -> str:
     return (
         f"mean {100 * residual['mean']:.4f}, 99 % within {100 * residual['p99']:.3f}, largest "
-        f"{100 * residual['max']:.2f} at {place_text(residual['place'])}"
+        f"{100 * residual['max']:.3f} at {place_text(residual['place'])}"
     )
 
 

@@ -218,10 +218,28 @@ def make_layout(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
         neighbors,
         height * supersample,
         width * supersample,
+        masked_corners(transfer) if transfer.masks.any else None,
         band_rows=band_rows,
         gutter=GUTTER_RADIUS * supersample,
         supersample=supersample,
     )
+
+
+def masked_corners(transfer: Transfer) -> IndexArray:
+    """(t1,) number of corners of target triangles to which the masks give the weight 0."""
+    target, masks = transfer.target, transfer.masks
+    weights = masks.of_target(len(target.positions)) * masks.at_source(transfer.point_map.images)
+    return np.asarray(np.count_nonzero(weights[target.triangles] == 0.0, axis=1))
+
+
+def masked_faces(transfer: Transfer) -> NDArray[np.bool_] | None:
+    """(m1,) whether the masks give all of a target's control face the weight 0; None without masks."""
+    target = transfer.target
+    if not transfer.masks.any:
+        return None
+    masked = np.ones(int(target.face_parents.max()) + 1, dtype=np.bool_)
+    masked[target.face_parents[target.triangle_faces[masked_corners(transfer) < 3]]] = False
+    return masked
 
 
 def _is_laid_out(target: TexturedSurface) -> NDArray[np.bool_]:

@@ -77,10 +77,7 @@ def bake_displacement(
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, to_grey), *transfer.source.layout())
     kept = output_dtype(dtype, laid.dtype)
-    require_integer_range(laid, kept)
-    middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
-    ratio = scale_ratio(transfer)
-    factor, out_scale = (1.0, scale * ratio) if kept.kind == "u" else (ratio, scale)
+    middle, factor, out_scale = stored_lengths(transfer, laid, kept, midlevel, scale)
     layout = make_layout(transfer, size, options)
     lookups = plan_lookups(transfer.mapped, layout, laid, kind=options.filter)
 
@@ -94,17 +91,25 @@ def bake_displacement(
     return Displacement(pixels, middle, out_scale)
 
 
-def require_integer_range(laid: Texture, dtype: np.dtype[Any]) -> None:
-    """Require floats from 0 to 1 where the result holds integers: others would be clipped."""
-    if laid.dtype.kind != "f" or dtype.kind != "u":
-        return
-    ends = [channel_range(pixels) for pixels in laid.tiles.values()]
-    lowest, highest = min(float(low.min()) for low, _ in ends), max(float(high.max()) for _, high in ends)
-    if lowest < 0.0 or highest > 1.0:
-        raise ParameterError(
-            f"displacement: expected values from 0 to 1 to store as integers, got {lowest:.4g} to {highest:.4g}. "
-            "Write floats (.exr, .tif), or scale the values before."
-        )
+def stored_lengths(
+    transfer: Transfer, laid: Texture, dtype: np.dtype[Any], midlevel: float | None, scale: float
+) -> tuple[float, float, float]:
+    """Midlevel of a displacement, factor of its values' differences from it, and scale of the result.
+
+    Floats get new values, integers a new scale. Floats outside 0 to 1 are refused if integers are to hold them.
+    """
+    if scale == 0:
+        raise ParameterError("scale: expected a number other than 0")
+    if laid.dtype.kind == "f" and dtype.kind == "u":
+        ends = [channel_range(pixels) for pixels in laid.tiles.values()]
+        lowest, highest = min(float(low.min()) for low, _ in ends), max(float(high.max()) for _, high in ends)
+        if lowest < 0.0 or highest > 1.0:
+            raise ParameterError(
+                f"displacement: expected values from 0 to 1 to store as integers, got {lowest:.4g} to {highest:.4g}. "
+                "Write floats (.exr, .tif), or scale the values before."
+            )
+    middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
+    return middle, *((1.0, scale * scale_ratio(transfer)) if dtype.kind == "u" else (scale_ratio(transfer), scale))
 
 
 def scale_ratio(transfer: Transfer) -> float:

@@ -31,6 +31,8 @@ from cagemap.transfer.texture import OVERHANG, tile_cells
 # Weight of the change of texels against the error of lookups.
 _TRACE = 1e-3
 _ACCURACY, _STEPS = 1e-4, 200
+# A A^T is formed if it has at most about this many times the entries of A: small images have few, crowded texels.
+_MAX_PAIRS = 16
 # Rounds of closest points and texels; weight of errors along the surface against errors across it.
 _ROUNDS, _TANGENTIAL_WEIGHT = 3, 0.1
 
@@ -69,7 +71,9 @@ def make_lookups_exact(
         (lookups.data, np.searchsorted(used, lookups.indices), lookups.indptr), shape=(len(places), len(used))
     )
     values = texels[used].astype(np.float64)
-    shared, size = sparse.csr_array(lookups @ lookups.T), len(places) * channels
+    spread, size = sparse.csr_array(lookups.T), len(places) * channels
+    pairs = np.square(np.diff(spread.indptr).astype(np.int64)).sum()  # of corners that share a texel
+    shared = None if pairs > _MAX_PAIRS * lookups.nnz else sparse.csr_array(lookups @ spread)
     for _ in range(_ROUNDS):
         read = np.asarray(lookups @ values)
         wanted, weights_of = targets(read)
@@ -82,12 +86,14 @@ def make_lookups_exact(
 
         def system(flat: FloatArray) -> FloatArray:
             answer = flat.reshape(-1, channels)
-            return (weighted(shared @ transposed(answer)) + _TRACE * answer).ravel()
+            change = transposed(answer)
+            moved = lookups @ (spread @ change) if shared is None else shared @ change
+            return (weighted(moved) + _TRACE * answer).ravel()
 
         errors = weighted(wanted - read).ravel()
         operator = linalg.LinearOperator((size, size), matvec=system, dtype=np.float64)
         solution, _ = linalg.cg(operator, errors, rtol=_ACCURACY, maxiter=_STEPS)
-        values += lookups.T @ transposed(solution.reshape(-1, channels))
+        values += spread @ transposed(solution.reshape(-1, channels))
     texels[used] = values
 
 

@@ -20,12 +20,14 @@ _TEXELS = _RASTER**2 * np.linalg.det(_ROTATION)  # texels in the area of a tile
 _MAX_TILES = 64
 
 
-def overlapping_share(control: ControlMesh) -> float:
+def overlapping_share(control: ControlMesh, ignored: NDArray[np.bool_] | None = None) -> float:
     """Share of a layout's area that overlaps other parts of it; 0 without UVs.
 
-    Faces across several tiles, as with repeated textures, are ignored.
+    Faces across several tiles, as with repeated textures, are ignored, and those of ``ignored`` (m,).
     """
     corners, faces = control.uv_corners()
+    if ignored is not None:
+        corners, faces = corners[~ignored[faces]], faces[~ignored[faces]]
     masks = _covered(corners)
     inside = np.concatenate([chosen for chosen, _ in masks]) if masks else np.zeros(0, dtype=np.int64)
     a, b = corners[inside, 1] - corners[inside, 0], corners[inside, 2] - corners[inside, 0]

@@ -43,7 +43,7 @@ class Layout:
     gutter: float  # width of the extension of islands beyond their border, in texels
     supersample: int  # raster texels along the side of a texel of the image
     # `band_triangles`, `border_triangles`, `border_corners`: triangles that touch the band, and border edges within
-    # the gutter of it: an edge is a triangle and its first corner. Ascending.
+    # the gutter of it: an edge is a triangle and its first corner. The first covers the others.
     band_triangles: tuple[IndexArray, ...]
     border_triangles: tuple[IndexArray, ...]
     border_corners: tuple[IndexArray, ...]
@@ -59,6 +59,7 @@ def lay_out(
     neighbors: NDArray[np.int32],
     height: int,
     width: int,
+    rank: IndexArray | None = None,
     *,
     band_rows: int,
     gutter: float = GUTTER_RADIUS,
@@ -67,13 +68,18 @@ def lay_out(
     """Convert a layout (t, 3, 2) to texel coordinates and sort its triangles and borders into bands.
 
     ``neighbors`` (t, 3) are triangles across the edge opposite to every corner *in the UV layout*, -1 at an island's
-    border. Islands are extended by ``gutter`` texels beyond their border.
+    border. Islands are extended by ``gutter`` texels beyond their border. Where triangles overlap, texels take the
+    one of the lowest ``rank`` (t,).
     """
     corners = np.ascontiguousarray(texel_coordinates(corner_uvs, height, width))
+    triangle_bands = _sort_into_bands(corners, height, width, band_rows, 0.0)
     triangle, opposite = np.nonzero(neighbors < 0)
+    if rank is not None:
+        triangle_bands = [band[np.argsort(rank[band], kind="stable")] for band in triangle_bands]
+        order = np.argsort(rank[triangle], kind="stable")
+        triangle, opposite = triangle[order], opposite[order]
     start = (opposite + 1) % 3
     edges = np.stack([corners[triangle, start], corners[triangle, (start + 1) % 3]], axis=1)
-    triangle_bands = _sort_into_bands(corners, height, width, band_rows, 0.0)
     edge_bands = _sort_into_bands(edges, height, width, band_rows, gutter)
     return Layout(
         corners,

@@ -60,7 +60,10 @@ def unwrap(control: MeshLike, *, padding: float = 1 / 256) -> ControlMesh:
     size = float((high - low).max())
     if control.n_faces == 0 or not (np.isfinite(size) and size > 0):
         raise InvalidMeshError(f"{control.name}: expected a mesh with faces and an extent to unwrap, got none")
-    positions = _smooth_positions(control.with_positions((control.positions - low) / size))
+    positions = (control.positions - low) / size
+    if not isinstance(control.scheme, Plain):  # the surface is less bent than its cage and needs fewer cuts
+        smooth = refine(control.with_positions(positions).with_uvs(None, None), _SMOOTHING).finest
+        positions = smooth.positions[: control.n_vertices]
     flat, corner_uvs = _attach_loose(control, positions, _charts(positions, cage_triangles(control)[0]))
     # Islands are connected components of polygons.
     islands = label_components(corner_uvs, corner_uvs[control.next_corners], len(flat))
@@ -77,13 +80,6 @@ class _Charts:
     vertices: IndexArray
     triangles: IndexArray
     chart: IndexArray
-
-
-def _smooth_positions(control: ControlMesh) -> FloatArray:
-    """(n, 3) control vertices on the surface, which is less bent than its cage and needs fewer cuts."""
-    if isinstance(control.scheme, Plain):
-        return control.positions
-    return refine(control.with_uvs(None, None), _SMOOTHING).finest.positions[: control.n_vertices]
 
 
 def _charts(positions: FloatArray, triangles: IndexArray) -> _Charts:

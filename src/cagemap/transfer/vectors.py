@@ -18,7 +18,7 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangles import normalize_rows, vertex_normals
 from cagemap.transfer.baking import BakeOptions, Transfer, make_layout, output_dtype, run_bake, unit
-from cagemap.transfer.displacement import Displacement, require_integer_range, scale_ratio
+from cagemap.transfer.displacement import Displacement, stored_lengths
 from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.texels import Layout
@@ -119,12 +119,7 @@ def bake_vector_displacement(
     options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, _first_three_channels), *transfer.source.layout())
     kept = output_dtype(dtype, laid.dtype)
-    require_integer_range(laid, kept)
-    middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
-    if scale == 0:
-        raise ParameterError("scale: expected a number other than 0")
-    ratio = scale_ratio(transfer)
-    factor, out_scale = (1.0, scale * ratio) if kept.kind == "u" else (ratio, scale)
+    middle, factor, out_scale = stored_lengths(transfer, laid, kept, midlevel, scale)
     order = displacement_order(space)
     clipped: list[int] = []  # texels outside the range of integers, by call of `encode`
 
@@ -270,7 +265,10 @@ def _solve(frames: FloatArray, vectors: FloatArray) -> FloatArray:
 def _first_three_channels(pixels: Pixels) -> Pixels:
     """The first three channels."""
     if pixels.ndim != 3 or pixels.shape[2] < 3:
-        raise ParameterError(f"expected three channels of directions, got an image of shape {pixels.shape}")
+        raise ParameterError(
+            f"expected three channels of directions, got an image of shape {pixels.shape}. Heights in one channel "
+            "are a displacement map."
+        )
     return np.ascontiguousarray(pixels[:, :, :3])
 
 

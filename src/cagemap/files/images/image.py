@@ -265,10 +265,16 @@ def _reserve(path: Path, size: int) -> None:
 
 
 def unpremultiply(image: Image) -> Image:
-    """An image with colours not multiplied by alpha."""
-    if image.associated and image.pixels.ndim == 3 and image.pixels.shape[2] in (2, 4):
-        return replace(image, pixels=_unpremultiply_pixels(image.pixels), associated=False)
-    return replace(image, associated=False)
+    """An image with colours not multiplied by alpha, the last channel."""
+    pixels = image.pixels
+    if image.associated and pixels.ndim == 3 and pixels.shape[2] in (2, 4):
+        full = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1.0
+        share = pixels[..., -1:].astype(np.float64) / full
+        colors = np.divide(pixels[..., :-1], share, out=pixels[..., :-1].astype(np.float64), where=share > 0)
+        if pixels.dtype.kind == "u":
+            colors = np.rint(np.minimum(colors, full))
+        pixels = np.concatenate([colors.astype(pixels.dtype), pixels[..., -1:]], axis=2)
+    return replace(image, pixels=pixels, associated=False)
 
 
 def _premultiply_pixels(pixels: Pixels) -> Pixels:
@@ -276,16 +282,6 @@ def _premultiply_pixels(pixels: Pixels) -> Pixels:
     alpha = pixels[..., -1:]
     colors = pixels[..., :-1] * np.where(alpha > 0, alpha, 1)
     return np.concatenate([colors.astype(pixels.dtype), alpha], axis=2)
-
-
-def _unpremultiply_pixels(pixels: Pixels) -> Pixels:
-    """Colours divided by alpha, the last channel."""
-    full = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1.0
-    share = pixels[..., -1:].astype(np.float64) / full
-    colors = np.divide(pixels[..., :-1], share, out=pixels[..., :-1].astype(np.float64), where=share > 0)
-    if pixels.dtype.kind == "u":
-        colors = np.rint(np.minimum(colors, full))
-    return np.concatenate([colors.astype(pixels.dtype), pixels[..., -1:]], axis=2)
 
 
 def check_writable(path: str | Path, dtype: np.dtype[Any], channels: int) -> None:
@@ -324,10 +320,7 @@ def with_udim_mark(path: Path) -> Path:
 
 def tile_files(path: str | Path) -> dict[int, Path]:
     """Files of a texture by UDIM number; a single image is the first tile."""
-    file = with_udim_mark(Path(path))
-    if UDIM_MARK not in file.name:
-        return {FIRST_TILE: file}
-    tiles = _tiles(file)
+    tiles = _tiles(path)
     if not tiles:
         first = udim_path(path, FIRST_TILE)
         raise FormatError(f"{path}: expected tiles such as {first}, found none. Check the name.")
@@ -336,15 +329,17 @@ def tile_files(path: str | Path) -> dict[int, Path]:
 
 def texture_files(path: str | Path) -> list[Path]:
     """Files that `read_texture` reads."""
+    return list(_tiles(path).values())
+
+
+def _tiles(path: str | Path) -> dict[int, Path]:
     file = with_udim_mark(Path(path))
-    return list(_tiles(file).values()) if UDIM_MARK in file.name else [file]
-
-
-def _tiles(path: Path) -> dict[int, Path]:
-    before, after = path.name.split(UDIM_MARK, 1)
+    if UDIM_MARK not in file.name:
+        return {FIRST_TILE: file}
+    before, after = file.name.split(UDIM_MARK, 1)
     pattern = re.compile(re.escape(before) + r"(1\d{3})" + re.escape(after) + r"\Z")
-    names = sorted(entry.name for entry in path.parent.iterdir()) if path.parent.is_dir() else []
-    return {int(match[1]): path.parent / entry for entry in names if (match := pattern.match(entry))}
+    names = sorted(entry.name for entry in file.parent.iterdir()) if file.parent.is_dir() else []
+    return {int(match[1]): file.parent / entry for entry in names if (match := pattern.match(entry))}
 
 
 def udim_path(path: str | Path, tile: int) -> Path:
@@ -365,6 +360,11 @@ def tile_pattern(path: str | Path) -> Path:
     """The pattern of all files of `udim_path`, with ``<UDIM>`` in place of the tile's number."""
     file = with_udim_mark(Path(path))
     return file if UDIM_MARK in file.name else file.with_name(f"{file.stem}.{UDIM_MARK}{file.suffix}")
+
+
+def set_of_tile(path: Path) -> Path:
+    """The pattern of the set that a tile such as ``skin.1001.png`` belongs to; the path itself without such a name."""
+    return path.with_name(re.sub(r"(?<!\d)1\d{3}(?=\.\w+\Z)", UDIM_MARK, path.name))
 
 
 def first_image(texture: Image | Mapping[int, Image]) -> Image:

@@ -181,7 +181,10 @@ def _read_corners(statements: _Statements, rows: IndexArray) -> _Corners:
         row = rows[line_of_byte[byte]]
         return statements.fail(row, "'f' and corners such as 3, 3/7, 3//2 or 3/7/2", "Export the control mesh again.")
 
-    malformed = np.flatnonzero(_malformed_bytes(data, kind, before))
+    # Malformed are other characters, and signs that do not begin a number. `numpy.fromstring` then reads everything. It
+    # limits numbers too large for int64, and no mesh has so many vertices.
+    sign = (kind == _NUMBER) & ~_IS_DIGIT[data]
+    malformed = np.flatnonzero((kind == 0) | (sign & ((before == _NUMBER) | ~_IS_DIGIT[np.roll(data, -1)])))
     if len(malformed):
         raise fail(malformed[0])
     begins = (kind != _BLANK) & (before == _BLANK)
@@ -207,15 +210,6 @@ def _read_corners(statements: _Statements, rows: IndexArray) -> _Corners:
     if not has_vertex.all():
         raise fail(corner_starts[np.argmin(has_vertex)])
     return _Corners(rows, sizes, vertices, uvs, has_uv)
-
-
-def _malformed_bytes(data: NDArray[np.uint8], kind: NDArray[np.int8], before: NDArray[np.int8]) -> NDArray[np.bool_]:
-    """Bytes that cannot be part of a corner: other characters, and signs that do not begin a number.
-
-    `numpy.fromstring` then reads everything. It limits numbers too large for int64, and no mesh has so many vertices.
-    """
-    sign = (kind == _NUMBER) & ~_IS_DIGIT[data]
-    return (kind == 0) | (sign & ((before == _NUMBER) | ~_IS_DIGIT[np.roll(data, -1)]))
 
 
 def _resolve(statements: _Statements, corners: _Corners, numbers: IndexArray, kind: int, what: str) -> IndexArray:

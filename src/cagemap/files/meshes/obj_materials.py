@@ -87,11 +87,8 @@ def _options(rest: str) -> tuple[dict[str, list[str]], str]:
     while (words := rest.split()) and (most := _OPTIONS.get(words[0])):
         values = words[1:-1][:most]  # the last word belongs to the name, also if it is a number
         if words[0] in ("-o", "-s", "-t"):
-            values = values[: next((k for k, word in enumerate(values) if not _is_finite(word)), most)]
+            finite = [is_number(word) and math.isfinite(float(word)) for word in values]
+            values = values[: [*finite, False].index(False)]
         options[words[0]] = values
         rest = rest.split(maxsplit=len(values) + 1)[-1] if len(words) > 1 else ""
     return options, rest.strip()
-
-
-def _is_finite(word: str) -> bool:
-    return is_number(word) and math.isfinite(float(word))

@@ -139,7 +139,7 @@ _UV_LINE = re.compile(r"(?m)^[ \t]*vt\b[^\n]*\n?")
 # A position may continue on the next line; the text after its three numbers is kept.
 _POSITION_LINE = re.compile(r"(?m)^[ \t]*v(?:(?:[ \t]|\\[ \t]*\n)+[^\s\\]+){3}([^\n]*)")
 _NORMAL_LINE = re.compile(r"(?m)^[ \t]*vn\b[^\n]*\n?")
-_WITH_NORMAL = re.compile(r"(-?\d+)/(-?\d*)/-?\d+")
+_WITH_NORMAL = re.compile(r"(-?\d+)(?:(/-?\d+)/|//)-?\d+")
 _FACE = re.compile(r"(?m)^[ \t]*fo?[ \t](?:\\[ \t]*\n|[^\n])*")
 _MATERIAL = re.compile(r"(?m)^[ \t]*usemtl[ \t]+([^\n]*)")
 _OLD_MARK = re.compile(r"(?m)^# written by cagemap [^\n]*\n")
@@ -204,7 +204,7 @@ def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMe
     text = _text_for(file, kept)
     positions = iter(moved.positions.tolist())
     text = _POSITION_LINE.sub(lambda found: f"v {' '.join(map(repr, next(positions)))}{found[1]}", text)
-    text = _FACE.sub(lambda found: _WITH_NORMAL.sub(_strip_normals, found[0]), _NORMAL_LINE.sub("", text))
+    text = _FACE.sub(lambda found: _WITH_NORMAL.sub(r"\1\2", found[0]), _NORMAL_LINE.sub("", text))
     write_whole(file, f"# {mark()}\n{text}", force=force)
 
 
@@ -223,10 +223,6 @@ def _libraries(text: str, original: Path, folder: Path) -> str:
     with suppress(ValueError):  # another drive
         files = [Path(os.path.relpath(file, folder.resolve())) for file in files]
     return "".join(f"mtllib {file.as_posix()}\n" for file in files)
-
-
-def _strip_normals(corner: re.Match[str]) -> str:
-    return f"{corner[1]}/{corner[2]}" if corner[2] else corner[1]
 
 
 def _renumber_texture_vertices(line: str, numbers: Iterator[int]) -> str:

@@ -245,7 +245,11 @@ def write_ply(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> No
 
     Colours of vertices and faces are bytes, which every program reads. Of materials, colours are written.
     """
-    vertices, faces = _vertex_bytes(mesh), _face_bytes(mesh)
+    vertices, faces, colors = None, None, mesh.face_colors
+    if mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
+        vertices = _as_bytes(mesh.vertex_colors)
+    if colors is not None:  # grey for materials without one
+        faces = _as_bytes(encode_srgb(np.where(np.isfinite(colors), colors, UNKNOWN_COLOR)))
     header = _header(mesh, vertices is not None, faces is not None).encode("ascii")
     write_whole(path, header + _binary_vertices(mesh, vertices) + _binary_faces(mesh, faces), force=force)
 
@@ -277,19 +281,6 @@ def _header(mesh: ControlMesh, colored_vertices: bool, colored_faces: bool) -> s
 def _as_bytes(colors: FloatArray) -> NDArray[np.uint8]:
     """(n, 3) colours as bytes."""
     return np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8)
-
-
-def _vertex_bytes(mesh: ControlMesh) -> NDArray[np.uint8] | None:
-    """(n, 3) colours of the vertices as bytes; None if one is unknown."""
-    if mesh.vertex_colors is None or not np.isfinite(mesh.vertex_colors).all():
-        return None
-    return _as_bytes(mesh.vertex_colors)
-
-
-def _face_bytes(mesh: ControlMesh) -> NDArray[np.uint8] | None:
-    """(f, 3) colours of the faces' materials as bytes, grey for those without one; None if no face has one."""
-    colors = mesh.face_colors
-    return None if colors is None else _as_bytes(encode_srgb(np.where(np.isfinite(colors), colors, UNKNOWN_COLOR)))
 
 
 def _binary_vertices(mesh: ControlMesh, colors: NDArray[np.uint8] | None) -> bytes:
