@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import queue
 import threading
@@ -23,6 +24,7 @@ from cagemap.studio.compute import FindMap, MapUpdate, OpenModels, ShowImage, Sh
 from cagemap.studio.finish import Command, FinishOptions
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.places import vertex_place
+from cagemap.studio.page.actions import Actions
 from cagemap.studio.preview import Preview
 from cagemap.studio.scene import map_point
 from cagemap.studio.session import Session
@@ -156,7 +158,7 @@ def test_a_match_from_the_start_is_one_also_after_an_edit_and_a_turn(slow_previe
     assert again.fresh
 
 
-def test_a_chosen_image_and_axis_that_are_not_drawn_yet_stay_when_models_are_opened_again(opened, monkeypatch):
+def test_a_chosen_image_and_axis_that_are_not_drawn_yet_stay_when_models_are_opened(opened, boxes, monkeypatch):
     begun = list[Files]()
     monkeypatch.setattr(opened, "_open_pair", lambda files, _: begun.append(files))
     monkeypatch.setattr(opened._preview, "_request", lambda *_: None)
@@ -168,9 +170,14 @@ def test_a_chosen_image_and_axis_that_are_not_drawn_yet_stay_when_models_are_ope
         opened.turn_up("target")
         opened.choose_part("target", None)
         opened.open_plain("source")
+        for role in ("target", "source"):
+            head = json.dumps({"name": "c.obj", "role": role}).encode()
+            Actions(opened).handle(head + b"\n" + (boxes / "a.obj").read_bytes())
     finally:
         opened._preview._pair_files = pair_files
-    assert [(one.texture, one.ups) for one in begun] == 2 * [(image, ("z", files.ups[1]))]
+        (boxes / "c.obj").unlink()
+    dropped = [(image, (None, files.ups[1])), (None, ("z", None))]
+    assert [(one.texture, one.ups) for one in begun] == [*2 * [(image, ("z", files.ups[1]))], *dropped]
 
 
 def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
