@@ -132,7 +132,7 @@ class Session(PreviewResults):
             self._say_all(notes)
 
     def add_file(self, name: str, content: bytes, drop: str = "") -> Path | None:
-        """Add a file to the first folder; None if it is refused. An OBJ names material files of the same drop."""
+        """Add a file to the first folder; None if it is refused. It names files of the same drop as they were added."""
         with self.report_errors(), self._upload_lock:
             added_names = self._added_names.setdefault(drop, {})
             path = self.workspace.add(name, content, added_names)

@@ -303,10 +303,13 @@ on('models', 'close', () => {
   [picked, shownFiles] = [false, ''];
   if (state) showModels();
 });
+const is = (file, kind) => matching([file.name], kind).length > 0;
+// Files that others name come before these.
+const namedFirst = files => files.sort((a, b) => rank(a) - rank(b)), rank = file => is(file, fixed.kinds.meshes) ? 2 : is(file, ['.mtl']) ? 1 : 0;
 const newDrop = () => `${Math.random()}`;  // a mesh is added with the material files of its own drop
 on('add', 'change', () => {
   const added = newDrop();
-  for (const file of $('add').files) add(file, null, added);
+  for (const file of namedFirst([...$('add').files])) add(file, null, added);
   $('add').value = '';
 });
 
@@ -321,12 +324,11 @@ drop.addEventListener('drop', event => {
   event.preventDefault();
   drop.classList.remove('dropping');
   const {meshes, images} = fixed.kinds, files = [...event.dataTransfer.files], side = half(event);
-  const is = (file, kind) => matching([file.name], kind).length > 0;
-  // Images beside a mesh belong to its materials, but a single one is the source's texture. What meshes name comes first.
+  // Images beside a mesh belong to its materials, but a single one is the source's texture.
   const named = files.some(file => is(file, meshes)) && (side === 'target' || files.filter(file => is(file, images)).length > 1);
-  const rank = file => is(file, meshes) ? 1 : is(file, images) && !named ? 2 : 0;
-  const dropped = newDrop();
-  for (const file of files.sort((a, b) => rank(a) - rank(b))) add(file, named && is(file, images) ? null : side, dropped);
+  const dropped = newDrop(), texture = named ? [] : files.filter(file => is(file, images));
+  for (const file of [...namedFirst(files.filter(file => !texture.includes(file))), ...texture])
+    add(file, named && is(file, images) ? null : side, dropped);
 });
 
 document.addEventListener('keydown', event => {
