@@ -23,8 +23,8 @@ from cagemap.pictures import Z_UP
 from cagemap.studio.compute import FindMap, MapUpdate, OpenModels, ShowImage, ShowPosed, Task
 from cagemap.studio.finish import Command, FinishOptions
 from cagemap.studio.landmarks import LandmarkList
-from cagemap.studio.places import vertex_place
 from cagemap.studio.page.actions import Actions
+from cagemap.studio.places import vertex_place
 from cagemap.studio.preview import Preview
 from cagemap.studio.scene import map_point
 from cagemap.studio.session import Session

@@ -20,7 +20,7 @@ from cagemap.studio.opening import result_folder
 from cagemap.studio.preview_results import PreviewResults
 from cagemap.studio.recorded_match import LANDMARK_FIELDS
 from cagemap.studio.runner import Runner
-from cagemap.studio.scene import Scene, probe_map
+from cagemap.studio.scene import probe_map
 from cagemap.studio.shape import pick
 from cagemap.studio.state import (
     Files,

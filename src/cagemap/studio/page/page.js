@@ -4,7 +4,7 @@ import {Views} from './view.js';
 
 const $ = id => document.getElementById(id);
 const SIDES = ['target', 'source'], BOXES = ['doubts', 'cages', 'linked', 'other_parts', 'symmetric'], AGAIN = 500, AS_FILED = [['', 'as the file says']];
-let socket = null, state = null, fixed = null, listing = [], shownFiles = '', shownPair = '', picked = false, typed = null, received = 0;
+let socket = null, state = null, fixed = null, listing = [], shownFiles = '', shownPair = '', picked = false, typed = null, received = 0, selectedBefore;
 let bakeForm = {values: () => ({}), forgetModels: () => {}};
 
 const hint = (...texts) => $('empty').replaceChildren(...texts.map(words => element('p', {textContent: words})));
@@ -95,6 +95,7 @@ function showMessages() {
 function showViews() {
   const {drawn, models, view} = state;
   $('empty').hidden = !!models || state.status.kind === 'busy';
+  views.canvas.style.visibility = $('empty').hidden ? '' : 'hidden';  // models that are open no more
   const modes = fixed.modes.filter(one => one !== 'baked' || state.images.length);
   const entries = names => names.map(one => [one, one[0].toUpperCase() + one.slice(1)]);
   fill($('mode'), entries(modes), view.mode);
@@ -157,6 +158,10 @@ function showLandmarks() {
     row.setAttribute('aria-selected', isSelected);
     row.querySelector('button').setAttribute('aria-pressed', isSelected);
   }
+  if (selectedBefore !== undefined && selected !== selectedBefore) {  // the one that Next landmark has begun
+    views.reveal(selected);
+    selectedBefore = undefined;
+  }
   const item = landmarks.find(one => one.number === selected);
   $('selected').hidden = !item;
   if (item && (document.activeElement !== $('name') || typed?.number !== item.number)) $('name').value = item.name;
@@ -167,6 +172,11 @@ function showLandmarks() {
   $('mirror').disabled = !item?.complete || !state.symmetric;
 }
 
+function select(number) {
+  send('select', {number});
+  views.reveal(number);
+}
+
 function showRows(landmarks) {
   if (!changed('rows', landmarks.map(({number, name, color, complete, strain, wrong}) => [number, name, color, complete, strain, wrong])))
     return;
@@ -175,7 +185,7 @@ function showRows(landmarks) {
     const off = !one.complete ? '…' : one.strain === null ? '' : `${(100 * one.strain).toFixed(1)} %`;
     const dot = element('i');
     dot.style.background = one.color;
-    const row = element('tr', {className: one.wrong ? 'wrong' : '', title: one.wrong, onclick: () => send('select', {number: one.number})},
+    const row = element('tr', {className: one.wrong ? 'wrong' : '', title: one.wrong, onclick: () => select(one.number)},
       element('td', {}, dot, String(one.number)), element('td', {}, element('button', {textContent: one.name + (one.wrong ? ' ⚠' : '')})),
       element('td', {textContent: off}));
     row.dataset.number = one.number;
@@ -232,7 +242,10 @@ function showModels() {
 
 const on = (id, what, done) => $(id).addEventListener(what, done);
 for (const name of ['undo', 'redo', 'accept', 'again', 'cancel', 'next']) on(name, 'click', () => send(name));
-on('next', 'click', () => $('target').focus({preventScroll: true}));  // Enter then accepts the proposed place
+on('next', 'click', () => {
+  selectedBefore = state.selected;
+  $('target').focus({preventScroll: true});  // Enter then accepts the proposed place
+});
 for (const name of BOXES)
   on(name, 'change', () => send('view', {fields: {[name]: $(name).checked}}));
 on('mode', 'change', () => send('view', {fields: {mode: $('mode').value}}));
