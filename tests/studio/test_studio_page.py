@@ -130,6 +130,7 @@ def test_how_sure_a_map_is_is_said_in_words() -> None:
     assert "Next landmark" in confidence_text(doubt.confidence)
     folds = "0.5 % of the target's area is folded over, worst at (0, 3.523, -4.1) of the target's file"
     assert confidence_text(folds) == "0.5 % of the target's area is folded over"  # it is drawn red
+    assert confidence_text(folds.replace("worst", "most")) == confidence_text(folds)
     assert "contradicts" in verdict(StudioState(map=replace(known, contradictions={"nose": "far off"})), scene)
     assert "Not yet checked" in verdict(StudioState(map=MapState(unchecked=True)), scene)
 

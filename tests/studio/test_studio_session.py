@@ -373,6 +373,12 @@ def test_without_an_image_colours_or_ambient_occlusion_are_baked(opened: Session
     assert not opened.state.messages
 
 
+def test_a_number_of_vertices_below_one_is_refused(opened: Session) -> None:
+    for number in (0, -5):
+        options = FinishOptions().with_values({("match", "vertices"): number})
+        refuses(ParameterError, f"expected 1 or more, got {number}", opened.plan, options)
+
+
 def test_a_plain_target_gets_a_picture_and_no_wrap(opened: Session) -> None:
     files, has_colors = opened.state.files, opened.scene.has_colors
     opened._scene = replace(opened.scene, has_colors=False)

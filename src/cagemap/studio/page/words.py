@@ -49,7 +49,7 @@ STAGES = (
     ("draw", "drawing the pictures", None),
 )
 # Parts of the package's messages that the page's buttons and colours replace.
-_ANSWER_HINT = re.compile(r" \(`answer=\d+`\)|, worst at \([^)]*\) of the target's file")
+_ANSWER_HINT = re.compile(r" \(`answer=\d+`\)|, (?:worst|most) at \([^)]*\) of the target's file")
 _VERTEX_HINT = re.compile(f"(?:, first)? at target {VERTEX}")
 
 
