@@ -563,7 +563,9 @@ def test_a_narrow_window_shows_the_models_above_the_panel(page: Page) -> None:
     page.browser.set_window_size(500, 800)
     try:
         page.until(lambda: page.run("return innerWidth") < 640, "a narrow window")
-        widths = page.run("return ['views', 'landmarks', 'status'].map(id => document.getElementById(id).offsetWidth / innerWidth)")
+        widths = page.run(
+            "return ['views', 'landmarks', 'status'].map(id => document.getElementById(id).offsetWidth / innerWidth)"
+        )
         assert min(widths) > 0.75, widths
     finally:
         page.browser.set_window_size(size["width"], size["height"])
