@@ -355,18 +355,6 @@ def _face_of_loop(mesh: ControlMesh) -> Array:
     return faces
 
 
-class _StageSender(Stages):
-    """Sends stages to Blender."""
-
-    def __init__(self, replies: IO[bytes]) -> None:
-        super().__init__()
-        self._replies = replies
-
-    def __call__(self, stage: str) -> None:
-        super().__call__(stage)
-        send(self._replies, "stage", stage)
-
-
 def send(stream: IO[bytes], kind: str, value: object) -> None:
     """Write one message."""
     pickle.dump((kind, value), stream, protocol=pickle.HIGHEST_PROTOCOL)
@@ -378,7 +366,7 @@ def main() -> None:
     set_up_process()
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints does not come between the replies
-    session = Session(_StageSender(replies))
+    session = Session(Stages(lambda stage: send(replies, "stage", stage)))
     while True:
         try:
             name, arguments = pickle.load(requests)

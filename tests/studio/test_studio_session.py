@@ -128,7 +128,7 @@ def test_a_map_that_is_computed_during_a_turn_is_computed_again(slow_preview: Sl
     goes_on.set()
     for ask, side, ups in (
         (lambda: preview.find(fresh=True), "target", ("z", None)),
-        (lambda: preview.choose(1), "source", ("z", "z")),
+        (lambda: preview.request("answer", 1), "source", ("z", "z")),
     ):
         ask()
         search = begun.get(timeout=10)
@@ -161,7 +161,7 @@ def test_a_match_from_the_start_is_one_also_after_an_edit_and_a_turn(slow_previe
 def test_a_chosen_image_and_axis_that_are_not_drawn_yet_stay_when_models_are_opened(opened, boxes, monkeypatch):
     begun = list[Files]()
     monkeypatch.setattr(opened, "_open_pair", lambda files, _: begun.append(files))
-    monkeypatch.setattr(opened._preview, "_request", lambda *_: None)
+    monkeypatch.setattr(opened._preview, "request", lambda *_: None)
     monkeypatch.setattr(opened._preview, "is_requested", lambda kind: kind == "image")
     files, pair_files = opened.state.files, opened._preview.pair_files
     image = files.texture.with_name("other.png")

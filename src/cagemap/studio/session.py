@@ -170,7 +170,7 @@ class Session(PreviewResults):
         with self._lock:
             if self._scene is not None and 0 <= answer < len(self._state.map.answers):
                 self.show(map_view(self._state.view))
-                self._preview.choose(answer)
+                self._preview.request("answer", answer)
 
     def cancel(self) -> None:
         """Cancel the finish, or else the preview; complete files and the last map are kept."""

@@ -317,8 +317,8 @@ on('models', 'close', () => {
   if (state) showModels();
 });
 const is = (file, kind) => matching([file.name], kind).length > 0;
-// Files that others name come before these.
-const namedFirst = files => files.sort((a, b) => rank(a) - rank(b)), rank = file => is(file, fixed.kinds.meshes) ? 2 : is(file, ['.mtl']) ? 1 : 0;
+const rank = file => is(file, fixed.kinds.meshes) ? 2 : is(file, ['.mtl']) ? 1 : 0;
+const namedFirst = files => files.sort((a, b) => rank(a) - rank(b));  // files that others name come before these
 const newDrop = () => `${Math.random()}`;  // a mesh is added with the material files of its own drop
 on('add', 'change', () => {
   const added = newDrop();
