@@ -55,7 +55,11 @@ def sides(context):
     if object_ is not None:
         raise RefusedError(f"{object_.name} is in Edit Mode. Leave it (Tab), and press the button again.")
     context.view_layer.update()
-    return chosen_pair(context)
+    target, source = chosen_pair(context)
+    for role, object_ in (("target", target), ("source", source)):
+        if not object_.data.vertices:
+            raise RefusedError(f"{object_.name} has no vertices. Choose another {role}.")
+    return target, source
 
 
 def world(object_):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 import sys
 import traceback
 from collections.abc import Iterable, Mapping
@@ -47,6 +48,8 @@ from cagemap.wrap import wrap
 
 # Texels around the islands of pieces that are not matched, which are theirs too.
 _BORDER = 4
+# Parts of messages that only the command line and files have: the option of another answer, places in a file.
+_FILE_HINTS = re.compile(r" \(`answer=\d+`\)|(?:, (?:worst|most))? at \([^)]*\)(?: of the target's file)?")
 
 Array = NDArray[Any]
 Values = dict[str, Any]
@@ -260,13 +263,12 @@ class Session:
         low, high = places.min(axis=0), places.max(axis=0)
         colors = (places - low) / np.maximum(high - low, 1e-12)
         carried = carry_values(result, colors[bodies.rows(1)], at="vertices")
-        confidence = [] if result.confidence is None else [str(result.confidence.summary()["message"])]
-        left_out = [str(suspect) for suspect in result.suspects]
-        sentences = [*confidence, *left_out, *result.landmark_check.notes, *result.quality.warnings, *notes]
+        sentences = [] if result.confidence is None else [result.confidence.message]
+        sentences += [*map(str, result.suspects), *result.landmark_check.notes, *result.quality.warnings, *notes]
         return {
             "target_colors": self._on_vertices(carried, colors),
             "source_colors": colors,
-            "sentences": sentences or ["The map looks sound."],
+            "sentences": [_FILE_HINTS.sub("", text) for text in sentences] or ["The map looks sound."],
         }
 
     def _on_vertices(self, carried: Array, given: Array) -> Array:
@@ -329,9 +331,8 @@ def _landmarks(
 ) -> tuple[Landmarks, tuple[str, ...]]:
     """Landmarks of the names that both meshes have, in the numbers of what is matched."""
     if not (target_points and source_points):
-        return Landmarks.none(), (
-            "Landmarks of one object alone are not used.",
-        ) if target_points or source_points else ()
+        notes = ("Landmarks of one object alone are not used.",) if target_points or source_points else ()
+        return Landmarks.none(), notes
     named = [
         NamedPoints(tuple(points), np.full(len(points), -1), np.array(list(points.values()), dtype=np.float64))
         for points in (target_points, source_points)
@@ -354,18 +355,6 @@ def _face_of_loop(mesh: ControlMesh) -> Array:
     return faces
 
 
-class _StageSender(Stages):
-    """Sends stages to Blender."""
-
-    def __init__(self, replies: IO[bytes]) -> None:
-        super().__init__()
-        self._replies = replies
-
-    def __call__(self, stage: str) -> None:
-        super().__call__(stage)
-        send(self._replies, "stage", stage)
-
-
 def send(stream: IO[bytes], kind: str, value: object) -> None:
     """Write one message."""
     pickle.dump((kind, value), stream, protocol=pickle.HIGHEST_PROTOCOL)
@@ -377,7 +366,7 @@ def main() -> None:
     set_up_process()
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints does not come between the replies
-    session = Session(_StageSender(replies))
+    session = Session(Stages(lambda stage: send(replies, "stage", stage)))
     while True:
         try:
             name, arguments = pickle.load(requests)

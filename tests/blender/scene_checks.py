@@ -776,6 +776,26 @@ def weights_of_removed_groups_are_not_read():
 
 
 @check
+def a_mesh_without_vertices_is_refused():
+    source, _ = pair()
+    source.data = bpy.data.meshes.new("empty")
+    for button in (bpy.ops.cagemap.match, bpy.ops.cagemap.wrap, bpy.ops.cagemap.landmark):
+        assert "source has no vertices. Choose another source" in refusal(button)
+
+
+@check
+def messages_name_vertices_and_no_places_of_a_file():
+    pair()
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=9, y_subdivisions=9)
+    SETTINGS.source = bpy.context.object
+    assert not refusal(bpy.ops.cagemap.match)
+    assert "folded over" in SETTINGS.message
+    assert " at (" not in SETTINGS.message, SETTINGS.message
+    assert "file" not in SETTINGS.message, SETTINGS.message
+    assert "answer=" not in SETTINGS.message, SETTINGS.message
+
+
+@check
 def a_ninth_uv_map_is_refused():
     source, target = pair()
     source.data.uv_layers[0].name = "other"

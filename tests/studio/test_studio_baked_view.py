@@ -18,7 +18,7 @@ from studio_boxes import add_landmarks, at_rest, click, until
 
 def test_a_view_computes_nothing(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     wanted: list[None] = []
-    monkeypatch.setattr(opened._preview, "show_baked", lambda *_: wanted.append(None))
+    monkeypatch.setattr(opened._preview, "request", lambda *_: wanted.append(None))
     before = opened.scene.skins
     for view in (View(cages=True), View("colours"), View("checker", doubts=False), View()):
         opened.show(view)
@@ -126,7 +126,7 @@ def test_what_a_bake_of_other_models_wrote_is_no_output_of_the_open_ones(opened:
 
 def test_an_image_of_an_earlier_bake_is_drawn_and_downloaded_in_its_own_uv_set(opened, monkeypatch):
     drawn = list[tuple[Path, str | None]]()
-    monkeypatch.setattr(opened._preview, "show_baked", lambda image, _, uv_set: drawn.append((image, uv_set)))
+    monkeypatch.setattr(opened._preview, "request", lambda _kind, image, _layout, uv_set: drawn.append((image, uv_set)))
     monkeypatch.setattr(opened._runner, "start", lambda _: None)
     images = {name: Path(f"{name}.png") for name in ("first", "second")}
     for name, uv_set in (("first", None), ("second", "UVMap2")):
@@ -142,7 +142,7 @@ def test_an_image_of_an_earlier_bake_is_drawn_and_downloaded_in_its_own_uv_set(o
 def test_a_bake_shows_its_colours_rather_than_the_normals_before_them(
     opened: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(opened._preview, "show_baked", lambda *_: None)
+    monkeypatch.setattr(opened._preview, "request", lambda *_: None)
     monkeypatch.setattr(opened._runner, "start", lambda _: None)
     outputs = [Output(Path(name), title) for name, title in (("n_normal.png", "normal map"), ("c.png", "texture"))]
     for looked_at in (False, True):

@@ -529,6 +529,48 @@ def test_enter_accepts_after_next_landmark_and_rows_stay_and_are_chosen_by_keys(
     page.set("symmetric", True)
 
 
+def test_a_chosen_landmark_on_the_far_side_is_turned_into_view(page: Page) -> None:
+    page.set("symmetric", False)
+    count, turn = page.landmarks(), "window.studio.views.frame(arguments[0])"
+    for direction in ([0.2, 0.1, 1], [-0.2, 0.1, -1]):
+        page.run(turn, direction)
+        page.press("next")
+        page.until(lambda: page.state("proposal"), "a proposal")
+        page.until(lambda: page.run(GRIPPED, "target", page.state("selected")), "the new landmark in view")
+        back_to(page, count)
+        page.run(turn, direction)
+        page.select(3)
+        page.until(lambda: page.run(GRIPPED, "target", 3), "the landmark of the row in view")
+    page.press("frame")
+    page.set("symmetric", True)
+
+
+def test_models_fit_their_halves_again_after_these_were_very_narrow(page: Page) -> None:
+    distance = """const {camera, controls} = window.studio.views.sides.target;
+        return camera.position.distanceTo(controls.target)"""
+    width = "window.studio.views.canvas.parentElement.style.flex = arguments[0]"
+    page.press("frame")
+    before = page.run(distance)
+    page.run(width, "0 0 90px")
+    page.until(lambda: page.run(distance) > 4 * before, "the models in a narrow window")
+    page.run(width, "")
+    page.until(lambda: page.run(distance) < 2 * before, "the models in the whole window")
+    assert page.run(distance) == pytest.approx(before)
+
+
+def test_a_narrow_window_shows_the_models_above_the_panel(page: Page) -> None:
+    size = page.browser.get_window_size()
+    page.browser.set_window_size(500, 800)
+    try:
+        page.until(lambda: page.run("return innerWidth") < 640, "a narrow window")
+        widths = page.run(
+            "return ['views', 'landmarks', 'status'].map(id => document.getElementById(id).offsetWidth / innerWidth)"
+        )
+        assert min(widths) > 0.75, widths
+    finally:
+        page.browser.set_window_size(size["width"], size["height"])
+
+
 def test_a_target_whose_triangles_all_cross_seams_is_drawn(page: Page) -> None:
     corners, image = np.eye(3), io.BytesIO()
     imageio.imwrite(image, np.full((4, 4, 3), 200, dtype=np.uint8), extension=".png")

@@ -60,7 +60,7 @@ from cagemap.tasks.masks import mask_file
 from cagemap.tasks.requests.catalogue import COMMANDS, CommandOption, Key, Value, all_options
 from cagemap.tasks.requests.options import CARRIED, Option, option_fields
 from cagemap.tasks.requests.report import ReportRequest
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.transfer import TransferRequest, require_map_names
 from cagemap.tasks.transfer import check_transfer
 
 from example_result import identity_result
@@ -294,6 +294,9 @@ def test_messages_name_what_to_press_on_the_page_not_options_of_the_command_line
     (note,) = repairs.sentences()
     assert in_page_words(note).endswith("there. To open another piece, press Open… and choose it under Part")
     assert "--" not in in_page_words(use_option_names(note))
+    with pytest.raises(ParameterError) as refused:
+        require_map_names([("color", Path("a.png")), ("", Path("b.png"))])
+    assert in_page_words(str(refused.value)).startswith("Bake, More images, Maps: expected one image")
     corners = np.array([(0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.1, 0.9)])
     (overlap,) = target_overlap_warnings(cube().with_uvs(corners, np.tile(np.arange(4), 6)))
     assert in_page_words(overlap).endswith("one by one with Open…, Part, or give it a layout without overlaps")

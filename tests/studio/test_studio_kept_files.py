@@ -381,6 +381,24 @@ def test_files_that_are_dropped_again_are_used_again_and_an_obj_names_the_new_ma
         assert (again.name, again.read_bytes()) == ("x (2).obj", b"mtllib x (2).mtl\nv 0 0 0\n")
 
 
+def test_files_of_a_drop_name_its_images_and_buffers_as_they_were_added(tmp_path: Path) -> None:
+    """Another file of the same name was added before: it is neither replaced nor used."""
+    with closing(session_of(tmp_path)) as session:
+        for name in ("skin.png", "my skin.png", "häme 1.bin"):
+            (tmp_path / name).write_bytes(b"another's")
+        mtl = b"newmtl a\nKd 1 1 1\nmap_Kd -s 1 1 1 skin.png\nmap_Bump my skin.png\nmap_Ks other skin.png\n"
+        gltf = b'{"buffers": [{"uri": "h%C3%A4me%201.bin"}], "images": [{"uri": "skin.png"}, {"name": "skin.png"}]}'
+        contents = {"skin.png": b"1", "my skin.png": b"2", "other skin.png": b"3", "häme 1.bin": b"4"}
+        for name, content in (contents | {"a.mtl": mtl, "a.gltf": gltf}).items():
+            session.add_file(name, content, "a drop")
+        assert [message.text for message in session.state.messages if message.kind == "error"] == []
+        mtl = mtl.replace(b"1 skin.png", b"1 skin (2).png").replace(b"my skin.png", b"my skin (2).png")
+        assert (tmp_path / "a.mtl").read_bytes() == mtl
+        gltf = gltf.replace(b"1.bin", b"1%20%282%29.bin").replace(b'i": "skin.', b'i": "skin%20%282%29.')
+        assert (tmp_path / "a.gltf").read_bytes() == gltf
+        assert (tmp_path / "häme 1 (2).bin").read_bytes() == b"4"
+
+
 def test_an_obj_that_is_dropped_alone_keeps_its_material_file(tmp_path: Path) -> None:
     """The material file of another drop had the name that its model's has."""
     with closing(session_of(tmp_path)) as session:

@@ -130,6 +130,7 @@ def test_how_sure_a_map_is_is_said_in_words() -> None:
     assert "Next landmark" in confidence_text(doubt.confidence)
     folds = "0.5 % of the target's area is folded over, worst at (0, 3.523, -4.1) of the target's file"
     assert confidence_text(folds) == "0.5 % of the target's area is folded over"  # it is drawn red
+    assert confidence_text(folds.replace("worst", "most")) == confidence_text(folds)
     assert "contradicts" in verdict(StudioState(map=replace(known, contradictions={"nose": "far off"})), scene)
     assert "Not yet checked" in verdict(StudioState(map=MapState(unchecked=True)), scene)
 
@@ -224,7 +225,7 @@ def test_what_no_page_of_ours_sends_is_refused_in_words(opened: Session, message
 
 def test_a_dropped_model_is_opened_in_place_of_the_other_one(opened: Session, boxes: Path) -> None:
     begun: list[Any] = []
-    session = MagicMock(wraps=opened, workspace=opened.workspace, state=opened.state)
+    session = MagicMock(wraps=opened, workspace=opened.workspace, requested_files=opened.state.files)
     session.open.side_effect = begun.append
     content = (boxes / "a.obj").read_bytes()
     for role in ("target", "source"):
@@ -240,7 +241,7 @@ def test_another_image_of_the_open_models_keeps_their_landmarks(opened: Session,
     begun: list[Any] = []
     own = {"landmarks": boxes / "own.json", "result": boxes / "own", "schemes": ("bilinear", None), "ups": ("z", None)}
     files = replace(opened.state.files, **own)
-    session = MagicMock(wraps=opened, workspace=opened.workspace, state=replace(opened.state, files=files))
+    session = MagicMock(wraps=opened, workspace=opened.workspace, requested_files=files)
     session.open.side_effect = begun.append
     image = json.dumps({"name": "other.png", "role": "target"}).encode() + b"\n" + (boxes / "b.png").read_bytes()
     Actions(session).handle(image)
@@ -257,7 +258,7 @@ def test_a_model_that_stays_is_opened_as_before(opened: Session, boxes: Path) ->
     begun: list[Any] = []
     own = {"schemes": ("bilinear", "none"), "ups": ("z", "y"), "parts": ("eye", "object:body")}
     files = replace(opened.state.files, **own)
-    session = MagicMock(wraps=opened, workspace=opened.workspace, state=replace(opened.state, files=files))
+    session = MagicMock(wraps=opened, workspace=opened.workspace, requested_files=files)
     session.open.side_effect = begun.append
     (boxes / "c.obj").write_bytes((boxes / "a.obj").read_bytes())
     for side, number in (("target", 0), ("source", 1)):
@@ -281,7 +282,7 @@ def test_a_model_that_stays_is_opened_as_before(opened: Session, boxes: Path) ->
 def test_models_dropped_one_after_the_other_are_opened_together(tmp_path: Path, boxes: Path) -> None:
     begun: list[Any] = []
     session = MagicMock(wraps=session_of(tmp_path))
-    session.workspace, session.state = Workspace.of(tmp_path), StudioState()
+    session.workspace, session.requested_files = Workspace.of(tmp_path), None
     session.open.side_effect = begun.append
     actions = Actions(session)
     for name, role in (("a.mtl", "target"), ("b.png", "source"), ("a.obj", "target"), ("b.obj", "source")):

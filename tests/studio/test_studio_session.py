@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import queue
 import threading
@@ -22,6 +23,7 @@ from cagemap.pictures import Z_UP
 from cagemap.studio.compute import FindMap, MapUpdate, OpenModels, ShowImage, ShowPosed, Task
 from cagemap.studio.finish import Command, FinishOptions
 from cagemap.studio.landmarks import LandmarkList
+from cagemap.studio.page.actions import Actions
 from cagemap.studio.places import vertex_place
 from cagemap.studio.preview import Preview
 from cagemap.studio.scene import map_point
@@ -126,7 +128,7 @@ def test_a_map_that_is_computed_during_a_turn_is_computed_again(slow_preview: Sl
     goes_on.set()
     for ask, side, ups in (
         (lambda: preview.find(fresh=True), "target", ("z", None)),
-        (lambda: preview.choose(1), "source", ("z", "z")),
+        (lambda: preview.request("answer", 1), "source", ("z", "z")),
     ):
         ask()
         search = begun.get(timeout=10)
@@ -156,10 +158,10 @@ def test_a_match_from_the_start_is_one_also_after_an_edit_and_a_turn(slow_previe
     assert again.fresh
 
 
-def test_a_chosen_image_and_axis_that_are_not_drawn_yet_stay_when_models_are_opened_again(opened, monkeypatch):
+def test_a_chosen_image_and_axis_that_are_not_drawn_yet_stay_when_models_are_opened(opened, boxes, monkeypatch):
     begun = list[Files]()
     monkeypatch.setattr(opened, "_open_pair", lambda files, _: begun.append(files))
-    monkeypatch.setattr(opened._preview, "_request", lambda *_: None)
+    monkeypatch.setattr(opened._preview, "request", lambda *_: None)
     monkeypatch.setattr(opened._preview, "is_requested", lambda kind: kind == "image")
     files, pair_files = opened.state.files, opened._preview.pair_files
     image = files.texture.with_name("other.png")
@@ -168,9 +170,14 @@ def test_a_chosen_image_and_axis_that_are_not_drawn_yet_stay_when_models_are_ope
         opened.turn_up("target")
         opened.choose_part("target", None)
         opened.open_plain("source")
+        for role in ("target", "source"):
+            head = json.dumps({"name": "c.obj", "role": role}).encode()
+            Actions(opened).handle(head + b"\n" + (boxes / "a.obj").read_bytes())
     finally:
         opened._preview._pair_files = pair_files
-    assert [(one.texture, one.ups) for one in begun] == 2 * [(image, ("z", files.ups[1]))]
+        (boxes / "c.obj").unlink()
+    dropped = [(image, (None, files.ups[1])), (None, ("z", None))]
+    assert [(one.texture, one.ups) for one in begun] == [*2 * [(image, ("z", files.ups[1]))], *dropped]
 
 
 def test_a_first_look_is_shown_and_does_not_count(opened: Session) -> None:
@@ -364,6 +371,12 @@ def test_without_an_image_colours_or_ambient_occlusion_are_baked(opened: Session
     opened.finish(FinishOptions(texture=False))
     assert titles_of(started) == ["match", "report"]
     assert not opened.state.messages
+
+
+def test_a_number_of_vertices_below_one_is_refused(opened: Session) -> None:
+    for number in (0, -5):
+        options = FinishOptions().with_values({("match", "vertices"): number})
+        refuses(ParameterError, f"expected 1 or more, got {number}", opened.plan, options)
 
 
 def test_a_plain_target_gets_a_picture_and_no_wrap(opened: Session) -> None:

@@ -10,6 +10,8 @@ from cagemap.numerics.arrays import IndexArray
 LISTED = 8
 # Pattern of a `FileVertex` in messages.
 VERTEX = r"vertex \d+(?: at \([^)]*\))?"
+# Pattern of a place of the target's file in messages.
+PLACE = r", (?:worst|most) at \([^)]*\) of the target's file"
 # Kinds of problems that `cagemap.mesh.plain.plain_mesh` repairs.
 REPAIRED = frozenset(
     (

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.quality import flipped_triangles
 from cagemap.maps.result import MatchResult
-from cagemap.mesh.mesh_report import VERTEX
+from cagemap.mesh.mesh_report import PLACE, VERTEX
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.report.shown import DisplaySurface
 from cagemap.surface.triangles import triangle_areas
@@ -109,7 +109,7 @@ def largest_regions(selected: NDArray[np.bool_], display: DisplaySurface) -> lis
 def name_marks(text: str, marks: tuple[Mark, ...]) -> str:
     """A message that names marks instead of coordinates and vertex numbers."""
     deciding = next((mark for mark in marks if mark.text == DECIDING_TEXT), None)
-    text = re.sub(r", worst at \([^)]*\) of the target's file", "", text)
+    text = re.sub(PLACE, "", text)
     text = re.sub(rf" away from source {VERTEX}, to near {VERTEX}", " away from its mark", text)
     return re.sub(f"at target {VERTEX}", f"at mark {deciding.number}" if deciding else "there", text)
 

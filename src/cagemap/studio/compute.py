@@ -164,8 +164,12 @@ def find_map(
     ParameterError
         If there is no such answer.
     """
-    cache, prepared_pair = _prepare(cache, progress)
-    begun = cache
+    if cache.prepared_pair is None:
+        levels = cache.target.level, cache.source.level
+        surfaces = prepare_surfaces(cache.target.control, cache.source.control, levels, progress=progress)
+        cache = replace(cache, prepared_pair=prepare_pair(*surfaces))
+    begun, prepared_pair = cache, cache.prepared_pair
+    assert prepared_pair is not None
 
     def preview(point_map: PointMap) -> None:
         show(_unchecked_update(begun, point_map))
@@ -202,16 +206,6 @@ def _unchecked_update(cache: PreviewCache, point_map: PointMap) -> MapUpdate:
     preview_map = PreviewMap(point_map.triangle, point_map.barycentric, trust)
     skin = target_skin(cache.target, cache.source, preview_map)
     return MapUpdate(preview_map, (skin, None), MapState(unchecked=True))
-
-
-def _prepare(cache: PreviewCache, progress: Progress) -> tuple[PreviewCache, PreparedPair]:
-    """Prepare the pair, if that is not done."""
-    if cache.prepared_pair is not None:
-        return cache, cache.prepared_pair
-    target, source = cache.target, cache.source
-    surfaces = prepare_surfaces(target.control, source.control, (target.level, source.level), progress=progress)
-    prepared_pair = prepare_pair(*surfaces)
-    return replace(cache, prepared_pair=prepared_pair), prepared_pair
 
 
 def _map_update(cache: PreviewCache) -> tuple[PreviewCache, MapUpdate]:

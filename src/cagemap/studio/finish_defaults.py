@@ -33,11 +33,11 @@ def with_defaults(options: FinishOptions, files: Files, scene: Scene, vertices: 
         If the target cannot be wrapped.
     """
     is_plain, values = files.schemes[0] == NO_SCHEME, options.option_values
-    has_level = values.get(("match", "level")) is not None
+    has_level, number = values.get(("match", "level")) is not None, values.get(("match", "vertices"))
     options = options.with_values(
         {
             ("transfer", "unwrap"): not scene.target.control.has_layout,
-            ("match", "vertices"): None if has_level else values.get(("match", "vertices")) or vertices,
+            ("match", "vertices"): None if has_level else vertices if number is None else number,
         }
     )
     if options.texture and files.texture is None and scene.has_colors:

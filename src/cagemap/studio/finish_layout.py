@@ -242,6 +242,7 @@ PAGE_WORDS = {
     "--scheme none": "Do not subdivide (Open…, Options)",
     "--target-scheme": "Open…, Options, Subdivide target",
     "--trust-landmarks": "Bake, Match, Trust landmarks",
+    "--texture:": "Bake, More images, Maps:",
     "--force": "Bake, Files, Overwrite",
     "--answer 1": "the other button above Match again",
     "`transfer --bake colors`": "Bake, Detailed mesh, Bake, colors",

@@ -43,19 +43,6 @@ class RequestResult:
     failure: str = ""
 
 
-class _StageSender(Stages):
-    """Sends the stages through a pipe."""
-
-    def __init__(self, connection: Connection) -> None:
-        super().__init__()
-        self._connection = connection
-
-    def __call__(self, stage: str) -> None:
-        """End the running stage, begin the next."""
-        super().__call__(stage)
-        self._connection.send((STAGE, stage))
-
-
 def serve(connection: Connection) -> None:
     """Run commands until the pipe closes or sends None, which interrupts the running one."""
     set_up_process()
@@ -65,7 +52,8 @@ def serve(connection: Connection) -> None:
     threading.Thread(target=_listen, args=(connection, commands), daemon=True).start()
     try:
         while True:
-            connection.send((RESULT, run_command(commands.get(), _StageSender(connection))))
+            stages = Stages(lambda stage: connection.send((STAGE, stage)))
+            connection.send((RESULT, run_command(commands.get(), stages)))
             gc.collect()  # the next one needs the memory
     except (KeyboardInterrupt, BrokenPipeError):
         return

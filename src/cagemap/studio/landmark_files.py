@@ -221,7 +221,9 @@ def save_landmarks(
             write_points(file, named_points if form.curves else replace(named_points, curves=()), control)
         return tuple(file for file, _, _ in contents), form.lost(contents[0][1])
     is_open = path == files.landmarks
-    is_foreign = (is_open and tracker.is_changed(path)) or not _is_of_this_pair(path, scene, files)
+    is_foreign = (is_open and tracker.is_changed(path)) or not (
+        is_own(path) and _names_these_models(path, scene, files)
+    )
     notes: tuple[str, ...] = ()
     if path.is_file() and (is_open or is_own(path)) and is_foreign:
         copy = next(name for name in _backup_names(path) if not name.exists())
@@ -237,11 +239,6 @@ def side_file(path: Path, side: Side) -> Path:
     ending = point_form(path).ending
     stem = path.name[: -len(ending)] if path.name.lower().endswith(ending) else path.stem
     return path.with_name(f"{stem}.{side}{ending}")
-
-
-def _is_of_this_pair(path: Path, scene: Scene, files: Files) -> bool:
-    """Whether cagemap wrote a file of pairs for these models."""
-    return is_own(path) and _names_these_models(path, scene, files)
 
 
 def _names_these_models(path: Path, scene: Scene, files: Files) -> bool:

@@ -82,7 +82,7 @@ class Preview:
             if task is not None and not isinstance(task, OpenModels) and task.pair_files != self._pair_files:
                 self._worker.cancel(task)
             self._requests.clear()
-            self._request("models")
+            self.request("models")
 
     @property
     def pair_files(self) -> PairFiles | None:
@@ -97,7 +97,7 @@ class Preview:
             self._pair_files = replace(self._pair_files, ups=(up, source) if side == "target" else (target, up))
             if isinstance(self._task, FindMap):
                 self._worker.cancel(self._task)
-            self._request("pose", pose)
+            self.request("pose", pose)
 
     def show_image(self, image: Path | None) -> None:
         """Draw the open models with another image of the source; a running map is computed again."""
@@ -105,7 +105,7 @@ class Preview:
             self.set_image(image)
             if isinstance(self._task, FindMap):
                 self._worker.cancel(self._task)
-            self._request("image")
+            self.request("image")
 
     def set_image(self, image: Path | None) -> None:
         """Use an image of the source from the next task on."""
@@ -116,19 +116,7 @@ class Preview:
     def find(self, *, fresh: bool) -> None:
         """Compute the map, by an update if there is one and ``fresh`` is not set."""
         with self._condition:
-            self._request("map", fresh or self._requests.get("map") == (True,))
-
-    def choose(self, answer: int) -> None:
-        """Compute the map from another alignment found without landmarks."""
-        self._request("answer", answer)
-
-    def show_baked(self, image: Path, layout: Path | None, uv_set: str | None) -> None:
-        """Show a baked image, in a UV set of the target or the layout of a mesh file."""
-        self._request("baked", image, layout, uv_set)
-
-    def show_posed(self, pose: str) -> None:
-        """Show both models in a pose; '': unposed."""
-        self._request("pose", pose)
+            self.request("map", fresh or self._requests.get("map") == (True,))
 
     def is_requested(self, kind: str) -> bool:
         """Whether a request of a kind, one of `_KINDS`, waits or is being computed."""
@@ -152,7 +140,8 @@ class Preview:
             self._condition.notify()
         self._worker.kill()
 
-    def _request(self, kind: str, *arguments: Any) -> None:
+    def request(self, kind: str, *arguments: Any) -> None:
+        """Request a task of a kind, one of `_KINDS`, with its own arguments."""
         with self._condition:
             self._requests[kind] = arguments
             self._condition.notify()

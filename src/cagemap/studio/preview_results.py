@@ -73,14 +73,14 @@ class PreviewResults(LandmarkEdits):
             is_same_drawing = (view.pose, view.baked) == (before.pose, before.baked)
             self._change(view=view, probe=self._state.probe if is_same_drawing else None)
             if view.pose != before.pose and self._scene is not None:
-                self._preview.show_posed(view.pose)
+                self._preview.request("pose", view.pose)
             if view.baked is not None and view.baked != before.baked and self._scene is not None:
                 self._draw_baked(view.baked)
 
     def _draw_baked(self, image: Path) -> None:
         """Request a drawing of the target with a baked image."""
         state = self._state
-        self._preview.show_baked(image, layout_mesh(state, image), image_uv_set(state, image))
+        self._preview.request("baked", image, layout_mesh(state, image), image_uv_set(state, image))
 
     def _open_pair(self, files: Files, requested_parts: SideNames) -> None:
         """Open models; if that fails, `_apply_failure` tries again with the requested parts."""

@@ -20,7 +20,7 @@ from cagemap.studio.opening import result_folder
 from cagemap.studio.preview_results import PreviewResults
 from cagemap.studio.recorded_match import LANDMARK_FIELDS
 from cagemap.studio.runner import Runner
-from cagemap.studio.scene import Scene, probe_map
+from cagemap.studio.scene import probe_map
 from cagemap.studio.shape import pick
 from cagemap.studio.state import (
     Files,
@@ -61,15 +61,23 @@ class Session(PreviewResults):
 
     # Files
 
+    @property
+    def requested_files(self) -> Files | None:
+        """The open pair with the chosen image and axes, also where these are not drawn yet."""
+        files, requested = self._state.files, self._preview.pair_files
+        if files is None or requested is None:
+            return files
+        texture = requested.texture if self._preview.is_requested("image") else files.texture
+        return replace(files, texture=texture, ups=requested.ups)
+
     def open(self, files: Files) -> None:
         """Open two models with their unsaved landmarks, or else those of their file.
 
         Parts that are not named are those of the autosave. Another image of the open models is only drawn.
         """
         with self.report_errors(), self._lock:
-            files, opened = self.workspace.resolve_paths(files), self._state.files
+            files, opened = self.workspace.resolve_paths(files), self.requested_files
             if opened is not None and self._scene is not None and replace(files, texture=opened.texture) == opened:
-                # `opened` has the image that is shown; another one may be requested.
                 if files.texture != opened.texture or self._preview.is_requested("image"):
                     self.show(map_view(self._state.view))
                     self._preview.show_image(files.texture)
@@ -80,7 +88,8 @@ class Session(PreviewResults):
     def choose_part(self, side: Side, title: str | None) -> None:
         """Open another part of a file; unsaved landmarks are kept in the autosave."""
         with self.report_errors(), self._lock:
-            files, scene = self._require_requested()
+            files, scene = self._require_open()
+            files = (self.requested_files or files).without_answer()
             target, source = (choices.opened for choices in scene.part_choices)
             parts = (title, source) if side == "target" else (target, title)
             files = replace(files, parts=parts, result=result_folder(files, parts))
@@ -89,7 +98,8 @@ class Session(PreviewResults):
     def open_plain(self, side: Side) -> None:
         """Open a model again without subdividing it."""
         with self.report_errors(), self._lock:
-            files, _ = self._require_requested()
+            files, _ = self._require_open()
+            files = (self.requested_files or files).without_answer()
             target, source = files.schemes
             self.open(replace(files, schemes=("none", source) if side == "target" else (target, "none")))
 
@@ -122,7 +132,7 @@ class Session(PreviewResults):
             self._say_all(notes)
 
     def add_file(self, name: str, content: bytes, drop: str = "") -> Path | None:
-        """Add a file to the first folder; None if it is refused. An OBJ names material files of the same drop."""
+        """Add a file to the first folder; None if it is refused. It names files of the same drop as they were added."""
         with self.report_errors(), self._upload_lock:
             added_names = self._added_names.setdefault(drop, {})
             path = self.workspace.add(name, content, added_names)
@@ -160,7 +170,7 @@ class Session(PreviewResults):
         with self._lock:
             if self._scene is not None and 0 <= answer < len(self._state.map.answers):
                 self.show(map_view(self._state.view))
-                self._preview.choose(answer)
+                self._preview.request("answer", answer)
 
     def cancel(self) -> None:
         """Cancel the finish, or else the preview; complete files and the last map are kept."""
@@ -235,15 +245,6 @@ class Session(PreviewResults):
         self._preview.close()
 
     # Private
-
-    def _require_requested(self) -> tuple[Files, Scene]:
-        """The open pair with the chosen image and axes, also where not drawn yet; without a RESULT's alignment."""
-        files, scene = self._require_open()
-        files = files.without_answer()
-        requested = self._preview.pair_files
-        if requested is not None and self._preview.is_requested("image"):
-            files = replace(files, texture=requested.texture)
-        return files if requested is None else replace(files, ups=requested.ups), scene
 
     def _save(self, path: Path | None = None) -> None:
         files, scene = self._require_open()

@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar
+from urllib.parse import quote
 
 from cagemap.errors import ParameterError
 from cagemap.files import IMAGE_SUFFIXES
@@ -24,8 +25,16 @@ from cagemap.files.usd.stages import USD_SUFFIXES, asset_paths
 LANDMARK_SUFFIXES = (".json", ".pp", ".fcsv", ".csv", ".txt")
 TABLE_SUFFIXES = (".npy", ".npz", ".csv")
 # Files that can be added through the page.
-UPLOAD_SUFFIXES = tuple(dict.fromkeys((*MESH_SUFFIXES, ".mtl", *IMAGE_SUFFIXES, *LANDMARK_SUFFIXES, *TABLE_SUFFIXES)))
+UPLOAD_SUFFIXES = tuple(
+    dict.fromkeys((*MESH_SUFFIXES, ".mtl", ".bin", *IMAGE_SUFFIXES, *LANDMARK_SUFFIXES, *TABLE_SUFFIXES))
+)
 DataclassT = TypeVar("DataclassT")
+# Statements that name other files, by the suffix of the file that they are in.
+_NAMING_STATEMENTS = {
+    ".obj": MATERIAL_FILE_LINE,
+    ".mtl": re.compile(r"(?mi)^[ \t]*(?:map_|bump|disp|decal|norm|refl)[^\n]*"),
+    ".gltf": re.compile(r'"uri"\s*:\s*"[^"]*"'),
+}
 # A tile's number before an image's ending.
 _TILE_NUMBER = re.compile(r"^(.*[._])1\d{3}(\.(?:png|jpe?g|tiff?|exr))$", re.IGNORECASE)
 _MAX_LISTED_FILES = 500
@@ -128,7 +137,7 @@ class Workspace:
         name : str
         content : bytes
         added_names : mapping of str to str
-            Names under which files of the same drop were added, by the given ones: an OBJ names these material files.
+            Names under which files of the same drop were added, by the given ones: the new file names these.
 
         Raises
         ------
@@ -145,7 +154,7 @@ class Workspace:
         if path.suffix.lower() == ".obj":
             for file in named_material_files(path.name, content):
                 self.resolve(file)
-            content = _with_added_names(content, added_names)
+        content = _with_added_names(path.suffix.lower(), content, added_names)
         if path.suffix.lower() in USD_SUFFIXES:
             for file in asset_paths(path.name, content):
                 self._require_layer(path.name, file)
@@ -185,15 +194,19 @@ def _has_content(path: Path, content: bytes) -> bool:
     return path.is_file() and path.stat().st_size == len(content) and path.read_bytes() == content
 
 
-def _with_added_names(content: bytes, added_names: Mapping[str, str]) -> bytes:
-    """An OBJ whose ``mtllib`` lines name material files as they were added."""
-
-    def renamed(line: re.Match[str]) -> str:
-        given = line[1].strip()
-        written = added_names.get(given.encode("latin-1").decode(errors="replace"))
-        return line[0] if written is None else line[0].replace(given, written.encode().decode("latin-1"))
-
-    return MATERIAL_FILE_LINE.sub(renamed, content.decode("latin-1")).encode("latin-1")  # keeps all bytes
+def _with_added_names(suffix: str, content: bytes, added_names: Mapping[str, str]) -> bytes:
+    """A file whose statements name material files, images and buffers as they were added."""
+    if suffix not in _NAMING_STATEMENTS or all(given == written for given, written in added_names.items()):
+        return content
+    names = {given: quote(written) if suffix == ".gltf" else written for given, written in added_names.items()}
+    names |= {quote(given): name for given, name in names.items()}
+    names = {given.encode().decode("latin-1"): name.encode().decode("latin-1") for given, name in names.items()}
+    longest_first = sorted(names, key=len, reverse=True)
+    name = re.compile(rf'(?<=[\s"/\\])(?:{"|".join(map(re.escape, longest_first))})(?=["\s]|$)')
+    renamed = _NAMING_STATEMENTS[suffix].sub(
+        lambda statement: name.sub(lambda found: names[found[0]], statement[0]), content.decode("latin-1")
+    )
+    return renamed.encode("latin-1")  # keeps all other bytes
 
 
 def _has_text_name(path: Path) -> bool:

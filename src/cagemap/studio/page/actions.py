@@ -100,7 +100,7 @@ class Actions:
             return
         if suffix not in (*IMAGE_SUFFIXES, *MESH_SUFFIXES):  # a .mtl, or a table that the form names
             return
-        files = self._session.state.files
+        files = self._session.requested_files
         before = self._dropped if files is None else {name: getattr(files, name) for name in _FILES}
         replaced = {"texture": None} if files is not None and role == "source" else {}
         chosen = before | replaced | {"texture" if suffix in IMAGE_SUFFIXES else str(role): path}
@@ -122,7 +122,7 @@ class Actions:
 
         Landmarks and RESULT are those of the open pair, if both models are the same.
         """
-        opened, files = self._session.state.files, default_files(target.parent, target, source, texture)
+        opened, files = self._session.requested_files, default_files(target.parent, target, source, texture)
         if opened is None:
             return files
         stays = opened.target == target, opened.source == source

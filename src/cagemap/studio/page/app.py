@@ -70,7 +70,7 @@ class StudioApp:
     def __init__(self, request: PageRequest) -> None:
         self.session = Session(Workspace.of(*request.folders), request.vertices, request.options)
         self._actions, self._first_files = Actions(self.session), request.files
-        self._drawings: dict[str, tuple[object, Callable[[], bytes]]] = {}
+        self._drawings: dict[str, tuple[tuple[object, ...], Callable[[], bytes]]] = {}
         self._key_count, self._drawings_lock = itertools.count(1), threading.Lock()
         self._changed, self._closed = threading.Event(), False
         token = None if request.host in LOOPBACK_ADDRESSES else new_token()
@@ -110,18 +110,18 @@ class StudioApp:
         """Keys of all drawings; a changed drawing gets a new key."""
         if scene is None:
             return {}
-        drawings: dict[str, tuple[object, Callable[[], bytes]]] = {}
+        drawings: dict[str, tuple[tuple[object, ...], Callable[[], bytes]]] = {}
         for number, side in enumerate(SIDES):
             shape, skin, curves = scene.shape(side), scene.skins[number], state.history.present.curves
-            drawings[f"{side}/skin"] = skin, partial(bytes, skin)
-            drawings[f"{side}/cage"] = shape, partial(line_drawing, state, scene, side, cage=True)
+            drawings[f"{side}/skin"] = (skin,), partial(bytes, skin)
+            drawings[f"{side}/cage"] = (shape,), partial(line_drawing, state, scene, side, cage=True)
             drawings[f"{side}/curves"] = (shape, curves), partial(line_drawing, state, scene, side, cage=False)
         with self._drawings_lock:
             before = {key.rpartition("/")[0]: (key, content) for key, (content, _) in self._drawings.items()}
             unchanged = {
                 name: key
                 for name, (key, content) in before.items()
-                if name in drawings and _is_identical(drawings[name][0], content)
+                if name in drawings and all(a is b for a, b in zip(drawings[name][0], content, strict=True))
             }
             keys = {name: unchanged.get(name) or f"{name}/{next(self._key_count)}" for name in drawings}
             self._drawings = {keys[name]: drawing for name, drawing in drawings.items()}
@@ -149,12 +149,6 @@ class StudioApp:
         self._actions.handle(message)
         if isinstance(message, bytes) or message == LIST_MESSAGE:
             reply(json.dumps(listing_entries(self.session.workspace)))
-
-
-def _is_identical(first: object, second: object) -> bool:
-    """Whether two objects, or all items of two tuples, are identical."""
-    firsts, seconds = (value if isinstance(value, tuple) else (value,) for value in (first, second))
-    return len(firsts) == len(seconds) and all(a is b for a, b in zip(firsts, seconds, strict=True))
 
 
 def run_page(request: PageRequest, tell: Callable[[str], None]) -> None:

@@ -4,7 +4,7 @@ import {Views} from './view.js';
 
 const $ = id => document.getElementById(id);
 const SIDES = ['target', 'source'], BOXES = ['doubts', 'cages', 'linked', 'other_parts', 'symmetric'], AGAIN = 500, AS_FILED = [['', 'as the file says']];
-let socket = null, state = null, fixed = null, listing = [], shownFiles = '', shownPair = '', picked = false, typed = null, received = 0;
+let socket = null, state = null, fixed = null, listing = [], shownFiles = '', shownPair = '', picked = false, typed = null, received = 0, selectedBefore;
 let bakeForm = {values: () => ({}), forgetModels: () => {}};
 
 const hint = (...texts) => $('empty').replaceChildren(...texts.map(words => element('p', {textContent: words})));
@@ -95,6 +95,7 @@ function showMessages() {
 function showViews() {
   const {drawn, models, view} = state;
   $('empty').hidden = !!models || state.status.kind === 'busy';
+  views.canvas.style.visibility = $('empty').hidden ? '' : 'hidden';  // models that are open no more
   const modes = fixed.modes.filter(one => one !== 'baked' || state.images.length);
   const entries = names => names.map(one => [one, one[0].toUpperCase() + one.slice(1)]);
   fill($('mode'), entries(modes), view.mode);
@@ -157,6 +158,10 @@ function showLandmarks() {
     row.setAttribute('aria-selected', isSelected);
     row.querySelector('button').setAttribute('aria-pressed', isSelected);
   }
+  if (selectedBefore !== undefined && selected !== selectedBefore) {  // the one that Next landmark has begun
+    views.reveal(selected);
+    selectedBefore = undefined;
+  }
   const item = landmarks.find(one => one.number === selected);
   $('selected').hidden = !item;
   if (item && (document.activeElement !== $('name') || typed?.number !== item.number)) $('name').value = item.name;
@@ -167,6 +172,11 @@ function showLandmarks() {
   $('mirror').disabled = !item?.complete || !state.symmetric;
 }
 
+function select(number) {
+  send('select', {number});
+  views.reveal(number);
+}
+
 function showRows(landmarks) {
   if (!changed('rows', landmarks.map(({number, name, color, complete, strain, wrong}) => [number, name, color, complete, strain, wrong])))
     return;
@@ -175,7 +185,7 @@ function showRows(landmarks) {
     const off = !one.complete ? '…' : one.strain === null ? '' : `${(100 * one.strain).toFixed(1)} %`;
     const dot = element('i');
     dot.style.background = one.color;
-    const row = element('tr', {className: one.wrong ? 'wrong' : '', title: one.wrong, onclick: () => send('select', {number: one.number})},
+    const row = element('tr', {className: one.wrong ? 'wrong' : '', title: one.wrong, onclick: () => select(one.number)},
       element('td', {}, dot, String(one.number)), element('td', {}, element('button', {textContent: one.name + (one.wrong ? ' ⚠' : '')})),
       element('td', {textContent: off}));
     row.dataset.number = one.number;
@@ -232,7 +242,10 @@ function showModels() {
 
 const on = (id, what, done) => $(id).addEventListener(what, done);
 for (const name of ['undo', 'redo', 'accept', 'again', 'cancel', 'next']) on(name, 'click', () => send(name));
-on('next', 'click', () => $('target').focus({preventScroll: true}));  // Enter then accepts the proposed place
+on('next', 'click', () => {
+  selectedBefore = state.selected;
+  $('target').focus({preventScroll: true});  // Enter then accepts the proposed place
+});
 for (const name of BOXES)
   on(name, 'change', () => send('view', {fields: {[name]: $(name).checked}}));
 on('mode', 'change', () => send('view', {fields: {mode: $('mode').value}}));
@@ -303,10 +316,13 @@ on('models', 'close', () => {
   [picked, shownFiles] = [false, ''];
   if (state) showModels();
 });
+const is = (file, kind) => matching([file.name], kind).length > 0;
+const rank = file => is(file, fixed.kinds.meshes) ? 2 : is(file, ['.mtl']) ? 1 : 0;
+const namedFirst = files => files.sort((a, b) => rank(a) - rank(b));  // files that others name come before these
 const newDrop = () => `${Math.random()}`;  // a mesh is added with the material files of its own drop
 on('add', 'change', () => {
   const added = newDrop();
-  for (const file of $('add').files) add(file, null, added);
+  for (const file of namedFirst([...$('add').files])) add(file, null, added);
   $('add').value = '';
 });
 
@@ -321,12 +337,11 @@ drop.addEventListener('drop', event => {
   event.preventDefault();
   drop.classList.remove('dropping');
   const {meshes, images} = fixed.kinds, files = [...event.dataTransfer.files], side = half(event);
-  const is = (file, kind) => matching([file.name], kind).length > 0;
-  // Images beside a mesh belong to its materials, but a single one is the source's texture. What meshes name comes first.
+  // Images beside a mesh belong to its materials, but a single one is the source's texture.
   const named = files.some(file => is(file, meshes)) && (side === 'target' || files.filter(file => is(file, images)).length > 1);
-  const rank = file => is(file, meshes) ? 1 : is(file, images) && !named ? 2 : 0;
-  const dropped = newDrop();
-  for (const file of files.sort((a, b) => rank(a) - rank(b))) add(file, named && is(file, images) ? null : side, dropped);
+  const dropped = newDrop(), texture = named ? [] : files.filter(file => is(file, images));
+  for (const file of [...namedFirst(files.filter(file => !texture.includes(file))), ...texture])
+    add(file, named && is(file, images) ? null : side, dropped);
 });
 
 document.addEventListener('keydown', event => {

@@ -48,6 +48,7 @@ def constant_entries() -> dict[str, Any]:
 def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, keys: dict[str, str]) -> dict[str, Any]:
     """Everything that a page shows; ``keys`` are those of its drawings."""
     map_state, present, view = state.map, state.history.present, state.view
+    confidence = confidence_text(map_state.confidence)
     return {
         "status": status_entries(state, scene),
         "verdict": verdict(state, scene),
@@ -73,7 +74,7 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "revision": map_state.revision,
         "suggests": map_state.suggestion is not None,
         "said": [
-            *([_capitalized(confidence_text(map_state.confidence))] if map_state.confidence else []),
+            *([confidence[:1].upper() + confidence[1:]] if confidence else []),
             *(confidence_text(in_page_words(text)) for text in (*map_state.contradictions.values(), *map_state.notes)),
         ],
         "answers": map_state.answers if len(map_state.answers) > 1 else (),
@@ -82,10 +83,6 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "bake_hint": bake_hint(state, scene),
         "baking": state.finish_job is not None,
     }
-
-
-def _capitalized(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 def line_drawing(state: StudioState, scene: Scene, side: Side, *, cage: bool) -> bytes:
@@ -139,6 +136,7 @@ def _landmark_entries(state: StudioState, scene: Scene) -> list[dict[str, Any]]:
         if proposal is not None and proposal.number == item.number and places[proposal.side] is None:
             proposed_side = proposal.side
             places[proposed_side] = proposal.place
+        strain = map_state.strain.get(item.name)
         points = {
             side: None
             if place is None
@@ -152,17 +150,12 @@ def _landmark_entries(state: StudioState, scene: Scene) -> list[dict[str, Any]]:
                 "color": _css_color(item.number),
                 "complete": item.is_complete,
                 "proposed": proposed_side,
-                "strain": _finite(map_state.strain.get(item.name)),
+                "strain": strain if strain is not None and np.isfinite(strain) else None,  # as JSON can hold it
                 "wrong": map_state.contradictions.get(item.name, ""),
             }
             | points
         )
     return rows
-
-
-def _finite(value: float | None) -> float | None:
-    """The number, or None for one that JSON cannot hold."""
-    return value if value is not None and np.isfinite(value) else None
 
 
 def _view_normal(shape: Shape, place: Place) -> list[float]:

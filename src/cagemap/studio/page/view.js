@@ -41,7 +41,7 @@ export class Views {
     const camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW * 180 / Math.PI, 1, 0.01, 100);
     camera.position.set(...FIRST);
     const controls = new THREE.OrbitControls(camera, pane);
-    Object.assign(controls, {enableDamping: false, minDistance: 0.15, maxDistance: 20});
+    Object.assign(controls, {enableDamping: false, minDistance: 0.15, maxDistance: 60});
     const depthTexture = new THREE.DepthTexture(1, 1), picture = new THREE.WebGLRenderTarget(1, 1, {depthTexture, samples: this.samples});
     const side = {name, pane, camera, controls, world: new THREE.Scene(), onScreen: new THREE.Scene(), picture, pictureKey: '', parts: {},
       images: {}, loaded: {}, marks: [], points: null, drawn: 0, tall: 0.5, wide: 0.5};
@@ -224,6 +224,13 @@ export class Views {
       controls.update();
     }
     this.changed();
+  }
+
+  // Turn the models until a landmark's place on the target is in front; from a little aside, as no camera looks straight down.
+  reveal(number) {
+    const mark = this.sides.target.marks.find(one => one.number === number);
+    if (mark && this.hides(this.sides.target, new THREE.Vector3(...mark.at.slice(0, 3))))
+      this.frame(mark.at.slice(3).map((value, i) => value + 0.1 * FIRST[i]));
   }
 
   // How far away both models fit into their panes while they turn about the vertical.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO
-from cagemap.mesh.mesh_report import VERTEX, count_noun
+from cagemap.mesh.mesh_report import PLACE, VERTEX, count_noun
 from cagemap.studio.scene import Scene
 from cagemap.studio.skins import DOUBTFUL_TRUST
 from cagemap.studio.state import RunningJob, StudioState
@@ -49,7 +49,7 @@ STAGES = (
     ("draw", "drawing the pictures", None),
 )
 # Parts of the package's messages that the page's buttons and colours replace.
-_ANSWER_HINT = re.compile(r" \(`answer=\d+`\)|, worst at \([^)]*\) of the target's file")
+_ANSWER_HINT = re.compile(rf" \(`answer=\d+`\)|{PLACE}")
 _VERTEX_HINT = re.compile(f"(?:, first)? at target {VERTEX}")
 
 
