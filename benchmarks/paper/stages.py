@@ -131,6 +131,8 @@ def variants_of_paper() -> list[Variant]:
         Variant("eqs. 14-16", "noise", on, {"extend_functional_map": extended(noise)}),
         Variant("eqs. 14-16", "zero", on, {"extend_functional_map": extended(zero)}),
         Variant("rounds of 2.1.4", "off", replace(on, rounds=0)),
+        Variant("rounds of 2.1.4", "orthonormal", replace(on, orthonormal=True)),
+        Variant("rounds of 2.1.4", "one, orthonormal", replace(on, rounds=1, orthonormal=True)),
         Variant("decay", "off", replace(on, weights=replace(weights, decay=0.0))),
         Variant("Laplacian", "off", replace(on, weights=replace(weights, laplacian=0.0))),
         Variant("symmetry", "off", replace(on, weights=replace(weights, operators=0.0))),

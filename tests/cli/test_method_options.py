@@ -82,7 +82,7 @@ def test_the_paper_s_schedule_has_as_many_levels_as_the_surface(tmp_path):
     """Where none is given; a number of functions replaces it."""
     words = {"target": tmp_path, "source": tmp_path, "landmarks": tmp_path, "output": tmp_path, "method": "paper"}
     target, source = side_bases(MatchRequest(**words), (1, 3))
-    assert (target.schedule, source.schedule) == ((40, 110), (40, 110))
+    assert (target.schedule, source.schedule) == ((50, 100), (50, 100))
     assert side_bases(MatchRequest(**words, k=40), (1, 3))[0] == BasisConfig(count=40)
     assert side_bases(MatchRequest(**words, schedule="9,5"), (1, 3))[1].schedule == (9, 5)
 

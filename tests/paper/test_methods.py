@@ -37,6 +37,10 @@ def test_the_paper_method_gets_better_from_level_to_level_and_by_decay_and_alter
     assert errors[-1] < 5.0
     literal = PaperConfig(weights=replace(MapWeights(), decay=0.0), rounds=0)
     assert judged.errors(*paper_map(judged.pair, literal))[-1] > 1.3 * errors[-1]
+    maps, _ = paper_map(judged.pair, PaperConfig(orthonormal=True))
+    for level_map in maps:
+        size = len(level_map.functional_map)
+        np.testing.assert_allclose(level_map.functional_map.T @ level_map.functional_map, np.eye(size), atol=1e-10)
 
 
 @pytest.mark.slow

@@ -44,7 +44,9 @@ class PaperConfig(Config):
 
     descriptors: DescriptorConfig = DescriptorConfig()
     weights: MapWeights = MapWeights()  #: alpha(O), the same on all levels
-    rounds: int = 1  #: alternations of P and orthonormal C on every level (2.1.4); 0: keep C of eqs. 13-16
+    rounds: int = 2  #: alternations of P and C on every level (2.1.4); 0: keep C of eqs. 13-16
+    #: make C orthonormal in every round, as 2.1.4 asks where P is a permutation; ours is none (docs/lab/spectral.md)
+    orthonormal: bool = False
 
 
 @kinds_checked
@@ -89,7 +91,7 @@ def _first_level(pair: Pair, constraints: Constraints, config: PaperConfig, star
         functional_map = functional_map_from(pair, start, sizes)[: sizes[0], : sizes[1]]
         if functional_map.shape != sizes:
             functional_map = extend_functional_map(functional_map, wanted, config.weights)
-    return _alternate(pair, (0, 0), functional_map, config.rounds, lambda c: search_full(pair, c, (0, 0)))
+    return _alternate(pair, (0, 0), functional_map, config, lambda c: search_full(pair, c, (0, 0)))
 
 
 def _next_level(
@@ -99,20 +101,26 @@ def _next_level(
     functional_map, sizes = coarse.functional_map, basis_sizes(pair, levels)
     if sizes != functional_map.shape:
         functional_map = extend_functional_map(functional_map, constraints.leading(*sizes), config.weights)
-    return _alternate(pair, levels, functional_map, config.rounds, lambda c: search_level(pair, c, levels, coarse))
+    return _alternate(pair, levels, functional_map, config, lambda c: search_level(pair, c, levels, coarse))
 
 
 def _alternate(
-    pair: Pair, levels: LevelPair, functional_map: FloatArray, rounds: int, search: Callable[[FloatArray], IndexArray]
+    pair: Pair,
+    levels: LevelPair,
+    functional_map: FloatArray,
+    config: PaperConfig,
+    search: Callable[[FloatArray], IndexArray],
 ) -> LevelMap:
-    """Alternate the point map P and orthonormal C, starting from C (2.1.4).
+    """Alternate the point map P and C, starting from C (2.1.4).
 
     P maps each target vertex to the source vertex with the nearest row of Phi~2 C^T: unlike the paper's permutation,
-    several vertices may go to one. C is fitted to P by least squares, then replaced by the nearest orthonormal matrix.
+    several vertices may go to one. C is that of P (2.1.2), by least squares.
     """
     match = search(functional_map)
-    for _ in range(rounds):
-        functional_map = nearest_orthonormal(refit_map(pair, levels, match))
+    for _ in range(config.rounds):
+        functional_map = refit_map(pair, levels, match)
+        if config.orthonormal:
+            functional_map = nearest_orthonormal(functional_map)
         match = search(functional_map)
     return LevelMap(levels, functional_map, match)
 

@@ -77,7 +77,7 @@ MAP_BASIS = BasisConfig(accuracy=1e-3, vertices=20_000)
 # Number of functions of the method "hfm".
 HFM_FUNCTIONS = 150
 # Functions per level of "paper". With 100 on level 0, as in Table 1, eqs. 14-16 have no effect (docs/paper/blocks.md).
-PAPER_SCHEDULE = (40, 110)
+PAPER_SCHEDULE = (50, 100)
 
 
 @dataclass(frozen=True)
