@@ -24,7 +24,7 @@ from cagemap.files.gltf.expressions import ReplacedMesh, renumber_expressions
 from cagemap.files.gltf.geometry import Z_TO_Y, is_z_up, mesh_entry
 from cagemap.files.gltf.nodes import decompose_transform, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene, transform_normals, transform_offsets
-from cagemap.files.gltf.primitives import material_names, shape_names
+from cagemap.files.gltf.primitives import material_names, mesh_shapes
 from cagemap.files.gltf.textures import with_images
 from cagemap.files.text import whole_characters
 from cagemap.mesh import ControlMesh
@@ -264,11 +264,7 @@ class _Made:
     def _shapes_before(self, node: int) -> tuple[str, ...]:
         """Names of the blend shapes of a node's mesh in the given document."""
         number = self._mesh_of_node.get(node)
-        if number is None or self._scene is None:
-            return ()
-        document = self._scene.document
-        primitives = document.entries("primitives", document.entry("meshes", number))
-        return shape_names(document, number, len(document.entries("targets", primitives[0])))
+        return () if number is None or self._scene is None else mesh_shapes(self._scene.document, number)
 
     def _stated_weights(self, node: int, made: dict[str, Any]) -> dict[str, list[float]]:
         """The field ``weights`` of a new mesh, by the names of blend shapes in the given document."""
@@ -292,15 +288,15 @@ class _Made:
         return self._binary.document(self.top)
 
     def _renumber_expressions(self) -> None:
-        """Have VRM's expressions refer to the meshes and shapes of now; warn of those that move nothing any more."""
+        """Have VRM's expressions refer to the meshes and shapes of now; warn of those that move none any more."""
         replaced = []
         for node, number in self._mesh_of_node.items():
             now = self._nodes[node].get("mesh")
             shapes = () if now is None else self._shapes(self._meshes[now])
             replaced.append(ReplacedMesh(node, number, now, self._shapes_before(node), shapes))
         if empty := renumber_expressions(self.top.get("extensions"), replaced):
-            text = "%s: expressions that move nothing, since their meshes or shapes are not carried: %s"
-            _log.warning(text, self._scene and self._scene.document.file, first_few(empty))
+            text = "%s: expressions that move no shape any more, since their meshes or shapes are not carried: %s"
+            _log.warning(text, self._scene and self._scene.document.file, whole_characters(first_few(empty)))
 
     def _scene_roots(self) -> list[Any]:
         """Root nodes of the displayed scene."""
