@@ -359,6 +359,25 @@ def test_expressions_that_are_not_as_vrm_says_stay_while_the_shapes_do(version: 
     assert indices(replace(strip, shapes={"own": strip.shapes["raise"]} | strip.shapes)) == [1]
 
 
+@pytest.mark.parametrize("version", ["VRM", "VRMC_vrm"])
+def test_pieces_of_a_part_move_and_hide_with_it(version: str) -> None:
+    document = with_shape_weights(_expressive(version), "bend", np.array([[0.0], [1.0]]), "strip")
+    document.json["meshes"][0]["weights"] = [0.5]
+    made = character_of(document)
+    (strip,) = (part for part in made.parts if part.name == "strip")
+    pieces = replace(strip, name="strip pieces")
+    again = character_glb(replace(made, parts=(*made.parts, pieces)), document, pieces_of={pieces.name: "strip"})
+    for animation in (0, None):
+        keys = read_shape_keys(read_scene(again), animation)
+        for one, other in zip(keys["strip", "raise"], keys["strip pieces", "raise"], strict=True):
+            np.testing.assert_array_equal(one, other)
+    key, given, number = ("mesh", 0, 3) if version == "VRM" else ("node", 4, 6)
+    found = [bind for bind in _binds(again, version) if bind[key] in (given, number)]
+    assert found == [_binds(document, version)[0] | {key: one} for one in (given, number)]
+    flags = again.json["extensions"][version]["firstPerson"]["meshAnnotations"]
+    assert number in [flag[key] for flag in flags]
+
+
 def test_shapes_that_the_first_primitive_lacks_are_referred_to() -> None:
     """Its weights are read, too."""
     document = _expressive("VRMC_vrm")

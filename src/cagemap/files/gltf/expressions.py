@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 
 
 class ReplacedMesh(NamedTuple):
-    """A mesh node of a given document, and the mesh that it has now."""
+    """A mesh node of a given document, and a node that has its mesh, or pieces of it, now."""
 
-    node: int
+    node_before: int
     mesh_before: int
+    node: int
     mesh: int | None  # None: without a mesh now
     shapes_before: Sequence[str]
     shapes: Sequence[str]
@@ -57,7 +58,7 @@ def _renumbered(entries: list[Any], key: str, replaced: Sequence[ReplacedMesh]) 
     kept: list[Any] = []
     for entry in entries:
         number = entry.get(key) if isinstance(entry, dict) else None
-        users = [one for one in replaced if number == (one.node if key == "node" else one.mesh_before)]
+        users = [one for one in replaced if number == (one.node_before if key == "node" else one.mesh_before)]
         kept += [] if users else [entry]
         for one in (user for user in users if user.mesh is not None):
             made = entry | {key: one.node if key == "node" else one.mesh}

@@ -82,6 +82,7 @@ def character_glb(
     character: Character,
     materials_from: Document | None = None,
     images: Mapping[tuple[str, str], bytes] | None = None,
+    pieces_of: Mapping[str, str] | None = None,
 ) -> Document:
     """A character as a glTF document, for `cagemap.files.gltf.document.write_document`.
 
@@ -91,9 +92,11 @@ def character_glb(
     ``character``: positions and bind pose as read, in metres with Y up.
     ``images``: PNG or JPEG files by material and slot, such as ``("body", "baseColorTexture")``; other settings of a
         slot are kept.
+    ``pieces_of``: by names of new parts that are pieces of one of the given document, its name. Weights of its shapes,
+        VRM's expressions and first-person flags hold for them too.
     """
     scene = None if materials_from is None else read_scene(materials_from)
-    writer = _Made(scene)
+    writer = _Made(scene, pieces_of or {})
     writer.rig(character.rig)
     for part in character.parts:
         writer.part(part, character.rig)
@@ -104,8 +107,8 @@ def character_glb(
 class _Made:
     """A glTF document to which the rig, parts and animations of a character are added."""
 
-    def __init__(self, scene: Scene | None) -> None:
-        self._scene = scene
+    def __init__(self, scene: Scene | None, pieces_of: Mapping[str, str]) -> None:
+        self._scene, self._pieces_of = scene, pieces_of
         given = None if scene is None else scene.document
         self._binary = Binary(given)
         self.top: dict[str, Any] = {"asset": {"version": "2.0", "generator": "cagemap"}}
@@ -115,7 +118,8 @@ class _Made:
         self._meshes: list[Any] = self.top.setdefault("meshes", [])
         self._node_of_part: dict[str, int] = {}
         self._node_of_joint: dict[str, int] = {}
-        self._mesh_of_node: dict[int, int] = {}
+        self._mesh_of_node: dict[int, int] = {}  # in the given document
+        self._given_node: dict[int, int] = {}  # of new nodes with pieces of its mesh
         self._roots = self._scene_roots()
         if scene is not None:
             self._node_of_part = {one.part.name: one.node for one in scene.parts}
@@ -153,6 +157,9 @@ class _Made:
         node = self._node_of_part.get(part.name)
         if node is None:
             node = self._new_node({"name": part.name}, None)
+            if part.name in self._pieces_of:
+                given = self._node_of_part[self._pieces_of[part.name]]
+                self._given_node[node], self._mesh_of_node[node] = given, self._mesh_of_node[given]
         mesh, shapes, normals, colors = part.mesh, part.shapes, part.normals, part.colors
         shape_normals = part.shape_normals
         skinned = part.weights is not None and rig is not None
@@ -246,6 +253,11 @@ class _Made:
         nodes = [] if character.rig is None else [self._node_of_joint[name] for name in character.rig.names]
         given = None if self._scene is None else self._scene.document
         before = self.top.get("animations", [])
+        for channels in (entry.get("channels", []) for entry in before):
+            for channel in tuple(channels):
+                target = channel.get("target", {})
+                users = [node for node, given_node in self._given_node.items() if given_node == target.get("node")]
+                channels += [channel | {"target": target | {"node": n}} for n in users if target["path"] == "weights"]
         shapes = {
             node: (self._shapes_before(node), self._shapes(self._meshes[entry["mesh"]]))
             for node, entry in enumerate(self._nodes)
@@ -273,7 +285,7 @@ class _Made:
             return {}
         document = self._scene.document
         mesh = document.entry("meshes", self._mesh_of_node[node])
-        stated = document.entry("nodes", node).get("weights", mesh.get("weights"))
+        stated = document.entry("nodes", self._given_node.get(node, node)).get("weights", mesh.get("weights"))
         if not isinstance(stated, list) or len(stated) != len(before):
             return {}
         weights = reorder_columns(document.numbers(stated, f"nodes {node}: weights", len(before))[None], before, names)
@@ -293,7 +305,8 @@ class _Made:
         for node, number in self._mesh_of_node.items():
             now = self._nodes[node].get("mesh")
             shapes = () if now is None else self._shapes(self._meshes[now])
-            replaced.append(ReplacedMesh(node, number, now, self._shapes_before(node), shapes))
+            before = self._given_node.get(node, node)
+            replaced.append(ReplacedMesh(before, number, node, now, self._shapes_before(node), shapes))
         if empty := renumber_expressions(self.top.get("extensions"), replaced):
             text = "%s: expressions that move no shape any more, since their meshes or shapes are not carried: %s"
             _log.warning(text, self._scene and self._scene.document.file, whole_characters(first_few(empty)))
