@@ -331,7 +331,8 @@ def test_expressions_refer_to_the_shapes_that_are_written(version: str, caplog: 
     assert written(ball, longer, lash) == ([(first, 1), (second, 0)], [(second, 0)], sorted(numbers))
     assert caplog.text == ""
     assert written(ball, longer) == ([(first, 1)], [], sorted(numbers[:2]))
-    assert "expressions that move no shape any more, since their meshes or shapes are not carried: lashes" in caplog.text
+    assert "expressions that move no shape any more, since" in caplog.text
+    assert "not carried: lashes" in caplog.text
     assert written(strip, replace(lash, shapes={})) == ([(first, 0)], [], sorted(numbers[1:]))
 
 

@@ -92,8 +92,8 @@ def character_glb(
     ``character``: positions and bind pose as read, in metres with Y up.
     ``images``: PNG or JPEG files by material and slot, such as ``("body", "baseColorTexture")``; other settings of a
         slot are kept.
-    ``pieces_of``: by names of new parts that are pieces of one of the given document, its name. Weights of its shapes,
-        VRM's expressions and first-person flags hold for them too.
+    ``pieces_of``: names of new parts, each with the name of the given part that it is a piece of. They get the weights
+        of its blend shapes, VRM's expressions and first-person flags too.
     """
     scene = None if materials_from is None else read_scene(materials_from)
     writer = _Made(scene, pieces_of or {})
@@ -254,10 +254,10 @@ class _Made:
         given = None if self._scene is None else self._scene.document
         before = self.top.get("animations", [])
         for channels in (entry.get("channels", []) for entry in before):
-            for channel in tuple(channels):
-                target = channel.get("target", {})
-                users = [node for node, given_node in self._given_node.items() if given_node == target.get("node")]
-                channels += [channel | {"target": target | {"node": n}} for n in users if target["path"] == "weights"]
+            weights = [one for one in channels if one.get("target", {}).get("path") == "weights"]
+            for node, of in self._given_node.items():
+                own = [one for one in weights if one["target"].get("node") == of]
+                channels += [one | {"target": one["target"] | {"node": node}} for one in own]
         shapes = {
             node: (self._shapes_before(node), self._shapes(self._meshes[entry["mesh"]]))
             for node, entry in enumerate(self._nodes)
