@@ -13,7 +13,7 @@ from examples.shapes import cube
 from cagemap.character.poses import pose_at
 from cagemap.character.values import skinned_positions
 from cagemap.errors import FormatError
-from cagemap.files.gltf.character import character_of, read_shape_keys
+from cagemap.files.gltf.character import animation_names, character_of, read_shape_keys
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.material_images import material_images, read_material_image
 from cagemap.files.gltf.parts import read_scene
@@ -90,6 +90,21 @@ def test_a_written_character_comes_back(tmp_path: Path) -> None:
         times, values, _ = keys["body", shape]
         np.testing.assert_allclose(times, [0, 1, 2], atol=1e-6)
         np.testing.assert_allclose(values[:, 0], weights[:, place], atol=1e-6)
+
+
+def test_static_weights_of_a_clip_stay_in_it(tmp_path: Path) -> None:
+    """Also of a clip without motion; only those of a file's one clip are at rest."""
+    made = lively()
+    walk, steps, _ = made.animations
+    document = with_shape_weights(
+        character_glb(replace(made, animations=(walk, steps))), walk.name, np.array([[1, 0.5]])
+    )
+    made = replace(made, animations=(replace(walk, tracks=()), steps))
+    write_usd_character(tmp_path / "C.usda", made, read_scene(document))
+    found = usd_document(tmp_path / "C.usda")
+    keys = {name: read_shape_keys(read_scene(found), number) for number, name in enumerate(animation_names(found))}
+    assert {name: values.item() for (_, name), (_, values, _) in keys[walk.name].items()} == {"raise": 1.0, "wide": 0.5}
+    assert keys[steps.name] == read_shape_keys(read_scene(found), None) == {}
 
 
 def test_materials_come_back(tmp_path: Path) -> None:
@@ -351,6 +366,18 @@ def test_an_animation_without_a_rate_is_refused(painted_path: Path, rate: float)
     stage.GetRootLayer().timeCodesPerSecond = rate
     stage.GetRootLayer().Save()
     refuses(FormatError, f"expected timeCodesPerSecond above 0, got {rate:g}", usd_document, painted_path)
+
+
+def test_a_pose_needs_no_rate(painted_path: Path) -> None:
+    stage = Usd.Stage.Open(str(painted_path))
+    stage.RemovePrim("/Asset/animations")
+    pose = UsdSkel.Animation.Define(stage, "/Asset/pose")
+    pose.CreateJointsAttr(UsdSkel.Skeleton(stage.GetPrimAtPath("/Asset/skeleton")).GetJointsAttr().Get()[:1])
+    pose.CreateTranslationsAttr([(1.0, 2.0, 3.0)])
+    stage.GetRootLayer().timeCodesPerSecond = 0.0
+    stage.GetRootLayer().Save()
+    (track,) = read_usd_character(painted_path).animations[0].tracks
+    np.testing.assert_array_equal(track.times, [0.0])
 
 
 def test_bindings_above_a_mesh_and_with_indices_skin_as_in_usd(tmp_path: Path) -> None:

@@ -118,6 +118,17 @@ def test_an_array_that_states_more_than_it_holds_is_refused(kind, sampled, packa
     refuses(FormatError, r"box\.usd[cz]: cannot be read as USD \(its sections are damaged\)", check_crate, path)
 
 
+def test_an_array_that_is_marked_as_inlined_is_checked(tmp_path: Path) -> None:
+    """USD reads it from its place all the same."""
+    content = crate_of(tmp_path / "box.usdc", "Int", NUMBERS)
+    start, size = sections(content)["FIELDS"]
+    arrays = [value | crate._INLINED for value in crate._field_values(content[start:][:size]) if value & crate._ARRAY]
+    crate._check_arrays(content, arrays)
+    struct.pack_into("<Q", content, content.index(struct.pack("<Q", len(NUMBERS)), 88), 3_000_000_000)
+    with pytest.raises(struct.error):
+        crate._check_arrays(content, arrays)
+
+
 @pytest.mark.parametrize("length", [11, 13])
 def test_a_list_that_states_more_than_it_holds_is_refused(length: int, tmp_path: Path) -> None:
     """The names of children, and edits of a list."""

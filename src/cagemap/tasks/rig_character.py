@@ -96,7 +96,9 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     elif request.size is not None:
         notes.append(f"--size is not used: {of.name} of {request.like} has no material whose textures could be baked")
     stages("write")
-    rigged_document = character_glb(dressed, document, {slot: png_bytes(image) for slot, (_, image) in baked.items()})
+    images = {slot: png_bytes(image) for slot, (_, image) in baked.items()}
+    pieces_of = {part.name: of.name for part in carried.passengers if part not in source.parts}
+    rigged_document = character_glb(dressed, document, images, pieces_of)
     if request.report is not None:
         stages("report")
     with all_or_nothing():

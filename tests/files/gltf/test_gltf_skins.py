@@ -124,6 +124,21 @@ def test_a_mesh_below_a_joint_keeps_its_own_motion(node: str) -> None:
         np.testing.assert_allclose(posed[0], [1, 0, height], atol=1e-6)
 
 
+@pytest.mark.parametrize("is_animated", [True, False])
+def test_a_mesh_below_an_armature_that_is_a_joint_keeps_its_own_motion(is_animated: bool) -> None:
+    """The armature is animated, or scaled unevenly."""
+    document = arm(above=None if is_animated else {"scale": [1, 1, 2]})
+    nodes, (animation,) = document.json["nodes"], document.json["animations"]
+    nodes[0]["children"], nodes[2]["children"] = [1, 3], []
+    moving = [3, 0] if is_animated else [3]
+    animation["channels"] += [{"sampler": 1, "target": {"node": node, "path": "translation"}} for node in moving]
+    for character in (character_of(document), character_of(character_glb(character_of(document), document))):
+        rig, ball = character.rig, character.parts[0]
+        assert {rig.names[joint] for joint in ball.weights.indices} == {"ball"}
+        posed = skinned_positions(ball, rig, pose_at(rig, character.animations[0], 0.5))
+        np.testing.assert_allclose(posed[0], [0, 0, 2], atol=1e-6)
+
+
 def test_a_moved_mesh_of_no_size_at_rest_is_left_out(caplog: pytest.LogCaptureFixture) -> None:
     document = arm()
     document.json["nodes"][3]["scale"] = [0, 0, 0]

@@ -322,7 +322,8 @@ def test_expressions_refer_to_the_shapes_that_are_written(version: str, caplog: 
         else:
             kinds = vrm["expressions"]
             assert kinds["custom"]["color"] == {"materialColorBinds": []}
-            binds = [kinds["preset"]["aa"]["morphTargetBinds"], kinds["custom"]["lashes"]["morphTargetBinds"]]
+            assert kinds["custom"]["lashes"].get("morphTargetBinds") != []
+            binds = [kinds["preset"]["aa"]["morphTargetBinds"], kinds["custom"]["lashes"].get("morphTargetBinds", [])]
         flags = sorted(flag[key] for flag in vrm["firstPerson"]["meshAnnotations"])
         return *([(bind[key], bind["index"]) for bind in of_one] for of_one in binds), flags
 
@@ -330,5 +331,68 @@ def test_expressions_refer_to_the_shapes_that_are_written(version: str, caplog: 
     assert written(ball, longer, lash) == ([(first, 1), (second, 0)], [(second, 0)], sorted(numbers))
     assert caplog.text == ""
     assert written(ball, longer) == ([(first, 1)], [], sorted(numbers[:2]))
-    assert "expressions that move nothing, since their meshes or shapes are not carried: lashes" in caplog.text
+    assert "expressions that move no shape any more, since" in caplog.text
+    assert "not carried: lashes" in caplog.text
     assert written(strip, replace(lash, shapes={})) == ([(first, 0)], [], sorted(numbers[1:]))
+
+
+def _binds(document: Document, version: str) -> list[dict[str, Any]]:
+    """Binds of the first expression."""
+    vrm = document.json["extensions"][version]
+    if version == "VRM":
+        return vrm["blendShapeMaster"]["blendShapeGroups"][0]["binds"]
+    return vrm["expressions"]["preset"]["aa"]["morphTargetBinds"]
+
+
+@pytest.mark.parametrize("version", ["VRM", "VRMC_vrm"])
+def test_expressions_that_are_not_as_vrm_says_stay_while_the_shapes_do(version: str) -> None:
+    """A whole number with a decimal point counts; a number without a shape is removed with other shapes."""
+    document = _expressive(version)
+    binds = _binds(document, version)
+    binds[:] = [{**binds[0], "index": index} for index in (0.0, 1, -1, None, [0])]
+    ball, strip, lash = character_of(document).parts
+
+    def indices(one: Part) -> list[Any]:
+        again = character_glb(replace(character_of(document), parts=(ball, one, lash)), document)
+        return [bind["index"] for bind in _binds(again, version)]
+
+    assert indices(strip) == [0.0, 1, -1, None, [0]]
+    assert indices(replace(strip, shapes={"own": strip.shapes["raise"]} | strip.shapes)) == [1]
+
+
+@pytest.mark.parametrize("version", ["VRM", "VRMC_vrm"])
+def test_pieces_of_a_part_move_and_hide_with_it(version: str) -> None:
+    document = with_shape_weights(_expressive(version), "bend", np.array([[0.0], [1.0]]), "strip")
+    document.json["meshes"][0]["weights"] = [0.5]
+    made = character_of(document)
+    (strip,) = (part for part in made.parts if part.name == "strip")
+    pieces = replace(strip, name="strip pieces")
+    again = character_glb(replace(made, parts=(*made.parts, pieces)), document, pieces_of={pieces.name: "strip"})
+    for animation in (0, None):
+        keys = read_shape_keys(read_scene(again), animation)
+        for one, other in zip(keys["strip", "raise"], keys["strip pieces", "raise"], strict=True):
+            np.testing.assert_array_equal(one, other)
+    key, given, number = ("mesh", 0, 3) if version == "VRM" else ("node", 4, 6)
+    found = [bind for bind in _binds(again, version) if bind[key] in (given, number)]
+    assert found == [_binds(document, version)[0] | {key: one} for one in (given, number)]
+    flags = again.json["extensions"][version]["firstPerson"]["meshAnnotations"]
+    assert number in [flag[key] for flag in flags]
+
+
+def test_shapes_that_the_first_primitive_lacks_are_referred_to() -> None:
+    """Its weights are read, too."""
+    document = _expressive("VRMC_vrm")
+    mesh = document.json["meshes"][0]
+    without = {name: value for name, value in mesh["primitives"][0].items() if name != "targets"}
+    mesh["primitives"] = [without, mesh["primitives"][0]]
+    mesh["weights"] = [0.5]
+    again = character_glb(character_of(document), document)
+    assert _binds(again, "VRMC_vrm") == _binds(document, "VRMC_vrm")
+    assert list(read_shape_keys(read_scene(again), None)) == [("strip", "raise")]
+
+
+def test_names_of_expressions_that_no_text_can_hold_are_named(caplog: pytest.LogCaptureFixture) -> None:
+    document = _expressive("VRM")
+    document.json["extensions"]["VRM"]["blendShapeMaster"]["blendShapeGroups"][1]["name"] = "lash\ud800"
+    character_glb(replace(character_of(document), parts=character_of(document).parts[:2]), document)
+    assert "lash?" in caplog.text

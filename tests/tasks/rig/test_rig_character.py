@@ -41,6 +41,7 @@ from example_character import ball, bare_body, write_character
 from plain_meshes import far_apart, marks_at
 from refusals import refuses
 from rigged import image_error, part_named, rig_done, same_order
+from usd_characters import with_shape_weights
 
 
 def test_the_same_body_gets_back_what_the_character_has(files: Character) -> None:
@@ -285,6 +286,19 @@ def test_a_piece_that_the_body_has_itself_is_not_carried(body: ControlMesh, own_
     every = carry_character(*characters, kinds={"body pieces": "rigid"})
     assert every.character.parts[-1].mesh.n_vertices == balls[0].n_vertices + balls[1].n_vertices
     assert not any("not carried" in note for note in every.notes)
+
+
+def test_pieces_that_are_carried_keep_the_weights_of_their_body(run: Run, files: Character, body: ControlMesh) -> None:
+    """Of blend shapes over time, as of the body itself."""
+    lash = ball("lash", body.positions[np.argmax(body.positions[:, 2])] + [0, 0, 0.3], 0.1)
+    mesh = replace(with_options(join_meshes([body, lash]), "none"), face_objects=None, object_names=(), name="body")
+    shapes = {"blink": np.ones((mesh.n_vertices, 3))}
+    rows = sparse.csr_array(np.tile([[1.0, 0.0]], (mesh.n_vertices, 1)))
+    document = character_glb(replace(files, parts=(Part("body", mesh, rows, shapes),)))
+    write_document("C.glb", with_shape_weights(document, "nod", np.array([[0.0], [1.0]])), force=True)
+    rig_done(run)
+    keys = read_shape_keys(read_scene(read_document("OUT.glb")), 0)
+    assert list(keys) == [("body", "blink"), ("body pieces", "blink")]
 
 
 @pytest.mark.parametrize("influences", [1, None])

@@ -18,7 +18,7 @@ from cagemap.files.gltf.document import read_document
 from cagemap.files.gltf.entries import Document, read_accessor
 from cagemap.files.gltf.nodes import Joints, read_nodes, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene
-from cagemap.files.gltf.primitives import shape_names
+from cagemap.files.gltf.primitives import mesh_shapes
 from cagemap.files.text import make_distinct
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
 
@@ -96,8 +96,8 @@ def read_shape_keys(scene: Scene, animation: int | None) -> dict[tuple[str, str]
     for one in scene.parts:
         node = document.entry("nodes", one.node)
         mesh = document.entry("meshes", node["mesh"])
-        count = len(document.entries("targets", document.entries("primitives", mesh)[0]))
-        names_of[one.node] = [(one.part.name, name) for name in shape_names(document, int(node["mesh"]), count)]
+        names_of[one.node] = [(one.part.name, name) for name in mesh_shapes(document, int(node["mesh"]))]
+        count = len(names_of[one.node])
         stated = document.numbers(
             node.get("weights", mesh.get("weights", [0.0] * count)), f"nodes {one.node}: weights", count
         )

@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 
 
 class ReplacedMesh(NamedTuple):
-    """A mesh node of a given document, and the mesh that it has now."""
+    """A mesh node of a given document, and a node that has its mesh, or pieces of it, now."""
 
-    node: int
+    node_before: int
     mesh_before: int
+    node: int
     mesh: int | None  # None: without a mesh now
     shapes_before: Sequence[str]
     shapes: Sequence[str]
@@ -19,7 +20,8 @@ class ReplacedMesh(NamedTuple):
 def renumber_expressions(extensions: Any, replaced: Sequence[ReplacedMesh]) -> list[str]:
     """Renumber the meshes and shapes of VRM's expressions and first-person flags; remove those that are gone.
 
-    Returns the names of expressions that move no shape any more. What is not as VRM says stays as it is.
+    Returns the names of expressions that move no shape any more. What is not as VRM says stays as it is, but a number
+    without a shape is removed if the mesh has other shapes now.
 
     ``extensions``: of the document; changed in place.
     """
@@ -28,12 +30,16 @@ def renumber_expressions(extensions: Any, replaced: Sequence[ReplacedMesh]) -> l
         vrm = _table(extensions, name)
         person = _table(vrm, "firstPerson")
         if isinstance(person.get("meshAnnotations"), list):
-            person["meshAnnotations"] = _renumbered(person["meshAnnotations"], key, replaced, shapes=False)
+            person["meshAnnotations"] = _renumbered(person["meshAnnotations"], key, replaced)
         for label, expression, binds in _expressions(vrm):
             before = expression.get(binds)
-            if isinstance(before, list):
-                expression[binds] = _renumbered(before, key, replaced, shapes=True)
-                empty += [label] if before and not expression[binds] else []
+            if not before or not isinstance(before, list):
+                continue
+            expression[binds] = _renumbered(before, key, replaced)
+            if not expression[binds]:
+                empty.append(label)
+                if name == "VRMC_vrm":  # its schema has no empty lists
+                    del expression[binds]
     return empty
 
 
@@ -47,23 +53,21 @@ def _expressions(vrm: dict[str, Any]) -> list[tuple[str, dict[str, Any], str]]:
     return [one for one in found if isinstance(one[1], dict)]
 
 
-def _renumbered(entries: list[Any], key: str, replaced: Sequence[ReplacedMesh], *, shapes: bool) -> list[Any]:
-    """Entries that refer to a node or mesh by ``key``, and to one of its ``shapes``, with the numbers of now."""
+def _renumbered(entries: list[Any], key: str, replaced: Sequence[ReplacedMesh]) -> list[Any]:
+    """Entries that refer to a node or mesh by ``key``, and maybe to a shape by its index, with the numbers of now."""
     kept: list[Any] = []
     for entry in entries:
         number = entry.get(key) if isinstance(entry, dict) else None
-        users = [one for one in replaced if number == (one.node if key == "node" else one.mesh_before)]
+        users = [one for one in replaced if number == (one.node_before if key == "node" else one.mesh_before)]
         kept += [] if users else [entry]
-        for one in users:
+        for one in (user for user in users if user.mesh is not None):
             made = entry | {key: one.node if key == "node" else one.mesh}
-            if shapes and one.mesh is not None:
-                index = entry.get("index")
-                known = isinstance(index, int) and 0 <= index < len(one.shapes_before)
-                name = one.shapes_before[index] if known else None
-                if name not in one.shapes:
+            if "index" in entry and [*one.shapes] != [*one.shapes_before]:
+                names = [name for place, name in enumerate(one.shapes_before) if place == entry["index"]]
+                if not set(names) & set(one.shapes):
                     continue
-                made["index"] = one.shapes.index(name)
-            kept += [made] if one.mesh is not None and made not in kept else []
+                made["index"] = one.shapes.index(names[0])
+            kept.append(made)
     return kept
 
 

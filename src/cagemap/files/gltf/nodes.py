@@ -266,18 +266,23 @@ def _with_bound(rig: Rig, joints: IndexArray, skin: Skin, taken: tuple[str, ...]
 
 def _joint_nodes(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> list[int]:
     """Nodes that become joints, parents before children."""
-    stated = {int(node) for skin in skins for node in skin.nodes}
     moved = moved_nodes(document)
-    chosen = stated | _moved_props(document, nodes, stated, moved)
     turned = nodes.local[:, :3, :3]
     lengths = np.linalg.norm(turned, axis=2)
     even = np.ptp(lengths, axis=1) <= 1e-4 * lengths.max(axis=1, initial=0.0)
     cosines = np.abs(turned @ turned.transpose(0, 2, 1) - lengths[:, :, None] ** 2 * np.eye(3)).max(axis=(1, 2))
     similar = even & (cosines <= 1e-4 * lengths.max(axis=1) ** 2)
-    for node in list(chosen):
-        while (node := int(nodes.parents[node])) >= 0:
-            if node in moved or not similar[node]:
-                chosen.add(node)
+
+    def add_ancestors(chosen: set[int]) -> None:
+        for node in list(chosen):
+            while (node := int(nodes.parents[node])) >= 0:
+                if node in moved or not similar[node]:
+                    chosen.add(node)
+
+    chosen = {int(node) for skin in skins for node in skin.nodes}
+    add_ancestors(chosen)
+    chosen |= _moved_props(document, nodes, chosen, moved)
+    add_ancestors(chosen)
     return [node for node in nodes.order if node in chosen]
 
 

@@ -46,6 +46,12 @@ def material_names(document: Document) -> tuple[str, ...]:
     return make_distinct([document.name("materials", number) or f"material {number}" for number in range(count)])
 
 
+def mesh_shapes(document: Document, number: int) -> tuple[str, ...]:
+    """`shape_names` of all morph targets of a mesh; a primitive without them does not move."""
+    primitives = document.entries("primitives", document.entry("meshes", number))
+    return shape_names(document, number, max(len(document.entries("targets", one)) for one in primitives))
+
+
 def shape_names(document: Document, number: int, count: int) -> tuple[str, ...]:
     """Unique names of a mesh's morph targets, or numbers.
 

@@ -24,7 +24,7 @@ from cagemap.files.gltf.expressions import ReplacedMesh, renumber_expressions
 from cagemap.files.gltf.geometry import Z_TO_Y, is_z_up, mesh_entry
 from cagemap.files.gltf.nodes import decompose_transform, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene, transform_normals, transform_offsets
-from cagemap.files.gltf.primitives import material_names, shape_names
+from cagemap.files.gltf.primitives import material_names, mesh_shapes
 from cagemap.files.gltf.textures import with_images
 from cagemap.files.text import whole_characters
 from cagemap.mesh import ControlMesh
@@ -82,6 +82,7 @@ def character_glb(
     character: Character,
     materials_from: Document | None = None,
     images: Mapping[tuple[str, str], bytes] | None = None,
+    pieces_of: Mapping[str, str] | None = None,
 ) -> Document:
     """A character as a glTF document, for `cagemap.files.gltf.document.write_document`.
 
@@ -91,9 +92,11 @@ def character_glb(
     ``character``: positions and bind pose as read, in metres with Y up.
     ``images``: PNG or JPEG files by material and slot, such as ``("body", "baseColorTexture")``; other settings of a
         slot are kept.
+    ``pieces_of``: names of new parts, each with the name of the given part that it is a piece of. They get the weights
+        of its blend shapes, VRM's expressions and first-person flags too.
     """
     scene = None if materials_from is None else read_scene(materials_from)
-    writer = _Made(scene)
+    writer = _Made(scene, pieces_of or {})
     writer.rig(character.rig)
     for part in character.parts:
         writer.part(part, character.rig)
@@ -104,8 +107,8 @@ def character_glb(
 class _Made:
     """A glTF document to which the rig, parts and animations of a character are added."""
 
-    def __init__(self, scene: Scene | None) -> None:
-        self._scene = scene
+    def __init__(self, scene: Scene | None, pieces_of: Mapping[str, str]) -> None:
+        self._scene, self._pieces_of = scene, pieces_of
         given = None if scene is None else scene.document
         self._binary = Binary(given)
         self.top: dict[str, Any] = {"asset": {"version": "2.0", "generator": "cagemap"}}
@@ -115,7 +118,8 @@ class _Made:
         self._meshes: list[Any] = self.top.setdefault("meshes", [])
         self._node_of_part: dict[str, int] = {}
         self._node_of_joint: dict[str, int] = {}
-        self._mesh_of_node: dict[int, int] = {}
+        self._mesh_of_node: dict[int, int] = {}  # in the given document
+        self._given_node: dict[int, int] = {}  # of new nodes with pieces of its mesh
         self._roots = self._scene_roots()
         if scene is not None:
             self._node_of_part = {one.part.name: one.node for one in scene.parts}
@@ -153,6 +157,9 @@ class _Made:
         node = self._node_of_part.get(part.name)
         if node is None:
             node = self._new_node({"name": part.name}, None)
+            if part.name in self._pieces_of:
+                given = self._node_of_part[self._pieces_of[part.name]]
+                self._given_node[node], self._mesh_of_node[node] = given, self._mesh_of_node[given]
         mesh, shapes, normals, colors = part.mesh, part.shapes, part.normals, part.colors
         shape_normals = part.shape_normals
         skinned = part.weights is not None and rig is not None
@@ -246,6 +253,11 @@ class _Made:
         nodes = [] if character.rig is None else [self._node_of_joint[name] for name in character.rig.names]
         given = None if self._scene is None else self._scene.document
         before = self.top.get("animations", [])
+        for channels in (entry.get("channels", []) for entry in before):
+            weights = [one for one in channels if one.get("target", {}).get("path") == "weights"]
+            for node, of in self._given_node.items():
+                own = [one for one in weights if one["target"].get("node") == of]
+                channels += [one | {"target": one["target"] | {"node": node}} for one in own]
         shapes = {
             node: (self._shapes_before(node), self._shapes(self._meshes[entry["mesh"]]))
             for node, entry in enumerate(self._nodes)
@@ -264,11 +276,7 @@ class _Made:
     def _shapes_before(self, node: int) -> tuple[str, ...]:
         """Names of the blend shapes of a node's mesh in the given document."""
         number = self._mesh_of_node.get(node)
-        if number is None or self._scene is None:
-            return ()
-        document = self._scene.document
-        primitives = document.entries("primitives", document.entry("meshes", number))
-        return shape_names(document, number, len(document.entries("targets", primitives[0])))
+        return () if number is None or self._scene is None else mesh_shapes(self._scene.document, number)
 
     def _stated_weights(self, node: int, made: dict[str, Any]) -> dict[str, list[float]]:
         """The field ``weights`` of a new mesh, by the names of blend shapes in the given document."""
@@ -277,7 +285,7 @@ class _Made:
             return {}
         document = self._scene.document
         mesh = document.entry("meshes", self._mesh_of_node[node])
-        stated = document.entry("nodes", node).get("weights", mesh.get("weights"))
+        stated = document.entry("nodes", self._given_node.get(node, node)).get("weights", mesh.get("weights"))
         if not isinstance(stated, list) or len(stated) != len(before):
             return {}
         weights = reorder_columns(document.numbers(stated, f"nodes {node}: weights", len(before))[None], before, names)
@@ -292,15 +300,16 @@ class _Made:
         return self._binary.document(self.top)
 
     def _renumber_expressions(self) -> None:
-        """Have VRM's expressions refer to the meshes and shapes of now; warn of those that move nothing any more."""
+        """Have VRM's expressions refer to the meshes and shapes of now; warn of those that move none any more."""
         replaced = []
         for node, number in self._mesh_of_node.items():
             now = self._nodes[node].get("mesh")
             shapes = () if now is None else self._shapes(self._meshes[now])
-            replaced.append(ReplacedMesh(node, number, now, self._shapes_before(node), shapes))
+            before = self._given_node.get(node, node)
+            replaced.append(ReplacedMesh(before, number, node, now, self._shapes_before(node), shapes))
         if empty := renumber_expressions(self.top.get("extensions"), replaced):
-            text = "%s: expressions that move nothing, since their meshes or shapes are not carried: %s"
-            _log.warning(text, self._scene and self._scene.document.file, first_few(empty))
+            text = "%s: expressions that move no shape any more, since their meshes or shapes are not carried: %s"
+            _log.warning(text, self._scene and self._scene.document.file, whole_characters(first_few(empty)))
 
     def _scene_roots(self) -> list[Any]:
         """Root nodes of the displayed scene."""

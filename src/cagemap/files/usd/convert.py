@@ -99,9 +99,7 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
     for skeleton in skeletons.values():
         rig_to_world = local_to_world(skeleton.GetPrim()) @ to_world
         rig = _rig(file, skeleton, rig_to_world)
-        if not 0.0 < (rate := stage.GetTimeCodesPerSecond()) < np.inf:
-            raise FormatError(f"{file}: expected timeCodesPerSecond above 0, got {rate:g}. Export it again.")
-        animations, weights = _animations(stage, skeleton, rig, rig_to_world)
+        animations, weights = _animations(file, stage, skeleton, rig, rig_to_world)
         if animations and not is_similarity(rig_to_world):
             text = "%s: %s: its transform scales unevenly, so that joints move otherwise than in USD; apply its scale"
             _log.warning(text, file, skeleton.GetPath())
@@ -187,7 +185,7 @@ def _rig(file: Path, skeleton: Any, rig_to_world: FloatArray) -> Rig:
 
 
 def _animations(
-    stage: Any, skeleton: Any, rig: Rig, rig_to_world: FloatArray
+    file: Path, stage: Any, skeleton: Any, rig: Rig, rig_to_world: FloatArray
 ) -> tuple[tuple[Animation, ...], _ShapeWeights]:
     """Animations of a skeleton's joints, the bound one first, and their weights of blend shapes."""
     pxr = usd_modules()
@@ -197,13 +195,16 @@ def _animations(
     joints = [str(joint) for joint in skeleton.GetJointsAttr().Get()]
     found, weights = [], _ShapeWeights()
     given = [attribute for one in prims for attribute in (*_channels(one).values(), one.GetBlendShapeWeightsAttr())]
+    rate = stage.GetTimeCodesPerSecond()
+    if any(one.GetNumTimeSamples() > 1 for one in given) and not 0.0 < rate < np.inf:
+        raise FormatError(f"{file}: expected timeCodesPerSecond above 0, got {rate:g}. Export it again.")
     start = min(0.0, stage.GetStartTimeCode(), *(code for one in given for code in one.GetTimeSamples()[:1]))
     names = make_distinct([one.GetPrim().GetDisplayName() or one.GetPrim().GetName() for one in prims])
     for name, animation in zip(names, prims, strict=True):
         listed = [str(joint) for joint in animation.GetJointsAttr().Get() or []]
         tracks = []
         for channel, attribute in _channels(animation).items():
-            times, values = _samples(stage, attribute, len(listed), start)
+            times, values = _samples(attribute, len(listed), start, rate)
             for column, joint in enumerate(listed):
                 if joint in joints and len(times):
                     keys = values[:, column]
@@ -212,9 +213,9 @@ def _animations(
                     kept = slice(None) if np.ptp(keys, axis=0).any() else slice(1)
                     tracks.append(Track(joints.index(joint), channel, times[kept], keys[kept]))
         shapes = [str(shape) for shape in animation.GetBlendShapesAttr().Get() or []]
-        times, values = _samples(stage, animation.GetBlendShapeWeightsAttr(), len(shapes), start)
-        if len(times):  # of the bound animation, those without time samples are at rest
-            is_rest = len(times) == 1 and animation.GetPrim() == bound
+        times, values = _samples(animation.GetBlendShapeWeightsAttr(), len(shapes), start, rate)
+        if len(times):  # of one bound animation, those without time samples are at rest
+            is_rest = len(times) == 1 and [one.GetPrim() for one in prims] == [bound]
             weights["" if is_rest else name] = times, dict(zip(shapes, values.T, strict=True))
         if tracks or name in weights:
             found.append(Animation(name, tuple(tracks)))
@@ -230,13 +231,16 @@ def _channels(animation: Any) -> dict[Channel, Any]:
     }
 
 
-def _samples(stage: Any, attribute: Any, rows: int, start: float) -> tuple[FloatArray, FloatArray]:
-    """Times in seconds since a time code, and values (k, rows, ...) of an attribute; none if it has no such values."""
+def _samples(attribute: Any, rows: int, start: float, rate: float) -> tuple[FloatArray, FloatArray]:
+    """Times in seconds since a time code, and values (k, rows, ...) of an attribute; none if it has no such values.
+
+    ``rate``: time codes per second.
+    """
     codes = attribute.GetTimeSamples() or [usd_modules().Usd.TimeCode.Default()]
     values = [attribute.Get(code) for code in codes]
     if not rows or any(value is None or len(value) != rows for value in values):
         return np.zeros(0), np.zeros((0, rows))
-    times = np.array([0.0 if len(codes) == 1 else code - start for code in codes]) / stage.GetTimeCodesPerSecond()
+    times = np.array([0.0 if len(codes) == 1 else (code - start) / rate for code in codes])
     return times, np.array([np.array(value) for value in values], dtype=np.float64)
 
 

@@ -129,9 +129,9 @@ def _check_arrays(content: bytes, values: list[int]) -> None:
             (count,) = struct.unpack_from("<Q", content, place)
             samples = struct.unpack_from(f"<{min(count, end)}Q", content, place + 8)
             _check_arrays(content, [one for one in (times, *samples) if one >> _TYPE_SHIFT & 0xFF != _TIME_SAMPLES])
-        if not place or value & _INLINED:  # nothing is stored elsewhere, as of empty arrays
+        if not place:  # nothing is stored elsewhere, as of empty arrays
             continue
-        if kind in _LISTS or kind in _EDITS:
+        if not value & _INLINED and (kind in _LISTS or kind in _EDITS):
             after = kind in _EDITS
             (count,) = struct.unpack_from("<Q", content, place + after)
             if count > end and not (after and content[place] <= 1):
