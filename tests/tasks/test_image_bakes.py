@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -243,10 +244,10 @@ def test_one_tile_of_a_set_is_not_repeated_over_the_others_in_silence(
             texture, scan = place / name, {"detail": place / "scan.obj", "detail_texture": place / name}
             wrapped = WrapRequest((Path("RESULT"),), Path("w.obj"), baked=Path("w.png"), force=True, size=16, **scan)
             for mesh, run in (
-                ("small.obj", lambda: transfer("t.png", texture=texture, size=16)),
-                ("small.obj", lambda: transfer("t.png", material_colors=True, source_mask=str(texture), size=16)),
-                ("scan.obj", lambda: transfer("t.png", bake=("texture",), size=16, **scan)),
-                ("scan.obj", lambda: run_wrap(wrapped, Stages())),
+                ("small.obj", partial(transfer, "t.png", texture=texture, size=16)),
+                ("small.obj", partial(transfer, "t.png", material_colors=True, source_mask=str(texture), size=16)),
+                ("scan.obj", partial(transfer, "t.png", bake=("texture",), size=16, **scan)),
+                ("scan.obj", partial(run_wrap, wrapped, Stages())),
             ):
                 caplog.clear()
                 run()
