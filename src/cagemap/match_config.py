@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 
 from cagemap.deform.config import ElasticConfig, StartConfig
 from cagemap.errors import ParameterError
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import SymmetryPair
+from cagemap.numerics.arrays import real_numbers
 from cagemap.numerics.kinds import Config
 from cagemap.paper.hfm import HfmConfig
 from cagemap.paper.method import PaperConfig
@@ -70,6 +72,18 @@ class MatchConfig(Config):
             raise ParameterError("symmetries: expected the method paper or hfm, which use them, got 'elastic'")
         if self.masks.any and self.method != "elastic":
             raise ParameterError(f"masks: expected the method elastic, which alone knows them, got {self.method!r}")
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, MatchConfig) and self._values() == other._values()
+
+    def __hash__(self) -> int:
+        return hash(self._values())
+
+    def _values(self) -> tuple[object, ...]:
+        """Values of all fields; arrays as bytes."""
+        arrays = (self.masks.target, self.masks.source, *chain(*self.symmetries))
+        contents = tuple(None if one is None else real_numbers(one, "array").tobytes() for one in arrays)
+        return tuple((vars(self) | {"masks": self.masks.shared, "symmetries": contents}).values())
 
     def require_elastic(self, function: str) -> None:
         """Raise ParameterError for another method, for a function of prepared pairs."""

@@ -335,6 +335,13 @@ REFUSED = {
         "v.csv:  ... expected a name for every column, got none for column 1",
         "leave the column out (with pandas: `index=False`).",
     ),
+    "values beyond double precision": Refusal(
+        lambda place: (
+            np.save(place / "v.npy", np.array([1, np.longdouble("1e400")])),
+            read_attributes(place / "v.npy"),
+        ),
+        "v.npy: expected finite numbers in 'v', found others in rows [1] (0-based)",
+    ),
     "vertex groups without a mesh": Refusal(
         lambda place: read_attributes(text("g.json", "[]")(place)),
         "g.json:  ... vertex groups are not taken here ... Write a .csv or .npz with a row a vertex.",

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import importlib
 import inspect
+import pickle
 import pkgutil
 import re
 
@@ -48,6 +50,20 @@ def test_values_of_arrays_are_equal_to_themselves_alone_and_hashable() -> None:
     ]
     assert wrong == []
     assert all(one.__hash__ is not None for one in values if one.__name__[0] != "_")
+
+
+def test_configurations_with_arrays_compare_by_what_they_hold_and_stay_short() -> None:
+    for options in ({}, {"masks": cagemap.Masks(np.ones(999))}, {"symmetries": (2 * (np.arange(9999),),)}):
+        method = "paper" if "symmetries" in options else "elastic"
+        config = MatchConfig(method=method, **options)
+        for equal in (pickle.loads(pickle.dumps(config)), copy.deepcopy(config)):
+            assert config == equal
+            assert hash(config) == hash(equal)
+        assert len(repr(config)) < 250
+        assert config != dataclasses.replace(config, use_symmetry=False)
+        assert (config == MatchConfig(method=method)) == (not options)
+    assert MatchConfig(masks=cagemap.Masks(np.ones(9))) != MatchConfig(masks=cagemap.Masks(None, np.ones(9)))
+    assert MatchConfig() != 0
 
 
 def test_configurations_show_what_was_chosen_and_signatures_stay_short() -> None:

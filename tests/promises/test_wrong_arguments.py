@@ -46,9 +46,12 @@ from refusals import refuses
 FUNCTIONS = [name for name in cagemap.__all__ if inspect.isfunction(getattr(cagemap, name))]
 # Given to them are arrays and images alone, or a number.
 OF_ARRAYS = {"blend", "painted_mask", "thread_limit", "with_alpha"}
-# Of `cagemap.research`, those that have no name in `cagemap`.
-STEPS = sorted(set(research.__all__) - set(cagemap.__all__) - {"control_mesh", "tensors"})
-STEPS = [name for name in STEPS if inspect.isfunction(getattr(research, name))]
+# Of `cagemap.research`; some have the names of other functions of `cagemap`.
+STEPS = [
+    function
+    for name in sorted(set(research.__all__) - {"control_mesh", "tensors"})
+    if inspect.isfunction(function := getattr(research, name)) and function is not getattr(cagemap, name, None)
+]
 
 
 def checked(function: Callable[..., object]) -> dict[str, tuple[type, ...]]:
@@ -61,10 +64,9 @@ def some(kinds: tuple[type, ...]) -> object:
     return known[kinds[0]] if kinds[0] in known else object.__new__(kinds[0])
 
 
-@pytest.mark.parametrize("name", sorted(set(FUNCTIONS) - OF_ARRAYS) + STEPS)
-def test_values_of_another_kind_are_refused_by_the_name_of_their_parameter(name: str) -> None:
-    function = getattr(research if name in STEPS else cagemap, name)
-    kinds = checked(function)
+@pytest.mark.parametrize("function", [getattr(cagemap, name) for name in sorted(set(FUNCTIONS) - OF_ARRAYS)] + STEPS)
+def test_values_of_another_kind_are_refused_by_the_name_of_their_parameter(function: Callable[..., object]) -> None:
+    kinds, name = checked(function), function.__name__
     assert kinds, f"{name} looks at none of its arguments"
     needed = {
         parameter.name: some(kinds.get(parameter.name, (int,)))

@@ -12,6 +12,7 @@ import cagemap
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.operators import stiffness, vertex_areas
 from cagemap.spectral import BasisConfig, residual_norms
+from cagemap.spectral.eigenpairs import band_pairs
 from cagemap.subdivision import level_triangles, refine
 
 from refusals import refuses
@@ -73,6 +74,22 @@ def test_meshes_of_many_parts_are_taken(count):
     np.testing.assert_allclose(pairs.values, expected[:count], atol=1e-8)
     areas = vertex_areas(together, faces)
     np.testing.assert_allclose(pairs.vectors.T @ (areas[:, None] * pairs.vectors), np.eye(count), atol=1e-10)
+
+
+def test_parts_too_many_for_one_iteration_are_not_tried_together(monkeypatch):
+    positions, triangles = ball(0)
+    n, sizes = len(positions), []
+    together = np.vstack([positions + 5.0 * i for i in range(101)])
+    faces = np.vstack([triangles + i * n for i in range(101)])
+
+    def counted(weights, *given, **options):
+        sizes.append(weights.shape[0])
+        return band_pairs(weights, *given, **options)
+
+    monkeypatch.setattr("cagemap.spectral.mesh_eigenpairs.band_pairs", counted)
+    pairs = cagemap.eigenpairs((together[::-1], len(together) - 1 - faces), 110)
+    assert sizes == 101 * [n]
+    assert np.count_nonzero(np.abs(pairs.values) < 1e-8) == 101
 
 
 @pytest.mark.parametrize("count", [5, 51])

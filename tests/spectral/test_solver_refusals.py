@@ -83,7 +83,7 @@ REFUSED = {
         never_accurate,
         "eigenpairs: ",
         "expected residuals up to 1e-05, reached 1.0e+00",
-        "ask for a lower accuracy",
+        "remove triangles of almost no area, or ask `cagemap.eigenpairs` for a lower accuracy, at most 0.01",
     ),
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -234,17 +235,31 @@ def test_one_tile_of_a_set_is_not_repeated_over_the_others_in_silence(
     target, source = textured_cube("large.obj", 2.0), textured_cube("small.obj")
     assert source.uvs is not None
     for tile in (1001, 1002, 1003):
-        write_image(place / f"skin_{tile}.png", np.full((8, 8, 3), tile - 1000, dtype=np.uint8))
+        write_image(place / f"skin_{tile}.png", np.full((8, 8, 3), 80 + tile - 1000, dtype=np.uint8))
     for scale, n_warnings in (((1, 1), 0), ((3, 1), 1)):
-        cubes = target, source.with_uvs(source.uvs * scale, source.uv_indices)
-        write_result(place / "RESULT", identity_result(1, cubes), force=True)
-        caplog.clear()
-        transfer("t.png", texture=place / "skin_1001.png", size=16)
-        transfer("t.png", texture=place / "skin_<UDIM>.png", size=16)
-        assert [record.getMessage() for record in caplog.records] == n_warnings * [
-            f"{place / 'skin_1001.png'} is repeated over all tiles of the source's layout: give "
-            f"{place / 'skin_<UDIM>.png'} for the whole set"
-        ]
+        tiled = source.with_uvs(source.uvs * scale, source.uv_indices)
+        write_result(place / "RESULT", identity_result(1, (target, tiled)), force=True)
+        write_mesh(place / "scan.obj", tiled, force=True)
+        for name in ("skin_1001.png", "skin_<UDIM>.png"):
+            texture, scan = place / name, {"detail": place / "scan.obj", "detail_texture": place / name}
+            wrapped = WrapRequest((Path("RESULT"),), Path("w.obj"), baked=Path("w.png"), force=True, size=16, **scan)
+            for mesh, run in (
+                ("small.obj", partial(transfer, "t.png", texture=texture, size=16)),
+                ("small.obj", partial(transfer, "t.png", material_colors=True, source_mask=str(texture), size=16)),
+                ("scan.obj", partial(transfer, "t.png", bake=("texture",), size=16, **scan)),
+                ("scan.obj", partial(run_wrap, wrapped, Stages())),
+            ):
+                caplog.clear()
+                run()
+                repeated = [text for record in caplog.records if "repeated" in (text := record.getMessage())]
+                assert repeated == n_warnings * (name == "skin_1001.png") * [
+                    f"{texture} is repeated over all tiles of the layout of {mesh}: give {place / 'skin_<UDIM>.png'} "
+                    "for the whole set"
+                ]
+    # All that the mask allows may be in one tile.
+    caplog.clear()
+    transfer("t.png", texture=place / "skin_1001.png", source_mask="red", size=16)
+    assert not [record for record in caplog.records if "repeated" in record.getMessage()]
 
 
 def test_vertices_of_no_face_are_not_counted_as_grey(place: Path) -> None:

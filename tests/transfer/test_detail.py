@@ -15,6 +15,7 @@ from cagemap.errors import MissingLibraryError, ParameterError
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result
+from cagemap.maps.masks import Masks
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.srgb import encode_srgb
 from cagemap.subdivision import Level, refine
@@ -115,6 +116,22 @@ def test_vectors_lead_to_the_detail(flat: Level, wavy: Detail, space: str) -> No
         own_transfer(flat), wavy, size=SIZE, space=space, scale=0.1, dtype=np.uint16, options=PLAIN
     )
     np.testing.assert_allclose((whole.pixels / 65535 - whole.midlevel) * whole.scale, vectors, atol=1e-6)
+
+
+@pytest.mark.parametrize("right", [False, True])
+@pytest.mark.parametrize("shared", [False, True])
+def test_vectors_lead_to_the_detail_of_the_half_that_the_masks_allow(
+    flat: Level, wavy: Detail, right: bool, shared: bool
+) -> None:
+    uvs = np.abs(flat.uvs * (2.0, 1.0) - (1.0, 0.0)).round(9)  # the left half is mirrored over the right one
+    welded, numbers = np.unique(uvs, axis=0, return_inverse=True)
+    target = flat.with_uvs(welded, numbers[flat.uv_indices]) if shared else flat.with_uvs(uvs, flat.uv_indices)
+    allowed = (flat.positions[:, 0] > 0.45) if right else (flat.positions[:, 0] < 0.55)
+    transfer = prepare_transfer(target, flat, identity_map(flat), Masks(target=allowed))
+    vectors = bake_detail_vectors(transfer, wavy, size=SIZE, space="object", options=PLAIN).pixels.reshape(-1, 3)
+    lookups = lookup_matrix(texel_coordinates(uvs[allowed], SIZE, SIZE), SIZE, SIZE) @ vectors
+    _, _, distance = closest_points(wavy.surface.tree, wavy.surface.scale * (flat.positions[allowed] + lookups))
+    assert distance.max() < 3e-6
 
 
 def test_lookups_become_exact_by_the_least_change() -> None:

@@ -136,6 +136,7 @@ def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
     return finite_numbers(values, "map")
 
 
+@kinds_checked
 def functional_map_from(pair: Pair, given: MapLike, sizes: tuple[int, int] | None = None) -> FloatArray:
     """C12 of a map in any form; vertex maps are fitted with ``sizes`` functions (k1, k2), by default with all."""
     checked = check_map(pair, given)

@@ -116,7 +116,7 @@ def box_diagonal(points: FloatArray) -> float:
     return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
-def members_of(labels: IndexArray) -> list[IndexArray]:
+def members_of(labels: NDArray[np.integer]) -> list[IndexArray]:
     """Ascending indices of every label that occurs, in the order of labels."""
     order = np.argsort(labels, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1) if len(labels) else []

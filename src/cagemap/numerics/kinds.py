@@ -108,7 +108,8 @@ class Brief:
             default = field.default_factory() if field.default_factory is not MISSING else field.default
             value = getattr(self, field.name)
             if not (type(value) is type(default) and value == default):
-                shown.append(f"{field.name}={value!r}")
+                with np.printoptions(threshold=5, edgeitems=1):
+                    shown.append(f"{field.name}={value!r}")
         return f"{type(self).__name__}({', '.join(shown)})"
 
 

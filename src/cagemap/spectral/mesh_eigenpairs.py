@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse.csgraph import connected_components
@@ -10,7 +12,7 @@ from cagemap.errors import InvalidMeshError, ParameterError, SolverError
 from cagemap.mesh.faces import cage_triangles, faces_of_one_size
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.structure_checks import require_structure
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, members_of, offsets_of
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.products import multiply
@@ -26,6 +28,8 @@ from cagemap.surface.triangles import corner_sums, normalize_rows
 COLUMN_BLOCK = 64
 # Most inverse iterations after Lanczos; one suffices unless the accuracy is near rounding.
 MAX_INVERSE_ITERATIONS = 4
+# Most parts that are solved together: Lanczos finds an eigenvalue, such as 0, about 64 times (the block's width).
+MAX_JOINT_PARTS = 100
 # For DiffusionNet: residual of eigenpairs, constant added to norms, largest cosine of normal and first axis.
 DIFFUSION_NET_ACCURACY = 1e-7
 ADDED_TO_NORMS = 1e-6
@@ -69,17 +73,20 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
     if not 1 <= k <= len(areas):
         raise ParameterError(f"k: expected 1 to {len(areas)} pairs, the mesh's vertices, got {k}")
     area = float(areas.sum())
-    try:
-        return _pairs(weights, areas, k, accuracy, area)
-    except SolverError:
-        count, labels = connected_components(weights, directed=False)
-        if count == 1:
-            raise
+    count, labels = connected_components(weights, directed=False)
+    if count <= MAX_JOINT_PARTS:
+        try:
+            return _pairs(weights, areas, k, accuracy, area)
+        except SolverError:
+            if count == 1:
+                raise
     # With many parts 0 is repeated too often for one Lanczos iteration: each part is solved alone.
-    parts = [np.flatnonzero(labels == part) for part in range(count)]
+    parts = members_of(labels)
+    order, offsets = np.concatenate(parts), offsets_of([len(part) for part in parts])
+    blocks = sparse.csr_array(weights[order][:, order])
     found = [
-        _pairs(sparse.csr_array(weights[part][:, part]), areas[part], min(k, len(part)), accuracy, area)
-        for part in parts
+        _pairs(sparse.csr_array(blocks[begin:end, begin:end]), areas[part], min(k, len(part)), accuracy, area)
+        for part, (begin, end) in zip(parts, pairwise(offsets), strict=True)
     ]
     values = np.concatenate([pairs.values for pairs in found])
     lowest = np.argsort(values, kind="stable")[:k]
@@ -104,8 +111,10 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
         if shifted is not None or initial.vectors.dtype == np.float64:
             worst = max(_worst_residual(weights, areas, values[part], vectors[:, part], area) for part in parts)
         if worst <= accuracy:
-            order = np.argsort(values, kind="stable")  # equal ones differ by rounding
-            return EigenPairs(values[order], vectors.take(order, axis=1), 0)
+            if (np.diff(values) < 0.0).any():  # equal ones differ by rounding
+                order = np.argsort(values, kind="stable")
+                values, vectors = values[order], vectors.take(order, axis=1)
+            return EigenPairs(values, vectors, 0)
         if iteration == MAX_INVERSE_ITERATIONS:
             break
         shifted = factor(shifted_matrix(weights, mass, shift)) if shifted is None else shifted
@@ -115,8 +124,8 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
         for part in parts:
             values[part] = np.einsum("ij,ij->j", vectors[:, part], multiply(weights, vectors[:, part]))
     raise SolverError(
-        f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; ask for a lower accuracy, such as "
-        f"{10.0 * worst:.0e}"
+        f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; remove triangles of almost no area, "
+        "or ask `cagemap.eigenpairs` for a lower accuracy, at most 0.01"
     )
 
 

@@ -22,7 +22,6 @@ from cagemap.files.images.image import (
     first_image,
     pixel_type,
     read_texture,
-    set_of_tile,
     texture_files,
     texture_pixels,
     udim_path,
@@ -46,11 +45,12 @@ from cagemap.tasks.match_summary import colors_option
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import files_read
 from cagemap.tasks.requests.transfer import TransferRequest, base_of
+from cagemap.tasks.tiled_texture import read_texture_of
 from cagemap.transfer import BakeOptions, Transfer, target_tiles, transfer_of, unwrap
 from cagemap.transfer.baking import layout_cells, masked_faces
 from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.overlapping_uvs import overlapping_materials, overlapping_share
-from cagemap.transfer.texture import Pixels, tile_cells
+from cagemap.transfer.texture import Pixels
 
 # Default width and height of an image, if no source or base image gives a size.
 DEFAULT_SIZE = 2048
@@ -97,12 +97,8 @@ def read_source_image(
     request: TransferRequest, result: MatchResult, path: Path, channels: int | None = None, name: str = ""
 ) -> SourceImage:
     """Read an image of the source, or ``channels`` of heights or directions, which the output must be able to hold."""
-    texture = read_texture(path)
-    if len(texture_files(set_of_tile(path))) > 1 and isinstance(texture, Image):
-        cells = tile_cells(result.source.control.uv_corners()[0])
-        if (cells != cells[:1]).any():
-            text = "%s is repeated over all tiles of the source's layout: give %s for the whole set"
-            _log.warning(text, path, set_of_tile(path))
+    # With a mask on the source, one tile may be all that is read.
+    texture = read_texture_of(result.source.control, path) if result.masks.source is None else read_texture(path)
     if channels is not None:  # their values are taken without alpha
         texture = (
             unpremultiply(texture)

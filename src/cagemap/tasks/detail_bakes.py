@@ -19,7 +19,6 @@ from cagemap.files.images.image import (
     check_writable,
     first_image,
     pixel_type,
-    read_texture,
     texture_files,
     texture_pixels,
     udim_path,
@@ -51,6 +50,7 @@ from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import WRITTEN
 from cagemap.tasks.requests.transfer import BakeKind, TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
+from cagemap.tasks.tiled_texture import read_texture_of
 from cagemap.transfer import BakeOptions, Transfer
 from cagemap.transfer.detail import (
     Detail,
@@ -161,7 +161,7 @@ def detail_texture(mesh: ControlMesh, path: Path, kind: Filter = "smooth") -> De
     """Read an image of a detailed mesh; refuse meshes without texture coordinates."""
     if mesh.uvs is None or mesh.uv_indices is None:
         raise ParameterError(f"{mesh.name}: expected texture coordinates for --detail-texture, the mesh has none")
-    texture = read_texture(path)
+    texture = read_texture_of(mesh, path)
     triangles = fan_triangles(mesh.face_offsets, mesh.uv_indices)[0]
     return DetailTexture(texture_pixels(texture), first_image(texture), mesh.uvs, triangles, kind)
 

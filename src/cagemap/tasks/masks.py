@@ -173,9 +173,10 @@ def read_mask(text: str, edge: float | None, control: ControlMesh, mesh_file: Pa
     if path is not None and path.suffix.lower() in IMAGE_SUFFIXES:
         if control.uvs is None:
             raise ParameterError(f"{option}: {control.name} has no texture coordinates that {path} could be painted on")
-        from cagemap.files.images.image import read_texture, texture_pixels
+        from cagemap.files.images.image import texture_pixels
+        from cagemap.tasks.tiled_texture import read_texture_of
 
-        return GivenMask(image=texture_pixels(read_texture(path)), inverted=inverted, edge=edge or 0.0)
+        return GivenMask(image=texture_pixels(read_texture_of(control, path)), inverted=inverted, edge=edge or 0.0)
     if path is not None:
         values = read_attributes(path)
         if len(values) != 1:

@@ -172,11 +172,13 @@ def _run(request: WrapRequest, stages: Stages) -> SummaryAndWarnings:
     lines = [f"wrote {output}: {written} vertices{among} (level {wrapped.level})", distances_text(figures)]
     if request.mhclo is not None:
         lines.append(f"wrote {request.mhclo}: the mesh follows {result.source.control.name}")
-    if output.suffix.lower() == ".glb" and original is not None and is_usd(original):  # in metres with Y up
-        space = to_standard(original) @ space
-    if more and not np.allclose(space, np.eye(4)):
-        length = np.cbrt(abs(np.linalg.det(space[:3, :3])))
-        outside.append(f"images are in the source's units and axes; one of its units is {length:.6g} of {output.name}")
+    if more:
+        if output.suffix.lower() == ".glb" and original is not None and is_usd(original):  # in metres with Y up
+            space = space @ to_standard(original)
+        if not np.allclose(space, np.eye(4)):
+            length = np.cbrt(abs(np.linalg.det(space[:3, :3])))
+            note = "images are in the source's units and axes; one of its units is"
+            outside.append(f"{note} {length:.6g} of {output.name}")
     return "\n".join(lines + more), warnings + outside + fold_warnings(figures)
 
 

@@ -227,9 +227,8 @@ def make_layout(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
 
 def masked_corners(transfer: Transfer) -> IndexArray:
     """(t1,) number of corners of target triangles to which the masks give the weight 0."""
-    target, masks = transfer.target, transfer.masks
-    weights = masks.of_target(len(target.positions)) * masks.at_source(transfer.point_map.images)
-    return np.asarray(np.count_nonzero(weights[target.triangles] == 0.0, axis=1))
+    weights = transfer.masks.joint(transfer.point_map)
+    return np.asarray(np.count_nonzero(weights[transfer.target.triangles] == 0.0, axis=1))
 
 
 def masked_faces(transfer: Transfer) -> NDArray[np.bool_] | None:

@@ -126,9 +126,10 @@ def surface_targets(
 
 
 def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, TexelSamples, IndexArray, FloatArray]:
-    """UVs (k, 2) of the layout's corners in a tile, in its unit square, and their source points as samples.
+    """UVs (k, 2) of the layout's unmasked corners in a tile, in its unit square, and their source points as samples.
 
-    Also returns a target triangle (k,) that has the corner, and barycentric coordinates (k, 3) there.
+    If all are masked, all corners. Also returns a target triangle (k,) that has the corner, and barycentric coordinates
+    (k, 3) there.
     """
     target = transfer.target
     uvs, uv_triangles = target.layout()
@@ -138,11 +139,15 @@ def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, TexelSamp
         in_tile = np.flatnonzero((tile_cells(target.corner_uvs()) == origin).all(axis=1))
     if target.holes is not None:
         in_tile = in_tile[~target.holes[in_tile]]
-    corner, first = np.unique(uv_triangles[in_tile], return_index=True)
+    points = transfer.point_map
+    # Masked parts of the target may be laid over others.
+    weights = transfer.masks.joint(points)[target.triangles[in_tile]].ravel()
+    allowed = np.flatnonzero(weights) if weights.any() else np.arange(len(weights))
+    corner, first = np.unique(uv_triangles[in_tile].ravel()[allowed], return_index=True)
+    first = allowed[first]
     in_image = (np.abs(uvs[corner] - origin - 0.5) <= 0.5 + OVERHANG).all(axis=1)  # others lie outside the image
     corner, first = corner[in_image], first[in_image]
     triangle, inside = in_tile[first // 3], np.eye(3)[first % 3]
     vertex = target.triangles[triangle, first % 3]
-    points = transfer.point_map
     samples = TexelSamples.of_points(triangle, points.triangle[vertex], np.asarray(points.barycentric[vertex]))
     return uvs[corner] - origin, samples, triangle, inside

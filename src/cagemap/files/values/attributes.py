@@ -174,12 +174,14 @@ def _check(file: Path, name: str, array: NDArray[Any]) -> NDArray[Any]:
         if array.dtype == np.uint64 and array.max() > np.iinfo(np.int64).max:
             raise FormatError(f"{file}: expected whole numbers below 2^63 in '{name}', found {array.max()}.")
         return array.astype(np.int64)
-    bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+    with np.errstate(invalid="ignore", over="ignore"):  # refused below
+        numbers = array.astype(np.float64)
+    bad = np.flatnonzero(~np.isfinite(numbers.reshape(len(array), -1)).all(axis=1))
     if len(bad):
         raise FormatError(
             f"{file}: expected finite numbers in '{name}', found others in rows {bad[:5].tolist()} (0-based)"
         )
-    return array.astype(np.float64)
+    return numbers
 
 
 _REMEDY = 'Expected {"groups": [{"name": "lips", "vertices": [0, 5], "weights": [1.0, 0.5]}, ...]}.'
