@@ -4,7 +4,7 @@ import {Views} from './view.js';
 
 const $ = id => document.getElementById(id);
 const SIDES = ['target', 'source'], BOXES = ['doubts', 'cages', 'linked', 'other_parts', 'symmetric'], AGAIN = 500, AS_FILED = [['', 'as the file says']];
-let socket = null, state = null, fixed = null, listing = [], shownFiles = '', shownPair = '', picked = false, typed = null, received = 0, selectedBefore;
+let socket = null, state = null, fixed = null, listing = [], shownFiles = '', shownPair = '', picked = false, typed = null, received = 0;
 let bakeForm = {values: () => ({}), forgetModels: () => {}};
 
 const hint = (...texts) => $('empty').replaceChildren(...texts.map(words => element('p', {textContent: words})));
@@ -158,10 +158,6 @@ function showLandmarks() {
     row.setAttribute('aria-selected', isSelected);
     row.querySelector('button').setAttribute('aria-pressed', isSelected);
   }
-  if (selectedBefore !== undefined && selected !== selectedBefore) {  // the one that Next landmark has begun
-    views.reveal(selected);
-    selectedBefore = undefined;
-  }
   const item = landmarks.find(one => one.number === selected);
   $('selected').hidden = !item;
   if (item && (document.activeElement !== $('name') || typed?.number !== item.number)) $('name').value = item.name;
@@ -174,7 +170,7 @@ function showLandmarks() {
 
 function select(number) {
   send('select', {number});
-  views.reveal(number);
+  views.reveal(state.landmarks.find(one => one.number === number));
 }
 
 function showRows(landmarks) {
@@ -243,7 +239,7 @@ function showModels() {
 const on = (id, what, done) => $(id).addEventListener(what, done);
 for (const name of ['undo', 'redo', 'accept', 'again', 'cancel', 'next']) on(name, 'click', () => send(name));
 on('next', 'click', () => {
-  selectedBefore = state.selected;
+  views.reveal({target: state.suggests});
   $('target').focus({preventScroll: true});  // Enter then accepts the proposed place
 });
 for (const name of BOXES)
