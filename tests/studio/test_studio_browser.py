@@ -56,6 +56,24 @@ for (const {camera, controls} of Object.values(window.studio.views.sides)) {
     camera.position.set(0, 5, 1);
     controls.update();
 }"""
+# How far the messages, the menu and the last row of the panel are inside the window, with eight alignments.
+OPENED = """
+const [log, more, answers] = ['log', 'more', 'answers'].map(id => document.getElementById(id));
+const kept = [...answers.children], hidden = log.hidden, outside = [];
+answers.replaceChildren(...Array.from({length: 8}, () => document.createElement('button')));
+log.hidden = false;
+log.open = more.open = true;
+const last = document.getElementById('save-box');
+last.scrollIntoView();
+for (const one of [log.querySelector('ol'), more.querySelector('.menu'), last]) {
+    const {left, right, top, bottom} = one.getBoundingClientRect();
+    const end = one === last ? document.querySelector('aside').getBoundingClientRect().bottom : innerHeight;
+    outside.push(left, innerWidth - right, top, end - bottom);
+}
+log.open = more.open = false;
+log.hidden = hidden;
+answers.replaceChildren(...kept);
+return outside"""
 # The ray through a point of a side's half.
 RAY = """
 const [side, x, y] = arguments, camera = window.studio.views.sides[side].camera, ray = new THREE.Raycaster();
@@ -582,9 +600,13 @@ def test_models_fit_their_halves_again_after_these_were_very_narrow(page: Page) 
 
 def test_a_narrow_window_shows_the_models_above_the_panel(page: Page) -> None:
     size = page.browser.get_window_size()
-    page.browser.set_window_size(500, 800)
     try:
-        page.until(lambda: page.run("return innerWidth") < 640, "a narrow window")
+        for width in (800, 640, 500):
+            page.browser.set_window_size(width, 842)
+            page.until(lambda width=width: page.run("return innerWidth") == width, "a narrow window")
+            assert page.run("return innerHeight") == 700
+            edges = page.run(OPENED)
+            assert min(edges) >= 0, (width, edges)
         widths = page.run(
             "return ['views', 'landmarks', 'status'].map(id => document.getElementById(id).offsetWidth / innerWidth)"
         )
