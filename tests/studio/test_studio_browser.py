@@ -47,7 +47,8 @@ GRIPPED = """
 const [name, number] = arguments, {views} = window.studio, side = views.sides[name];
 const mark = side.marks.find(one => one.number === number), box = side.pane.getBoundingClientRect();
 const at = new THREE.Vector3(...mark.at.slice(0, 3)).project(side.camera);
-return Math.max(...at.toArray().map(Math.abs)) < 1 && views.markAt(side, {clientX: box.left + (at.x + 1) / 2 * box.width,
+const isInside = Math.max(...at.toArray().map(Math.abs)) < 1;
+return isInside && views.markAt(side, {clientX: box.left + (at.x + 1) / 2 * box.width,
     clientY: box.top + (1 - at.y) / 2 * box.height}) === mark"""
 # Looks at empty space next to both models.
 ASIDE = """
@@ -74,6 +75,16 @@ log.open = more.open = false;
 log.hidden = hidden;
 answers.replaceChildren(...kept);
 return outside"""
+# Names and roles that a drop of files on the source's half sends, in order.
+DROPPED = """
+const [names, done] = arguments, {send} = WebSocket.prototype, sent = [], data = new DataTransfer();
+for (const name of names) data.items.add(new File([''], name));
+WebSocket.prototype.send = blob => sent.push(blob.text());
+const at = document.getElementById('source').getBoundingClientRect();
+document.getElementById('views').dispatchEvent(new DragEvent('drop', {dataTransfer: data, bubbles: true,
+    cancelable: true, clientX: at.left + 5, clientY: at.top + 5}));
+WebSocket.prototype.send = send;
+Promise.all(sent).then(all => done(all.map(one => JSON.parse(one)).map(({name, role}) => [name, role])));"""
 # The ray through a point of a side's half.
 RAY = """
 const [side, x, y] = arguments, camera = window.studio.views.sides[side].camera, ray = new THREE.Raycaster();
@@ -596,6 +607,16 @@ def test_models_fit_their_halves_again_after_these_were_very_narrow(page: Page) 
     page.run(width, "")
     page.until(lambda: page.run(distance) < 2 * before, "the models in the whole window")
     assert page.run(distance) == pytest.approx(before)
+
+
+def test_images_are_dropped_before_the_files_that_name_them(page: Page) -> None:
+    def sent(*names: str) -> list[list[str | None]]:
+        return [list(one) for one in page.browser.execute_async_script(DROPPED, list(names))]
+
+    named = [["a.png", None], ["a.mtl", "source"], ["a.obj", "source"]]
+    assert sent("a.obj", "a.mtl", "a.png") == [*named, ["a.png", "source"]]
+    assert sent("a.obj", "a.mtl", "a.png", "b.png") == [named[0], ["b.png", None], *named[1:]]
+    assert sent("a.png")[-1] == ["a.png", "source"]
 
 
 def test_a_narrow_window_shows_the_models_above_the_panel(page: Page) -> None:

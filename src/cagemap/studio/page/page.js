@@ -332,12 +332,12 @@ drop.addEventListener('dragleave', () => drop.classList.remove('dropping'));
 drop.addEventListener('drop', event => {
   event.preventDefault();
   drop.classList.remove('dropping');
-  const {meshes, images} = fixed.kinds, files = [...event.dataTransfer.files], side = half(event);
-  // Images beside a mesh belong to its materials, but a single one is the source's texture.
-  const named = files.some(file => is(file, meshes)) && (side === 'target' || files.filter(file => is(file, images)).length > 1);
-  const dropped = newDrop(), texture = named ? [] : files.filter(file => is(file, images));
-  for (const file of [...namedFirst(files.filter(file => !texture.includes(file))), ...texture])
-    add(file, named && is(file, images) ? null : side, dropped);
+  const files = [...event.dataTransfer.files], side = half(event), dropped = newDrop();
+  const images = files.filter(file => is(file, fixed.kinds.images));
+  // Images beside a mesh belong to its materials, but a single one is also the source's texture, once the mesh is open.
+  const named = files.some(file => is(file, fixed.kinds.meshes)) && (side === 'target' || images.length > 1);
+  for (const file of namedFirst(files)) add(file, images.includes(file) ? null : side, dropped);
+  for (const file of named ? [] : images) add(file, side, dropped);
 });
 
 document.addEventListener('keydown', event => {
