@@ -65,7 +65,8 @@ class Session(PreviewResults):
     @property
     def requested_files(self) -> Files | None:
         """The open pair with the chosen image and axes, also where these are not drawn yet."""
-        files, requested = self._state.files, self._preview.pair_files
+        with self._lock:
+            files, requested = self._state.files, self._preview.pair_files
         if files is None or requested is None:
             return files
         texture = requested.texture if self._preview.is_requested("image") else files.texture
