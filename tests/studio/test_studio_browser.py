@@ -42,13 +42,49 @@ CLOSE = 0.01
 # Mean difference of two pictures, of 255: turned or painted otherwise it is more than 6.
 OTHER = 2.5
 SERIOUS = {"serious", "critical"}
-# Whether a press at a landmark's place on a model grips it.
+# Whether a press at a landmark's place on a model, inside its half, grips it.
 GRIPPED = """
 const [name, number] = arguments, {views} = window.studio, side = views.sides[name];
 const mark = side.marks.find(one => one.number === number), box = side.pane.getBoundingClientRect();
 const at = new THREE.Vector3(...mark.at.slice(0, 3)).project(side.camera);
-return views.markAt(side, {clientX: box.left + (at.x + 1) / 2 * box.width,
+const isInside = Math.max(...at.toArray().map(Math.abs)) < 1;
+return isInside && views.markAt(side, {clientX: box.left + (at.x + 1) / 2 * box.width,
     clientY: box.top + (1 - at.y) / 2 * box.height}) === mark"""
+# Looks at empty space next to both models.
+ASIDE = """
+for (const {camera, controls} of Object.values(window.studio.views.sides)) {
+    controls.target.set(0, 5, 0);
+    camera.position.set(0, 5, 1);
+    controls.update();
+}"""
+# How far the messages, the menu and the last row of the panel are inside the window, with eight alignments.
+OPENED = """
+const [log, more, answers] = ['log', 'more', 'answers'].map(id => document.getElementById(id));
+const kept = [...answers.children], hidden = log.hidden, outside = [];
+answers.replaceChildren(...Array.from({length: 8}, () => document.createElement('button')));
+log.hidden = false;
+log.open = more.open = true;
+const last = document.getElementById('save-box');
+last.scrollIntoView();
+for (const one of [log.querySelector('ol'), more.querySelector('.menu'), last]) {
+    const {left, right, top, bottom} = one.getBoundingClientRect();
+    const end = one === last ? document.querySelector('aside').getBoundingClientRect().bottom : innerHeight;
+    outside.push(left, innerWidth - right, top, end - bottom);
+}
+log.open = more.open = false;
+log.hidden = hidden;
+answers.replaceChildren(...kept);
+return outside"""
+# Names and roles that a drop of files on the source's half sends, in order.
+DROPPED = """
+const [names, done] = arguments, {send} = WebSocket.prototype, sent = [], data = new DataTransfer();
+for (const name of names) data.items.add(new File([''], name));
+WebSocket.prototype.send = blob => sent.push(blob.text());
+const at = document.getElementById('source').getBoundingClientRect();
+document.getElementById('views').dispatchEvent(new DragEvent('drop', {dataTransfer: data, bubbles: true,
+    cancelable: true, clientX: at.left + 5, clientY: at.top + 5}));
+WebSocket.prototype.send = send;
+Promise.all(sent).then(all => done(all.map(one => JSON.parse(one)).map(({name, role}) => [name, role])));"""
 # The ray through a point of a side's half.
 RAY = """
 const [side, x, y] = arguments, camera = window.studio.views.sides[side].camera, ray = new THREE.Raycaster();
@@ -529,20 +565,35 @@ def test_enter_accepts_after_next_landmark_and_rows_stay_and_are_chosen_by_keys(
     page.set("symmetric", True)
 
 
-def test_a_chosen_landmark_on_the_far_side_is_turned_into_view(page: Page) -> None:
+def test_a_chosen_landmark_that_is_hidden_or_outside_the_picture_is_turned_into_view(page: Page) -> None:
     page.set("symmetric", False)
     count, turn = page.landmarks(), "window.studio.views.frame(arguments[0])"
-    for direction in ([0.2, 0.1, 1], [-0.2, 0.1, -1]):
-        page.run(turn, direction)
-        page.press("next")
-        page.until(lambda: page.state("proposal"), "a proposal")
-        page.until(lambda: page.run(GRIPPED, "target", page.state("selected")), "the new landmark in view")
+    for script, direction in ((turn, [0.2, 0.1, 1]), (turn, [-0.2, 0.1, -1]), (ASIDE, None)):
+        for _ in range(2):  # the second time, the landmark is open already
+            page.run(script, direction)
+            page.press("next")
+            page.until(lambda: page.state("proposal"), "a proposal")
+            page.until(lambda: page.run(GRIPPED, "target", page.state("selected")), "the new landmark in view")
         back_to(page, count)
-        page.run(turn, direction)
+        page.run(script, direction)
         page.select(3)
         page.until(lambda: page.run(GRIPPED, "target", 3), "the landmark of the row in view")
     page.press("frame")
     page.set("symmetric", True)
+
+
+def test_models_that_do_not_turn_together_are_turned_alone_to_a_chosen_landmark(page: Page) -> None:
+    camera = "return window.studio.views.sides.target.camera.position.toArray()"
+    page.set("linked", False)
+    page.press("frame")
+    before = page.run(camera)
+    page.run(ASIDE.replace("Object.values(window.studio.views.sides)", "[window.studio.views.sides.source]"))
+    number = next(one["number"] for one in page.state("landmarks") if page.run(GRIPPED, "target", one["number"]))
+    page.select(number)
+    page.until(lambda: page.run(GRIPPED, "source", number), "the landmark of the row in view")
+    assert page.run(camera) == before
+    page.set("linked", True)
+    page.press("frame")
 
 
 def test_models_fit_their_halves_again_after_these_were_very_narrow(page: Page) -> None:
@@ -558,11 +609,25 @@ def test_models_fit_their_halves_again_after_these_were_very_narrow(page: Page) 
     assert page.run(distance) == pytest.approx(before)
 
 
+def test_images_are_dropped_before_the_files_that_name_them(page: Page) -> None:
+    def sent(*names: str) -> list[list[str | None]]:
+        return [list(one) for one in page.browser.execute_async_script(DROPPED, list(names))]
+
+    named = [["a.png", None], ["a.mtl", "source"], ["a.obj", "source"]]
+    assert sent("a.obj", "a.mtl", "a.png") == [*named, ["a.png", "source"]]
+    assert sent("a.obj", "a.mtl", "a.png", "b.png") == [named[0], ["b.png", None], *named[1:]]
+    assert sent("a.png")[-1] == ["a.png", "source"]
+
+
 def test_a_narrow_window_shows_the_models_above_the_panel(page: Page) -> None:
     size = page.browser.get_window_size()
-    page.browser.set_window_size(500, 800)
     try:
-        page.until(lambda: page.run("return innerWidth") < 640, "a narrow window")
+        for width in (800, 640, 500):
+            page.browser.set_window_size(width, 842)
+            page.until(lambda width=width: page.run("return innerWidth") == width, "a narrow window")
+            assert page.run("return innerHeight") == 700
+            edges = page.run(OPENED)
+            assert min(edges) >= 0, (width, edges)
         widths = page.run(
             "return ['views', 'landmarks', 'status'].map(id => document.getElementById(id).offsetWidth / innerWidth)"
         )

@@ -399,6 +399,47 @@ def test_files_of_a_drop_name_its_images_and_buffers_as_they_were_added(tmp_path
         assert (tmp_path / "häme 1 (2).bin").read_bytes() == b"4"
 
 
+@pytest.mark.parametrize(
+    ("name", "written", "kept"),
+    [
+        ("a.gltf", b'{"uri": "textures/skin.png"}', b'{"uri": "skin%20%282%29.png"}'),
+        ("a.gltf", b'{"uri": "textures\\/own.png"}', b'{"uri": "own.png"}'),
+        ("a.gltf", b'{"uri": "h\\u00e4me.bin"}', b'{"uri": "h%C3%A4me.bin"}'),
+        ("a.gltf", b'{"uri": "old skin.png"}', None),
+        ("a.ply", b"comment TextureFile skin.png\r\n\xe0", b"comment TextureFile skin (2).png\r\n\xe0"),
+        (
+            "a.mtl",
+            b"map_Kd -type sphere -s 1 .5 1e0 C:\\my maps\\skin.png",
+            b"map_Kd -type sphere -s 1 .5 1e0 skin (2).png",
+        ),
+        ("a.mtl", b"map_Kd old skin.png", None),
+        ("a.mtl", b"map_Kd 2 heads.png", b"map_Kd 2 heads (2).png"),
+        ("a.obj", b"mtllib one.mtl \\\n two.mtl\n", b"mtllib one (2).mtl\nmtllib two.mtl\n"),
+        ("a.obj", b"mtllib maps/my one.mtl\n", None),
+        ("a.obj", b"mtllib maps/two.mtl\n", b"mtllib two.mtl\n"),
+    ],
+)
+def test_statements_of_a_file_name_files_of_its_drop(
+    tmp_path: Path, name: str, written: bytes, kept: bytes | None
+) -> None:
+    with closing(session_of(tmp_path)) as session:
+        for given in ("skin.png", "2 heads.png", "one.mtl"):
+            (tmp_path / given).write_bytes(b"another's")
+        for given in ("skin.png", "own.png", "2 heads.png", "häme.bin", "one.mtl", "two.mtl"):
+            session.add_file(given, b"new", "a drop")
+        assert session.add_file(name, written, "a drop").read_bytes() == (kept or written)
+
+
+def test_a_note_says_which_files_a_dropped_fbx_file_does_not_name(tmp_path: Path) -> None:
+    with closing(session_of(tmp_path)) as session:
+        (tmp_path / "skin.png").write_bytes(b"another's")
+        for name in ("own.png", "skin.png", "a.fbx"):
+            session.add_file(name, b"new", "a drop")
+        (note,) = [message.text for message in session.state.messages if message.text.startswith("a.fbx")]
+        assert "skin (2).png" in note
+        assert "own.png" not in note
+
+
 def test_an_obj_that_is_dropped_alone_keeps_its_material_file(tmp_path: Path) -> None:
     """The material file of another drop had the name that its model's has."""
     with closing(session_of(tmp_path)) as session:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cagemap.errors import ParameterError
+from cagemap.files.usd.stages import USD_SUFFIXES
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, move_aside, read_autosave_parts
@@ -64,7 +65,8 @@ class Session(PreviewResults):
     @property
     def requested_files(self) -> Files | None:
         """The open pair with the chosen image and axes, also where these are not drawn yet."""
-        files, requested = self._state.files, self._preview.pair_files
+        with self._lock:
+            files, requested = self._state.files, self._preview.pair_files
         if files is None or requested is None:
             return files
         texture = requested.texture if self._preview.is_requested("image") else files.texture
@@ -132,12 +134,16 @@ class Session(PreviewResults):
             self._say_all(notes)
 
     def add_file(self, name: str, content: bytes, drop: str = "") -> Path | None:
-        """Add a file to the first folder; None if it is refused. It names files of the same drop as they were added."""
+        """Add a file to the first folder; None if it is refused. `Workspace.add` has it name files of the same drop."""
         with self.report_errors(), self._upload_lock:
             added_names = self._added_names.setdefault(drop, {})
             path = self.workspace.add(name, content, added_names)
+            if added_names.get(Path(name).name) != path.name:
+                self._say("note", f"added {path.name}")
+            renamed = ", ".join(written for given, written in added_names.items() if given != written)
+            if renamed and path.suffix.lower() in (".fbx", *USD_SUFFIXES):
+                self._say("note", f"{path.name} may use older files, as files of the drop were renamed: {renamed}")
             added_names[Path(name).name] = path.name
-            self._say("note", f"added {path.name}")
             return path
         return None
 

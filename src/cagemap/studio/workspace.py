@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import itertools
+import json
 import os
 import re
 from collections import Counter
@@ -29,12 +30,14 @@ UPLOAD_SUFFIXES = tuple(
     dict.fromkeys((*MESH_SUFFIXES, ".mtl", ".bin", *IMAGE_SUFFIXES, *LANDMARK_SUFFIXES, *TABLE_SUFFIXES))
 )
 DataclassT = TypeVar("DataclassT")
-# Statements that name other files, by the suffix of the file that they are in.
+# What stands before the name of another file, by the suffix of the file that names it.
 _NAMING_STATEMENTS = {
-    ".obj": MATERIAL_FILE_LINE,
-    ".mtl": re.compile(r"(?mi)^[ \t]*(?:map_|bump|disp|decal|norm|refl)[^\n]*"),
-    ".gltf": re.compile(r'"uri"\s*:\s*"[^"]*"'),
+    ".obj": rb"^[ \t]*mtllib[ \t]+",
+    ".mtl": rb"^[ \t]*(?i:map_|bump|disp|decal|norm|refl)\S*[ \t]+(?:(?:-[A-Za-z]\w*[ \t]+\S+|[-+.\deE]+)[ \t]+)*",
+    ".gltf": rb'"uri"\s*:\s*"',
+    ".ply": rb"^comment TextureFile ",
 }
+_MATERIAL_FILE_LINE = re.compile(MATERIAL_FILE_LINE.pattern.encode())
 # A tile's number before an image's ending.
 _TILE_NUMBER = re.compile(r"^(.*[._])1\d{3}(\.(?:png|jpe?g|tiff?|exr))$", re.IGNORECASE)
 _MAX_LISTED_FILES = 500
@@ -137,7 +140,8 @@ class Workspace:
         name : str
         content : bytes
         added_names : mapping of str to str
-            Names under which files of the same drop were added, by the given ones: the new file names these.
+            Names under which files of the same drop were added, by the given ones: an OBJ, MTL, glTF or PLY file
+            names these.
 
         Raises
         ------
@@ -195,18 +199,23 @@ def _has_content(path: Path, content: bytes) -> bool:
 
 
 def _with_added_names(suffix: str, content: bytes, added_names: Mapping[str, str]) -> bytes:
-    """A file whose statements name material files, images and buffers as they were added."""
-    if suffix not in _NAMING_STATEMENTS or all(given == written for given, written in added_names.items()):
+    """A file whose statements name files of a drop without folders, as they were added."""
+    if suffix not in _NAMING_STATEMENTS or not added_names:
         return content
+    if suffix == ".obj":
+        content = _MATERIAL_FILE_LINE.sub(_split_material_files, content)
     names = {given: quote(written) if suffix == ".gltf" else written for given, written in added_names.items()}
-    names |= {quote(given): name for given, name in names.items()}
-    names = {given.encode().decode("latin-1"): name.encode().decode("latin-1") for given, name in names.items()}
-    longest_first = sorted(names, key=len, reverse=True)
-    name = re.compile(rf'(?<=[\s"/\\])(?:{"|".join(map(re.escape, longest_first))})(?=["\s]|$)')
-    renamed = _NAMING_STATEMENTS[suffix].sub(
-        lambda statement: name.sub(lambda found: names[found[0]], statement[0]), content.decode("latin-1")
-    )
-    return renamed.encode("latin-1")  # keeps all other bytes
+    names |= {form: name for given, name in names.items() for form in (quote(given), json.dumps(given)[1:-1])}
+    given_names = b"|".join(re.escape(given.encode()) for given in names)
+    statement = rb'(%s)(?:[^"\n]*[/\\])?(%s)(?=[ \t\r]*$|")' % (_NAMING_STATEMENTS[suffix], given_names)
+    return re.sub(statement, lambda found: found[1] + names[found[2].decode()].encode(), content, flags=re.MULTILINE)
+
+
+def _split_material_files(line: re.Match[bytes]) -> bytes:
+    """A ``mtllib`` line for each of several files, whose new names may have spaces."""
+    words = re.sub(rb"\\[ \t]*\n", b" ", line[1]).split()
+    several = len(words) > 1 and all(word.lower().endswith(b".mtl") for word in words)
+    return b"".join(b"mtllib %s\n" % word for word in words) if several else line[0]
 
 
 def _has_text_name(path: Path) -> bool:

@@ -4,7 +4,7 @@ import {Views} from './view.js';
 
 const $ = id => document.getElementById(id);
 const SIDES = ['target', 'source'], BOXES = ['doubts', 'cages', 'linked', 'other_parts', 'symmetric'], AGAIN = 500, AS_FILED = [['', 'as the file says']];
-let socket = null, state = null, fixed = null, listing = [], shownFiles = '', shownPair = '', picked = false, typed = null, received = 0, selectedBefore;
+let socket = null, state = null, fixed = null, listing = [], shownFiles = '', shownPair = '', picked = false, typed = null, received = 0;
 let bakeForm = {values: () => ({}), forgetModels: () => {}};
 
 const hint = (...texts) => $('empty').replaceChildren(...texts.map(words => element('p', {textContent: words})));
@@ -158,10 +158,6 @@ function showLandmarks() {
     row.setAttribute('aria-selected', isSelected);
     row.querySelector('button').setAttribute('aria-pressed', isSelected);
   }
-  if (selectedBefore !== undefined && selected !== selectedBefore) {  // the one that Next landmark has begun
-    views.reveal(selected);
-    selectedBefore = undefined;
-  }
   const item = landmarks.find(one => one.number === selected);
   $('selected').hidden = !item;
   if (item && (document.activeElement !== $('name') || typed?.number !== item.number)) $('name').value = item.name;
@@ -174,7 +170,7 @@ function showLandmarks() {
 
 function select(number) {
   send('select', {number});
-  views.reveal(number);
+  views.reveal(state.landmarks.find(one => one.number === number));
 }
 
 function showRows(landmarks) {
@@ -243,7 +239,7 @@ function showModels() {
 const on = (id, what, done) => $(id).addEventListener(what, done);
 for (const name of ['undo', 'redo', 'accept', 'again', 'cancel', 'next']) on(name, 'click', () => send(name));
 on('next', 'click', () => {
-  selectedBefore = state.selected;
+  views.reveal({target: state.suggests});
   $('target').focus({preventScroll: true});  // Enter then accepts the proposed place
 });
 for (const name of BOXES)
@@ -336,12 +332,12 @@ drop.addEventListener('dragleave', () => drop.classList.remove('dropping'));
 drop.addEventListener('drop', event => {
   event.preventDefault();
   drop.classList.remove('dropping');
-  const {meshes, images} = fixed.kinds, files = [...event.dataTransfer.files], side = half(event);
-  // Images beside a mesh belong to its materials, but a single one is the source's texture.
-  const named = files.some(file => is(file, meshes)) && (side === 'target' || files.filter(file => is(file, images)).length > 1);
-  const dropped = newDrop(), texture = named ? [] : files.filter(file => is(file, images));
-  for (const file of [...namedFirst(files.filter(file => !texture.includes(file))), ...texture])
-    add(file, named && is(file, images) ? null : side, dropped);
+  const files = [...event.dataTransfer.files], side = half(event), dropped = newDrop();
+  const images = files.filter(file => is(file, fixed.kinds.images));
+  // Images beside a mesh belong to its materials, but a single one is also the source's texture, once the mesh is open.
+  const named = files.some(file => is(file, fixed.kinds.meshes)) && (side === 'target' || images.length > 1);
+  for (const file of namedFirst(files)) add(file, images.includes(file) ? null : side, dropped);
+  for (const file of named ? [] : images) add(file, side, dropped);
 });
 
 document.addEventListener('keydown', event => {

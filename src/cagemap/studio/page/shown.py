@@ -19,6 +19,7 @@ from cagemap.studio.glb import MeshPart, pack_glb
 from cagemap.studio.landmark_files import SAVE_FORMATS
 from cagemap.studio.landmarks import SIDES, Place, Side
 from cagemap.studio.page.words import bake_hint, confidence_text, status_entries, verdict
+from cagemap.studio.places import vertex_place
 from cagemap.studio.scene import Scene
 from cagemap.studio.shape import Shape
 from cagemap.studio.state import MODES, Files, Output, Probe, StudioState
@@ -72,7 +73,7 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "redo": len(state.history.future),
         "saved": state.saved,
         "revision": map_state.revision,
-        "suggests": map_state.suggestion is not None,
+        "suggests": None if scene is None else _suggestion_entry(map_state.suggestion, scene.target),
         "said": [
             *([confidence[:1].upper() + confidence[1:]] if confidence else []),
             *(confidence_text(in_page_words(text)) for text in (*map_state.contradictions.values(), *map_state.notes)),
@@ -138,10 +139,7 @@ def _landmark_entries(state: StudioState, scene: Scene) -> list[dict[str, Any]]:
             places[proposed_side] = proposal.place
         strain = map_state.strain.get(item.name)
         points = {
-            side: None
-            if place is None
-            else _view_position(scene.shape(side), place.position) + _view_normal(scene.shape(side), place)
-            for side, place in places.items()
+            side: None if place is None else _place_entry(scene.shape(side), place) for side, place in places.items()
         }
         rows.append(
             {
@@ -158,9 +156,14 @@ def _landmark_entries(state: StudioState, scene: Scene) -> list[dict[str, Any]]:
     return rows
 
 
-def _view_normal(shape: Shape, place: Place) -> list[float]:
+def _suggestion_entry(vertex: int | None, target: Shape) -> list[float] | None:
+    return None if vertex is None else _place_entry(target, vertex_place(target, vertex))
+
+
+def _place_entry(shape: Shape, place: Place) -> list[float]:
+    """Position and normal in the view."""
     normal = shape.directions_to_view(np.array(place.weights) @ shape.normals[list(place.corners)])
-    return [round(value, 3) for value in normal.tolist()]
+    return _view_position(shape, place.position) + [round(value, 3) for value in normal.tolist()]
 
 
 def _css_color(number: int) -> str:

@@ -217,8 +217,8 @@ export class Views {
     }
   }
 
-  frame(direction = FIRST) {
-    for (const {camera, controls} of Object.values(this.sides)) {
+  frame(direction = FIRST, sides = Object.values(this.sides)) {
+    for (const {camera, controls} of sides) {
       controls.target.set(0, 0, 0);
       camera.position.set(...direction).setLength(this.fit);
       controls.update();
@@ -226,11 +226,14 @@ export class Views {
     this.changed();
   }
 
-  // Turn the models until a landmark's place on the target is in front; from a little aside, as no camera looks straight down.
-  reveal(number) {
-    const mark = this.sides.target.marks.find(one => one.number === number);
-    if (mark && this.hides(this.sides.target, new THREE.Vector3(...mark.at.slice(0, 3))))
-      this.frame(mark.at.slice(3).map((value, i) => value + 0.1 * FIRST[i]));
+  // Turn each model, or both as the target, until its place is seen; from a little aside, as no camera looks straight down.
+  reveal(places) {
+    for (const side of this.shown.linked ? [this.sides.target] : Object.values(this.sides)) {
+      if (!places[side.name] || this.shown.pose) continue;
+      const at = new THREE.Vector3(...places[side.name].slice(0, 3)), seen = at.clone().project(side.camera);
+      if (Math.max(...seen.toArray().map(Math.abs)) > 1 || this.hides(side, at))
+        this.frame(places[side.name].slice(3).map((value, i) => value + 0.1 * FIRST[i]), [side]);
+    }
   }
 
   // How far away both models fit into their panes while they turn about the vertical.
