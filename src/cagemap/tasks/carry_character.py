@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from cagemap.character.doubled_pieces import doubled_pieces, pieces_in_surface
 from cagemap.character.normals import move_vertices, with_shape_normals
+from cagemap.character.own_parts import nearest_rows, own_parts_with_weights, with_mean_rows
 from cagemap.character.passenger_pieces import PIECES, PassengerKind, PieceConfig, find_pieces
 from cagemap.character.passengers import CarriedPassenger, carry_passengers
 from cagemap.character.retarget import retarget_all
@@ -25,7 +25,7 @@ from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.mesh.parts import MIN_BODY_EXTENT, extract_faces, join_meshes, numbers_on_part, passenger_word
 from cagemap.mesh.repairs import RepairedMesh
 from cagemap.mesh.topology import used_vertices
-from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, members_of
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
 from cagemap.pipeline import choose_level, match, prepare_surfaces
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights
 from cagemap.tasks.match_parts import lost_landmark_notes, ready_mesh
@@ -77,8 +77,9 @@ def carry_character(
     stages = Stages() if stages is None else stages
     target_body, source_body = find_body(target.parts, bodies[0]), find_body(source.parts, bodies[1])
     chosen, notes = _select_passengers(source, source_body, target, target_body, passengers)
-    declined = [part.name for part in source.parts if part not in (*chosen, source_body)]
-    _require_passengers(kinds or (), [*(part.name for part in chosen), _name_of_pieces(source_body)], declined)
+    declined = [part for part in source.parts if part not in (*chosen, source_body)]
+    names = [part.name for part in chosen]
+    _require_passengers(kinds or (), [*names, _name_of_pieces(source_body)], [part.name for part in declined])
     matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages)
     result = matched.result
     notes += matched.notes
@@ -94,7 +95,9 @@ def carry_character(
     body = replace(target_body, name=source_body.name, weights=weights, shapes={**shapes, **target_body.shapes})
     body = with_shape_normals(body, [name for name in source_body.shape_normals if name not in target_body.shapes])
     taken = {part.name for part in (body, *to_carry)}
-    extras = [_with_body_weights(part, body, taken) for part in others]
+    extras = [replace(part, name=f"{part.name} (own)") if part.name in taken else part for part in others]
+    if weights is not None:
+        extras = own_parts_with_weights(extras, body, declined, result.point_map, influences)
     stages("passengers")
     carried = carry_passengers(result, [part.mesh for part in to_carry], kinds=kinds)
     if passengers is None:
@@ -184,7 +187,7 @@ def _body_weights(bodies: Bodies, influences: int | None) -> sparse.csr_array | 
     if weights is None:
         return None
     carried = carry_weights(bodies.result, weights[bodies.rows(1)].toarray(), influences=influences)
-    return sparse.csr_array(bodies.on_target(carried))
+    return with_mean_rows(bodies.on_target(carried), rigid_pieces(bodies), influences)
 
 
 def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
@@ -208,9 +211,8 @@ def rigid_pieces(bodies: Bodies, config: PieceConfig = PIECES) -> list[IndexArra
     if not unmatched.any():
         return []
     places = bodies.result.point_map.target.scale * mesh.positions
-    pieces = find_pieces(mesh, places, np.zeros(mesh.n_vertices), None, config)
-    groups = zip(members_of(pieces.group), pieces.is_rigid, strict=True)
-    return [vertices for vertices, is_rigid in groups if is_rigid and unmatched[vertices].all()]
+    groups = find_pieces(mesh, places, np.zeros(mesh.n_vertices), None, config).rigid_groups()
+    return [vertices for vertices in groups if unmatched[vertices].all()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,22 +347,9 @@ def _part_of_faces(body: Part, faces: IndexArray) -> Part:
     )
 
 
-def _with_body_weights(part: Part, body: Part, taken: set[str]) -> Part:
-    """The part with weights of the body's nearest vertices and an unused name."""
-    name = f"{part.name} (own)" if part.name in taken else part.name
-    if body.weights is None:
-        return replace(part, name=name)
-    return replace(part, name=name, weights=body.weights[nearest_rows(body.mesh.positions, part.mesh.positions)])
-
-
 def with_part(character: Character, part: Part, made: Part) -> Character:
     """A character with ``part`` replaced by ``made``."""
     return replace(character, parts=tuple(made if candidate is part else candidate for candidate in character.parts))
-
-
-def nearest_rows(places: FloatArray, asked: FloatArray) -> IndexArray:
-    """(m,) row of ``places`` (n, 3) nearest to each point of ``asked`` (m, 3)."""
-    return np.asarray(cKDTree(places).query(asked)[1], dtype=np.int64)
 
 
 def _select_passengers(

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cagemap.character.own_parts import nearest_rows
 from cagemap.character.values import Character, Part
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import (
@@ -26,7 +27,7 @@ from cagemap.numerics.srgb import decode_srgb
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.bake_tiles import target_overlap_warnings
 from cagemap.tasks.carry_arrays import carry_values
-from cagemap.tasks.carry_character import CarriedCharacter, nearest_rows
+from cagemap.tasks.carry_character import CarriedCharacter
 from cagemap.transfer import Transfer, bake_texture, prepare_transfer, pull_back_faces, tile_cells, transfer_of, unwrap
 from cagemap.transfer.vectors import bake_normal_map
 
