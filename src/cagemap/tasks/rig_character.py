@@ -31,8 +31,9 @@ from cagemap.files.usd.convert import document_and_character
 from cagemap.files.usd.space import similar_space
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd, usd_modules
 from cagemap.maps.hypotheses.confidence import SURE
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.cage_points import CagePoints, NamedPoints, on_cage
+from cagemap.mesh.checks import check_mesh
 from cagemap.mesh.curves import Curve, CurvePair
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
@@ -163,7 +164,10 @@ def read_body(path: Path) -> tuple[Document | None, Character]:
     if path.suffix.lower() in SCENE_SUFFIXES:
         document = read_document(path)
         return document, character_of(document)
-    part = Part(path.stem, read_mesh(path))
+    mesh = read_mesh(path)
+    if check_mesh(mesh).problems:  # a plain mesh is repaired
+        mesh = replace(mesh, scheme=Plain())
+    part = Part(path.stem, mesh)
     return _document_of_images(path, part), Character((part,))
 
 
@@ -336,9 +340,9 @@ def _figures(character: Character) -> dict[str, Any]:
 def _summary(request: RigRequest, character: Character) -> str:
     body, *others = character.parts
     lines = [f"wrote {request.output}: {request.body.name} like {request.like.name}"]
-    if character.rig is not None:
-        tracks = f", {count_noun(len(character.animations), 'animation')}" if character.animations else ""
-        lines.append(f"  {count_noun(len(character.rig.names), 'joint')}{tracks}")
+    counts = [] if character.rig is None else [count_noun(len(character.rig.names), "joint")]
+    counts += [count_noun(len(character.animations), "animation")] if character.animations else []
+    lines += [f"  {', '.join(counts)}"] if counts else []
     shapes = f", {count_noun(len(body.shapes), 'shape')}" if body.shapes else ""
     lines.append(f"  body: {count_noun(body.mesh.n_vertices, 'vertex')}{shapes}")
     if others:

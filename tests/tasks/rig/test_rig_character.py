@@ -100,7 +100,7 @@ def test_animated_shapes_need_no_skeleton(run: Run, files: Character) -> None:
     channel = {"sampler": 0, "target": {"node": node, "path": "weights"}}
     animation = {"name": "talk", "samplers": [sampler], "channels": [channel]}
     write_document("C.glb", binary.document(document.json | {"animations": [animation]}), force=True)
-    rig_done(run)
+    assert "\n  1 animation\n" in run.done("rig B.glb --like C.glb -o OUT.glb").out
     ((times_found, values, _),) = read_shape_keys(read_scene(read_document("OUT.glb")), 0).values()
     np.testing.assert_allclose(times_found, [0.0, 1.0])
     np.testing.assert_allclose(values.ravel(), [0.25, 0.75])
@@ -364,6 +364,19 @@ def test_feet_that_are_pieces_are_not_carried_to_a_body_with_feet() -> None:
     carried = carry_character(Character((whole,)), Character((cut,)))
     assert [part.name for part in carried.character.parts] == ["body"]
     assert "4 pieces of C.glb" in carried.notes[-1]
+
+
+def test_a_scan_as_ply_is_repaired(run: Run, files: Character, body: ControlMesh) -> None:
+    """Of a cage file: holes that touch in a vertex, a loose piece, no UVs and no stated scheme."""
+    around = np.flatnonzero((body.face_indices.reshape(-1, 3) == 100).any(axis=1))
+    holes = extract_faces(body, np.setdiff1d(np.arange(body.n_faces), around[[0, len(around) // 2]]))
+    button = ball("button", body.positions.min(axis=0), 0.1)
+    scan = join_meshes([replace(one, uvs=None, uv_indices=None) for one in (holes, button)])
+    faces = scan.face_indices.reshape(-1, 3)
+    write_mesh("SCAN.ply", ControlMesh.from_faces(scan.positions, faces))
+    outcome = run.done("rig SCAN.ply --like C.glb -o OUT.glb")
+    assert "SCAN.ply: 1 vertex split where parts only touch" in outcome.err
+    assert part_named(read_character("OUT.glb"), "body").mesh.n_vertices == scan.n_vertices
 
 
 def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
