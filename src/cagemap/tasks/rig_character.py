@@ -19,6 +19,7 @@ from cagemap.files.gltf.character import character_of, read_animations
 from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document, write_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import png_bytes
+from cagemap.files.gltf.nodes import read_nodes
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import with_materials_of
@@ -68,6 +69,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
         character_body(source, request.like_part, request.like),
     )
     bodies = (request.body, target, to), (request.like, source, of)
+    target = _without_names(target, to, set(read_nodes(document).names) - {part.name for part in source.parts})
     split = [note for path, character, body in bodies for note in _split_body(path, character, body)]
     landmarks, landmark_notes = _landmarks(request, (to, of), (target, given_source))
     keeps = request.keep_textures or of.mesh.face_materials is None
@@ -205,6 +207,15 @@ def _with_mesh(character: Character, part: Part, mesh: ControlMesh) -> tuple[Cha
     """The character with a part's mesh replaced, and the new part."""
     new_part = replace(part, mesh=mesh)
     return with_part(character, part, new_part), new_part
+
+
+def _without_names(character: Character, body: Part, taken: set[str]) -> Character:
+    """The character with other names of parts, except its body's, that are taken, such as by joints."""
+    parts = (
+        replace(part, name=f"{part.name} (own)") if part is not body and part.name in taken else part
+        for part in character.parts
+    )
+    return replace(character, parts=tuple(parts))
 
 
 def _landmarks(

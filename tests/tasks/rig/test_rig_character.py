@@ -123,6 +123,14 @@ def test_what_the_body_has_of_its_own_stays_and_follows(run: Run, files: Charact
     assert {part.name for part in rig_done(run, "--passengers", "hat", "--force").parts} == {"body", "hat", "hat (own)"}
 
 
+def test_an_own_part_may_have_the_name_of_a_joint(run: Run, files: Character, body: ControlMesh) -> None:
+    own = Part("skin", body), Part("chest", ball("chest", body.positions.mean(axis=0), 0.1))
+    write_document("B.glb", character_glb(Character(own)), force=True)
+    made = rig_done(run)
+    assert {part.name for part in made.parts} == {"body", "hat", "eye", "chest (own)"}
+    assert made.rig.names == files.rig.names
+
+
 @pytest.mark.slow
 def test_a_character_without_passengers_gives_its_body(run: Run, files: Character) -> None:
     assert {part.name for part in rig_done(run, "--passengers", "none").parts} == {"body"}
