@@ -32,36 +32,29 @@ def own_parts_with_weights(
     ``body``: the target's, with weights.
     ``declined``: parts of the source that are not carried.
     """
-    words = {passenger_word(part.name) for part in own} - {""}
-    like = [part for part in declined if part.weights is not None and passenger_word(part.name) in words]
-    places = [one.positions for one in carry_passengers(point_map, [part.mesh for part in like])]
-    carried = [_rigid_vertices(part, point_map.source, at) for part, at in zip(like, places, strict=True)]
-    return [_with_weights(part, body, carried, point_map.target, influences) for part in own]
-
-
-# Name of a part, (k, 3) places on the target of vertices of its rigid pieces, and their weights (k, j).
-_RigidVertices = tuple[str, FloatArray, sparse.csr_array]
-
-
-def _rigid_vertices(part: Part, surface: TriangleSurface, places: FloatArray) -> _RigidVertices:
-    assert part.weights is not None
-    rows = np.concatenate([np.zeros(0, dtype=np.int64), *_rigid_groups(part.mesh, surface)])
-    return part.name, places[rows], part.weights[rows]
-
-
-def _with_weights(
-    part: Part, body: Part, carried: Sequence[_RigidVertices], surface: TriangleSurface, influences: int | None
-) -> Part:
     assert body.weights is not None
-    places = part.mesh.positions
-    table = body.weights[nearest_rows(body.mesh.positions, places)].toarray()
-    groups = _rigid_groups(part.mesh, surface)
-    like = [one for one in carried if len(one[1]) and passenger_word(one[0]) == passenger_word(part.name)]
-    if like:
-        like_places, weights = np.concatenate([one[1] for one in like]), sparse.vstack([one[2] for one in like])
-        for group in groups:
-            table[group] = weights.tocsr()[nearest_rows(like_places, places[group])].toarray()
-    return replace(part, weights=with_mean_rows(table, groups, influences))
+    words = {passenger_word(part.name) for part in own} - {""}
+    given = [
+        (part, part.weights) for part in declined if part.weights is not None and passenger_word(part.name) in words
+    ]
+    places, weights, of_word = [np.zeros((0, 3))], [body.weights[:0]], list[str]()
+    all_carried = carry_passengers(point_map, [part.mesh for part, _ in given])
+    for (part, given_weights), carried in zip(given, all_carried, strict=True):
+        for group in _rigid_groups(part.mesh, point_map.source):
+            places.append(carried.positions[group])
+            weights.append(given_weights[group])
+            of_word += [passenger_word(part.name)] * len(group)
+    all_places, all_weights = np.concatenate(places), sparse.vstack(weights, format="csr")
+    made = []
+    for part in own:
+        asked = part.mesh.positions
+        table = body.weights[nearest_rows(body.mesh.positions, asked)].toarray()
+        groups = _rigid_groups(part.mesh, point_map.target)
+        like = np.flatnonzero(np.array(of_word) == passenger_word(part.name))
+        for group in groups if len(like) else ():
+            table[group] = all_weights[like[nearest_rows(all_places[like], asked[group])]].toarray()
+        made.append(replace(part, weights=with_mean_rows(table, groups, influences)))
+    return made
 
 
 def _rigid_groups(mesh: ControlMesh, surface: TriangleSurface) -> list[IndexArray]:
