@@ -53,7 +53,7 @@ def own_parts_with_weights(
         like = np.flatnonzero(np.array(of_word) == passenger_word(part.name))
         for group in groups if len(like) else ():
             table[group] = all_weights[like[nearest_rows(all_places[like], asked[group])]].toarray()
-        made.append(replace(part, weights=with_mean_rows(table, groups, influences)))
+        made.append(replace(part, weights=sparse.csr_array(with_mean_rows(table, groups, influences))))
     return made
 
 
@@ -62,11 +62,16 @@ def _rigid_groups(mesh: ControlMesh, surface: TriangleSurface) -> list[IndexArra
     return find_pieces(mesh, places, SignedDistances.of(surface, places).heights, None).rigid_groups()
 
 
-def with_mean_rows(table: FloatArray, groups: Collection[IndexArray], influences: int | None) -> sparse.csr_array:
-    """Weights (n, j) whose rows of each group of vertices are the group's mean, of at most ``influences`` joints."""
+def with_mean_rows(table: FloatArray, groups: Collection[IndexArray], influences: int | None) -> FloatArray:
+    """Weights (n, j), changed in place: rows of each group of vertices are the group's mean."""
     for group in groups:
-        table[group] = normalise_rows(prune_rows(table[group].mean(axis=0)[None], influences), np.ones(1))
-    return sparse.csr_array(table)
+        table[group] = limit_influences(table[group].mean(axis=0)[None], influences)
+    return table
+
+
+def limit_influences(table: FloatArray, influences: int | None) -> FloatArray:
+    """Weights (n, j) of at most ``influences`` joints per row, of sum 1."""
+    return normalise_rows(prune_rows(table, influences), np.ones(1))
 
 
 def nearest_rows(places: FloatArray, asked: FloatArray) -> IndexArray:

@@ -51,11 +51,7 @@ class Pieces:
 
 
 def find_pieces(
-    mesh: ControlMesh,
-    points: FloatArray,
-    heights: FloatArray,
-    kind: PassengerKind | None,
-    config: PieceConfig = PIECES,
+    mesh: ControlMesh, points: FloatArray, heights: FloatArray, kind: PassengerKind | None, config: PieceConfig = PIECES
 ) -> Pieces:
     """Group the connected pieces of a mesh; decide which are rigid.
 

@@ -83,7 +83,11 @@ def carry_passengers(
     point_map = result.point_map if isinstance(result, MatchResult) else result
     kinds = dict(kinds or {})
     for mesh in meshes:
-        _check_passenger(mesh)
+        if mesh.n_faces == 0 or mesh.n_vertices == 0:
+            raise ParameterError(f"{mesh.name}: expected a passenger with faces, got none. Leave it out.")
+        bad = np.flatnonzero(~np.isfinite(mesh.positions).all(axis=1))
+        if len(bad):
+            raise ParameterError(f"{mesh.name}: expected finite positions, got others at vertices {bad[:5]}")
     for name, kind in kinds.items():
         if kind not in PASSENGER_KINDS:
             raise ParameterError(f"{name}: expected cloth, rigid or similarity, got {kind!r}")
@@ -146,11 +150,3 @@ def unit_factor(body: TriangleSurface, positions: FloatArray) -> float:
     relative = distances.reshape(len(scaled), -1).mean(axis=1) / _UNIT_FACTORS
     best = int(np.argmin(relative))
     return float(_UNIT_FACTORS[best]) if relative[best] < _MAX_DISTANCE_RATIO * relative[0] else 1.0
-
-
-def _check_passenger(mesh: ControlMesh) -> None:
-    if mesh.n_faces == 0 or mesh.n_vertices == 0:
-        raise ParameterError(f"{mesh.name}: expected a passenger with faces, got none. Leave it out.")
-    if not np.isfinite(mesh.positions).all():
-        bad = np.flatnonzero(~np.isfinite(mesh.positions).all(axis=1))
-        raise ParameterError(f"{mesh.name}: expected finite positions, got others at vertices {bad[:5]}")

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import sparse
 
-from cagemap.character.doubled_pieces import doubled_pieces, pieces_in_surface
+from cagemap.character.doubled_pieces import PairedFaces, doubled_pieces, pieces_in_surface
 from cagemap.character.normals import move_vertices, with_shape_normals
-from cagemap.character.own_parts import nearest_rows, own_parts_with_weights, with_mean_rows
+from cagemap.character.own_parts import limit_influences, nearest_rows, own_parts_with_weights, with_mean_rows
 from cagemap.character.passenger_pieces import PIECES, PassengerKind, PieceConfig, find_pieces
 from cagemap.character.passengers import CarriedPassenger, carry_passengers
 from cagemap.character.retarget import retarget_all
@@ -30,7 +30,6 @@ from cagemap.pipeline import choose_level, match, prepare_surfaces
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights
 from cagemap.tasks.match_parts import lost_landmark_notes, ready_mesh
 from cagemap.tasks.progress import Stages
-from cagemap.transfer.skin import normalise_rows, prune_rows
 
 # Least number of finest vertices of a body that is subdivided; plain meshes are not.
 BODY_VERTICES = 100_000
@@ -89,9 +88,9 @@ def carry_character(
     notes += left_out
     to_carry = [*chosen, *([] if pieces is None else [pieces])]
     stages("weights and shapes")
-    weights, shapes = _body_weights(matched, influences), body_shapes(matched)
-    if counterparts is not None:
-        weights, shapes = counterparts.replace_values(weights, shapes, influences)
+    weights, shapes = _body_weights(matched, counterparts, influences), body_shapes(matched)
+    for name, offsets in counterparts.shapes.items():
+        shapes[name][counterparts.vertices] = offsets
     body = replace(target_body, name=source_body.name, weights=weights, shapes={**shapes, **target_body.shapes})
     body = with_shape_normals(body, [name for name in source_body.shape_normals if name not in target_body.shapes])
     taken = {part.name for part in (body, *to_carry)}
@@ -182,12 +181,15 @@ def _ready_body(part: Part) -> RepairedMesh:
     return ready
 
 
-def _body_weights(bodies: Bodies, influences: int | None) -> sparse.csr_array | None:
+def _body_weights(bodies: Bodies, counterparts: _Counterparts, influences: int | None) -> sparse.csr_array | None:
     weights = bodies.given[1].weights
     if weights is None:
         return None
     carried = carry_weights(bodies.result, weights[bodies.rows(1)].toarray(), influences=influences)
-    return with_mean_rows(bodies.on_target(carried), rigid_pieces(bodies), influences)
+    table = with_mean_rows(bodies.on_target(carried), rigid_pieces(bodies), influences)
+    if counterparts.weights is not None:
+        table[counterparts.vertices] = limit_influences(counterparts.weights.toarray(), influences)
+    return sparse.csr_array(table)
 
 
 def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
@@ -219,27 +221,14 @@ def rigid_pieces(bodies: Bodies, config: PieceConfig = PIECES) -> list[IndexArra
 class _Counterparts:
     """Unmatched vertices of the target's body whose piece the source has too, and the values of the source's piece."""
 
-    vertices: IndexArray  # (k,) of the target's body
-    weights: sparse.csr_array | None  # (k, j)
-    shapes: dict[str, FloatArray]  # (k, 3) each
-
-    def replace_values(
-        self, weights: sparse.csr_array | None, shapes: Mapping[str, FloatArray], influences: int | None
-    ) -> tuple[sparse.csr_array | None, dict[str, FloatArray]]:
-        """Weights and shapes of the target's body, with those of the source's pieces at ``vertices``."""
-        if weights is not None and self.weights is not None:
-            table = weights.toarray()
-            table[self.vertices] = normalise_rows(prune_rows(self.weights.toarray(), influences), np.ones(1))
-            weights = sparse.csr_array(table)
-        made = {name: offsets.copy() for name, offsets in shapes.items()}
-        for name, offsets in self.shapes.items():
-            made[name][self.vertices] = offsets
-        return weights, made
+    vertices: IndexArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # (k,) of the target's body
+    weights: sparse.csr_array | None = None  # (k, j)
+    shapes: dict[str, FloatArray] = field(default_factory=dict)  # (k, 3) each
 
 
 def _pieces_to_carry(
     bodies: Bodies, others: Sequence[Part], named: Collection[str]
-) -> tuple[Part | None, _Counterparts | None, list[str]]:
+) -> tuple[Part | None, _Counterparts, list[str]]:
     """The unmatched pieces of the source's body but those that the target has too; values of these; and notes.
 
     ``others``: the target's parts beside its body.
@@ -248,14 +237,14 @@ def _pieces_to_carry(
     unmatched, pieces = (_set_aside(part, ready) for part, ready in zip(bodies.given, bodies.ready, strict=True))
     own = [part.mesh for part in (*([] if unmatched is None else [unmatched]), *others)]
     if pieces is None or pieces.name in named:
-        return pieces, None, []
+        return pieces, _Counterparts(), []
     mesh = pieces.mesh
     (carried,) = carry_passengers(bodies.result, [mesh])
     placed = mesh.with_positions(carried.positions)
     pairs = doubled_pieces(placed, join_meshes(own)) if own else []
     found = [*pieces_in_surface(mesh, placed, bodies.result.point_map), *(faces for faces, _ in pairs)]
     if not found:
-        return pieces, None, []
+        return pieces, _Counterparts(), []
     doubled = {int(faces[0]): faces for faces in found}.values()  # each piece once
     sizes = first_few([count_noun(len(faces), "face") for faces in doubled])
     target, source = bodies.given
@@ -264,16 +253,14 @@ def _pieces_to_carry(
         f"has its own there: to carry all, name {pieces.name!r} (rig: --rigid, --cloth), or make one an object"
     )
     left = np.setdiff1d(np.arange(mesh.n_faces), np.concatenate(found))
-    counterparts = None if unmatched is None else _values_of_pairs(bodies, unmatched.mesh, pieces, carried, pairs)
+    counterparts = _Counterparts()
+    if unmatched is not None:
+        counterparts = _values_of_pairs(bodies, unmatched.mesh, pieces, carried, pairs)
     return _part_of_faces(pieces, left) if len(left) else None, counterparts, [note]
 
 
 def _values_of_pairs(
-    bodies: Bodies,
-    own: ControlMesh,
-    pieces: Part,
-    carried: CarriedPassenger,
-    pairs: Sequence[tuple[IndexArray, IndexArray]],
+    bodies: Bodies, own: ControlMesh, pieces: Part, carried: CarriedPassenger, pairs: Sequence[PairedFaces]
 ) -> _Counterparts:
     """Values of the source's pieces at the nearest vertices of the target's.
 

@@ -289,13 +289,7 @@ def _readable_scene(document: Document, character: Character) -> Scene:
 
 
 def _write_report(
-    path: Path,
-    carried: CarriedCharacter,
-    source: Character,
-    of: Part,
-    baked: BakedImages,
-    *,
-    force: bool,
+    path: Path, carried: CarriedCharacter, source: Character, of: Part, baked: BakedImages, *, force: bool
 ) -> None:
     """Write a page with both dressed bodies, and poses of the first animation."""
     character, result = carried.character, carried.result

@@ -27,11 +27,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import one_blas_thread
 from cagemap.pipeline import choose_level
-from cagemap.tasks.detail_bakes import (
-    bake_wrapped,
-    outputs_beside,
-    require_wrappable,
-)
+from cagemap.tasks.detail_bakes import bake_wrapped, outputs_beside, require_wrappable
 from cagemap.tasks.follower import require_whole, write_follower
 from cagemap.tasks.import_map import MAP_VERTICES, run_map
 from cagemap.tasks.job_file import note_output
