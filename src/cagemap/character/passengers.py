@@ -130,6 +130,19 @@ def far_passenger(name: str, body: str, distance: float, factor: float) -> str:
     return f"{name} is {distance:.1f} body sizes away from {body} on average{scaled}"
 
 
+# A passenger is hidden if the share of its vertices that is inside the body grows by more.
+_MAX_HIDDEN_SHARE = 0.5
+
+
+def hidden_passenger(point_map: PointMap, mesh: ControlMesh, carried: CarriedPassenger) -> list[str]:
+    """A note on a rigid passenger that is inside the target's body, but not in the source's."""
+    sides = (point_map.source, mesh.positions), (point_map.target, carried.positions)
+    before, share = ((SignedDistances.of(body, body.scale * at).heights < 0.0).mean() for body, at in sides)
+    if share <= before + _MAX_HIDDEN_SHARE:
+        return []
+    return [f"{mesh.name}: {share:.0%} of it is inside the body; if it is not kept rigid (--rigid), it stays outside"]
+
+
 # Ratios of usual units, both ways; the first one is that of equal units.
 _UNIT_RATIOS = np.array([2.54, 10.0, 30.48, 1 / 0.0254, 100.0, 1000.0])
 _UNIT_FACTORS = np.concatenate([[1.0], np.column_stack([_UNIT_RATIOS, 1.0 / _UNIT_RATIOS]).ravel()])

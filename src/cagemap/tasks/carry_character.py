@@ -12,7 +12,7 @@ from cagemap.character.doubled_pieces import PairedFaces, doubled_pieces, pieces
 from cagemap.character.normals import move_vertices, with_shape_normals
 from cagemap.character.own_parts import limit_influences, nearest_rows, own_parts_with_weights, with_mean_rows
 from cagemap.character.passenger_pieces import PIECES, PassengerKind, PieceConfig, find_pieces
-from cagemap.character.passengers import CarriedPassenger, carry_passengers
+from cagemap.character.passengers import CarriedPassenger, carry_passengers, hidden_passenger
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body
 from cagemap.character.skeleton import carry_rig
@@ -99,6 +99,9 @@ def carry_character(
         extras = own_parts_with_weights(extras, body, declined, result.point_map, influences)
     stages("passengers")
     carried = carry_passengers(result, [part.mesh for part in to_carry], kinds=kinds)
+    for part, one in zip(to_carry, carried, strict=True):
+        if (kinds or {}).get(part.name) == "rigid":
+            notes += hidden_passenger(result.point_map, part.mesh, one)
     if passengers is None:
         notes += _doubled_passengers(matched, zip(chosen, carried[: len(chosen)], strict=True))
     dressed = [
