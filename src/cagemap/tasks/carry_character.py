@@ -61,6 +61,7 @@ def carry_character(
     passengers: Sequence[str] | None = None,
     kinds: Mapping[str, PassengerKind] | None = None,
     influences: int | None = 4,
+    taken: Collection[str] = (),
     stages: Stages | None = None,
 ) -> CarriedCharacter:
     """Rig and dress a body like a character.
@@ -72,6 +73,7 @@ def carry_character(
         the target has.
     ``kinds``: see `carry_passengers`.
     ``influences``: most joints per vertex of the body; None for all.
+    ``taken``: names that no other part of the target keeps, such as those of joints.
     """
     stages = Stages() if stages is None else stages
     target_body, source_body = find_body(target.parts, bodies[0]), find_body(source.parts, bodies[1])
@@ -93,7 +95,7 @@ def carry_character(
         shapes[name][counterparts.vertices] = offsets
     body = replace(target_body, name=source_body.name, weights=weights, shapes={**shapes, **target_body.shapes})
     body = with_shape_normals(body, [name for name in source_body.shape_normals if name not in target_body.shapes])
-    taken = {part.name for part in (body, *to_carry)}
+    taken = {*taken, *(part.name for part in (body, *to_carry))}
     extras = [replace(part, name=f"{part.name} (own)") if part.name in taken else part for part in others]
     if weights is not None:
         extras = own_parts_with_weights(extras, body, declined, result.point_map, influences)

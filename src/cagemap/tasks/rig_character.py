@@ -69,7 +69,6 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
         character_body(source, request.like_part, request.like),
     )
     bodies = (request.body, target, to), (request.like, source, of)
-    target = _without_names(target, to, set(read_nodes(document).names) - {part.name for part in source.parts})
     split = [note for path, character, body in bodies for note in _split_body(path, character, body)]
     landmarks, landmark_notes = _landmarks(request, (to, of), (target, given_source))
     keeps = request.keep_textures or of.mesh.face_materials is None
@@ -84,6 +83,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
         passengers=_names(request.passengers),
         kinds=_kinds(request),
         influences=request.influences or None,
+        taken=set(read_nodes(document).names) - {part.name for part in source.parts},
         stages=stages,
     )
     stages("textures")
@@ -207,15 +207,6 @@ def _with_mesh(character: Character, part: Part, mesh: ControlMesh) -> tuple[Cha
     """The character with a part's mesh replaced, and the new part."""
     new_part = replace(part, mesh=mesh)
     return with_part(character, part, new_part), new_part
-
-
-def _without_names(character: Character, body: Part, taken: set[str]) -> Character:
-    """The character with other names of parts, except its body's, that are taken, such as by joints."""
-    parts = (
-        replace(part, name=f"{part.name} (own)") if part is not body and part.name in taken else part
-        for part in character.parts
-    )
-    return replace(character, parts=tuple(parts))
 
 
 def _landmarks(
