@@ -113,7 +113,7 @@ def test_a_rigid_passenger_inside_a_body_that_is_larger_there_is_named(body: Con
     point_map = PointMap(surface(larger, triangles), SurfacePoints.from_vertices(source, np.arange(source.n)))
     (note,) = hidden_passenger(point_map, cloth, carry_passenger(point_map, cloth, kind="rigid"))
     assert note.startswith("cloth: ")
-    assert "% of it is inside the body; if it is not kept rigid (--rigid), it stays outside" in note
+    assert "% of it is inside the body; if it is not kept rigid, it stays outside" in note
     assert hidden_passenger(point_map, cloth, carry_passenger(point_map, cloth)) == []
 
 

@@ -140,7 +140,7 @@ def hidden_passenger(point_map: PointMap, mesh: ControlMesh, carried: CarriedPas
     before, share = ((SignedDistances.of(body, body.scale * at).heights < 0.0).mean() for body, at in sides)
     if share <= before + _MAX_HIDDEN_SHARE:
         return []
-    return [f"{mesh.name}: {share:.0%} of it is inside the body; if it is not kept rigid (--rigid), it stays outside"]
+    return [f"{mesh.name}: {share:.0%} of it is inside the body; if it is not kept rigid, it stays outside"]
 
 
 # Ratios of usual units, both ways; the first one is that of equal units.
