@@ -11,7 +11,7 @@ from examples.shapes import cube, icosahedron, torus
 from scipy.spatial.transform import Rotation
 
 from cagemap.character.body_frames import BodyFrames, FrameConfig
-from cagemap.character.passengers import carry_passenger, carry_passengers, unit_factor
+from cagemap.character.passengers import carry_passenger, carry_passengers, hidden_passenger, unit_factor
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
@@ -20,6 +20,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
 from cagemap.subdivision import refine
 from cagemap.surface.closest_points import closest_points
+from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
@@ -102,6 +103,18 @@ def swollen(body: ControlMesh) -> PointMap:
     triangles = cage_triangles(body)[0]
     target = surface(grown, triangles)
     return PointMap.from_vertices(target, surface(body.positions, triangles), np.arange(target.n))
+
+
+def test_a_rigid_passenger_inside_a_body_that_is_larger_there_is_named(body: ControlMesh) -> None:
+    cloth, triangles = dressed(body, 0.05), cage_triangles(body)[0]
+    half = 0.2 * np.clip(2.0 * body.positions[:, :1], 0.0, 1.0)
+    larger = body.positions + half * vertex_normals(body.positions, triangles)
+    source = surface(body.positions, triangles)
+    point_map = PointMap(surface(larger, triangles), SurfacePoints.from_vertices(source, np.arange(source.n)))
+    (note,) = hidden_passenger(point_map, cloth, carry_passenger(point_map, cloth, kind="rigid"))
+    assert note.startswith("cloth: ")
+    assert "% of it is inside the body; if it is not kept rigid, it stays outside" in note
+    assert hidden_passenger(point_map, cloth, carry_passenger(point_map, cloth)) == []
 
 
 def test_what_was_outside_stays_outside(body: ControlMesh) -> None:

@@ -104,12 +104,7 @@ def _find_covered(
     return body[rows], triangles[triangle[rows]], barycentric[rows], gaps[rows]
 
 
-def push_out(
-    target: TriangleSurface,
-    contact: Contact,
-    places: FloatArray,
-    triangles: IndexArray,
-) -> FloatArray:
+def push_out(target: TriangleSurface, contact: Contact, places: FloatArray, triangles: IndexArray) -> FloatArray:
     """Positions (n, 3) moved out of the target's body to the contact's heights, at unit area.
 
     A push spreads to neighbouring vertices of the passenger and fades with each step.

@@ -40,7 +40,10 @@ _MIN_EXTRA_DISTANCE = 0.1
 _MIN_AWAY_SHARE = 0.65
 
 
-def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[tuple[IndexArray, IndexArray]]:
+PairedFaces = tuple[IndexArray, IndexArray]
+
+
+def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[PairedFaces]:
     """Faces of every connected piece of ``carried`` at the place of a piece of ``own``, the target's, and of that one.
 
     Two pieces are compared only if each has the other's nearest bounding box.

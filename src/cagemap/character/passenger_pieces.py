@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cagemap.mesh import ControlMesh
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, label_components, nearest_rotations
+from cagemap.numerics.arrays import (
+    FloatArray,
+    IndexArray,
+    grouped_sums,
+    label_components,
+    members_of,
+    nearest_rotations,
+)
 from cagemap.numerics.kinds import Config
 
 PassengerKind = Literal["cloth", "rigid", "similarity"]
@@ -38,13 +45,13 @@ class Pieces:
     is_rigid: NDArray[np.bool_]  # (g,) whether a group keeps its shape, up to its size
     has_local_scale: bool  # whether rigid groups scale with their surroundings, not with the whole body
 
+    def rigid_groups(self) -> list[IndexArray]:
+        """Vertices of each rigid group."""
+        return [vertices for vertices, rigid in zip(members_of(self.group), self.is_rigid, strict=True) if rigid]
+
 
 def find_pieces(
-    mesh: ControlMesh,
-    points: FloatArray,
-    heights: FloatArray,
-    kind: PassengerKind | None,
-    config: PieceConfig = PIECES,
+    mesh: ControlMesh, points: FloatArray, heights: FloatArray, kind: PassengerKind | None, config: PieceConfig = PIECES
 ) -> Pieces:
     """Group the connected pieces of a mesh; decide which are rigid.
 

@@ -83,7 +83,11 @@ def carry_passengers(
     point_map = result.point_map if isinstance(result, MatchResult) else result
     kinds = dict(kinds or {})
     for mesh in meshes:
-        _check_passenger(mesh)
+        if mesh.n_faces == 0 or mesh.n_vertices == 0:
+            raise ParameterError(f"{mesh.name}: expected a passenger with faces, got none. Leave it out.")
+        bad = np.flatnonzero(~np.isfinite(mesh.positions).all(axis=1))
+        if len(bad):
+            raise ParameterError(f"{mesh.name}: expected finite positions, got others at vertices {bad[:5]}")
     for name, kind in kinds.items():
         if kind not in PASSENGER_KINDS:
             raise ParameterError(f"{name}: expected cloth, rigid or similarity, got {kind!r}")
@@ -126,6 +130,19 @@ def far_passenger(name: str, body: str, distance: float, factor: float) -> str:
     return f"{name} is {distance:.1f} body sizes away from {body} on average{scaled}"
 
 
+# A passenger is hidden if the share of its vertices that is inside the body grows by more.
+_MAX_HIDDEN_SHARE = 0.5
+
+
+def hidden_passenger(point_map: PointMap, mesh: ControlMesh, carried: CarriedPassenger) -> list[str]:
+    """A note on a rigid passenger that is inside the target's body, but not in the source's."""
+    sides = (point_map.source, mesh.positions), (point_map.target, carried.positions)
+    before, share = ((SignedDistances.of(body, body.scale * at).heights < 0.0).mean() for body, at in sides)
+    if share <= before + _MAX_HIDDEN_SHARE:
+        return []
+    return [f"{mesh.name}: {share:.0%} of it is inside the body; if it is not kept rigid, it stays outside"]
+
+
 # Ratios of usual units, both ways; the first one is that of equal units.
 _UNIT_RATIOS = np.array([2.54, 10.0, 30.48, 1 / 0.0254, 100.0, 1000.0])
 _UNIT_FACTORS = np.concatenate([[1.0], np.column_stack([_UNIT_RATIOS, 1.0 / _UNIT_RATIOS]).ravel()])
@@ -146,11 +163,3 @@ def unit_factor(body: TriangleSurface, positions: FloatArray) -> float:
     relative = distances.reshape(len(scaled), -1).mean(axis=1) / _UNIT_FACTORS
     best = int(np.argmin(relative))
     return float(_UNIT_FACTORS[best]) if relative[best] < _MAX_DISTANCE_RATIO * relative[0] else 1.0
-
-
-def _check_passenger(mesh: ControlMesh) -> None:
-    if mesh.n_faces == 0 or mesh.n_vertices == 0:
-        raise ParameterError(f"{mesh.name}: expected a passenger with faces, got none. Leave it out.")
-    if not np.isfinite(mesh.positions).all():
-        bad = np.flatnonzero(~np.isfinite(mesh.positions).all(axis=1))
-        raise ParameterError(f"{mesh.name}: expected finite positions, got others at vertices {bad[:5]}")

@@ -44,11 +44,7 @@ class Collisions:
 
     @classmethod
     def find(
-        cls,
-        positions: FloatArray,
-        triangles: IndexArray,
-        vertices: IndexArray,
-        outward: FloatArray,
+        cls, positions: FloatArray, triangles: IndexArray, vertices: IndexArray, outward: FloatArray
     ) -> Collisions:
         """Find which of some vertices collide; no ray along ``outward`` (3,) may pass through a hole."""
         size = np.sqrt(surface_area(positions, triangles))
@@ -64,12 +60,7 @@ class Collisions:
         return cls(vertices[inside], facing - points[inside], corners, barycentric)
 
 
-def move_apart(
-    rest: FloatArray,
-    moved: FloatArray,
-    triangles: IndexArray,
-    outward: FloatArray,
-) -> FloatArray:
+def move_apart(rest: FloatArray, moved: FloatArray, triangles: IndexArray, outward: FloatArray) -> FloatArray:
     """Positions (n, 3) of ``moved``, with collisions that ``rest`` (n, 3) does not have moved apart.
 
     Deeper ones than ``reach`` stay. Both sides give way by half. A push spreads to neighbouring vertices and fades with

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import sparse
-from scipy.spatial import cKDTree
 
-from cagemap.character.doubled_pieces import doubled_pieces, pieces_in_surface
+from cagemap.character.doubled_pieces import PairedFaces, doubled_pieces, pieces_in_surface
 from cagemap.character.normals import move_vertices, with_shape_normals
+from cagemap.character.own_parts import limit_influences, nearest_rows, own_parts_with_weights, with_mean_rows
 from cagemap.character.passenger_pieces import PIECES, PassengerKind, PieceConfig, find_pieces
-from cagemap.character.passengers import CarriedPassenger, carry_passengers
+from cagemap.character.passengers import CarriedPassenger, carry_passengers, hidden_passenger
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body
 from cagemap.character.skeleton import carry_rig
@@ -25,12 +25,11 @@ from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.mesh.parts import MIN_BODY_EXTENT, extract_faces, join_meshes, numbers_on_part, passenger_word
 from cagemap.mesh.repairs import RepairedMesh
 from cagemap.mesh.topology import used_vertices
-from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, members_of
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
 from cagemap.pipeline import choose_level, match, prepare_surfaces
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights
 from cagemap.tasks.match_parts import lost_landmark_notes, ready_mesh
 from cagemap.tasks.progress import Stages
-from cagemap.transfer.skin import normalise_rows, prune_rows
 
 # Least number of finest vertices of a body that is subdivided; plain meshes are not.
 BODY_VERTICES = 100_000
@@ -62,6 +61,7 @@ def carry_character(
     passengers: Sequence[str] | None = None,
     kinds: Mapping[str, PassengerKind] | None = None,
     influences: int | None = 4,
+    taken: Collection[str] = (),
     stages: Stages | None = None,
 ) -> CarriedCharacter:
     """Rig and dress a body like a character.
@@ -73,12 +73,14 @@ def carry_character(
         the target has.
     ``kinds``: see `carry_passengers`.
     ``influences``: most joints per vertex of the body; None for all.
+    ``taken``: names that no other part of the target keeps, such as those of joints.
     """
     stages = Stages() if stages is None else stages
     target_body, source_body = find_body(target.parts, bodies[0]), find_body(source.parts, bodies[1])
     chosen, notes = _select_passengers(source, source_body, target, target_body, passengers)
-    declined = [part.name for part in source.parts if part not in (*chosen, source_body)]
-    _require_passengers(kinds or (), [*(part.name for part in chosen), _name_of_pieces(source_body)], declined)
+    declined = [part for part in source.parts if part not in (*chosen, source_body)]
+    names = [part.name for part in chosen]
+    _require_passengers(kinds or (), [*names, _name_of_pieces(source_body)], [part.name for part in declined])
     matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages)
     result = matched.result
     notes += matched.notes
@@ -88,15 +90,20 @@ def carry_character(
     notes += left_out
     to_carry = [*chosen, *([] if pieces is None else [pieces])]
     stages("weights and shapes")
-    weights, shapes = _body_weights(matched, influences), body_shapes(matched)
-    if counterparts is not None:
-        weights, shapes = counterparts.replace_values(weights, shapes, influences)
+    weights, shapes = _body_weights(matched, counterparts, influences), body_shapes(matched)
+    for name, offsets in counterparts.shapes.items():
+        shapes[name][counterparts.vertices] = offsets
     body = replace(target_body, name=source_body.name, weights=weights, shapes={**shapes, **target_body.shapes})
     body = with_shape_normals(body, [name for name in source_body.shape_normals if name not in target_body.shapes])
-    taken = {part.name for part in (body, *to_carry)}
-    extras = [_with_body_weights(part, body, taken) for part in others]
+    taken = {*taken, *(part.name for part in (body, *to_carry))}
+    extras = [replace(part, name=f"{part.name} (own)") if part.name in taken else part for part in others]
+    if weights is not None:
+        extras = own_parts_with_weights(extras, body, declined, result.point_map, influences)
     stages("passengers")
     carried = carry_passengers(result, [part.mesh for part in to_carry], kinds=kinds)
+    for part, one in zip(to_carry, carried, strict=True):
+        if (kinds or {}).get(part.name) == "rigid":
+            notes += hidden_passenger(result.point_map, part.mesh, one)
     if passengers is None:
         notes += _doubled_passengers(matched, zip(chosen, carried[: len(chosen)], strict=True))
     dressed = [
@@ -179,12 +186,15 @@ def _ready_body(part: Part) -> RepairedMesh:
     return ready
 
 
-def _body_weights(bodies: Bodies, influences: int | None) -> sparse.csr_array | None:
+def _body_weights(bodies: Bodies, counterparts: _Counterparts, influences: int | None) -> sparse.csr_array | None:
     weights = bodies.given[1].weights
     if weights is None:
         return None
     carried = carry_weights(bodies.result, weights[bodies.rows(1)].toarray(), influences=influences)
-    return sparse.csr_array(bodies.on_target(carried))
+    table = with_mean_rows(bodies.on_target(carried), rigid_pieces(bodies), influences)
+    if counterparts.weights is not None:
+        table[counterparts.vertices] = limit_influences(counterparts.weights.toarray(), influences)
+    return sparse.csr_array(table)
 
 
 def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
@@ -208,36 +218,22 @@ def rigid_pieces(bodies: Bodies, config: PieceConfig = PIECES) -> list[IndexArra
     if not unmatched.any():
         return []
     places = bodies.result.point_map.target.scale * mesh.positions
-    pieces = find_pieces(mesh, places, np.zeros(mesh.n_vertices), None, config)
-    groups = zip(members_of(pieces.group), pieces.is_rigid, strict=True)
-    return [vertices for vertices, is_rigid in groups if is_rigid and unmatched[vertices].all()]
+    groups = find_pieces(mesh, places, np.zeros(mesh.n_vertices), None, config).rigid_groups()
+    return [vertices for vertices in groups if unmatched[vertices].all()]
 
 
 @dataclass(frozen=True, eq=False)
 class _Counterparts:
     """Unmatched vertices of the target's body whose piece the source has too, and the values of the source's piece."""
 
-    vertices: IndexArray  # (k,) of the target's body
-    weights: sparse.csr_array | None  # (k, j)
-    shapes: dict[str, FloatArray]  # (k, 3) each
-
-    def replace_values(
-        self, weights: sparse.csr_array | None, shapes: Mapping[str, FloatArray], influences: int | None
-    ) -> tuple[sparse.csr_array | None, dict[str, FloatArray]]:
-        """Weights and shapes of the target's body, with those of the source's pieces at ``vertices``."""
-        if weights is not None and self.weights is not None:
-            table = weights.toarray()
-            table[self.vertices] = normalise_rows(prune_rows(self.weights.toarray(), influences), np.ones(1))
-            weights = sparse.csr_array(table)
-        made = {name: offsets.copy() for name, offsets in shapes.items()}
-        for name, offsets in self.shapes.items():
-            made[name][self.vertices] = offsets
-        return weights, made
+    vertices: IndexArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # (k,) of the target's body
+    weights: sparse.csr_array | None = None  # (k, j)
+    shapes: dict[str, FloatArray] = field(default_factory=dict)  # (k, 3) each
 
 
 def _pieces_to_carry(
     bodies: Bodies, others: Sequence[Part], named: Collection[str]
-) -> tuple[Part | None, _Counterparts | None, list[str]]:
+) -> tuple[Part | None, _Counterparts, list[str]]:
     """The unmatched pieces of the source's body but those that the target has too; values of these; and notes.
 
     ``others``: the target's parts beside its body.
@@ -246,14 +242,14 @@ def _pieces_to_carry(
     unmatched, pieces = (_set_aside(part, ready) for part, ready in zip(bodies.given, bodies.ready, strict=True))
     own = [part.mesh for part in (*([] if unmatched is None else [unmatched]), *others)]
     if pieces is None or pieces.name in named:
-        return pieces, None, []
+        return pieces, _Counterparts(), []
     mesh = pieces.mesh
     (carried,) = carry_passengers(bodies.result, [mesh])
     placed = mesh.with_positions(carried.positions)
     pairs = doubled_pieces(placed, join_meshes(own)) if own else []
     found = [*pieces_in_surface(mesh, placed, bodies.result.point_map), *(faces for faces, _ in pairs)]
     if not found:
-        return pieces, None, []
+        return pieces, _Counterparts(), []
     doubled = {int(faces[0]): faces for faces in found}.values()  # each piece once
     sizes = first_few([count_noun(len(faces), "face") for faces in doubled])
     target, source = bodies.given
@@ -262,16 +258,14 @@ def _pieces_to_carry(
         f"has its own there: to carry all, name {pieces.name!r} (rig: --rigid, --cloth), or make one an object"
     )
     left = np.setdiff1d(np.arange(mesh.n_faces), np.concatenate(found))
-    counterparts = None if unmatched is None else _values_of_pairs(bodies, unmatched.mesh, pieces, carried, pairs)
+    counterparts = _Counterparts()
+    if unmatched is not None:
+        counterparts = _values_of_pairs(bodies, unmatched.mesh, pieces, carried, pairs)
     return _part_of_faces(pieces, left) if len(left) else None, counterparts, [note]
 
 
 def _values_of_pairs(
-    bodies: Bodies,
-    own: ControlMesh,
-    pieces: Part,
-    carried: CarriedPassenger,
-    pairs: Sequence[tuple[IndexArray, IndexArray]],
+    bodies: Bodies, own: ControlMesh, pieces: Part, carried: CarriedPassenger, pairs: Sequence[PairedFaces]
 ) -> _Counterparts:
     """Values of the source's pieces at the nearest vertices of the target's.
 
@@ -345,22 +339,9 @@ def _part_of_faces(body: Part, faces: IndexArray) -> Part:
     )
 
 
-def _with_body_weights(part: Part, body: Part, taken: set[str]) -> Part:
-    """The part with weights of the body's nearest vertices and an unused name."""
-    name = f"{part.name} (own)" if part.name in taken else part.name
-    if body.weights is None:
-        return replace(part, name=name)
-    return replace(part, name=name, weights=body.weights[nearest_rows(body.mesh.positions, part.mesh.positions)])
-
-
 def with_part(character: Character, part: Part, made: Part) -> Character:
     """A character with ``part`` replaced by ``made``."""
     return replace(character, parts=tuple(made if candidate is part else candidate for candidate in character.parts))
-
-
-def nearest_rows(places: FloatArray, asked: FloatArray) -> IndexArray:
-    """(m,) row of ``places`` (n, 3) nearest to each point of ``asked`` (m, 3)."""
-    return np.asarray(cKDTree(places).query(asked)[1], dtype=np.int64)
 
 
 def _select_passengers(

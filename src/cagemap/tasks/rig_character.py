@@ -19,6 +19,7 @@ from cagemap.files.gltf.character import character_of, read_animations
 from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document, write_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import png_bytes
+from cagemap.files.gltf.nodes import read_nodes
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import with_materials_of
@@ -31,8 +32,9 @@ from cagemap.files.usd.convert import document_and_character
 from cagemap.files.usd.space import similar_space
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd, usd_modules
 from cagemap.maps.hypotheses.confidence import SURE
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.cage_points import CagePoints, NamedPoints, on_cage
+from cagemap.mesh.checks import check_mesh
 from cagemap.mesh.curves import Curve, CurvePair
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
@@ -81,6 +83,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
         passengers=_names(request.passengers),
         kinds=_kinds(request),
         influences=request.influences or None,
+        taken=set(read_nodes(document).names) - {part.name for part in source.parts},
         stages=stages,
     )
     stages("textures")
@@ -165,7 +168,10 @@ def read_body(path: Path) -> tuple[Document | None, Character]:
     if path.suffix.lower() in SCENE_SUFFIXES:
         document = read_document(path)
         return document, character_of(document)
-    part = Part(path.stem, read_mesh(path))
+    mesh = read_mesh(path)
+    if check_mesh(mesh).problems:  # a plain mesh is repaired
+        mesh = replace(mesh, scheme=Plain())
+    part = Part(path.stem, mesh)
     return _document_of_images(path, part), Character((part,))
 
 
@@ -276,13 +282,7 @@ def _readable_scene(document: Document, character: Character) -> Scene:
 
 
 def _write_report(
-    path: Path,
-    carried: CarriedCharacter,
-    source: Character,
-    of: Part,
-    baked: BakedImages,
-    *,
-    force: bool,
+    path: Path, carried: CarriedCharacter, source: Character, of: Part, baked: BakedImages, *, force: bool
 ) -> None:
     """Write a page with both dressed bodies, and poses of the first animation."""
     character, result = carried.character, carried.result
@@ -338,9 +338,9 @@ def _figures(character: Character) -> dict[str, Any]:
 def _summary(request: RigRequest, character: Character) -> str:
     body, *others = character.parts
     lines = [f"wrote {request.output}: {request.body.name} like {request.like.name}"]
-    if character.rig is not None:
-        tracks = f", {count_noun(len(character.animations), 'animation')}" if character.animations else ""
-        lines.append(f"  {count_noun(len(character.rig.names), 'joint')}{tracks}")
+    counts = [] if character.rig is None else [count_noun(len(character.rig.names), "joint")]
+    counts += [count_noun(len(character.animations), "animation")] if character.animations else []
+    lines += [f"  {', '.join(counts)}"] if counts else []
     shapes = f", {count_noun(len(body.shapes), 'shape')}" if body.shapes else ""
     lines.append(f"  body: {count_noun(body.mesh.n_vertices, 'vertex')}{shapes}")
     if others:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cagemap.character.own_parts import nearest_rows
 from cagemap.character.values import Character, Part
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import (
@@ -21,12 +22,12 @@ from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import face_centres
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.srgb import decode_srgb
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.bake_tiles import target_overlap_warnings
 from cagemap.tasks.carry_arrays import carry_values
-from cagemap.tasks.carry_character import CarriedCharacter, nearest_rows
+from cagemap.tasks.carry_character import CarriedCharacter
 from cagemap.transfer import Transfer, bake_texture, prepare_transfer, pull_back_faces, tile_cells, transfer_of, unwrap
 from cagemap.transfer.vectors import bake_normal_map
 
@@ -103,14 +104,6 @@ def with_carried_colors(carried: CarriedCharacter, body: Part, of: Part) -> Part
     return replace(body, mesh=replace(body.mesh, vertex_colors=table[:, :3]), colors=corners)
 
 
-def _transfer_with_uvs(result: MatchResult, uvs: FloatArray, uv_indices: IndexArray) -> Transfer:
-    """The match prepared for bakes, with other texture coordinates of the source."""
-    level, target = result.source.refinement.finest, result.target.refinement
-    layout = uvs, uv_indices.reshape(level.n_faces, -1)
-    level = replace(level, lay=lambda: layout)
-    return prepare_transfer(target.finest, level, result.point_map, result.masks, target.holes(target.finest_level))
-
-
 def _carried_materials(result: MatchResult, transfer: Transfer, mesh: ControlMesh) -> IndexArray:
     """Carried material of every face of the body; unmatched pieces take the nearest face's material."""
     matched, source = result.target.control, result.source.control
@@ -125,7 +118,10 @@ def _bake_image(found: MaterialImage, document: Document, result: MatchResult, s
     assert source.uvs is not None
     assert source.uv_indices is not None
     pixels, uvs = found.repeating(image.pixels, found.on_image(source.uvs))
-    transfer = _transfer_with_uvs(result, uvs, source.uv_indices)
+    level, target = result.source.refinement.finest, result.target.refinement
+    layout = uvs, source.uv_indices.reshape(level.n_faces, -1)
+    level, holes = replace(level, lay=lambda: layout), target.holes(target.finest_level)
+    transfer = prepare_transfer(target.finest, level, result.point_map, result.masks, holes)
     height, width = image.size if size is None else (size, size)
     bake = bake_normal_map if found.is_normal_map and pixels.shape[2] >= 3 else bake_texture
     return image, replace(image, pixels=bake(transfer, pixels, size=(height, width)), channel_names=())

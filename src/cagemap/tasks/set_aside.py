@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from cagemap.character.own_parts import nearest_rows
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import face_centres, keep_faces
@@ -14,7 +15,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
 from cagemap.surface.alignment import fit_similarity
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.tasks.carry_character import Bodies, nearest_rows
+from cagemap.tasks.carry_character import Bodies
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import map_surface
 from cagemap.transfer.textured_surface import TexturedSurface

@@ -27,11 +27,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import one_blas_thread
 from cagemap.pipeline import choose_level
-from cagemap.tasks.detail_bakes import (
-    bake_wrapped,
-    outputs_beside,
-    require_wrappable,
-)
+from cagemap.tasks.detail_bakes import bake_wrapped, outputs_beside, require_wrappable
 from cagemap.tasks.follower import require_whole, write_follower
 from cagemap.tasks.import_map import MAP_VERTICES, run_map
 from cagemap.tasks.job_file import note_output
@@ -58,6 +54,7 @@ from cagemap.tasks.wrap_checks import (
 )
 from cagemap.tasks.wrap_figures import distances_text, fold_warnings, wrap_figures
 from cagemap.wrap import WrapConfig, Wrapped, level_mesh, wrap
+from cagemap.wrap.wrapping import finest_follow
 
 
 def run_wrap(request: WrapRequest, stages: Stages) -> SummaryAndWarnings:
@@ -189,25 +186,16 @@ def _meshes_read(request: WrapRequest, results: list[MatchResult]) -> list[Path]
 
 
 def _wrap(request: WrapRequest, result: MatchResult, config: WrapConfig, stages: Stages) -> Wrapped:
-    follow, control = None, result.target.control
+    follow, control, target = None, result.target.control, result.target.refinement
     if request.weights is not None:
         rows = file_rows(request.results[0], result, "target")
         follow = read_follow(request.weights, control, rows, len(result.target.vertices))
     if result.masks.any:
-        follow = _masked_follow(result, follow)
+        follow = result.masks.joint(result.point_map) * finest_follow(target, follow)
     stages(f"wrap {result.source.control.name}")
-    target = result.target.refinement
     symmetry = mirror_image(control) if request.symmetric else None
     with one_blas_thread():
         return wrap(target, result.point_map, config, follow=follow, symmetry=symmetry)
-
-
-def _masked_follow(result: MatchResult, follow: FloatArray | None) -> FloatArray:
-    """(n_f,) weights of finest vertices from masks and ``follow``."""
-    weights, refinement = result.masks.joint(result.point_map), result.target.refinement
-    if follow is None or len(follow) == len(weights):
-        return weights if follow is None else weights * follow
-    return np.asarray(weights * np.clip(refinement.prolong(follow, 0, refinement.finest_level), 0.0, 1.0))
 
 
 def _write(

@@ -21,14 +21,7 @@ from cagemap.deform.config import GraphConfig, Stage
 from cagemap.deform.energy import Admissible, Differentials, ElasticEnergy, bounded_maps, minimise
 from cagemap.deform.graph import ElasticGraph
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import (
-    FloatArray,
-    IndexArray,
-    label_components,
-    mask_of,
-    members_of,
-    nearest_rotations,
-)
+from cagemap.numerics.arrays import FloatArray, IndexArray, label_components, mask_of, members_of, nearest_rotations
 from cagemap.numerics.factorization import factor
 from cagemap.surface.alignment import fit_similarity
 from cagemap.wrap.config import MendConfig, WrapConfig
@@ -62,14 +55,7 @@ def fit_net(net: ControlNet, samples: Samples, config: WrapConfig, adjust: Adjus
     positions = terms.start(energy)
     moving, stiffness = np.setdiff1d(free, detached), np.ones(net.graph.n)
     positions = move_locally(
-        net,
-        samples,
-        config,
-        positions,
-        moving,
-        rounds=config.carrying_rounds,
-        similar=free,
-        stiffness=stiffness,
+        net, samples, config, positions, moving, rounds=config.carrying_rounds, similar=free, stiffness=stiffness
     )
     positions = adjust(carry_detached_pieces(net.graph, pieces, positions, config))
     positions = run_rounds(net.graph, energy.differentials, terms, positions, config.rounds, adjust)

@@ -105,7 +105,7 @@ def wrap(
     with ThreadPool(1) as pool:
         mask_task = pool.submit(counterpart_mask, point_map, config)
         net = control_net(target, config.level, point_map.target.scale, config)
-        weights = mask_task.result() * _follow(target, follow)
+        weights = mask_task.result() * finest_follow(target, follow)
     samples = Samples.choose(net, point_map.images, weights, point_map.target.boundary_vertices, config)
     adjust = keep_positions if symmetry is None else partial(symmetrize, symmetry)
     follows = weights >= config.min_follow
@@ -164,8 +164,8 @@ def symmetrize(symmetry: IndexArray, positions: FloatArray) -> FloatArray:
     return 0.5 * (positions + centred @ rotation.T + positions.mean(axis=0))
 
 
-def _follow(target: Refinement, follow: FloatArray | None) -> FloatArray:
-    """(n_f,) follow weights of the finest vertices, from weights at these or at control vertices."""
+def finest_follow(target: Refinement, follow: FloatArray | None) -> FloatArray:
+    """(n_f,) follow weights of the finest vertices, from weights at these or at control vertices; None: all 1."""
     n, count = target.control.n_vertices, target.finest.n_vertices
     if follow is None:
         return np.ones(count)

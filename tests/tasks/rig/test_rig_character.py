@@ -101,7 +101,7 @@ def test_animated_shapes_need_no_skeleton(run: Run, files: Character) -> None:
     channel = {"sampler": 0, "target": {"node": node, "path": "weights"}}
     animation = {"name": "talk", "samplers": [sampler], "channels": [channel]}
     write_document("C.glb", binary.document(document.json | {"animations": [animation]}), force=True)
-    rig_done(run)
+    assert "\n  1 animation\n" in run.done("rig B.glb --like C.glb -o OUT.glb").out
     ((times_found, values, _),) = read_shape_keys(read_scene(read_document("OUT.glb")), 0).values()
     np.testing.assert_allclose(times_found, [0.0, 1.0])
     np.testing.assert_allclose(values.ravel(), [0.25, 0.75])
@@ -122,6 +122,14 @@ def test_what_the_body_has_of_its_own_stays_and_follows(run: Run, files: Charact
     np.testing.assert_allclose(kept.weights.sum(axis=1), 1.0, atol=1e-6)
     write_document("B.glb", character_glb(Character((parts[0], parts[2]))), force=True)
     assert {part.name for part in rig_done(run, "--passengers", "hat", "--force").parts} == {"body", "hat", "hat (own)"}
+
+
+def test_an_own_part_may_have_the_name_of_a_joint(run: Run, files: Character, body: ControlMesh) -> None:
+    own = Part("skin", body), Part("chest", ball("chest", body.positions.mean(axis=0), 0.1))
+    write_document("B.glb", character_glb(Character(own)), force=True)
+    made = rig_done(run)
+    assert {part.name for part in made.parts} == {"body", "hat", "eye", "chest (own)"}
+    assert made.rig.names == files.rig.names
 
 
 @pytest.mark.slow
@@ -322,6 +330,26 @@ def test_a_piece_that_stays_moves_as_that_of_the_character(body: ControlMesh, in
         np.testing.assert_allclose(made.shapes[name], 2.0 * offsets, atol=1e-3)
 
 
+@pytest.mark.parametrize("has_eyes", [False, True])
+def test_an_own_eyeball_moves_as_a_whole(body: ControlMesh, has_eyes: bool) -> None:
+    """It follows the joint of the character's eye, or the skin around it on average; so does one in the mesh."""
+    top = body.positions[np.argmax(body.positions[:, 1])]
+    eye, button = ball("eye", top - [0, 0.4, 0], 0.2), ball("button", top - [0, 2.4, 0], 0.2)
+    meshes = [replace(one, face_objects=None, object_names=()) for one in (body, button)]
+    own = Part("body", replace(with_options(join_meshes(meshes), "none"), name="B.glb")), Part("My eyes", eye)
+    height = body.positions[:, 1] - body.positions[:, 1].min()
+    share = height / height.max()
+    weights = sparse.csr_array(np.column_stack([1 - share, share, np.zeros(len(share))]))
+    of_eye = sparse.csr_array(np.tile([[0.0, 0.0, 1.0]], (eye.n_vertices, 1)))
+    parts = Part("body", replace(body, name="C.glb"), weights), *([Part("eye", eye, of_eye)] if has_eyes else [])
+    rig = Rig(("root", "head", "look"), np.array([-1, 0, 1]), *2 * [np.tile(np.eye(4), (3, 1, 1))])
+    made, made_eye = carry_character(Character(own), Character(parts, rig)).character.parts
+    for found in (made_eye.weights.toarray(), made.weights.toarray()[body.n_vertices :]):
+        np.testing.assert_allclose(np.ptp(found, axis=0), 0.0, atol=1e-12)
+        np.testing.assert_allclose(found.sum(axis=1), 1.0)
+    np.testing.assert_allclose(made_eye.weights.toarray()[0, 2], float(has_eyes))
+
+
 def test_a_part_where_the_mesh_of_the_body_has_a_piece_is_named(body: ControlMesh) -> None:
     """Eyes of the character, carried to a body whose mesh has eyes."""
     place = body.positions[np.argmax(body.positions[:, 2])] + [0, 0, 0.3]
@@ -358,6 +386,19 @@ def test_feet_that_are_pieces_are_not_carried_to_a_body_with_feet() -> None:
     carried = carry_character(Character((whole,)), Character((cut,)))
     assert [part.name for part in carried.character.parts] == ["body"]
     assert "4 pieces of C.glb" in carried.notes[-1]
+
+
+def test_a_scan_as_ply_is_repaired(run: Run, files: Character, body: ControlMesh) -> None:
+    """Of a cage file: holes that touch in a vertex, a loose piece, no UVs and no stated scheme."""
+    around = np.flatnonzero((body.face_indices.reshape(-1, 3) == 100).any(axis=1))
+    holes = extract_faces(body, np.setdiff1d(np.arange(body.n_faces), around[[0, len(around) // 2]]))
+    button = ball("button", body.positions.min(axis=0), 0.1)
+    scan = join_meshes([replace(one, uvs=None, uv_indices=None) for one in (holes, button)])
+    faces = scan.face_indices.reshape(-1, 3)
+    write_mesh("SCAN.ply", ControlMesh.from_faces(scan.positions, faces))
+    outcome = run.done("rig SCAN.ply --like C.glb -o OUT.glb")
+    assert "SCAN.ply: 1 vertex split where parts only touch" in outcome.err
+    assert part_named(read_character("OUT.glb"), "body").mesh.n_vertices == scan.n_vertices
 
 
 def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
