@@ -123,16 +123,19 @@ def test_on_the_kits_own_head_every_shape_comes_back() -> None:
 
 @pytest.mark.slow
 def test_eyeballs_in_the_mesh_of_the_head_stay() -> None:
-    """They neither follow the lids nor are flattened; a lash, which is no ball, follows."""
-    kit = read_face_kit(("eyeBlinkLeft",))
-    lid = np.argmax(np.linalg.norm(kit.shapes["eyeBlinkLeft"], axis=1))
-    eye, lash = ball(1), ball(1)
+    """They neither follow the lids nor are flattened; a lash, which is no ball, follows; a tooth follows the jaw."""
+    kit = read_face_kit(("eyeBlinkLeft", "jawOpen"))
+    lid, lip = (np.argmax(np.linalg.norm(kit.shapes[name], axis=1)) for name in ("eyeBlinkLeft", "jawOpen"))
+    eye, lash, tooth = ball(1), ball(1), ball(1)
     size = 0.05 * np.ptp(kit.mesh.positions, axis=0).max()
     eye = eye.with_positions(kit.mesh.positions[lid] - [0, 0, size] + size * eye.positions)
     lash = lash.with_positions(kit.mesh.positions[lid] + size * lash.positions * [1.0, 0.05, 0.05])
-    head = Part("head", replace(with_options(join_meshes([kit.mesh, eye, lash]), "none"), name="head"))
+    tooth = tooth.with_positions(kit.mesh.positions[lip] - [0, 0, size] + 0.2 * size * tooth.positions)
+    head = Part("head", replace(with_options(join_meshes([kit.mesh, tooth, eye, lash]), "none"), name="head"))
     found = match_bodies(head, kit, Landmarks.none(), Stages())
-    shift = face_shapes(found)["eyeBlinkLeft"][-2 * eye.n_vertices :].reshape(2, -1, 3)
+    shapes = face_shapes(found)
+    assert np.linalg.norm(shapes["jawOpen"][-3 * eye.n_vertices : -2 * eye.n_vertices], axis=1).min() > 0.0
+    shift = shapes["eyeBlinkLeft"][-2 * eye.n_vertices :].reshape(2, -1, 3)
     assert not shift[0].any()
     assert np.linalg.norm(shift[1], axis=1).min() > 0.0
 

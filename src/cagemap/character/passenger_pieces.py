@@ -73,12 +73,12 @@ def find_pieces(
     )
     if kind is not None:
         is_rigid = np.full(count, kind != "cloth")
-    near = cKDTree(centres).query_pairs(config.concentric_share * config.max_radius, output_type="ndarray")
-    heads, tails = near.astype(np.int64).T
+    rigid = np.flatnonzero(is_rigid)
+    near = cKDTree(centres[rigid]).query_pairs(config.concentric_share * config.max_radius, output_type="ndarray")
+    heads, tails = rigid[near].T
     is_joined = np.linalg.norm(centres[heads] - centres[tails], axis=1) < config.concentric_share * np.maximum(
         radius[heads], radius[tails]
     )
-    is_joined &= is_rigid[heads] & is_rigid[tails]
     group = label_components(heads[is_joined], tails[is_joined], count)
     group_rigid = np.zeros(int(group.max()) + 1, dtype=bool)
     group_rigid[group[is_rigid]] = True

@@ -44,6 +44,7 @@ from cagemap.tasks.rig_character import (
 _LEAST_TRUSTED_SHARE = 0.8
 # Radius of eyeballs in units of sqrt(area) of the head; MakeHuman's have 0.04, drawn characters' are larger.
 _EYES = PieceConfig(max_radius=0.1)
+_AROUND_EYES = ("eye", "brow", "cheekSquint")  # beginnings of names of shapes
 _COLUMNS, _PIXELS = 9, 200
 _VIEW = View("face", 15.0, 3.0)
 
@@ -146,6 +147,7 @@ def _landmarks(request: FaceRequest, head: Part, character: Character) -> tuple[
 def face_shapes(bodies: Bodies) -> dict[str, FloatArray]:
     """Shapes of the built-in face on the head, by name, without new collisions. Eyeballs in its mesh stay.
 
+    Eyeballs are rigid pieces that shapes around the eyes would move furthest; teeth follow the jaw.
     mouthClose corrects jawOpen: its collisions are those of both, and without jawOpen it stays as carried.
     """
     rows, mesh = bodies.rows(0), bodies.ready[0].mesh
@@ -159,8 +161,10 @@ def face_shapes(bodies: Bodies) -> dict[str, FloatArray]:
         shapes["mouthClose"] = move_apart(mesh.positions, opened + shapes["mouthClose"], triangles, forward) - opened
     shapes = {name: bodies.on_target(offsets) for name, offsets in shapes.items()}
     for piece in rigid_pieces(bodies, _EYES):
-        for offsets in shapes.values():
-            offsets[piece] = 0.0
+        shifts = {name: np.linalg.norm(offsets[piece], axis=1).max() for name, offsets in shapes.items()}
+        if max(shifts, key=shifts.__getitem__, default="").startswith(_AROUND_EYES):
+            for offsets in shapes.values():
+                offsets[piece] = 0.0
     return shapes
 
 
