@@ -221,6 +221,14 @@ def test_masks_that_keep_different_parts_contradict_closest_points(surface: Surf
         assert (coincident_map(Problem(prepared, pair.landmarks)) is not None) == lies
 
 
+def test_a_target_in_a_larger_unit_does_not_lie_on_the_wall_around_it(pony: ControlMesh) -> None:
+    """As a cup in metres inside the floor of one in millimetres: all its faces are near, and say nothing."""
+    plate = voxels([(x, y, 0) for x in range(6) for y in range(4)])
+    wall = plate.with_positions((plate.positions - [3.0, 2.0, 0.5]) * [1.0, 1.0, 0.1])
+    small = pony.with_positions(0.003 * (pony.positions - pony.positions.mean(axis=0)) / np.ptp(pony.positions))
+    assert Coincidence.find(unprepared(small, 2000), unprepared(wall, 2000)) is None
+
+
 def test_both_sides_of_a_thin_part_stay_apart() -> None:
     """A plate of a thousandth of its width, under two layouts: nearest points alone are as often on the other side."""
     plate = voxels([(x, y, 0) for x in range(6) for y in range(4)])
