@@ -164,10 +164,7 @@ def _with_places(problem: MeshProblem, mesh: ControlMesh) -> MeshProblem:
 
 
 def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = (), plain: bool = True) -> None:
-    """Raise InvalidMeshError if the mesh cannot be matched, but for ``allowed`` problems (`SEVERAL`, `UNREFINED`).
-
-    ``plain``: whether the message offers `plain_mesh`, which `cagemap match` and the studio use.
-    """
+    """Raise InvalidMeshError for problems that are not ``allowed``; with ``plain`` it may offer `plain_mesh`."""
     problems = [problem for problem in check_mesh(mesh).problems if problem.kind not in allowed]
     if problems:
         count = count_noun(len(problems), "problem")

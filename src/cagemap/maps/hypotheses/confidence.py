@@ -54,7 +54,9 @@ WARNING_SIGNS: dict[str, WarningSign] = {
         1.55, "with both at equal area, it stretches or compresses half of the target {value:.1f} times or more"
     ),
     # The same of coincident surfaces in one unit. Clothes have up to 1.45, a cup inside the wall of a larger one 1.81.
-    "squeezed": WarningSign(1.55, "the closest points stretch or compress half of the target {value:.1f} times or more"),
+    "squeezed": WarningSign(
+        1.55, "the closest points stretch or compress half of the target {value:.1f} times or more"
+    ),
     # Share of the target's area that another answer of nearly equal cost turns by `TURNED_DEGREES` degrees or more.
     "limb_turned": WarningSign(0.08, "a map that rotates {percent:.0f} % of the target otherwise fits almost as well"),
     # Cost x 1e4 of an answer that turns the files' axes; 0 for others.
