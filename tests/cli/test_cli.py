@@ -7,6 +7,7 @@ import os
 import re
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,18 @@ def test_quiet_and_verbose_are_taken_after_every_command(run: Run, tmp_path: Pat
     matched = ("match", "-t", "mesh.obj", "-s", "mesh.obj", "--level", "2", "-k", "5", "-o", "R")
     assert "stage:" in run(*matched, "-v").err
     assert "mesh.obj" in run("check mesh.obj").out  # what was asked of one command is not asked of the next
+
+
+def test_only_commands_that_repair_offer_it(run: Run, tmp_path: Path) -> None:
+    bad = cube()
+    bad = replace(bad, face_indices=np.concatenate([bad.face_indices[:4][::-1], bad.face_indices[4:]]))
+    write_mesh(tmp_path / "bad.obj", bad)
+    np.save(tmp_path / "p2p.npy", np.arange(8))
+    offer = "Or use --scheme none, which repairs"
+    run.refused("match -t bad.obj -s bad.obj -o R", says=offer)
+    others = "refine bad.obj --level 1 -o f.obj", "functions bad.obj -o f.npz", "map p2p.npy -t bad.obj -s bad.obj -o R"
+    for words in others:
+        assert offer not in run.refused(words, says="orientation").err
 
 
 def test_check_reports_and_judges(run: Run, tmp_path: Path) -> None:

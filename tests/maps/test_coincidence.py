@@ -17,7 +17,7 @@ from cagemap.deform.problem import Problem
 from cagemap.maps import coincidence
 from cagemap.maps.coincidence import SAME, Coincidence, unit_ratio
 from cagemap.maps.coincident_map import coincident_map, same_surface
-from cagemap.maps.hypotheses.confidence import SURE
+from cagemap.maps.hypotheses.confidence import LOOK, SURE
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import Pair, point_pairs
 from cagemap.maps.point_map import PointMap
@@ -219,6 +219,27 @@ def test_masks_that_keep_different_parts_contradict_closest_points(surface: Surf
         prepared = prepare_pair(retopology, surface, MatchConfig(masks=masks))
         pair = Pair(retopology, surface, point_pairs(retopology, surface, Landmarks.none()))
         assert (coincident_map(Problem(prepared, pair.landmarks)) is not None) == lies
+
+
+def test_a_target_in_a_larger_unit_does_not_lie_on_the_wall_around_it(pony: ControlMesh) -> None:
+    """As a cup in metres inside the floor of one in millimetres: all its faces are near, and say nothing."""
+    plate = voxels([(x, y, 0) for x in range(6) for y in range(4)])
+    wall = plate.with_positions((plate.positions - [3.0, 2.0, 0.5]) * [1.0, 1.0, 0.1])
+    small = pony.with_positions(0.003 * (pony.positions - pony.positions.mean(axis=0)) / np.ptp(pony.positions))
+    assert Coincidence.find(unprepared(small, 2000), unprepared(wall, 2000)) is None
+
+
+def test_a_target_that_closest_points_squeeze_is_not_sure() -> None:
+    """A block as thick as the wall that it is in, without its sides: those go to the wall's two sides."""
+    plate = voxels([(x, y, 0) for x in range(6) for y in range(4)])
+    wall = plate.with_positions(plate.positions * [1.0, 1.0, 0.1])
+    block = voxels([(0, 0, 0)])
+    block = block.with_positions(0.1 * block.positions + [2.5, 1.5, 0.0])
+    target, source = (prepare_surface(replace(mesh, scheme=Bilinear()), 3) for mesh in (block, wall))
+    found = coincident_map(Problem.of_landmarks(prepare_pair(target, source), Landmarks.none()))
+    assert found is not None
+    assert found[1].verdict == LOOK
+    assert "the closest points stretch or compress half of the target" in found[1].message
 
 
 def test_both_sides_of_a_thin_part_stay_apart() -> None:

@@ -180,6 +180,9 @@ def test_verdicts_follow_the_costs_of_all_answers() -> None:
     assert "vertex 1 decides" in two.message
     assert "vertex 7 at (0, 2, 0) decides" in replace(two, file_vertex=FileVertex(7, (0.0, 2.0, 0.0))).message
     assert Confidence.of((best, replace(other, cost=1.2e-4)), np.arange(3)).verdict == LOOK
+    shared = np.ones(3)
+    shared[two.deciding] = 0.0
+    assert Confidence.of((best, other), np.arange(3), weights=shared).deciding not in (None, two.deciding)
     assert Confidence.of((best, replace(other, cost=5e-4)), np.arange(3)).verdict == SURE
     alone = Confidence.of((best,), np.arange(3))
     assert (alone.verdict, alone.signs["runner_up"], alone.deciding) == (SURE, 0.0, None)

@@ -35,6 +35,8 @@ def test_where_answers_differ_comes_first_and_then_what_is_far() -> None:
     assert found[0] == 7
     assert found[1] in (3, 4)  # then the middle of what is left, where no landmark is near
     assert suggested_vertices(places, places, others[:0], trust, np.array([0]), 1).tolist() == [10]
+    counted = (places[:, 0] < 0.75).astype(float)  # the source lacks the end
+    assert suggested_vertices(places, places, others[:0], trust, np.array([0]), 1, counted).tolist() == [7]
 
 
 def test_doubt_counts_and_known_landmarks_do_not_come_again() -> None:

@@ -238,6 +238,8 @@ def _gap(
     if _share(faces.areas, apart < config.near) < config.share:
         return None
     gap = float(faces.areas @ apart / faces.areas.sum())
+    if gap * target.scale > config.own_gap * unit:  # a small target is near all parts of the source around it
+        return None
     for samples, other in ((_at_vertices(target, mask), source), (_at_vertices(source), target)):
         distances, areas = _distances(samples, other, unit, config.near), samples.areas
         close = areas @ distances <= config.mean_gap * areas.sum()

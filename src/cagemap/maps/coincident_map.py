@@ -8,7 +8,7 @@ from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem
 from cagemap.deform.update import linear_update
 from cagemap.maps.coincidence import SAME
-from cagemap.maps.hypotheses.confidence import Confidence
+from cagemap.maps.hypotheses.confidence import Confidence, median_distortion
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import PointPairs, curve_miss
 from cagemap.maps.point_map import PointMap
@@ -53,7 +53,9 @@ def coincident_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
     size = "" if np.isclose(motion.scale, 1.0, rtol=1e-5) else f", at {motion.scale:.6g} times its size"
     name = f"{place}{size}, {gap}: vertices go to the closest points of the same side"
     answer = Placement(point_map.images.at(prepared.vertices).positions, coincidence.gap**2, name=name)
-    return point_map, Confidence.of((answer,), prepared.control_vertices)
+    ratio = coincidence.source.scale / coincidence.target.scale
+    signs = {"squeezed": median_distortion(point_map, masks.target, ratio)}
+    return point_map, Confidence.of((answer,), prepared.control_vertices, signs)
 
 
 def same_surface(landmarks: PointPairs, masks: Masks = WHOLE) -> bool:

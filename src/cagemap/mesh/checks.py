@@ -163,14 +163,14 @@ def _with_places(problem: MeshProblem, mesh: ControlMesh) -> MeshProblem:
     return replace(problem, elements=tuple(elements), places=tuple(map(place_text, places)))
 
 
-def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
-    """Raise InvalidMeshError if the mesh cannot be matched, but for ``allowed`` problems (`SEVERAL`, `UNREFINED`)."""
+def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = (), plain: bool = True) -> None:
+    """Raise InvalidMeshError for problems that are not ``allowed``; with ``plain`` it may offer `plain_mesh`."""
     problems = [problem for problem in check_mesh(mesh).problems if problem.kind not in allowed]
     if problems:
         count = count_noun(len(problems), "problem")
         one_piece = "" if SEVERAL in allowed else " of one piece"
-        repaired = not isinstance(mesh.scheme, Plain) and any(problem.kind in REPAIRED for problem in problems)
-        remedy = "\nOr use `plain_mesh`, which repairs the mesh and takes it without subdivision." if repaired else ""
+        offered = plain and not isinstance(mesh.scheme, Plain) and any(one.kind in REPAIRED for one in problems)
+        remedy = "\nOr use `plain_mesh`, which repairs the mesh and takes it without subdivision." if offered else ""
         raise InvalidMeshError(
             f"{mesh.name}: expected a manifold, consistently oriented mesh{one_piece}, got {count}:"
             f"{list_problems(problems)}{remedy}"

@@ -254,8 +254,9 @@ def _suggested_vertex(cache: PreviewCache, result: MatchResult) -> int | None:
     others = [answer.positions[:count] for k, answer in enumerate(answers) if k != cache.chosen_answer]
     images = result.point_map.images.positions[:count]
     runners_up = np.array(others).reshape(len(others), count, 3)
-    trust = result.quality.trust[:count]
-    return int(suggested_vertices(finest.positions[:count], images, runners_up, trust, landmark_vertices, 1)[0])
+    trust, counted = result.quality.trust[:count], result.masks.within(result.shared).of_target(finest.n)[:count]
+    given = finest.positions[:count], images, runners_up, trust, landmark_vertices, 1, counted
+    return int(suggested_vertices(*given)[0])
 
 
 def _source_character(cache: PreviewCache) -> Character:

@@ -41,7 +41,7 @@ def run_functions(request: FunctionsRequest, stages: Stages) -> SummaryAndWarnin
     subdivision = SubdivisionRequest(request.scheme, request.boundary, None, request.creasing)
     control = subdivision.apply(welded.mesh)
     notes = [*welded.notes, *subdivision.unused_notes([control])]
-    require_valid(control)
+    require_valid(control, plain=False)
     points = welded.vertex_of[_points(request, kinds, file_mesh)]
     level = choose_level(control, FUNCTION_VERTICES) if request.level is None else request.level
     require_size(control, level)

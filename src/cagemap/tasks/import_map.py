@@ -84,7 +84,7 @@ def run_map(
 
 
 def _surface(control: ControlMesh, level: int | None) -> Surface:
-    require_valid(control)
+    require_valid(control, plain=False)
     if isinstance(control.scheme, Plain) and faces_of_one_size(control) is None:
         control = split_into_fans(control)
     if level is not None and level < 1:

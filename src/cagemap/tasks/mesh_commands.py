@@ -170,7 +170,7 @@ def run_refine(request: RefineRequest, stages: Stages) -> SummaryAndWarnings:
     if level == 0 and isinstance(control.scheme, Plain) and not structure_problems(control):
         write_mesh(output, control, like=path, force=request.force)
         return "\n".join([*notes, f"wrote {output}"]), []
-    require_valid(control, allowed=UNREFINED)
+    require_valid(control, allowed=UNREFINED, plain=False)
     require_size(control, level)
     refinement = refine_mesh(control, level)
     finest = finest_mesh(refinement)

@@ -61,7 +61,8 @@ def suggested_landmarks(result: MatchResult, count: int) -> Landmarks:
     images = result.point_map.images.positions[:vertices]
     others = result.runner_up_images.reshape(-1, vertices, 3) * source.scale
     trust = result.trust[:vertices]
-    chosen = suggested_vertices(target.positions[:vertices], images, others, trust, np.unique(known), count)
+    counted = result.masks.within(result.shared).of_target(target.n)[:vertices]
+    chosen = suggested_vertices(target.positions[:vertices], images, others, trust, np.unique(known), count, counted)
     places = source.positions[: result.source.control.n_vertices]
     partners = nearest_free_vertices(places, images[chosen], partnered)
     taken = set(result.landmarks.names)
@@ -77,7 +78,13 @@ def suggested_landmarks(result: MatchResult, count: int) -> Landmarks:
 
 
 def suggested_vertices(
-    places: FloatArray, images: FloatArray, others: FloatArray, trust: FloatArray, known: IndexArray, count: int
+    places: FloatArray,
+    images: FloatArray,
+    others: FloatArray,
+    trust: FloatArray,
+    known: IndexArray,
+    count: int,
+    counted: FloatArray | float = 1.0,
 ) -> IndexArray:
     """Control vertices of the target for further landmarks, most useful first.
 
@@ -85,7 +92,7 @@ def suggested_vertices(
     nearest landmark times its doubt. Each suggestion counts as a landmark for the next. At unit area: places and images
     (n_0, 3) of the control vertices on target and source, and images (r, n_0, 3) by other answers or by the reverse
     map. ParameterError if there are fewer control vertices without a landmark than ``count``; those with one are
-    ``known`` (p,).
+    ``known`` (p,). Where ``counted`` (n_0,) is 0, as on parts that the source lacks, they come last.
     """
     if not 1 <= count <= len(places) - len(known):
         raise ParameterError(f"count: expected 1 to {len(places) - len(known)} further landmarks, got {count}")
@@ -100,6 +107,7 @@ def suggested_vertices(
         gap = np.minimum(gap, near(int(vertex)))
     for _ in range(count):
         score = apart * np.minimum(gap / LANDMARK_REACH, 1.0) + gap * (DISTANCE_SHARE + 1.0 - trust)
+        score *= np.greater(counted, 0.0)
         score[[*known.tolist(), *chosen]] = -1.0
         chosen.append(int(np.argmax(score)))
         gap = np.minimum(gap, near(chosen[-1]))

@@ -53,6 +53,10 @@ WARNING_SIGNS: dict[str, WarningSign] = {
     "stretched": WarningSign(
         1.55, "with both at equal area, it stretches or compresses half of the target {value:.1f} times or more"
     ),
+    # The same of coincident surfaces in one unit. Clothes have up to 1.45, a cup inside the wall of a larger one 1.81.
+    "squeezed": WarningSign(
+        1.55, "the closest points stretch or compress half of the target {value:.1f} times or more"
+    ),
     # Share of the target's area that another answer of nearly equal cost turns by `TURNED_DEGREES` degrees or more.
     "limb_turned": WarningSign(0.08, "a map that rotates {percent:.0f} % of the target otherwise fits almost as well"),
     # Cost x 1e4 of an answer that turns the files' axes; 0 for others.
@@ -99,17 +103,23 @@ class Confidence:
 
     @classmethod
     def of(
-        cls, answers: tuple[Placement, ...], controls: IndexArray, signs: Mapping[str, float] | None = None
+        cls,
+        answers: tuple[Placement, ...],
+        controls: IndexArray,
+        signs: Mapping[str, float] | None = None,
+        weights: FloatArray | None = None,
     ) -> Confidence:
         """Confidence in the first of distinct answers, best first, by their costs and further signs of the first.
 
-        ``controls`` (n_0,) are the control vertices that the first positions of an answer belong to.
+        ``controls`` (n_0,) are the control vertices that the first positions of an answer belong to. Where
+        ``weights`` (n,) of the target's vertices are 0, no landmark is asked for: the source may lack the place.
         """
         signs = cost_signs(answers) | dict(signs or {})
         deciding = None
         if len(answers) > 1:
             best, second = (answer.positions[: len(controls)] for answer in answers[:2])
-            deciding = int(controls[((best - second) ** 2).sum(axis=1).argmax()])
+            apart = ((best - second) ** 2).sum(axis=1)
+            deciding = int(controls[(apart if weights is None else apart * (weights[controls] > 0)).argmax()])
         verdict = SURE if not describe_signs(signs) else TWO if signs["runner_up"] > TIE else LOOK
         return cls(verdict, answers, signs, deciding)
 
@@ -175,10 +185,10 @@ def answer_confidence(
     prepared, controls = problem.prepared, problem.prepared.control_vertices
     weights = prepared.masks.within(shared).of_target(point_map.target.n)
     signs = {"jumps": jump_share(prepared, jumps), "stretched": median_distortion(point_map, weights)}
-    confidence = Confidence.of(answers, controls, signs)
+    confidence = Confidence.of(answers, controls, signs, weights)
     if confidence.verdict == SURE:  # as slow as all other signs: only where none of them is beyond its bound
         signs["mirrored"] = mirrored_gain(problem, answers[0].positions)
-        confidence = Confidence.of(answers, controls, signs)
+        confidence = Confidence.of(answers, controls, signs, weights)
     if signs["jumps"] > WARNING_SIGNS["jumps"].bound:  # a landmark at the jump decides, not where answers differ
         places = prepared.mesh.positions
         nearest = cKDTree(places[: len(controls)]).query(places[jumps.argmax()])[1]
@@ -244,10 +254,13 @@ def describe_signs(signs: Mapping[str, float]) -> list[str]:
     return [sign.finding.format(value=value, percent=100 * value) for sign, value in beyond]
 
 
-def median_distortion(found: PointMap, weights: FloatArray | None = None) -> float:
-    """Median `distortion` of a map, weighted by area and ``weights`` (n1,); 1 for an isometry."""
+def median_distortion(found: PointMap, weights: FloatArray | None = None, ratio: float = 1.0) -> float:
+    """Median `distortion` of a map, weighted by area and ``weights`` (n1,); 1 for an isometry.
+
+    ``ratio``: that of both surfaces' sizes, where they are compared in one unit instead of at equal area.
+    """
     target = found.target
-    sigma = stretches(target.positions, found.images.positions, target.triangles)
+    sigma = stretches(ratio * target.positions, found.images.positions, target.triangles)
     areas = target.areas if weights is None else target.areas * weights[target.triangles].mean(axis=1)
     return float(weighted_percentiles(distortion(sigma), areas, [50.0])[0])
 
