@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import chain
 
+import numpy as np
+
 from cagemap.deform.config import ElasticConfig, StartConfig
 from cagemap.errors import ParameterError
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import SymmetryPair
-from cagemap.numerics.arrays import real_numbers
 from cagemap.numerics.kinds import Config
 from cagemap.paper.hfm import HfmConfig
 from cagemap.paper.method import PaperConfig
@@ -81,9 +82,10 @@ class MatchConfig(Config):
 
     def _values(self) -> tuple[object, ...]:
         """Values of all fields; arrays as bytes."""
-        arrays = (self.masks.target, self.masks.source, *chain(*self.symmetries))
-        contents = tuple(None if one is None else real_numbers(one, "array").tobytes() for one in arrays)
-        return tuple((vars(self) | {"masks": self.masks.shared, "symmetries": contents}).values())
+        masks = (self.masks, self.masks.shared or WHOLE)
+        arrays = chain(*((one.target, one.source) for one in masks), *self.symmetries)
+        contents = tuple(None if one is None else np.asarray(one).tobytes() for one in arrays)
+        return tuple((vars(self) | {"masks": self.masks.shared is None, "symmetries": contents}).values())
 
     def require_elastic(self, function: str) -> None:
         """Raise ParameterError for another method, for a function of prepared pairs."""

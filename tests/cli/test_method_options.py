@@ -156,7 +156,11 @@ def test_subdivision_options_of_schemes_without_them_are_named(tmp_path, scheme:
 
 
 def test_parameters_reach_the_method_they_belong_to():
-    assert used_parameters(with_parameters(MatchConfig(method="paper"), ["rounds=3"]))["rounds"] == 3
+    paper = MatchConfig(method="paper")
+    assert used_parameters(with_parameters(paper, ["rounds=3"]))["rounds"] == 3
+    for word, value in {"yes": True, "no": False, "True": True, "False": False}.items():
+        assert with_parameters(paper, [f"orthonormal={word}"]).paper.orthonormal is value
+    refuses(ParameterError, "expected yes or no, got '2'", with_parameters, paper, ["orthonormal=2"])
     hfm = with_parameters(MatchConfig(method="hfm"), ["last=80", "signature_weight=0", "wave=4"]).hfm
     assert (hfm.zoomout.last, hfm.descriptors.signature_weight, hfm.descriptors.wave) == (80, 0.0, 4)
     used = used_parameters(MatchConfig(method="hfm", hfm=hfm))

@@ -63,6 +63,8 @@ def test_configurations_with_arrays_compare_by_what_they_hold_and_stay_short() -
         assert config != dataclasses.replace(config, use_symmetry=False)
         assert (config == MatchConfig(method=method)) == (not options)
     assert MatchConfig(masks=cagemap.Masks(np.ones(9))) != MatchConfig(masks=cagemap.Masks(None, np.ones(9)))
+    shared = MatchConfig(masks=cagemap.Masks().within(cagemap.Masks(np.ones(9), np.ones(8))))
+    assert pickle.loads(pickle.dumps(shared)) == shared != MatchConfig(masks=cagemap.Masks(np.ones(9), np.ones(8)))
     assert MatchConfig() != 0
 
 

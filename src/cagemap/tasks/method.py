@@ -21,6 +21,8 @@ from cagemap.tasks.requests.match import MatchRequest
 # The field of `MatchConfig` that holds each method's parameters.
 _OWN = {"elastic": "start", "hfm": "hfm", "paper": "paper"}
 
+_SWITCHES = {"yes": True, "true": True, "no": False, "false": False}
+
 
 def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig:
     """The configuration with parameters of its method set from texts such as ``laplacian=0.01``."""
@@ -35,10 +37,11 @@ def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig
             )
         several = isinstance(values[name], tuple)
         kind = type(values[name][0] if several else values[name])
+        convert = _SWITCHES.__getitem__ if kind is bool else kind
         try:
-            numbers = tuple(kind(word) for word in (text.split(",") if several else [text]))
-        except ValueError:
-            form = "a whole number" if kind is int else "a number"
+            numbers = tuple(convert(word) for word in (text.lower().split(",") if several else [text.lower()]))
+        except (ValueError, KeyError):
+            form = {int: "a whole number", bool: "yes or no"}.get(kind, "a number")
             form = f"{form}, or several with commas between them" if several else form
             raise ParameterError(f"--set method.{name}: expected {form}, got {text!r}.") from None
         values[name] = numbers if several else numbers[0]
