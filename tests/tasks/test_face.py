@@ -124,7 +124,7 @@ def test_on_the_kits_own_head_every_shape_comes_back() -> None:
 @pytest.mark.slow
 def test_eyeballs_in_the_mesh_of_the_head_stay() -> None:
     """They neither follow the lids nor are flattened; a lash, which is no ball, follows; a tooth follows the jaw."""
-    kit = read_face_kit(("eyeBlinkLeft", "jawOpen"))
+    kit = read_face_kit(("eyeBlinkLeft", "jawOpen", "noseSneerLeft"))
     lid, lip = (np.argmax(np.linalg.norm(kit.shapes[name], axis=1)) for name in ("eyeBlinkLeft", "jawOpen"))
     eye, lash, tooth = ball(1), ball(1), ball(1)
     size = 0.05 * np.ptp(kit.mesh.positions, axis=0).max()
@@ -133,11 +133,13 @@ def test_eyeballs_in_the_mesh_of_the_head_stay() -> None:
     tooth = tooth.with_positions(kit.mesh.positions[lip] - [0, 0, size] + 0.2 * size * tooth.positions)
     head = Part("head", replace(with_options(join_meshes([kit.mesh, tooth, eye, lash]), "none"), name="head"))
     found = match_bodies(head, kit, Landmarks.none(), Stages())
-    shapes = face_shapes(found)
+    shapes = face_shapes(found, list(kit.shapes))
     assert np.linalg.norm(shapes["jawOpen"][-3 * eye.n_vertices : -2 * eye.n_vertices], axis=1).min() > 0.0
     shift = shapes["eyeBlinkLeft"][-2 * eye.n_vertices :].reshape(2, -1, 3)
     assert not shift[0].any()
     assert np.linalg.norm(shift[1], axis=1).min() > 0.0
+    alone = face_shapes(found, ["noseSneerLeft"])["noseSneerLeft"]
+    assert not alone[-2 * eye.n_vertices : -eye.n_vertices].any()
 
 
 @pytest.mark.slow

@@ -9,8 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cagemap.character.body_frames import SignedDistances
-from cagemap.character.passenger_pieces import find_pieces
+from cagemap.character.passenger_pieces import EYES, find_pieces
 from cagemap.character.passengers import carry_passengers
 from cagemap.character.values import Part
 from cagemap.maps.point_map import PointMap
@@ -24,7 +23,7 @@ from cagemap.transfer.skin import normalise_rows, prune_rows
 def own_parts_with_weights(
     own: Sequence[Part], body: Part, declined: Sequence[Part], point_map: PointMap, influences: int | None
 ) -> list[Part]:
-    """Parts of the target with weights of the body's nearest vertices.
+    """Parts of the target with weights of the body's nearest vertices, or with common ones.
 
     A rigid piece, such as an eyeball, has one weight for each joint: of the rigid pieces of ``declined`` parts with the
     same passenger word, or the mean of the body's.
@@ -59,7 +58,7 @@ def own_parts_with_weights(
 
 def _rigid_groups(mesh: ControlMesh, surface: TriangleSurface) -> list[IndexArray]:
     places = surface.scale * mesh.positions
-    return find_pieces(mesh, places, SignedDistances.of(surface, places).heights, None).rigid_groups()
+    return find_pieces(mesh, places, np.zeros(len(places)), None, EYES).rigid_groups()
 
 
 def with_mean_rows(table: FloatArray, groups: Collection[IndexArray], influences: int | None) -> FloatArray:

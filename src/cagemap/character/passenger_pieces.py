@@ -35,6 +35,7 @@ class PieceConfig(Config):
 
 
 PIECES = PieceConfig()
+EYES = PieceConfig(concentric_share=1.2)  # an iris or a cornea is as far from the eyeball's centre as its radius
 
 
 @dataclass(frozen=True, eq=False)

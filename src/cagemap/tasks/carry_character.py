@@ -11,7 +11,7 @@ from scipy import sparse
 from cagemap.character.doubled_pieces import PairedFaces, doubled_pieces, pieces_in_surface
 from cagemap.character.normals import move_vertices, with_shape_normals
 from cagemap.character.own_parts import limit_influences, nearest_rows, own_parts_with_weights, with_mean_rows
-from cagemap.character.passenger_pieces import PIECES, PassengerKind, PieceConfig, find_pieces
+from cagemap.character.passenger_pieces import EYES, PassengerKind, PieceConfig, find_pieces
 from cagemap.character.passengers import CarriedPassenger, carry_passengers, hidden_passenger
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body
@@ -67,7 +67,7 @@ def carry_character(
     """Rig and dress a body like a character.
 
     ``target``: its body gets the source's rig and animations, and keeps its own shapes, also against shapes of the same
-        name; its other parts stay, and get the weights of the body's nearest vertices.
+        name; its other parts stay, with weights by `own_parts_with_weights`.
     ``bodies``: names of the target's and of the source's body; by default `find_body` finds them.
     ``passengers``: names of the source's other parts to carry; by default all whose `passenger_word` no other part of
         the target has.
@@ -212,7 +212,7 @@ def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
     return made
 
 
-def rigid_pieces(bodies: Bodies, config: PieceConfig = PIECES) -> list[IndexArray]:
+def rigid_pieces(bodies: Bodies, config: PieceConfig = EYES) -> list[IndexArray]:
     """Vertices of each unmatched piece of the target's mesh that keeps its shape, such as an eyeball."""
     mesh, unmatched = bodies.given[0].mesh, bodies.ready[0].vertex_of < 0
     if not unmatched.any():

@@ -9,7 +9,7 @@ import numpy as np
 
 from cagemap.character.body_frames import BodyFrames
 from cagemap.character.bones import humanoid_joints
-from cagemap.character.passenger_pieces import PieceConfig
+from cagemap.character.passenger_pieces import EYES
 from cagemap.character.self_collision import move_apart
 from cagemap.character.values import Character, Part, Rig
 from cagemap.errors import ParameterError
@@ -43,7 +43,7 @@ from cagemap.tasks.rig_character import (
 # Least trusted share of a head's area: heads have 0.98 and more, a whole body 0.5.
 _LEAST_TRUSTED_SHARE = 0.8
 # Radius of eyeballs in units of sqrt(area) of the head; MakeHuman's have 0.04, drawn characters' are larger.
-_EYES = PieceConfig(max_radius=0.1)
+_EYES = replace(EYES, max_radius=0.1)
 _AROUND_EYES = ("eye", "brow", "cheekSquint")  # beginnings of names of shapes
 _COLUMNS, _PIXELS = 9, 200
 _VIEW = View("face", 15.0, 3.0)
@@ -53,11 +53,11 @@ def run_face(request: FaceRequest, stages: Stages) -> SummaryAndWarnings:
     """Add blend shapes to a head and write it; returns a summary and warnings."""
     _require_paths(request)
     stages("read")
-    kit = read_face_kit(None if request.only is None else _names(request.only))
+    kit = read_face_kit()
+    asked = kit if request.only is None else read_face_kit(_names(request.only))
     document, file_character = read_body(request.head)
     body = character_body(file_character, request.part, request.head)
-    kept = [name for name in kit.shapes if name in body.shapes]
-    kit = replace(kit, shapes={name: offsets for name, offsets in kit.shapes.items() if name not in kept})
+    kept = [name for name in asked.shapes if name in body.shapes]
     vertices = _head_vertices(body, file_character.rig)
     head = body if vertices is None else _cut(body, vertices)
     landmarks, notes = _landmarks(request, head, file_character)
@@ -70,7 +70,7 @@ def run_face(request: FaceRequest, stages: Stages) -> SummaryAndWarnings:
             "--landmarks."
         )
     stages("shapes")
-    shapes = _on_body(face_shapes(bodies), head, body)
+    shapes = _on_body(face_shapes(bodies, [name for name in asked.shapes if name not in kept]), head, body)
     character = with_part(file_character, body, replace(body, shapes={**body.shapes, **shapes}))
     notes += [*bodies.notes, *body_warnings(bodies.result)]
     notes += [f"{', '.join(kept)}: {request.head.name} has its own and keeps them"] if kept else []
@@ -144,16 +144,17 @@ def _landmarks(request: FaceRequest, head: Part, character: Character) -> tuple[
     return Landmarks.of_points(points.names, on_head, on_kit, mesh.name, "face"), notes
 
 
-def face_shapes(bodies: Bodies) -> dict[str, FloatArray]:
+def face_shapes(bodies: Bodies, names: Sequence[str]) -> dict[str, FloatArray]:
     """Shapes of the built-in face on the head, by name, without new collisions. Eyeballs in its mesh stay.
 
-    Eyeballs are rigid pieces that shapes around the eyes would move furthest; teeth follow the jaw.
+    Eyeballs are rigid pieces that shapes around the eyes, of all in the kit, move furthest; teeth follow the jaw.
     mouthClose corrects jawOpen: its collisions are those of both, and without jawOpen it stays as carried.
     """
     rows, mesh = bodies.rows(0), bodies.ready[0].mesh
     triangles = fan_triangles(mesh.face_offsets, mesh.face_indices)[0]
     forward = BodyFrames(bodies.result.point_map).rotation[2]
-    shapes = {name: offsets[rows] for name, offsets in body_shapes(bodies).items()}
+    carried = body_shapes(bodies)
+    shapes = {name: carried[name][rows] for name in names}
     for name in shapes.keys() - {"mouthClose"}:
         shapes[name] = move_apart(mesh.positions, mesh.positions + shapes[name], triangles, forward) - mesh.positions
     if shapes.keys() >= {"mouthClose", "jawOpen"}:
@@ -161,8 +162,8 @@ def face_shapes(bodies: Bodies) -> dict[str, FloatArray]:
         shapes["mouthClose"] = move_apart(mesh.positions, opened + shapes["mouthClose"], triangles, forward) - opened
     shapes = {name: bodies.on_target(offsets) for name, offsets in shapes.items()}
     for piece in rigid_pieces(bodies, _EYES):
-        shifts = {name: np.linalg.norm(offsets[piece], axis=1).max() for name, offsets in shapes.items()}
-        if max(shifts, key=shifts.__getitem__, default="").startswith(_AROUND_EYES):
+        shifts = {name: np.linalg.norm(offsets[piece], axis=1).max() for name, offsets in carried.items()}
+        if max(shifts, key=shifts.__getitem__).startswith(_AROUND_EYES):
             for offsets in shapes.values():
                 offsets[piece] = 0.0
     return shapes
