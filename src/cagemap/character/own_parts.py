@@ -32,7 +32,8 @@ def own_parts_with_weights(
     ``declined``: parts of the source that are not carried.
     """
     assert body.weights is not None
-    words = {passenger_word(part.name) for part in own} - {""}
+    rigid = [_rigid_groups(part.mesh, point_map.target) for part in own]
+    words = {passenger_word(part.name) for part, groups in zip(own, rigid, strict=True) if groups} - {""}
     given = [
         (part, part.weights) for part in declined if part.weights is not None and passenger_word(part.name) in words
     ]
@@ -45,14 +46,16 @@ def own_parts_with_weights(
             of_word += [passenger_word(part.name)] * len(group)
     all_places, all_weights = np.concatenate(places), sparse.vstack(weights, format="csr")
     made = []
-    for part in own:
+    for part, groups in zip(own, rigid, strict=True):
         asked = part.mesh.positions
-        table = body.weights[nearest_rows(body.mesh.positions, asked)].toarray()
-        groups = _rigid_groups(part.mesh, point_map.target)
-        like = np.flatnonzero(np.array(of_word) == passenger_word(part.name))
-        for group in groups if len(like) else ():
-            table[group] = all_weights[like[nearest_rows(all_places[like], asked[group])]].toarray()
-        made.append(replace(part, weights=sparse.csr_array(with_mean_rows(table, groups, influences))))
+        part_weights = body.weights[nearest_rows(body.mesh.positions, asked)]
+        if groups:
+            table = part_weights.toarray()
+            like = np.flatnonzero(np.array(of_word) == passenger_word(part.name))
+            for group in groups if len(like) else ():
+                table[group] = all_weights[like[nearest_rows(all_places[like], asked[group])]].toarray()
+            part_weights = sparse.csr_array(with_mean_rows(table, groups, influences))
+        made.append(replace(part, weights=part_weights))
     return made
 
 

@@ -332,11 +332,14 @@ def test_a_piece_that_stays_moves_as_that_of_the_character(body: ControlMesh, in
 
 @pytest.mark.parametrize("has_eyes", [False, True])
 def test_an_own_eyeball_moves_as_a_whole(body: ControlMesh, has_eyes: bool) -> None:
-    """It follows the joint of the character's eye, or the skin around it on average; so does one in the mesh."""
+    """It follows the character's eye joint, or the skin around it on average; so do its iris and a ball in the mesh."""
     top = body.positions[np.argmax(body.positions[:, 1])]
     eye, button = ball("eye", top - [0, 0.4, 0], 0.2), ball("button", top - [0, 2.4, 0], 0.2)
     meshes = [replace(one, face_objects=None, object_names=()) for one in (body, button)]
-    own = Part("body", replace(with_options(join_meshes(meshes), "none"), name="B.glb")), Part("My eyes", eye)
+    iris = ball("iris", np.zeros(3), 0.1)
+    iris = iris.with_positions(iris.positions * [1.0, 1.0, 0.1] + top - [0, 0.4, 0.2])
+    own_eye = Part("My eyes", replace(join_meshes([eye, iris]), face_objects=None, object_names=()))
+    own = Part("body", replace(with_options(join_meshes(meshes), "none"), name="B.glb")), own_eye
     height = body.positions[:, 1] - body.positions[:, 1].min()
     share = height / height.max()
     weights = sparse.csr_array(np.column_stack([1 - share, share, np.zeros(len(share))]))
