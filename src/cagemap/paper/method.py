@@ -45,7 +45,7 @@ class PaperConfig(Config):
     descriptors: DescriptorConfig = DescriptorConfig()
     weights: MapWeights = MapWeights()  #: alpha(O), the same on all levels
     rounds: int = 2  #: alternations of P and C on every level (2.1.4); 0: keep C of eqs. 13-16
-    #: make C orthonormal in every round, as 2.1.4 asks where P is a permutation; ours is none (docs/lab/spectral.md)
+    #: make C orthonormal in every round, as 2.1.4 asks where P is a permutation; ours is none (docs/paper_map.md)
     orthonormal: bool = False
 
 
