@@ -381,6 +381,15 @@ def test_files_that_are_dropped_again_are_used_again_and_an_obj_names_the_new_ma
         assert (again.name, again.read_bytes()) == ("x (2).obj", b"mtllib x (2).mtl\nv 0 0 0\n")
 
 
+def test_files_of_the_folder_that_are_dropped_are_not_copied_for_folders_in_names(tmp_path: Path) -> None:
+    contents = {"x.png": b"image", "x.obj.mtl": b"newmtl a\nmap_Kd maps/x.png\n", "x.obj": b"mtllib ./x.obj.mtl\n"}
+    with closing(session_of(tmp_path)) as session:
+        for name, content in contents.items():
+            (tmp_path / name).write_bytes(content)
+        for name, content in contents.items():
+            assert session.add_file(name, content, "a drop") == tmp_path.resolve() / name
+
+
 def test_files_of_a_drop_name_its_images_and_buffers_as_they_were_added(tmp_path: Path) -> None:
     """Another file of the same name was added before: it is neither replaced nor used."""
     with closing(session_of(tmp_path)) as session:

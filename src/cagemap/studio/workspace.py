@@ -159,7 +159,8 @@ class Workspace:
         if path.suffix.lower() == ".obj":
             for file in named_material_files(path.name, content):
                 self.resolve(file)
-        content = _with_added_names(path.suffix.lower(), content, added_names)
+        if any(given != written for given, written in added_names.items()) or not _has_content(path, content):
+            content = _with_added_names(path.suffix.lower(), content, added_names)
         if path.suffix.lower() in USD_SUFFIXES:
             for file in asset_paths(path.name, content):
                 self._require_layer(path.name, file)
