@@ -209,7 +209,7 @@ def _with_added_names(suffix: str, content: bytes, added_names: Mapping[str, str
     names = {given: quote(written) if suffix == ".gltf" else written for given, written in added_names.items()}
     names |= {form: name for given, name in names.items() for form in (quote(given), json.dumps(given)[1:-1])}
     # The part of a name that is replaced; the name ends there, or before a comment.
-    replaced = re.compile(r"(?:.*[/\\])?(%s)(?=$|[ \t]+#)" % "|".join(map(re.escape, names)))
+    replaced = re.compile(rf"(?:.*[/\\])?({'|'.join(map(re.escape, names))})(?=$|[ \t]+#)")
 
     def renamed(statement: re.Match[bytes]) -> bytes:
         line = statement[2].decode(errors="surrogateescape")
