@@ -443,14 +443,16 @@ def test_statements_of_a_file_name_files_of_its_drop(
         assert session.add_file(name, written, "a drop").read_bytes() == (kept or written)
 
 
-def test_a_note_says_which_files_a_dropped_fbx_file_does_not_name(tmp_path: Path) -> None:
+def test_a_note_says_which_images_a_dropped_fbx_file_does_not_name(tmp_path: Path) -> None:
     with closing(session_of(tmp_path)) as session:
-        (tmp_path / "skin.png").write_bytes(b"another's")
-        for name in ("own.png", "skin.png", "a.fbx"):
+        for name in ("skin.png", "nose.json"):
+            (tmp_path / name).write_bytes(b"another's")
+        for name in ("own.png", "skin.png", "nose.json", "a.fbx"):
             session.add_file(name, b"new", "a drop")
         (note,) = [message.text for message in session.state.messages if message.text.startswith("a.fbx")]
         assert "skin (2).png" in note
         assert "own.png" not in note
+        assert "nose" not in note
 
 
 def test_an_obj_that_is_dropped_alone_keeps_its_material_file(tmp_path: Path) -> None:
