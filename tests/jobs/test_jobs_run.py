@@ -429,16 +429,3 @@ def test_an_interrupted_start_of_dask_has_nothing_to_close_at_exit(monkeypatch: 
     with pytest.raises(KeyboardInterrupt), open_client(None, 1) as connect:
         connect()
     assert left_out == [close_clusters]
-
-
-def test_a_failed_start_of_dask_leaves_no_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    import distributed
-
-    def fails(**_: Any) -> None:
-        raise OSError("Too many open files")
-
-    monkeypatch.setattr(distributed, "LocalCluster", fails)
-    before = set(threading.enumerate())
-    with pytest.raises(OSError, match="Too many"), open_client(None, 1) as connect:
-        connect()
-    assert set(threading.enumerate()) <= before

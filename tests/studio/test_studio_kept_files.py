@@ -381,6 +381,15 @@ def test_files_that_are_dropped_again_are_used_again_and_an_obj_names_the_new_ma
         assert (again.name, again.read_bytes()) == ("x (2).obj", b"mtllib x (2).mtl\nv 0 0 0\n")
 
 
+def test_files_of_the_folder_that_are_dropped_are_not_copied_for_folders_in_names(tmp_path: Path) -> None:
+    contents = {"x.png": b"image", "x.obj.mtl": b"newmtl a\nmap_Kd maps/x.png\n", "x.obj": b"mtllib ./x.obj.mtl\n"}
+    with closing(session_of(tmp_path)) as session:
+        for name, content in contents.items():
+            (tmp_path / name).write_bytes(content)
+        for name, content in contents.items():
+            assert session.add_file(name, content, "a drop") == tmp_path.resolve() / name
+
+
 def test_files_of_a_drop_name_its_images_and_buffers_as_they_were_added(tmp_path: Path) -> None:
     """Another file of the same name was added before: it is neither replaced nor used."""
     with closing(session_of(tmp_path)) as session:
@@ -414,6 +423,10 @@ def test_files_of_a_drop_name_its_images_and_buffers_as_they_were_added(tmp_path
         ),
         ("a.mtl", b"map_Kd old skin.png", None),
         ("a.mtl", b"map_Kd 2 heads.png", b"map_Kd 2 heads (2).png"),
+        ("a.mtl", b"map_Kd 2 skin.png", None),
+        ("a.mtl", b"bump -bm 1 maps/skin.png # a/comment", b"bump -bm 1 skin (2).png # a/comment"),
+        ("a.mtl", b"map_Kd" + 40 * b" -e" + b" skin.jpg", None),
+        ("a.mtl", b"map_Kd h\xe4me.png\r\nmap_Ks skin.png\r\n", b"map_Kd h\xe4me.png\r\nmap_Ks skin (2).png\r\n"),
         ("a.obj", b"mtllib one.mtl \\\n two.mtl\n", b"mtllib one (2).mtl\nmtllib two.mtl\n"),
         ("a.obj", b"mtllib maps/my one.mtl\n", None),
         ("a.obj", b"mtllib maps/two.mtl\n", b"mtllib two.mtl\n"),
@@ -430,14 +443,16 @@ def test_statements_of_a_file_name_files_of_its_drop(
         assert session.add_file(name, written, "a drop").read_bytes() == (kept or written)
 
 
-def test_a_note_says_which_files_a_dropped_fbx_file_does_not_name(tmp_path: Path) -> None:
+def test_a_note_says_which_images_a_dropped_fbx_file_does_not_name(tmp_path: Path) -> None:
     with closing(session_of(tmp_path)) as session:
-        (tmp_path / "skin.png").write_bytes(b"another's")
-        for name in ("own.png", "skin.png", "a.fbx"):
+        for name in ("skin.png", "nose.json"):
+            (tmp_path / name).write_bytes(b"another's")
+        for name in ("own.png", "skin.png", "nose.json", "a.fbx"):
             session.add_file(name, b"new", "a drop")
         (note,) = [message.text for message in session.state.messages if message.text.startswith("a.fbx")]
         assert "skin (2).png" in note
         assert "own.png" not in note
+        assert "nose" not in note
 
 
 def test_an_obj_that_is_dropped_alone_keeps_its_material_file(tmp_path: Path) -> None:

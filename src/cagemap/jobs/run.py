@@ -303,9 +303,6 @@ def _local(stack: ExitStack, workers: int) -> Client:
     except KeyboardInterrupt:
         atexit.unregister(close_clusters)  # Dask cannot close workers that have not started; they end with us
         raise
-    except Exception:
-        runner.stop()
-        raise
     stack.callback(runner.stop)
     cluster = stack.enter_context(cluster)
     client = stack.enter_context(Client(cluster))

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cagemap.errors import ParameterError
-from cagemap.files.usd.stages import USD_SUFFIXES
+from cagemap.files import IMAGE_SUFFIXES
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, move_aside, read_autosave_parts
@@ -140,9 +140,10 @@ class Session(PreviewResults):
             path = self.workspace.add(name, content, added_names)
             if added_names.get(Path(name).name) != path.name:
                 self._say("note", f"added {path.name}")
-            renamed = ", ".join(written for given, written in added_names.items() if given != written)
-            if renamed and path.suffix.lower() in (".fbx", *USD_SUFFIXES):
-                self._say("note", f"{path.name} may use older files, as files of the drop were renamed: {renamed}")
+            images = (names for names in added_names.items() if names[0].lower().endswith(IMAGE_SUFFIXES))
+            renamed = ", ".join(written for given, written in images if given != written)
+            if renamed and path.suffix.lower() in (".fbx", ".usd", ".usda", ".usdc"):
+                self._say("note", f"{path.name} may use older images, as those of the drop were renamed: {renamed}")
             added_names[Path(name).name] = path.name
             return path
         return None

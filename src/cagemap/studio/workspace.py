@@ -21,6 +21,7 @@ from cagemap.files.atomic import write_whole
 from cagemap.files.images.image import UDIM_MARK, texture_files
 from cagemap.files.meshes.formats import MESH_SUFFIXES
 from cagemap.files.meshes.obj import MATERIAL_FILE_LINE, named_material_files
+from cagemap.files.meshes.obj_materials import image_options
 from cagemap.files.usd.stages import USD_SUFFIXES, asset_paths
 
 LANDMARK_SUFFIXES = (".json", ".pp", ".fcsv", ".csv", ".txt")
@@ -30,10 +31,10 @@ UPLOAD_SUFFIXES = tuple(
     dict.fromkeys((*MESH_SUFFIXES, ".mtl", ".bin", *IMAGE_SUFFIXES, *LANDMARK_SUFFIXES, *TABLE_SUFFIXES))
 )
 DataclassT = TypeVar("DataclassT")
-# What stands before the name of another file, by the suffix of the file that names it.
+# What stands before the name of another file, or before an image's options, by the suffix of the file that names it.
 _NAMING_STATEMENTS = {
     ".obj": rb"^[ \t]*mtllib[ \t]+",
-    ".mtl": rb"^[ \t]*(?i:map_|bump|disp|decal|norm|refl)\S*[ \t]+(?:(?:-[A-Za-z]\w*[ \t]+\S+|[-+.\deE]+)[ \t]+)*",
+    ".mtl": rb"^[ \t]*(?i:map_|bump|disp|decal|norm|refl)\S*[ \t]+",
     ".gltf": rb'"uri"\s*:\s*"',
     ".ply": rb"^comment TextureFile ",
 }
@@ -158,7 +159,8 @@ class Workspace:
         if path.suffix.lower() == ".obj":
             for file in named_material_files(path.name, content):
                 self.resolve(file)
-        content = _with_added_names(path.suffix.lower(), content, added_names)
+        if any(given != written for given, written in added_names.items()) or not _has_content(path, content):
+            content = _with_added_names(path.suffix.lower(), content, added_names)
         if path.suffix.lower() in USD_SUFFIXES:
             for file in asset_paths(path.name, content):
                 self._require_layer(path.name, file)
@@ -206,9 +208,19 @@ def _with_added_names(suffix: str, content: bytes, added_names: Mapping[str, str
         content = _MATERIAL_FILE_LINE.sub(_split_material_files, content)
     names = {given: quote(written) if suffix == ".gltf" else written for given, written in added_names.items()}
     names |= {form: name for given, name in names.items() for form in (quote(given), json.dumps(given)[1:-1])}
-    given_names = b"|".join(re.escape(given.encode()) for given in names)
-    statement = rb'(%s)(?:[^"\n]*[/\\])?(%s)(?=[ \t\r]*$|")' % (_NAMING_STATEMENTS[suffix], given_names)
-    return re.sub(statement, lambda found: found[1] + names[found[2].decode()].encode(), content, flags=re.MULTILINE)
+    # The part of a name that is replaced; the name ends there, or before a comment.
+    replaced = re.compile(rf"(?:.*[/\\])?({'|'.join(map(re.escape, names))})(?=$|[ \t]+#)")
+
+    def renamed(statement: re.Match[bytes]) -> bytes:
+        line = statement[2].decode(errors="surrogateescape")
+        name = image_options(line)[1] if suffix == ".mtl" else line.strip()
+        if (found := replaced.match(name)) is None:
+            return statement[0]
+        before, _, after = line.rpartition(name)
+        line = before + names[found[1]] + name[found.end() :] + after
+        return statement[1] + line.encode(errors="surrogateescape")
+
+    return re.sub(rb'(%s)([^"\n]*)' % _NAMING_STATEMENTS[suffix], renamed, content, flags=re.MULTILINE)
 
 
 def _split_material_files(line: re.Match[bytes]) -> bytes:

@@ -26,7 +26,7 @@ _OPTIONS = {"-o": 3, "-s": 3, "-t": 3, "-mm": 2} | dict.fromkeys(
 
 def obj_images(path: Path) -> list[Path]:
     """Existing images (``map_Kd``) that the ``.mtl`` files of an OBJ file name."""
-    images = (_image_file(library, _options(statement)[1]) for library, _, statement in _color_statements(path))
+    images = (_image_file(library, image_options(statement)[1]) for library, _, statement in _color_statements(path))
     return [image for image in images if image is not None]
 
 
@@ -59,7 +59,7 @@ def _texture(
     path: Path, library: Path, material: str, statement: str, textures: AddedTextures
 ) -> dict[str, Any] | None:
     """The texture of an image statement of a material file; None, with a warning, if its image cannot be read."""
-    options, name = _options(statement)
+    options, name = image_options(statement)
     file = _image_file(library, name)
     image = None if file is None else textures.image(file.read_bytes(), file.suffix)
     if image is None:
@@ -81,10 +81,10 @@ def _image_file(library: Path, name: str) -> Path | None:
     return find_image(library, name) or (_image_file(library, shorter.rstrip()) if sign else None)
 
 
-def _options(rest: str) -> tuple[dict[str, list[str]], str]:
+def image_options(rest: str) -> tuple[dict[str, list[str]], str]:
     """Options before the name of an image, and the name: the rest of the line."""
     options: dict[str, list[str]] = {}
-    while (words := rest.split()) and (most := _OPTIONS.get(words[0])):
+    while (words := rest.split(maxsplit=4)) and (most := _OPTIONS.get(words[0])):
         values = words[1:-1][:most]  # the last word belongs to the name, also if it is a number
         if words[0] in ("-o", "-s", "-t"):
             finite = [is_number(word) and math.isfinite(float(word)) for word in values]

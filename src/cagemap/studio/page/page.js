@@ -333,11 +333,11 @@ drop.addEventListener('drop', event => {
   event.preventDefault();
   drop.classList.remove('dropping');
   const files = [...event.dataTransfer.files], side = half(event), dropped = newDrop();
-  const images = files.filter(file => is(file, fixed.kinds.images));
-  // Images beside a mesh belong to its materials, but a single one is also the source's texture, once the mesh is open.
-  const named = files.some(file => is(file, fixed.kinds.meshes)) && (side === 'target' || images.length > 1);
+  const withMesh = files.some(file => is(file, fixed.kinds.meshes));
+  // Images of a drop with a mesh belong to its materials; a single one is also the source's texture, once the mesh is open.
+  const images = withMesh ? files.filter(file => is(file, fixed.kinds.images)) : [];
   for (const file of namedFirst(files)) add(file, images.includes(file) ? null : side, dropped);
-  for (const file of named ? [] : images) add(file, side, dropped);
+  if (side === 'source' && images.length === 1) add(images[0], side, dropped);
 });
 
 document.addEventListener('keydown', event => {

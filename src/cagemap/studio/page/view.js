@@ -229,7 +229,7 @@ export class Views {
   // Turn each model, or both as the target, until its place is seen; from a little aside, as no camera looks straight down.
   reveal(places) {
     for (const side of this.shown.linked ? [this.sides.target] : Object.values(this.sides)) {
-      if (!places[side.name] || this.shown.pose) continue;
+      if (!places[side.name] || this.shown.pose || this.wrapAmount(side)) continue;  // drawn elsewhere
       const at = new THREE.Vector3(...places[side.name].slice(0, 3)), seen = at.clone().project(side.camera);
       if (Math.max(...seen.toArray().map(Math.abs)) > 1 || this.hides(side, at))
         this.frame(places[side.name].slice(3).map((value, i) => value + 0.1 * FIRST[i]), [side]);
