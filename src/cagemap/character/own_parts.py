@@ -1,4 +1,4 @@
-"""Weights of what a body has of its own, such as eyes: pieces that keep their shape move as a whole."""
+"""Skinning weights of the target's own parts, such as eyes: all vertices of a rigid piece have the same weights."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ from cagemap.transfer.skin import normalise_rows, prune_rows
 
 
 def own_parts_with_weights(
-    own: Sequence[Part], body: Part, declined: Sequence[Part], point_map: PointMap, influences: int | None
+    own: Sequence[Part], body: Part, left_out: Sequence[Part], point_map: PointMap, influences: int | None
 ) -> list[Part]:
-    """Parts of the target with weights of the body's nearest vertices, or with common ones.
+    """Parts of the target with the weights of the nearest vertices of its body.
 
-    A rigid piece, such as an eyeball, has one weight for each joint: of the rigid pieces of ``declined`` parts with the
-    same passenger word, or the mean of the body's.
+    All vertices of a rigid piece, such as an eyeball with its iris, have the mean of these weights, or of those of the
+    rigid pieces of ``left_out`` parts with the same passenger word.
 
     ``body``: the target's, with weights.
-    ``declined``: parts of the source that are not carried.
+    ``left_out``: parts of the source that are not carried.
     """
     assert body.weights is not None
     rigid = [_rigid_groups(part.mesh, point_map.target) for part in own]
     words = {passenger_word(part.name) for part, groups in zip(own, rigid, strict=True) if groups} - {""}
     given = [
-        (part, part.weights) for part in declined if part.weights is not None and passenger_word(part.name) in words
+        (part, part.weights) for part in left_out if part.weights is not None and passenger_word(part.name) in words
     ]
-    places, weights, of_word = [np.zeros((0, 3))], [body.weights[:0]], list[str]()
+    places, weights, words_of_rows = [np.zeros((0, 3))], [body.weights[:0]], list[str]()
     all_carried = carry_passengers(point_map, [part.mesh for part, _ in given])
     for (part, given_weights), carried in zip(given, all_carried, strict=True):
         for group in _rigid_groups(part.mesh, point_map.source):
             places.append(carried.positions[group])
             weights.append(given_weights[group])
-            of_word += [passenger_word(part.name)] * len(group)
+            words_of_rows += [passenger_word(part.name)] * len(group)
     all_places, all_weights = np.concatenate(places), sparse.vstack(weights, format="csr")
     made = []
     for part, groups in zip(own, rigid, strict=True):
@@ -51,20 +51,23 @@ def own_parts_with_weights(
         part_weights = body.weights[nearest_rows(body.mesh.positions, asked)]
         if groups:
             table = part_weights.toarray()
-            like = np.flatnonzero(np.array(of_word) == passenger_word(part.name))
-            for group in groups if len(like) else ():
-                table[group] = all_weights[like[nearest_rows(all_places[like], asked[group])]].toarray()
-            part_weights = sparse.csr_array(with_mean_rows(table, groups, influences))
+            of_same_word = np.flatnonzero(np.array(words_of_rows) == passenger_word(part.name))
+            if len(of_same_word):
+                for group in groups:
+                    nearest = nearest_rows(all_places[of_same_word], asked[group])
+                    table[group] = all_weights[of_same_word[nearest]].toarray()
+            part_weights = sparse.csr_array(average_rows(table, groups, influences))
         made.append(replace(part, weights=part_weights))
     return made
 
 
 def _rigid_groups(mesh: ControlMesh, surface: TriangleSurface) -> list[IndexArray]:
     places = surface.scale * mesh.positions
+    # Heights of 0: no part, such as a wide skirt, is rigid because it is far from the body.
     return find_pieces(mesh, places, np.zeros(len(places)), None, EYES).rigid_groups()
 
 
-def with_mean_rows(table: FloatArray, groups: Collection[IndexArray], influences: int | None) -> FloatArray:
+def average_rows(table: FloatArray, groups: Collection[IndexArray], influences: int | None) -> FloatArray:
     """Weights (n, j), changed in place: rows of each group of vertices are the group's mean."""
     for group in groups:
         table[group] = limit_influences(table[group].mean(axis=0)[None], influences)

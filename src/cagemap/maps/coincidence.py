@@ -238,7 +238,8 @@ def _gap(
     if _share(faces.areas, apart < config.near) < config.share:
         return None
     gap = float(faces.areas @ apart / faces.areas.sum())
-    if gap * target.scale > config.own_gap * unit:  # a small target is near all parts of the source around it
+    # A small target is near the source wherever it lies: the gap is small for the target's own size, too.
+    if gap * target.scale > config.own_gap * unit:
         return None
     for samples, other in ((_at_vertices(target, mask), source), (_at_vertices(source), target)):
         distances, areas = _distances(samples, other, unit, config.near), samples.areas

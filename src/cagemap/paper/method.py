@@ -45,7 +45,7 @@ class PaperConfig(Config):
     descriptors: DescriptorConfig = DescriptorConfig()
     weights: MapWeights = MapWeights()  #: alpha(O), the same on all levels
     rounds: int = 2  #: alternations of P and C on every level (2.1.4); 0: keep C of eqs. 13-16
-    #: make C orthonormal in every round, as 2.1.4 asks where P is a permutation; ours is none (docs/paper_map.md)
+    #: make C orthonormal in every round, as 2.1.4 does for a permutation P; ours is no permutation (docs/paper_map.md)
     orthonormal: bool = False
 
 
@@ -114,7 +114,7 @@ def _alternate(
     """Alternate the point map P and C, starting from C (2.1.4).
 
     P maps each target vertex to the source vertex with the nearest row of Phi~2 C^T: unlike the paper's permutation,
-    several vertices may go to one. C is that of P (2.1.2), by least squares.
+    several vertices may go to one. C is fitted to P by least squares (2.1.2).
     """
     match = search(functional_map)
     for _ in range(config.rounds):

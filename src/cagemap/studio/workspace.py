@@ -159,6 +159,7 @@ class Workspace:
         if path.suffix.lower() == ".obj":
             for file in named_material_files(path.name, content):
                 self.resolve(file)
+        # A file that is already there, dropped again with files of the same names, is used as it is.
         if any(given != written for given, written in added_names.items()) or not _has_content(path, content):
             content = _with_added_names(path.suffix.lower(), content, added_names)
         if path.suffix.lower() in USD_SUFFIXES:
@@ -201,7 +202,7 @@ def _has_content(path: Path, content: bytes) -> bool:
 
 
 def _with_added_names(suffix: str, content: bytes, added_names: Mapping[str, str]) -> bytes:
-    """A file whose statements name files of a drop without folders, as they were added."""
+    """A file's content in which references to files of the same drop are their names as added, without folders."""
     if suffix not in _NAMING_STATEMENTS or not added_names:
         return content
     if suffix == ".obj":
@@ -224,7 +225,7 @@ def _with_added_names(suffix: str, content: bytes, added_names: Mapping[str, str
 
 
 def _split_material_files(line: re.Match[bytes]) -> bytes:
-    """A ``mtllib`` line for each of several files, whose new names may have spaces."""
+    """One ``mtllib`` line for each file of a line, since the names as added may have spaces."""
     words = re.sub(rb"\\[ \t]*\n", b" ", line[1]).split()
     several = len(words) > 1 and all(word.lower().endswith(b".mtl") for word in words)
     return b"".join(b"mtllib %s\n" % word for word in words) if several else line[0]

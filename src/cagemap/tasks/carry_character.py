@@ -10,7 +10,7 @@ from scipy import sparse
 
 from cagemap.character.doubled_pieces import PairedFaces, doubled_pieces, pieces_in_surface
 from cagemap.character.normals import move_vertices, with_shape_normals
-from cagemap.character.own_parts import limit_influences, nearest_rows, own_parts_with_weights, with_mean_rows
+from cagemap.character.own_parts import average_rows, limit_influences, nearest_rows, own_parts_with_weights
 from cagemap.character.passenger_pieces import EYES, PassengerKind, PieceConfig, find_pieces
 from cagemap.character.passengers import CarriedPassenger, carry_passengers, hidden_passenger
 from cagemap.character.retarget import retarget_all
@@ -191,7 +191,7 @@ def _body_weights(bodies: Bodies, counterparts: _Counterparts, influences: int |
     if weights is None:
         return None
     carried = carry_weights(bodies.result, weights[bodies.rows(1)].toarray(), influences=influences)
-    table = with_mean_rows(bodies.on_target(carried), rigid_pieces(bodies), influences)
+    table = average_rows(bodies.on_target(carried), rigid_pieces(bodies), influences)
     if counterparts.weights is not None:
         table[counterparts.vertices] = limit_influences(counterparts.weights.toarray(), influences)
     return sparse.csr_array(table)

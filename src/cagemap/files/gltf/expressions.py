@@ -1,4 +1,4 @@
-"""VRM's references to meshes and their blend shapes by number, after meshes were replaced."""
+"""Numbers of meshes and blend shapes in VRM's extensions, after meshes were replaced."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ from typing import Any, NamedTuple
 
 
 class ReplacedMesh(NamedTuple):
-    """A mesh node of a given document, and a node that has its mesh, or pieces of it, now."""
+    """A mesh node of a given document, and a node of the written one that has its mesh or pieces of it."""
 
     node_before: int
     mesh_before: int
     node: int
-    mesh: int | None  # None: without a mesh now
+    mesh: int | None  # None: the mesh is not written
     shapes_before: Sequence[str]
     shapes: Sequence[str]
 
 
 def renumber_expressions(extensions: Any, replaced: Sequence[ReplacedMesh]) -> list[str]:
-    """Renumber the meshes and shapes of VRM's expressions and first-person flags; remove those that are gone.
+    """Renumber meshes and shapes in VRM's expressions and first-person flags; remove those that are not written.
 
-    Returns the names of expressions that move no shape any more. What is not as VRM says stays as it is, but a number
-    without a shape is removed if the mesh has other shapes now.
+    Returns the names of expressions that have no shape left. Entries that VRM's schema does not know stay as they are,
+    but a shape's number that is out of range is removed if the list of shapes changed.
 
     ``extensions``: of the document; changed in place.
     """
     empty = []
-    for name, key in (("VRMC_vrm", "node"), ("VRM", "mesh")):
+    for name, key in (("VRMC_vrm", "node"), ("VRM", "mesh")):  # VRM 1 refers to nodes, VRM 0 to meshes
         vrm = _table(extensions, name)
         person = _table(vrm, "firstPerson")
         if isinstance(person.get("meshAnnotations"), list):
@@ -54,7 +54,7 @@ def _expressions(vrm: dict[str, Any]) -> list[tuple[str, dict[str, Any], str]]:
 
 
 def _renumbered(entries: list[Any], key: str, replaced: Sequence[ReplacedMesh]) -> list[Any]:
-    """Entries that refer to a node or mesh by ``key``, and maybe to a shape by its index, with the numbers of now."""
+    """Entries that refer to a node or mesh by ``key``, and maybe to a shape by its index, with new numbers."""
     kept: list[Any] = []
     for entry in entries:
         number = entry.get(key) if isinstance(entry, dict) else None
@@ -72,6 +72,6 @@ def _renumbered(entries: list[Any], key: str, replaced: Sequence[ReplacedMesh]) 
 
 
 def _table(table: Any, key: str) -> dict[str, Any]:
-    """A table inside a table; empty if it is none."""
+    """The table at a key of a table; empty if there is none."""
     value = table.get(key) if isinstance(table, dict) else None
     return value if isinstance(value, dict) else {}
