@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cagemap.character.passenger_pieces import EYES, find_pieces
+from cagemap.character.passenger_pieces import EYES, PieceConfig, find_pieces
 from cagemap.character.passengers import carry_passengers
 from cagemap.character.values import Part
 from cagemap.maps.point_map import PointMap
@@ -32,7 +32,7 @@ def own_parts_with_weights(
     ``left_out``: parts of the source that are not carried.
     """
     assert body.weights is not None
-    rigid = [_rigid_groups(part.mesh, point_map.target) for part in own]
+    rigid = [rigid_groups(part.mesh, point_map.target) for part in own]
     words = {passenger_word(part.name) for part, groups in zip(own, rigid, strict=True) if groups} - {""}
     given = [
         (part, part.weights) for part in left_out if part.weights is not None and passenger_word(part.name) in words
@@ -40,7 +40,7 @@ def own_parts_with_weights(
     places, weights, words_of_rows = [np.zeros((0, 3))], [body.weights[:0]], list[str]()
     all_carried = carry_passengers(point_map, [part.mesh for part, _ in given])
     for (part, given_weights), carried in zip(given, all_carried, strict=True):
-        for group in _rigid_groups(part.mesh, point_map.source):
+        for group in rigid_groups(part.mesh, point_map.source):
             places.append(carried.positions[group])
             weights.append(given_weights[group])
             words_of_rows += [passenger_word(part.name)] * len(group)
@@ -61,10 +61,11 @@ def own_parts_with_weights(
     return made
 
 
-def _rigid_groups(mesh: ControlMesh, surface: TriangleSurface) -> list[IndexArray]:
+def rigid_groups(mesh: ControlMesh, surface: TriangleSurface, config: PieceConfig = EYES) -> list[IndexArray]:
+    """Vertices of each group of pieces that keeps its shape, such as an eyeball; lengths by the body's surface."""
     places = surface.scale * mesh.positions
     # Heights of 0: no part, such as a wide skirt, is rigid because it is far from the body.
-    return find_pieces(mesh, places, np.zeros(len(places)), None, EYES).rigid_groups()
+    return find_pieces(mesh, places, np.zeros(len(places)), None, config).rigid_groups()
 
 
 def average_rows(table: FloatArray, groups: Collection[IndexArray], influences: int | None) -> FloatArray:

@@ -130,7 +130,7 @@ def far_passenger(name: str, body: str, distance: float, factor: float) -> str:
     return f"{name} is {distance:.1f} body sizes away from {body} on average{scaled}"
 
 
-# A passenger is hidden if the share of its vertices that is inside the body grows by more.
+# Increase of the share of vertices inside the body, from source to target, above which a passenger is hidden.
 _MAX_HIDDEN_SHARE = 0.5
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.ownership import mark
+from cagemap.numerics.arrays import as_float64
 from cagemap.numerics.threads import ThreadPool
 
 Arrays = dict[str, NDArray[Any]]
@@ -161,8 +162,7 @@ def _check_array(
     else:
         if array.dtype.kind not in "fiu":
             raise FormatError(f"{path}: {name} holds {array.dtype}, expected numbers. {remedy}")
-        with np.errstate(invalid="ignore"):  # of signalling NaN
-            checked = np.ascontiguousarray(array, dtype=np.float64)
+        checked = np.ascontiguousarray(as_float64(array))
         if not spec.nan and array.size and not max(-float(checked.min()), float(checked.max())) <= _LARGEST:
             raise FormatError(f"{path}: {name} holds NaN, infinite or absurdly large numbers. {remedy}")
         if spec.share and array.size and not (checked.min() >= 0.0 and checked.max() <= 1.0):

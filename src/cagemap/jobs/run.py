@@ -102,7 +102,7 @@ def needed_tasks(plan: Plan, names: set[str]) -> set[str]:
 
 
 def kept_outcome(root: Path, task: Task, *, exact_sizes: bool = False) -> TaskOutcome | None:
-    """The outcome of an earlier run, if the task and its files are unchanged.
+    """The outcome that an earlier run stored for a task, None if the task or one of its files has changed.
 
     A layer to which other tasks added since counts as unchanged, unless ``exact_sizes`` are asked for.
     """

@@ -55,7 +55,7 @@ class QualityFigures:
     coverage: float
     #: Dirichlet energy, with corresponding parts scaled to equal area: 1 for an isometry, at least the covered area
     dirichlet: float
-    #: (5,) percentiles 1, 5, 50, 95, 99 (by target area) of the area stretch, 1: that of the shared area as a whole
+    #: (5,) percentiles 1, 5, 50, 95, 99 (by target area) of the area stretch; 1 is the mean of the shared area
     area_ratios: FloatArray = field(repr=False)
     #: (3,) percentiles 50, 95, 99 (by target area) of the ratio of singular values, 1 meaning conformal
     aspect_ratios: FloatArray = field(repr=False)

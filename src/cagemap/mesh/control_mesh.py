@@ -226,7 +226,7 @@ class ControlMesh:
         return replace(self, corner_vertices=corners, corner_sharpness=self._sharpness(sharpness, len(corners)))
 
     def _sharpness(self, given: ArrayLike, count: int) -> FloatArray:
-        """(count,) sharpness, from as many numbers or from one."""
+        """(count,) sharpness values, from an array of this length or one number for all."""
         values = real_numbers(given, f"{self.name}: sharpness")
         if values.shape not in ((), (1,), (count,)):
             raise ParameterError(f"{self.name}: expected one sharpness, or {count}, got an array {values.shape}")

@@ -10,7 +10,7 @@ from cagemap.numerics.arrays import IndexArray
 LISTED = 8
 # Pattern of a `FileVertex` in messages.
 VERTEX = r"vertex \d+(?: at \([^)]*\))?"
-# Pattern of a place of the target's file in messages.
+# Regular expression of the part of a message that states a position in the target's file.
 PLACE = r", (?:worst|most) at \([^)]*\) of the target's file"
 # Kinds of problems that `cagemap.mesh.plain.plain_mesh` repairs.
 REPAIRED = frozenset(

@@ -47,6 +47,12 @@ def real_numbers(values: ArrayLike, what: str) -> FloatArray:
         raise ParameterError(f"{what}: expected an array of real numbers, got {shown(values)}") from None
 
 
+def as_float64(values: NDArray[Any]) -> FloatArray:
+    """Numbers as float64, without NumPy's warnings of signalling NaN and of values that become infinite."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.asarray(values, dtype=np.float64)
+
+
 def finite_numbers(values: ArrayLike, what: str) -> FloatArray:
     """Convert values to a float64 array; ParameterError if they are no finite real numbers."""
     given = real_numbers(values, what)

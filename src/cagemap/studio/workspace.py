@@ -31,7 +31,7 @@ UPLOAD_SUFFIXES = tuple(
     dict.fromkeys((*MESH_SUFFIXES, ".mtl", ".bin", *IMAGE_SUFFIXES, *LANDMARK_SUFFIXES, *TABLE_SUFFIXES))
 )
 DataclassT = TypeVar("DataclassT")
-# What stands before the name of another file, or before an image's options, by the suffix of the file that names it.
+# Regular expression of the text before a referenced file name and its options, by suffix of the referring file.
 _NAMING_STATEMENTS = {
     ".obj": rb"^[ \t]*mtllib[ \t]+",
     ".mtl": rb"^[ \t]*(?i:map_|bump|disp|decal|norm|refl)\S*[ \t]+",

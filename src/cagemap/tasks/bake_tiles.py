@@ -240,7 +240,7 @@ def _source_overlap_warnings(control: ControlMesh) -> list[str]:
 def bake_tiles(
     request: TransferRequest, prepared: Prepared, bake: Callable[..., Baked], stages: Stages, name: str = ""
 ) -> Baked:
-    """Bake all tiles, and write each while the next one is baked; returns the last, as `write_tiles` does.
+    """Bake and write all tiles, each written while the next is baked; returns the last one, see `write_tiles`.
 
     Masked texels take the base image, or get alpha.
 

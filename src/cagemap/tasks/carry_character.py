@@ -10,8 +10,14 @@ from scipy import sparse
 
 from cagemap.character.doubled_pieces import PairedFaces, doubled_pieces, pieces_in_surface
 from cagemap.character.normals import move_vertices, with_shape_normals
-from cagemap.character.own_parts import average_rows, limit_influences, nearest_rows, own_parts_with_weights
-from cagemap.character.passenger_pieces import EYES, PassengerKind, PieceConfig, find_pieces
+from cagemap.character.own_parts import (
+    average_rows,
+    limit_influences,
+    nearest_rows,
+    own_parts_with_weights,
+    rigid_groups,
+)
+from cagemap.character.passenger_pieces import EYES, PassengerKind, PieceConfig
 from cagemap.character.passengers import CarriedPassenger, carry_passengers, hidden_passenger
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body
@@ -217,14 +223,13 @@ def rigid_pieces(bodies: Bodies, config: PieceConfig = EYES) -> list[IndexArray]
     mesh, unmatched = bodies.given[0].mesh, bodies.ready[0].vertex_of < 0
     if not unmatched.any():
         return []
-    places = bodies.result.point_map.target.scale * mesh.positions
-    groups = find_pieces(mesh, places, np.zeros(mesh.n_vertices), None, config).rigid_groups()
+    groups = rigid_groups(mesh, bodies.result.point_map.target, config)
     return [vertices for vertices in groups if unmatched[vertices].all()]
 
 
 @dataclass(frozen=True, eq=False)
 class _Counterparts:
-    """Unmatched vertices of the target's body whose piece the source has too, and the values of the source's piece."""
+    """Vertices in loose pieces of the target's body, with weights and shapes of the same pieces of the source's."""
 
     vertices: IndexArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # (k,) of the target's body
     weights: sparse.csr_array | None = None  # (k, j)

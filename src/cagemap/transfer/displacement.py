@@ -94,7 +94,7 @@ def bake_displacement(
 def stored_lengths(
     transfer: Transfer, laid: Texture, dtype: np.dtype[Any], midlevel: float | None, scale: float
 ) -> tuple[float, float, float]:
-    """Midlevel of a displacement, factor of its values' differences from it, and scale of the result.
+    """Midlevel of a displacement map, factor of its values relative to the midlevel, and scale of the result.
 
     Floats get new values, integers a new scale. Floats outside 0 to 1 are refused if integers are to hold them.
     """

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 
 class ReplacedMesh(NamedTuple):
-    """A mesh node of a given document, and a node of the written one that has its mesh or pieces of it."""
+    """A node with a mesh in the input, and the node of the output with this mesh or a part of it."""
 
     node_before: int
     mesh_before: int
@@ -18,7 +18,7 @@ class ReplacedMesh(NamedTuple):
 
 
 def renumber_expressions(extensions: Any, replaced: Sequence[ReplacedMesh]) -> list[str]:
-    """Renumber meshes and shapes in VRM's expressions and first-person flags; remove those that are not written.
+    """Renumber meshes and shapes in VRM's expressions and first-person flags; remove references to what is not written.
 
     Returns the names of expressions that have no shape left. Entries that VRM's schema does not know stay as they are,
     but a shape's number that is out of range is removed if the list of shapes changed.

@@ -28,7 +28,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV, UNKNOWN_COLOR
 from cagemap.mesh.faces import merged_corners
 from cagemap.mesh.mesh_report import first_few
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, as_float64
 from cagemap.numerics.srgb import decode_srgb, encode_srgb
 
 _log = logging.getLogger(__name__)
@@ -193,8 +193,7 @@ def _table(path: Path, columns: dict[str, Column], names: tuple[str, ...], what:
 
 
 def _side_by_side(columns: dict[str, Column], names: tuple[str, ...]) -> FloatArray:
-    with np.errstate(invalid="ignore"):  # of signalling NaN
-        return np.column_stack([columns[name].values.astype(np.float64) for name in names])
+    return np.column_stack([as_float64(columns[name].values) for name in names])
 
 
 def _indices(path: Path, corners: Column, count: int) -> IndexArray:

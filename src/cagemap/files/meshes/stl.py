@@ -11,7 +11,7 @@ import numpy as np
 from cagemap.errors import FormatError
 from cagemap.files.text import read_bytes
 from cagemap.mesh import ControlMesh, Plain
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, as_float64
 from cagemap.surface.alignment import Z_UP
 
 _REMEDY = "Export the mesh again as STL, PLY or OBJ."
@@ -54,9 +54,7 @@ def _binary(content: bytes) -> FloatArray | None:
     count = int.from_bytes(content[_HEAD - 4 : _HEAD], "little")
     if not 0 <= len(content) - (_HEAD + count * _TRIANGLE.itemsize) < _TRIANGLE.itemsize:
         return None
-    corners = np.frombuffer(content, _TRIANGLE, count, _HEAD)["corners"].reshape(-1, 3)
-    with np.errstate(invalid="ignore"):  # of signalling NaN
-        return corners.astype(np.float64)
+    return as_float64(np.frombuffer(content, _TRIANGLE, count, _HEAD)["corners"].reshape(-1, 3))
 
 
 def _text(file: Path, content: bytes) -> FloatArray:

@@ -25,7 +25,7 @@ from cagemap.files.usd.read import one_mesh, place_in_world, read_usd_meshes
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.values.part_numbering import FileRows, prim_rows, to_part
 from cagemap.mesh import ControlMesh
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, as_float64
 
 Attributes = dict[str, NDArray[Any]]
 
@@ -174,8 +174,7 @@ def _check(file: Path, name: str, array: NDArray[Any]) -> NDArray[Any]:
         if array.dtype == np.uint64 and array.max() > np.iinfo(np.int64).max:
             raise FormatError(f"{file}: expected whole numbers below 2^63 in '{name}', found {array.max()}.")
         return array.astype(np.int64)
-    with np.errstate(invalid="ignore", over="ignore"):  # refused below
-        numbers = array.astype(np.float64)
+    numbers = as_float64(array)
     bad = np.flatnonzero(~np.isfinite(numbers.reshape(len(array), -1)).all(axis=1))
     if len(bad):
         raise FormatError(
