@@ -1,4 +1,4 @@
-"""The stages of the fit: data terms, constraints, and that a known map is found."""
+"""The fit: what it is given, data terms, constraints, coarse graphs, and that a known map is found."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from examples.shapes import creature
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components, dijkstra
 
-from cagemap.deform.config import ElasticConfig, Stage
+from cagemap.deform.config import ElasticConfig, GraphConfig, LandmarkConfig, Stage
 from cagemap.deform.data import PlacementConstraints, SourceSamples, curved_points, round_trip_weights, source_to_target
 from cagemap.deform.energy import LinearSystem
 from cagemap.deform.fit import coarse_fit, fine_fit
-from cagemap.deform.graph import ElasticGraph
+from cagemap.deform.graph import ElasticGraph, cluster_graph, connected_cells, mesh_graph
 from cagemap.deform.problem import Problem
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.pair import Pair, PointPairs
@@ -24,9 +25,11 @@ from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import factor
 from cagemap.operators import build_operators
+from cagemap.pipeline import MatchConfig, prepare_pair, prepare_surface
 from cagemap.spectral.zoomout import landmark_coordinates
 from cagemap.subdivision import Refinement, refine
 from cagemap.surface.closest_points import build_tree, closest_points
+from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import normalize_rows, triangle_normals, vertex_normals
 
 from elastic_shapes import fitted_map, graph_of, mesh_of, minimised, prepared_at, surface_of, unit_refinement
@@ -237,3 +240,107 @@ def test_what_cannot_be_fitted_is_refused(creature_at_3: tuple[Refinement, float
     problem = Problem(prepared, Pair.of_vertices(surface, surface, one, one).landmarks)
     with pytest.raises(ParameterError, match="one for each coarse vertex"):
         coarse_fit(problem, prepared.energy.graph.positions)
+
+
+TARGET, SOURCE = np.array([40, 3, 17]), np.array([41, 5, 16])
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    body = prepare_surface(creature(), 2)
+    return Problem(prepare_pair(body, body), Pair.of_vertices(body, body, TARGET, SOURCE).landmarks)
+
+
+def test_held_vertices_come_first_each_with_its_place(problem: Problem) -> None:
+    places = problem.prepared.source.finest_triangles.positions
+    clusters = problem.clusters_with((np.array([60, 9]), np.array([61, 8])))
+    np.testing.assert_array_equal(clusters.vertices[:5], [*TARGET, 60, 9])
+    np.testing.assert_array_equal(clusters.constraints.anchors.corners[:, 0], np.arange(5))
+    np.testing.assert_array_equal(clusters.constraints.places, places[[*SOURCE, 61, 8]])
+    np.testing.assert_array_equal(problem.coarse_clusters.vertices[:3], TARGET)
+    np.testing.assert_array_equal(problem.constraints.anchors.corners[:, 0], TARGET)
+    np.testing.assert_array_equal(problem.constraints.places, places[SOURCE])
+
+
+def test_problems_made_of_one_keep_what_they_do_not_change(problem: Problem) -> None:
+    few = problem.without([1])
+    assert few.prepared is problem.prepared
+    np.testing.assert_array_equal(few.landmark_vertices, (TARGET[[0, 2]], SOURCE[[0, 2]]))
+    back = problem.reverse_problem
+    assert back.prepared is problem.prepared.reverse_pair
+    np.testing.assert_array_equal(back.landmark_vertices, (SOURCE, TARGET))
+    stage = Stage(3, (1.0, 1e-2), 1e-2)
+    small = problem.clusters_with(stage=stage, count=100)
+    assert small.stage is stage
+    assert 90 < small.energy.graph.n < 110 < problem.coarse_clusters.energy.graph.n
+    assert problem.clusters_with(stage=stage).energy.graph.n == problem.coarse_clusters.energy.graph.n
+
+
+def test_maps_of_clusters_are_factored_at_first_use(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An update of a map has no use for them."""
+    monkeypatch.setattr("cagemap.deform.energy.factor", lambda *_: pytest.fail("factored"))
+    clusters = problem.clusters_with(count=100).with_stage(Stage(3, (1.0, 1e-2), 1e-2))
+    with pytest.raises(pytest.fail.Exception, match="factored"):
+        clusters.energy.maps(clusters.energy.graph.positions)
+
+
+def test_distances_of_landmarks_are_measured_on_the_configured_graph(problem: Problem) -> None:
+    body = problem.prepared.target
+    # Tiny pieces of cells are not joined, so there are more clusters than asked for.
+    config = ElasticConfig(landmarks=LandmarkConfig(distance_vertices=100), graph=GraphConfig(joining_rounds=0))
+    own = Problem(prepare_pair(body, body, MatchConfig(elastic=config)), problem.landmarks)
+    for distances in own.landmark_distances:
+        assert distances.shape[0] == len(TARGET)
+        assert 115 < distances.shape[1] < 130
+
+
+TURNS = 4.0
+PITCH = 0.004  # between the turns of the ramp, of sqrt(area): far below a cell's width, with like normals
+
+
+def ramp() -> tuple[ElasticGraph, np.ndarray]:
+    """A ribbon wound up like a spiral ramp, at unit area, and the angle of every vertex."""
+    around, across = 161, 6
+    angle, radius = np.meshgrid(np.linspace(0, TURNS * 2 * np.pi, around), np.linspace(1.0, 1.5, across), indexing="ij")
+    area = np.pi * (1.5**2 - 1.0**2) * TURNS
+    height = PITCH * np.sqrt(area) * angle / (2 * np.pi)
+    positions = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=-1).reshape(-1, 3)
+    corner = (np.arange(around - 1)[:, None] * across + np.arange(across - 1)).ravel()
+    quads = np.stack([corner, corner + across, corner + across + 1, corner + 1], axis=1)
+    triangles = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    return mesh_graph(TriangleSurface(positions / np.sqrt(area), triangles), quads), angle.ravel()
+
+
+def distances_from(graph: ElasticGraph, vertex: int) -> np.ndarray:
+    lengths = np.linalg.norm(graph.edges, axis=1)
+    edges = sparse.csr_array((lengths, (graph.heads, graph.tails)), shape=(graph.n, graph.n))
+    return np.asarray(dijkstra(edges, indices=[vertex]))[0]
+
+
+def test_ways_on_the_coarse_graph_do_not_jump_where_parts_touch() -> None:
+    fine, angle = ramp()
+    coarse, vertices = cluster_graph(fine, 150, np.array([0, fine.n - 1]))
+    # The ends lie above each other, a hundredth apart, and four turns of radius 1 or more away from each other.
+    assert distances_from(coarse, 0)[1] > 0.9 * distances_from(fine, 0)[-1]
+    turned = np.abs(angle[vertices][coarse.heads] - angle[vertices][coarse.tails])
+    assert turned.max() < np.pi / 2
+
+
+def test_cells_are_connected_cover_all_and_none_is_tiny() -> None:
+    fine, _ = ramp()
+    rng = np.random.default_rng(5)
+    given = rng.integers(0, 40, fine.n)  # cells that are anything but connected
+    cell = connected_cells(fine, given)
+    assert set(cell) == set(range(cell.max() + 1))
+    inside = cell[fine.heads] == cell[fine.tails]
+    within = sparse.coo_array((np.ones(inside.sum()), (fine.heads[inside], fine.tails[inside])), shape=(fine.n,) * 2)
+    assert connected_components(within, directed=False)[0] == cell.max() + 1
+    areas = np.bincount(cell, fine.areas)
+    assert (areas < GraphConfig.min_cell * areas.mean()).mean() < 0.02
+
+
+def test_cells_that_are_connected_and_large_stay_as_they_are() -> None:
+    fine, angle = ramp()
+    given = (angle / (TURNS * 2 * np.pi / 19.999)).astype(np.int64)
+    cell = connected_cells(fine, given)
+    assert len(np.unique(np.column_stack([given, cell]), axis=0)) == len(np.unique(given)) == cell.max() + 1

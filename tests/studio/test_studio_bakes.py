@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 import typed_request
-from test_studio_finish_files import compared, rich_finish, same, write_inputs
+from test_studio_finish_process import compared, rich_finish, same, write_inputs
 
 from cagemap.studio.finish import finish_commands
 from cagemap.studio.opening import built_in_files

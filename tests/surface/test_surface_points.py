@@ -1,4 +1,4 @@
-"""A triangulated surface and points on it: what follows from the arrays, and what is refused."""
+"""Triangulated surfaces, points on them, and polylines: what follows from the arrays, and what is refused."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.subdivision import refine
+from cagemap.surface.polylines import Polyline
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import fan_triangles, surface_area, triangles
@@ -179,3 +180,46 @@ def test_a_map_pulls_values_of_its_own_source_back_and_no_others(surface: Triang
     for count in (target.n, surface.n - 1, surface.n + 1):
         refuses(ParameterError, "other surface", found.pull_back, np.zeros(count))
     refuses(ParameterError, "exchanged", PointMap, surface, points)
+
+
+def test_the_nearest_point_may_lie_on_a_piece_away_from_the_nearest_vertex() -> None:
+    """Thin closed curves, such as eyelids: the nearest vertex is the other lid's."""
+    lid = np.array([[0.0, 0, 0], [10, 0, 0], [10, 1, 0], [5, 1, 0]])
+    places, ends, share, tangents = Polyline(lid, closed=False).nearest(np.array([[5, 0.4, 0.0]]))
+    np.testing.assert_allclose(places, [[5, 0, 0]], atol=1e-12)
+    np.testing.assert_array_equal(ends, [[0, 1]])
+    np.testing.assert_allclose(share, [0.5])
+    np.testing.assert_allclose(tangents, [[1, 0, 0]])
+
+
+@settings(max_examples=40)
+@given(st.integers(2, 30), st.booleans(), st.integers(0, 2**32 - 1))
+def test_nearest_points_are_the_best_of_all_pieces(count: int, closed: bool, seed: int) -> None:
+    """Tangled lines, some of whose pieces have no length."""
+    random = np.random.default_rng(seed)
+    positions = random.normal(size=(count, 3))
+    positions[1:][random.random(count - 1) < 0.2] = positions[0]
+    points = random.normal(size=(20, 3))
+    found, ends, share, _ = Polyline(positions, closed).nearest(points)
+    first, second = (positions[ends[:, side]] for side in (0, 1))
+    np.testing.assert_allclose(first + share[:, None] * (second - first), found, atol=1e-12)
+    starts, stops = positions if closed else positions[:-1], np.roll(positions, -1, axis=0)[: count - (not closed)]
+    along = stops - starts
+    share = ((points[:, None] - starts) * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), 1e-300)
+    places = starts + np.clip(share, 0, 1)[:, :, None] * along
+    expected = np.linalg.norm(points[:, None] - places, axis=2).min(axis=1)
+    np.testing.assert_allclose(np.linalg.norm(found - points, axis=1), expected, atol=1e-12)
+
+
+def test_a_line_without_length_has_one_nearest_point() -> None:
+    for closed in (False, True):
+        places, _, _, tangents = Polyline(np.ones((2, 3)), closed).nearest(np.zeros((1, 3)))
+        np.testing.assert_array_equal(places, [[1, 1, 1]])
+        np.testing.assert_array_equal(tangents, [[0, 0, 0]])
+
+
+def test_lengths_of_a_polyline_are_shared_out() -> None:
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    assert Polyline(square, closed=True).length == pytest.approx(4.0)
+    np.testing.assert_allclose(Polyline(square, closed=False).point_lengths, [0.5, 1.0, 1.0, 0.5])
+    assert len(Polyline(square, closed=False).spread(2)) == 2

@@ -1,4 +1,4 @@
-"""Images that `cagemap transfer` bakes: their meaning, sizes and labels, and what it says of doubtful ones."""
+"""Images that `cagemap transfer` bakes: meaning, sizes, labels, several materials on one, and what is doubtful."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.mesh import ControlMesh
 from cagemap.subdivision.refinement import finest_mesh
+from cagemap.tasks.material_atlas import _tile_image
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
@@ -281,3 +282,12 @@ def test_a_bake_between_vertices_fades_into_its_base_with_any_filter(place: Path
     }
     assert len(np.unique(baked["smooth"])) > 3
     np.testing.assert_array_equal(baked["nearest"], baked["smooth"])
+
+
+@pytest.mark.parametrize(("low", "high", "times"), [(-1e-8, 1.0 + 1e-7, 1), (0.0, 1.5, 2), (-0.5, 1.2, 3)])
+def test_an_image_is_repeated_as_often_as_uvs_leave_it_by_more_than_rounding(low, high, times):
+    pixels = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
+    tiled, uvs = _tile_image(pixels, np.array([[low, 0.2], [high, 0.8]]))
+    np.testing.assert_array_equal(tiled, np.tile(pixels, (1, times, 1)))
+    np.testing.assert_allclose(uvs[:, 0], (np.array([low, high]) - np.floor(low + 1e-4)) / times)
+    assert _tile_image(pixels, np.array([[0.0, 0.0], [5000.0, 1.0]])) is None

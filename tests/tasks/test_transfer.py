@@ -1,4 +1,4 @@
-"""What `cagemap transfer` says beside what it writes."""
+"""What `cagemap transfer` says beside what it writes, values that stay at faces, and pieces that are not matched."""
 
 from __future__ import annotations
 
@@ -9,30 +9,37 @@ from typing import Any
 
 import numpy as np
 import pytest
+from examples.shapes import torus
 from numpy.typing import NDArray
 
+from cagemap.character.values import Part
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files import inner_texture
 from cagemap.files.gltf.document import read_document
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
-from cagemap.files.result.manifest import MANIFEST
+from cagemap.files.result.manifest import MANIFEST, stated_inputs
 from cagemap.maps.masks import Masks
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import NO_UV
-from cagemap.mesh.schemes import Plain
+from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.subdivision import refine
 from cagemap.tasks import bake_tiles
 from cagemap.tasks.carry_arrays import carry_values
+from cagemap.tasks.carry_character import Bodies, match_bodies
 from cagemap.tasks.match_summary import next_commands
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.report import run_report
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.report import ReportRequest
+from cagemap.tasks.set_aside import lay_set_aside
 from cagemap.transfer.overlapping_uvs import overlapping_materials
 
+from example_once import example_pair
 from example_result import identity_result, textured_cube
 from ply_text import write_text_ply
 from refusals import refuses
@@ -315,3 +322,111 @@ def test_faces_in_the_middle_of_an_image_have_uvs_unless_they_are_all_of_a_mater
     warnings = bake_tiles.missing_uv_warnings(mesh, "all of them get one texel of the image")
     assert len(warnings) == (name == "st" and material == 1)
     assert all("3 faces of mesh have" in text and "so that all of them get one texel" in text for text in warnings)
+
+
+RING = replace(torus(6, 5), name="ring.obj")
+COUNT = RING.n_faces
+
+
+def split_ring() -> ControlMesh:
+    """The ring of quads as triangles, with more faces than vertices."""
+    triangles = cage_triangles(RING)[0]
+    return ControlMesh(RING.positions, np.arange(0, triangles.size + 1, 3), triangles.ravel(), name="split.obj")
+
+
+@pytest.fixture
+def labels(tmp_path: Path) -> Path:
+    """Labels of the source's faces, which are those of the target's quads; the result is in R."""
+    assert RING.n_vertices == COUNT
+    write_result(tmp_path / "R", identity_result(0, (RING, split_ring())))
+    np.savez(tmp_path / "labels.npz", label=np.arange(2 * COUNT) // 2)
+    return tmp_path / "labels.npz"
+
+
+def test_usd_gets_them_for_faces(labels: Path, tmp_path: Path) -> None:
+    transfer(tmp_path / "out.npz", attribute=labels, usd=tmp_path / "out.usda", force=True)
+    np.testing.assert_array_equal(np.load(tmp_path / "out.npz")["label"], np.arange(COUNT))
+    text = (tmp_path / "out.usda").read_text()
+    assert 'interpolation = "uniform"' in text.partition("primvars:label")[2].partition(")")[0]
+
+
+def test_the_base_is_mixed_by_the_weights_of_faces(labels: Path, tmp_path: Path) -> None:
+    mask = np.zeros(COUNT)
+    mask[RING.face_indices[:4]] = 1.0  # the vertices of the first face
+    np.savetxt(tmp_path / "mask.csv", mask)
+    np.savez(tmp_path / "base.npz", label=np.full(COUNT, 99))
+    bases = (("", tmp_path / "base.npz"),)
+    transfer(tmp_path / "out.npz", attribute=labels, target_mask=str(tmp_path / "mask.csv"), bases=bases)
+    shares = mask[RING.face_indices].reshape(COUNT, 4).mean(axis=1)
+    expected = np.where(shares >= 0.5, np.arange(COUNT), 99)
+    np.testing.assert_array_equal(np.load(tmp_path / "out.npz")["label"], expected)
+
+
+def test_a_file_gets_those_of_a_part_at_its_faces(tmp_path: Path) -> None:
+    scene = replace(join_meshes([replace(RING, name="a"), split_ring()]), name="scene.obj")
+    scene = replace(scene, face_materials=None, material_names=())
+    write_mesh(tmp_path / "scene.obj", scene)
+    part = extract_faces(scene, np.arange(COUNT))
+    assert part.n_vertices == part.n_faces
+    result = identity_result(0, (part, split_ring()))
+    inputs = stated_inputs({"target": tmp_path / "scene.obj"}, tmp_path / "R")
+    write_result(tmp_path / "R", replace(result, provenance={**result.provenance, "inputs": inputs}))
+    np.savez(tmp_path / "labels.npz", label=1 + np.arange(2 * COUNT) // 2)
+    transfer(tmp_path / "o.npz", attribute=tmp_path / "labels.npz")
+    found = np.load(tmp_path / "o.npz")["label"]
+    np.testing.assert_array_equal(found, np.append(1 + np.arange(COUNT), np.zeros(2 * COUNT)))
+
+
+def test_a_file_that_does_not_say_the_place_of_its_values_is_warned_of_once(tmp_path: Path) -> None:
+    write_result(tmp_path / "R", identity_result(0, (RING, RING)))
+    np.savez(tmp_path / "v.npz", one=np.arange(COUNT), two=np.arange(COUNT))
+    (warning,) = transfer(tmp_path / "o.npz", attribute=tmp_path / "v.npz")[1]
+    assert warning.startswith("one, two: as many rows as control vertices and as control faces")
+    (tmp_path / "g.json").write_text('{"groups": [{"name": "lips", "vertices": [0, 5]}]}')
+    assert transfer(tmp_path / "o.json", attribute=tmp_path / "g.json")[1] == []  # groups are of vertices
+
+
+pytestmark = pytest.mark.slow
+
+SCALE, SHIFT = 2.5, np.array([3.0, -1.0, 2.0])
+
+
+def with_eyes(body: ControlMesh) -> ControlMesh:
+    """A mesh with two small copies of itself beside it."""
+    eyes = [body.positions] + [0.05 * body.positions + side * body.positions.max(axis=0) for side in (-1.0, 1.0)]
+    count, offsets = body.n_vertices, body.face_offsets
+    return ControlMesh(
+        np.concatenate(eyes),
+        np.concatenate([offsets, *(offsets[-1] * piece + offsets[1:] for piece in (1, 2))]),
+        np.concatenate([body.face_indices + count * piece for piece in range(3)]),
+        scheme=Plain(),
+        name="body",
+    )
+
+
+def matched(source: ControlMesh) -> Bodies:
+    target = replace(source, positions=SCALE * source.positions + SHIFT)
+    return match_bodies(Part("target", target), Part("source", source), Landmarks.none(), Stages())
+
+
+def test_pieces_go_with_the_surface_around_them() -> None:
+    source = with_eyes(example_pair(64).target)
+    bodies = matched(source)
+    found = lay_set_aside(bodies)
+    count = source.n_vertices // 3
+    np.testing.assert_array_equal(found.vertices, np.arange(count, 3 * count))
+    for own, other in (
+        (found.vertices, found.source_vertices),
+        (found.corners, found.source_corners),
+        (found.faces, found.source_faces),
+    ):
+        np.testing.assert_array_equal(own, other)
+    assert len(found.faces) == 2 * source.n_faces // 3
+    np.testing.assert_allclose(found.places, source.positions[count:], atol=1e-9)
+    offsets = np.random.default_rng(1).random((2 * count, 3))
+    np.testing.assert_allclose(np.einsum("nd,nde->ne", offsets, found.turns), SCALE * offsets, atol=1e-9)
+
+
+def test_nothing_is_set_aside_of_one_piece() -> None:
+    found = lay_set_aside(matched(replace(example_pair(64).target, scheme=Plain())))
+    assert all(len(array) == 0 for array in vars(found).values())

@@ -1,4 +1,4 @@
-"""Values, weights and shapes as arrays: what comes back under the identity is what went in."""
+"""Values, weights and shapes as arrays: kept by the identity; a coarse target follows shapes over whole triangles."""
 
 from __future__ import annotations
 
@@ -16,9 +16,13 @@ from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import result_of_fit
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.plain import plain_mesh
 from cagemap.pipeline import prepare_pair, prepare_surface
+from cagemap.subdivision import refine
 from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.tasks.carry_arrays import trusted_vertices
+from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes
 
 from example_result import identity_result
 
@@ -102,3 +106,18 @@ def test_arrays_that_do_not_fit_are_refused(itself: cagemap.MatchResult) -> None
     ):
         with pytest.raises(ParameterError, match=message):
             wrong()
+
+
+def test_a_step_narrower_than_the_targets_triangles_is_carried_without_overshoot() -> None:
+    """Vertices of the target are every fourth of the source: they move as these do."""
+    around, across, share = 12, 8, 4
+    coarse, fine = (refine(plain_mesh(torus(around * k, across * k)).mesh, 0) for k in (1, share))
+    distance = np.linalg.norm(coarse.control.positions[:, None] - fine.control.positions, axis=2)
+    same = distance.argmin(axis=1)
+    assert distance.min(axis=1).max() < 1e-9
+    surfaces = [TriangleSurface.from_faces(side.finest.positions, side.finest.faces) for side in (coarse, fine)]
+    carrier = prepare_shapes(coarse, fine, PointMap.from_vertices(*surfaces, same))
+    heights = fine.control.positions[:, 0]
+    # A ninth of a coarse edge wide, at the centroids of triangles.
+    step = np.clip((heights - np.quantile(heights, 0.55)) / 0.03, 0.0, 1.0)[:, None] * [0.0, 0.0, 0.3]
+    np.testing.assert_allclose(carry_shape(carrier, step), step[same], rtol=0, atol=1e-6)

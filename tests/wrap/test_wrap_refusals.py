@@ -1,4 +1,4 @@
-"""Nets that cannot be fitted: every message says by what, what is wrong, and what to do."""
+"""Nets and plain targets that cannot be fitted: every message says by what, what is wrong, and what to do."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ import pytest
 from examples.shapes import cube
 
 from cagemap import refine
-from cagemap.errors import FormatError
+from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import write_mesh
+from cagemap.mesh.schemes import Plain
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.tasks import wrap as wrap_task
+from cagemap.tasks import run
+from cagemap.tasks import wrap as task
 from cagemap.tasks.match import MatchRequest
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.wrap import WrapRequest
@@ -107,7 +109,7 @@ def test_a_bake_that_fails_leaves_no_mesh_without_its_images(
     def fail(*given: object) -> None:
         raise FormatError("d.exr: no room")
 
-    monkeypatch.setattr(wrap_task, "bake_wrapped", fail)
+    monkeypatch.setattr(task, "bake_wrapped", fail)
     run.refused("wrap R -o new.obj --mhclo new.mhclo --displacement d.exr", says="no room")
     assert not list(result_folder.parent.glob("new.*"))
 
@@ -121,10 +123,33 @@ def test_warnings_of_several_frames_have_their_names(monkeypatch: pytest.MonkeyP
         assert (last_frame is None) == (len(given) == 1)
         return identity_result()
 
-    monkeypatch.setattr(wrap_task, "match_files", matched)
-    monkeypatch.setattr(wrap_task, "result_warnings", lambda result: ["it folds"])
+    monkeypatch.setattr(task, "match_files", matched)
+    monkeypatch.setattr(task, "result_warnings", lambda result: ["it folds"])
     sources, pairs = [Path(f"{number}.obj") for number in range(count)], Path("l.json")
     request = WrapRequest((), Path("o.obj"), Path("t.obj"), sources[0], pairs)
-    _, warnings = wrap_task._match_sources(request, Path("t.obj"), sources, Path("R"), Stages())
+    _, warnings = task._match_sources(request, Path("t.obj"), sources, Path("R"), Stages())
     assert [one.landmarks for one in given] == [pairs, None][:count]
     assert warnings == (["it folds"] if count == 1 else ["0.obj: it folds", "1.obj: it folds"])
+
+
+def test_with_a_map_nothing_is_refined(tmp_path: Path) -> None:
+    for name in ("t.obj", "s.obj"):
+        write_mesh(tmp_path / name, replace(cube(), scheme=Plain()))
+    np.save(tmp_path / "map.npy", np.arange(8))
+    request = WrapRequest(
+        (), target=tmp_path / "t.obj", source=tmp_path / "s.obj", map=tmp_path / "map.npy", output=tmp_path / "new.obj"
+    )
+    stages = list[str]()
+    with pytest.raises(ParameterError, match="expected a cage to wrap, got a plain mesh"):
+        run(request, stages.append)
+    assert stages == ["read"]
+
+
+def test_of_blend_shapes_no_folder_is_left(
+    result_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = replace(textured_cube("t.obj"), scheme=Plain())
+    monkeypatch.setattr(task, "read_result", lambda _: identity_result(1, (plain, textured_cube("s.obj"))))
+    with pytest.raises(ParameterError, match="expected a cage to wrap, got a plain mesh"):
+        run(WrapRequest(results=(result_folder,), output=tmp_path / "shapes", blend_shapes=True))
+    assert not (tmp_path / "shapes").exists()

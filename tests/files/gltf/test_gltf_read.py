@@ -15,7 +15,8 @@ from cagemap.errors import FormatError
 from cagemap.files.gltf.character import character_of, humanoid_bones, read_character
 from cagemap.files.gltf.document import glb_bytes, read_document, write_document
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.read import read_gltf
+from cagemap.files.gltf.parts import read_scene
+from cagemap.files.gltf.read import contents_of, read_gltf
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.usd.prims import JOINT_WEIGHTS
 from cagemap.files.values.attributes import read_attributes
@@ -229,3 +230,16 @@ def test_check_reports_a_mesh_whose_image_is_missing(tmp_path: Path) -> None:
     text, _ = run_check(CheckRequest((tmp_path / "made.gltf",)), Stages())
     assert "skin baseColor (cannot be read: lost.png)" in text
     assert "faces" in text
+
+
+@pytest.mark.parametrize(("name", "said"), [("made.glb", True), ("made.fbx", False), ("made.usda", False)])
+def test_vertices_that_only_gltf_splits_are_said(name: str, said: bool) -> None:
+    """FBX and USD files have own indices of normals and UVs: their vertices are those that programs show."""
+    made = Maker()
+    corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+    attributes = {"POSITION": made.add(corners), "NORMAL": made.add([(0, 0, 1)] * 3 + [(0, 1, 0)] * 3)}
+    meshes = [{"primitives": [{"attributes": attributes}]}]
+    scene = read_scene(made.document(Path(name), nodes=[{"mesh": 0}], meshes=meshes))
+    text = str(contents_of(scene))
+    assert ("4, made of 6 in the file: copies along seams are welded, so that later" in text) == said
+    assert ("made of" in text) == said

@@ -1,4 +1,4 @@
-"""What a mesh has is kept by a file of every format, or a warning names it."""
+"""What a mesh has is kept by a file of every format, or a warning names it; so it names meshes that are not shown."""
 
 from __future__ import annotations
 
@@ -10,13 +10,18 @@ import numpy as np
 import pytest
 from examples.shapes import cube, icosahedron
 
+from cagemap.files.gltf.character import character_of
 from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.usd.read import read_usd_meshes
+from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.parts import extract_faces
 from cagemap.mesh.schemes import Bilinear, CatmullClark, Loop, Plain
 from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks import RefineRequest, run
+
+from gltf_scenes import Maker
 
 VALUES = {
     "texture coordinates": lambda mesh: None if mesh.uvs is None else _rows(mesh.uvs[mesh.uv_indices]),
@@ -137,3 +142,38 @@ def test_names_that_no_face_has_are_not_missed(tmp_path: Path, caplog: pytest.Lo
         tmp_path / "part.ply", replace(part, face_materials=np.zeros(3, int), material_names=("#ff0000", "skin"))
     )
     assert not caplog.text
+
+
+@pytest.mark.parametrize("displayed", [None, 1])
+def test_meshes_of_other_gltf_scenes(displayed: int | None, caplog: pytest.LogCaptureFixture) -> None:
+    made = Maker()
+    attributes = {"POSITION": made.add(np.eye(3))}
+    document = made.document(
+        scenes=[{"nodes": [0]}, {"nodes": [1]}],
+        nodes=[{"name": "shirt", "mesh": 0}, {"name": "body", "mesh": 0}],
+        meshes=[{"primitives": [{"attributes": attributes}]}],
+        **({} if displayed is None else {"scene": displayed}),
+    )
+    (part,) = character_of(document).parts
+    shown, other = ("body", "shirt") if displayed else ("shirt", "body")
+    assert part.name == shown
+    assert f"made.glb: left out meshes that its scene {displayed or 0} does not show: {other};" in caplog.text
+
+
+def test_prototypes_of_a_usd_instancer(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    from pxr import Usd, UsdGeom
+
+    path = tmp_path / "meadow.usda"
+    write_usd(path, cube())
+    stage = Usd.Stage.Open(str(path))
+    UsdGeom.PointInstancer.Define(stage, "/Asset/grass")
+    blade = UsdGeom.Mesh.Define(stage, "/Asset/grass/blade")
+    ground = UsdGeom.Mesh(next(prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)))
+    for name in ("points", "faceVertexCounts", "faceVertexIndices"):
+        blade.GetPrim().GetAttribute(name).Set(ground.GetPrim().GetAttribute(name).Get())
+    stage.GetRootLayer().Save()
+    del stage, blade, ground
+    (mesh,) = read_usd_meshes(path)
+    assert mesh.path != "/Asset/grass/blade"
+    assert "/Asset/grass/blade" in caplog.text
