@@ -1,4 +1,4 @@
-"""One studio for the tests of a file in a real browser; a failure gives the next test a new one."""
+"""What the tests of the studio share; one studio for a file in a real browser, a new one after a failure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 
+from cagemap.studio.finish import Command
 from cagemap.studio.opening import built_in_files
+from cagemap.studio.session import Session
 from cagemap.studio.state import Files
 
 from browser_page import Page
@@ -47,3 +49,11 @@ def page(running: Running) -> Page:
 @pytest.fixture
 def files(running: Running) -> Files:
     return running.files
+
+
+@pytest.fixture
+def started(opened: Session, monkeypatch: pytest.MonkeyPatch) -> list[Command]:
+    """Commands of bakes that were asked for; none is run."""
+    commands: list[Command] = []
+    monkeypatch.setattr(opened._runner, "start", commands.extend)
+    return commands

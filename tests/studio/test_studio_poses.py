@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-from test_studio_models import attributes_of
+from test_studio_skins import attributes_of
 
 from cagemap.character.poses import pose_at
 from cagemap.character.values import skinned_positions
