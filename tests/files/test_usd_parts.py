@@ -5,13 +5,11 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from examples.shapes import creature, cube, poles, torus
 
-from cagemap.files.gltf.primitives import material_names
 from cagemap.files.images.image import write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.result.folder import write_result
@@ -30,12 +28,10 @@ from cagemap.tasks.wrap import run_wrap
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
+from pxr import Gf, Sdf, Usd, UsdGeom
 
 from cagemap.files.meshes.arrays import control_from_arrays, control_to_arrays
-from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.read import read_usd, read_usd_meshes
-from cagemap.files.usd.results import define_material
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
 from example_result import identity_result
@@ -282,80 +278,6 @@ def test_values_under_a_changed_name_take_no_other_primvars_place(tmp_path, capf
     np.testing.assert_allclose(read.control.uvs[read.control.uv_indices], mesh.uvs[mesh.uv_indices])  # type: ignore[index]
 
 
-def _paint(shape: Any, path: str, color: tuple[int, int, int]) -> None:
-    """Bind a new material of a colour to a mesh or subset."""
-    material, surface = define_material(shape.GetPrim().GetStage(), path)
-    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
-    UsdShade.MaterialBindingAPI.Apply(shape.GetPrim()).Bind(material)
-
-
-def test_materials_of_one_name_in_two_scopes_stay_apart(tmp_path: Path) -> None:
-    with stage_at(tmp_path / "looks.usda") as stage:
-        mesh = usd_mesh(stage, "/m", cube())
-        for scope, faces, color in (("a", [0, 1, 2], (1, 0, 0)), ("b", [3, 4, 5], (0, 0, 1))):
-            subset = UsdGeom.Subset.CreateUniqueGeomSubset(mesh, f"of_{scope}", "face", faces, "materialBind")
-            _paint(subset, f"/{scope}/metal", color)
-    read = read_usd(tmp_path / "looks.usda")
-    assert read.material_names == ("metal", "/b/metal")
-    colors = read.material_colors[read.face_materials]  # type: ignore[index]
-    np.testing.assert_array_equal(colors, [[1, 0, 0]] * 3 + [[0, 0, 1]] * 3)
-
-
-def test_materials_of_one_name_on_two_meshes_stay_apart(tmp_path: Path) -> None:
-    """Each mesh has its own scope, as of assets put together; copies of an instance have one material."""
-    stage = Usd.Stage.CreateNew(str(tmp_path / "looks.usda"))
-    for number, color in enumerate([(1, 0, 0), (0, 0, 1)]):
-        _paint(usd_mesh(stage, f"/asset{number}/mesh", cube()), f"/asset{number}/looks/metal", color)
-    stage.Save()
-    read = read_usd(tmp_path / "looks.usda")
-    assert read.material_names == ("metal", "/asset1/looks/metal")
-    document = usd_document(tmp_path / "looks.usda")
-    factors = [one["pbrMetallicRoughness"]["baseColorFactor"] for one in document.json["materials"]]
-    for colors in (read.material_colors, factors):
-        np.testing.assert_array_equal(np.array(colors)[:, :3], [[1, 0, 0], [0, 0, 1]])
-    for name in ("one", "two"):
-        prim = stage.OverridePrim(f"/{name}")
-        prim.SetTypeName("Xform")
-        prim.GetReferences().AddInternalReference("/asset1")
-        prim.SetInstanceable(True)
-    stage.RemovePrim("/asset0")
-    stage.Save()
-    assert read_usd(tmp_path / "looks.usda").material_names == ("metal", "/one/looks/metal")
-
-
-def _bound(stage: Any, to: Any, material: str, **options: Any) -> None:
-    api = UsdShade.MaterialBindingAPI.Apply(to.GetPrim())
-    api.Bind(UsdShade.Material.Define(stage, f"/looks/{material}"), **options)
-
-
-def test_materials_are_those_that_usd_resolves(tmp_path: Path) -> None:
-    with stage_at(tmp_path / "looks.usda") as stage:
-        strong = UsdShade.Tokens.strongerThanDescendants
-        _bound(stage, UsdGeom.Xform.Define(stage, "/over"), "above", bindingStrength=strong)
-        meshes = {path: usd_mesh(stage, path, cube()) for path in ("/over/m", "/full", "/preview", "/list/m")}
-        subsets = {
-            path: UsdGeom.Subset.CreateGeomSubset(meshes[path], "part", "face", [0, 1], "materialBind")
-            for path in ("/over/m", "/preview", "/list/m")
-        }
-        _bound(stage, subsets["/over/m"], "below")
-        _bound(stage, meshes["/full"], "final", materialPurpose="full")
-        _bound(stage, meshes["/preview"], "all")
-        _bound(stage, subsets["/preview"], "shown", materialPurpose="preview")
-        group = UsdGeom.Xform.Define(stage, "/list").GetPrim()
-        collection = Usd.CollectionAPI.Apply(group, "chosen")
-        collection.IncludePath("/list/m/part")
-        listed = UsdShade.Material.Define(stage, "/looks/listed")
-        UsdShade.MaterialBindingAPI.Apply(group).Bind(collection, listed, "chosen")
-    found = {mesh.path: mesh.control for mesh in read_usd_meshes(tmp_path / "looks.usda")}
-    names = {path: [one.material_names[number] for number in one.face_materials] for path, one in found.items()}
-    assert names == {
-        "/over/m": ["above"] * 6,
-        "/full": ["final"] * 6,
-        "/preview": ["shown"] * 2 + ["all"] * 4,
-        "/list/m": ["listed"] * 2 + [""] * 4,
-    }
-
-
 def test_curves_copies_and_values_of_as_many_faces_as_vertices_are_left_out_aloud(tmp_path, caplog):
     ring = torus()
     assert ring.n_faces == ring.n_vertices
@@ -488,35 +410,6 @@ def test_several_meshes_are_upright_as_their_world(tmp_path: Path) -> None:
     stored = control_from_arrays(tmp_path, arrays, "", (), "one", "")
     for mesh in (whole, stored):
         np.testing.assert_array_equal([0, 0, 1] @ mesh.upright, [0, 1, 0])
-
-
-def test_a_binding_without_its_schema_is_read_without_a_word_of_usd(tmp_path, capfd):
-    with stage_at(tmp_path / "cube.usda") as stage:
-        prim = usd_mesh(stage, "/cube", cube()).GetPrim()
-        UsdShade.Material.Define(stage, "/red")
-        prim.CreateRelationship("material:binding").SetTargets(["/red"])
-    assert read_usd(tmp_path / "cube.usda").material_names == ("red",)
-    assert capfd.readouterr().err == ""
-
-
-def test_a_face_in_several_groups_is_written_into_each_and_names_are_kept_as_display_names(tmp_path: Path) -> None:
-    """One and two of `g one two` would lose the face; `Skin.001` is no name of a prim."""
-    mesh = replace(
-        cube(),
-        face_groups=np.array([0, 3, 3, 3, 1, 2]),
-        group_names=("one", "two", "one two", ""),
-        face_materials=np.array([0, 0, 0, 1, 1, 1]),
-        material_names=("Skin.001", "eye"),
-    )
-    write_usd(tmp_path / "box.usda", mesh)
-    stage = Usd.Stage.Open(str(tmp_path / "box.usda"))
-    subsets = UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(stage.GetPrimAtPath("/Asset/mesh")))
-    found = {one.GetPrim().GetDisplayName(): list(one.GetIndicesAttr().Get()) for one in subsets}
-    assert found == {"one": [0, 5], "two": [4, 5], "Skin.001": [0, 1, 2], "eye": [3, 4, 5]}
-    assert stage.GetPrimAtPath("/Asset/materials/Skin_001").GetDisplayName() == "Skin.001"
-    read = read_usd(tmp_path / "box.usda")
-    assert read.group_names == ("one", "two", "", "one two")
-    assert read.material_names == material_names(usd_document(tmp_path / "box.usda")) == ("Skin.001", "eye")
 
 
 def test_groups_come_back_by_the_names_that_were_written(tmp_path: Path) -> None:
