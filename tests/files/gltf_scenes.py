@@ -59,10 +59,7 @@ def moved(x: float, y: float, z: float) -> np.ndarray:
 
 
 def arm(*, above: dict[str, Any] | None = None, bind: np.ndarray | None = None) -> Document:
-    """A strip of two quads along x on two joints at x = 0 and x = 1, in an armature, and a ball below the second joint.
-
-    ``bind`` moves the stored positions: the skin's matrices undo it.
-    """
+    """Two quads along x on joints at x = 0 and 1, a ball below the second; ``bind`` moves what is stored."""
     bind = np.eye(4) if bind is None else bind
     make = Maker()
     points = np.array([(x, y, 0.0) for x in (0.0, 1.0, 2.0) for y in (0.0, 1.0)])

@@ -200,10 +200,7 @@ LIMBS = {"nose": 0.8, "fore left": 1.0, "fore right": 1.0, "tail": 0.4, "hind le
 
 
 def animal(tail: float, given: dict[str, tuple[str, float]]) -> Distances:
-    """Distances on limbs at both ends of a trunk, from points (limb, way out on it) to them and to all of the animal.
-
-    Landmarks are the limbs' tips, but for those that are given.
-    """
+    """Distances from points (limb, way out on it) at both ends of a trunk; landmarks are tips but for the given."""
     lengths = LIMBS | {"tail": tail}
     marks = [given.get(limb, (limb, length)) for limb, length in lengths.items()]
     nodes = [*marks, *((limb, way) for limb, length in lengths.items() for way in np.arange(0, length, 0.05).tolist())]

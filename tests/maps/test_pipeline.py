@@ -80,10 +80,7 @@ def test_chosen_level_depends_on_the_scheme():
 
 @pytest.mark.slow
 def test_a_relabelled_copy_is_found_again(pony):
-    """The same surface with its vertices in another order: the map is the relabelling.
-
-    The spectral embedding of the two bases agrees up to rounding, so that every vertex maps to its own place.
-    """
+    """Vertices in another order: the map is the relabelling, as the spectral embeddings agree up to rounding."""
     copy, new_number = renumbered(pony, 61)
     source = prepare_surface(pony, 2, BASIS)
     target = prepare_surface(copy, 2, BASIS)

@@ -100,8 +100,7 @@ def test_weights_mean_the_same_on_all_levels():
 
 @pytest.mark.parametrize("kind", [None, tridiagonal, dense])
 def test_extension_keeps_the_coarse_block_and_solves_the_others(kind):
-    """Eq. 14: C_l stays bit for bit; the other blocks minimise the energy, whose operators eq. 15 makes block diagonal
-    unless they are dense."""
+    """Eq. 14: C_l stays bit for bit; other blocks minimise the energy, by eq. 15 block diagonal unless dense."""
     k1, k2, low1, low2, q = 9, 8, 5, 4, 25
     operators = ((), ()) if kind is None else ((kind(k1),), (kind(k2),))
     constraints = Constraints(data(k1, q, *operators[0]), data(k2, q, *operators[1]))

@@ -100,10 +100,7 @@ def programs_of(page: str) -> list[str]:
 
 @pytest.mark.slow
 def test_examples_in_the_docs_run(pair_files, monkeypatch, capsys, quick_fit, one_start):
-    """README.md from files to a baked texture, then the steps of docs/api.md on its surfaces; coarse and quick.
-
-    Of the first programs of docs/api.md the last is enough: all five run in tests/docs/test_snippets.py.
-    """
+    """README.md and the steps of docs/api.md, coarse; of its five first programs (test_snippets.py) the last."""
     monkeypatch.chdir(pair_files)
     names: dict[str, object] = {}
     first, *programs = programs_of("docs/api.md")

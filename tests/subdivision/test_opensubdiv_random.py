@@ -255,10 +255,7 @@ def _limits_agree(ours: Refinement, order: np.ndarray, theirs: Theirs) -> None:
 
 
 def _forgets_to_follow(mesh: ControlMesh, scheme: Scheme) -> bool:
-    """Whether OpenSubdiv keeps a UV sharp that followed another one, after that one has become smooth.
-
-    It does so as long as the seam itself is semi-sharp. A fault: sharpness along a seam has no say in it otherwise.
-    """
+    """Whether OpenSubdiv, by a fault at semi-sharp seams, keeps a UV sharp after the one it followed is smooth."""
     state = control_state(mesh, scheme)
     layout, _ = control_layout(mesh, state, scheme)
     if layout.follows is None or state.sharpness is None:

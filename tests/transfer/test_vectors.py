@@ -185,8 +185,7 @@ def test_frames_are_those_of_mikktspace_on_a_plane() -> None:
 
 
 def test_frames_are_those_of_the_reference_implementation() -> None:
-    """Tangents of Mikkelsen's own code (npm mikktspace 1.1.1), given our normals; half of the layout is mirrored, and
-    half of its faces number places anew that others number too."""
+    """Tangents of npm mikktspace 1.1.1 for our normals: half the layout mirrored, half with places numbered twice."""
     with np.load(FIXTURES / "mikktspace.npz") as stored:
         faces, layout = stored["faces"].astype(np.int64), stored["uv_indices"].astype(np.int64)
         level = Level(stored["positions"], faces, np.arange(len(faces))).with_uvs(stored["uvs"], layout)

@@ -50,10 +50,7 @@ def test_a_texture_inside_the_file_or_beside_it(where: str, tmp_path: Path) -> N
 
 @pytest.mark.parametrize(("angle", "across", "deep"), [(30.0, 4.0, 1), (0.0, 2.0, 0), (30.0, 2.0, 1), (0.0, 0.0, 1)])
 def test_a_texture_that_is_moved_turned_and_scaled(angle, across, deep, tmp_path, caplog):
-    """In FBX the image is scaled, turned and moved over the coordinates: not always what glTF can say.
-
-    The third scale has no effect; assimp writes 0.
-    """
+    """FBX scales, turns and moves the image: not always what glTF can say; the third scale, 0 by assimp, is ignored."""
     made = fbx_arm(image=PNG)
     texture = made.named("Texture")
     moved = {"Translation": (0.25, 0.5, 0.0), "Rotation": (0.0, 0.0, angle), "Scaling": (across, 4.0, float(deep))}
