@@ -1,7 +1,5 @@
 """Names that benchmarks and examples import from cagemap exist, also where their other libraries are not installed."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util

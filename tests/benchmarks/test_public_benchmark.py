@@ -1,7 +1,5 @@
 """`benchmarks.public` on miniatures of our own in the layout of the public sets."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterator

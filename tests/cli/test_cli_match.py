@@ -1,7 +1,5 @@
 """`cagemap match` on files: inputs, defaults, options of one side or method, output, messages and the manifest."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import re

@@ -1,7 +1,5 @@
 """`cagemap run` on real files: the same maps as single commands, and nothing twice."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -1,7 +1,5 @@
 """`cagemap transfer` and `cagemap report` on a small RESULT: what they write, warn of and refuse."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

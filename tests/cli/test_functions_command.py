@@ -1,7 +1,5 @@
 """`cagemap functions`: eigenfunctions and descriptors of one mesh in files."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from examples import shapes

@@ -1,7 +1,5 @@
 """What a command did can be done again by the job file that it leaves in the RESULT folder."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Libraries that may be missing: rslab has a stand-in, and what embreex and xatlas are needed for says so."""
 
-from __future__ import annotations
-
 import builtins
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """The command line stays short: options in groups with a line and a default each, research options after `--set`."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What `cagemap transfer` refuses at its door: outputs that would be half of what was asked for, and idle options."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`transfer` with several maps, and with a USD layer over the target."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Damaged files of every kind end in a named error or are read: never in another exception, a crash or a warning."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

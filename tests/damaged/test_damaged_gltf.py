@@ -3,8 +3,6 @@
 Containers that are cut short: tests/files/gltf/test_gltf_document.py.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Damaged USD characters: a named error or a valid result, never another exception."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The energy of the elastic fit: what it forgives, what it bounds, how it is minimised and answers to landmarks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

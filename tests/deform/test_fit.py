@@ -1,7 +1,5 @@
 """The fit: what it is given, data terms, constraints, coarse graphs, and that a known map is found."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

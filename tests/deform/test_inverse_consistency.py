@@ -1,7 +1,5 @@
 """The mean of a fit and the inverse of the reverse fit, and the best parts of several coarse placements."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

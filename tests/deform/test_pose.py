@@ -1,7 +1,5 @@
 """The target in the source's pose: as rigid as it can be near a fit, and fitted again from there."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A part on a whole and a whole on a part: what has no counterpart has no data term."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

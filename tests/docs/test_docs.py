@@ -1,7 +1,5 @@
 """What the docs promise exists."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import inspect

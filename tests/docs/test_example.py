@@ -1,7 +1,5 @@
 """The built-in pair: sound cages, real islands, landmarks that mean the same, paint that does not show the seams."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every recipe runs where its libraries are installed, is short, and finds the map that is known."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """The researcher's page runs, and the short names of `cagemap.research` do what they say."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from dataclasses import replace

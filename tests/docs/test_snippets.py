@@ -1,7 +1,5 @@
 """Scripts of examples/ and the first programs of docs/api.md run, are short, and find what is there."""
 
-from __future__ import annotations
-
 import re
 import runpy
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Small glTF documents that tests share."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

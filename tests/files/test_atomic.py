@@ -1,7 +1,5 @@
 """Files and folders are written whole or not at all, and nothing of a failure stays behind."""
 
-from __future__ import annotations
-
 import errno
 import os
 import resource

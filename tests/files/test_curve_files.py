@@ -1,7 +1,5 @@
 """Curves in files, and what is wrong with them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files that cannot be read or written: every message names the file, what is wrong in it, and what to do."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Images: exact round trips in every type, and refusals that say what to do."""
 
-from __future__ import annotations
-
 import errno
 from dataclasses import replace
 from pathlib import Path

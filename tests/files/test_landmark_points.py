@@ -1,7 +1,5 @@
 """Landmarks anywhere on a mesh, kept per mesh and by name, in the forms of other programs."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

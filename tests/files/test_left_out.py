@@ -1,7 +1,5 @@
 """What a mesh has is kept by a file of every format, or a warning names it; so it names meshes that are not shown."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from pathlib import Path

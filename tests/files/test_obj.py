@@ -1,7 +1,5 @@
 """OBJ files: what is read is what stands in the file, what is written reads back exactly, bad files are named."""
 
-from __future__ import annotations
-
 import json
 import unicodedata
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Subdivision tags, objects, groups, vertex colours and images of materials in OBJ files."""
 
-from __future__ import annotations
-
 import unicodedata
 from dataclasses import replace
 from pathlib import Path

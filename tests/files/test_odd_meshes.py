@@ -1,7 +1,5 @@
 """Odd but legal mesh files, as other programs write them, and vertex colours as shares of full light."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A result about a part: values come and go in the numbers of the whole file, which are the ones a person has."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """PLY, OFF and STL files: what is written or written by others is read exactly, and what is wrong is named."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import replace
 from pathlib import Path

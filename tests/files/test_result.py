@@ -1,7 +1,5 @@
 """RESULT folders: what is written comes back, and what is broken is refused by name."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

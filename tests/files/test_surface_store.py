@@ -1,7 +1,5 @@
 """Stored surfaces: the same surface again, or a clear refusal; the version of the code that keys them."""
 
-from __future__ import annotations
-
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Jobs that cannot run: every message names the file or option, what is wrong, and what to do."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Landmarks of one model on all others: carried along maps, corrected by a person, used from then on."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

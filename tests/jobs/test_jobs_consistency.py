@@ -1,7 +1,5 @@
 """A collection's own knowledge: spoiled pairs are found by the detours around them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import permutations
 from pathlib import Path

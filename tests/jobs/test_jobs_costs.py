@@ -1,7 +1,5 @@
 """What `--dry-run` says of time, memory and disk, against figures that were measured (benchmarks.library.growth)."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

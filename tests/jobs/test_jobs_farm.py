@@ -1,7 +1,5 @@
 """Tasks by number, with templates that farms accept; a full disk; a scheduler and workers as processes."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Job files: every mistake at once, with its line; and the plan that a right one leads to."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import get_args
 

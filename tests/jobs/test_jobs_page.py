@@ -1,7 +1,5 @@
 """The page and the table of all pairs."""
 
-from __future__ import annotations
-
 import csv
 import errno
 import sys

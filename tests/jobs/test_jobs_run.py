@@ -1,7 +1,5 @@
 """Running a plan: nothing twice, nothing half, and what fails costs only what needs it."""
 
-from __future__ import annotations
-
 import logging
 import signal
 import struct

@@ -1,7 +1,5 @@
 """Surfaces that lie on each other: the identity or closest points, unless landmarks or masks want something else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Curves: read, checked, put on refined surfaces, followed by the fit, stored and shown."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

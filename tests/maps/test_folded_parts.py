@@ -1,7 +1,5 @@
 """From fitted points to a map: interpolated, projected, and folded parts flattened so that it is one-to-one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from examples.shapes import creature

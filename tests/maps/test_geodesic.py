@@ -1,7 +1,5 @@
 """Distances along a surface, errors of maps measured by them, and sizes of regions around landmarks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

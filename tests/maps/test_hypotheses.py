@@ -1,7 +1,5 @@
 """Maps without landmarks: one search over all starts, from both sides, and the answer says how sure it is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Wrong landmark pairs: found, named and not followed; correct ones left alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

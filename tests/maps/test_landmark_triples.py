@@ -1,7 +1,5 @@
 """The strain of landmark pairs, and checks of all their triples against plain definitions."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Limbs and their tips: assigned by what a pose keeps, met by a fit, and named where their rotation is open."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bodies posed by a simple skeleton, and the sets written of them."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

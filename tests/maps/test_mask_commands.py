@@ -1,7 +1,5 @@
 """Masked matches, transfers and wraps of files: what lies outside the mask stays the target's own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Masks: what of two surfaces is matched and transferred; what lies outside stays the target's own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

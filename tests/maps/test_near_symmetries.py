@@ -1,7 +1,5 @@
 """Shapes that hardly tell front from back or left from right: never wrongly sure, and right with six landmarks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product

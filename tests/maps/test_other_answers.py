@@ -1,7 +1,5 @@
 """Maps in every form that users have and in other bases, and maps from another answer of a match."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The whole method: levels chosen, identity found again, landmarks met, ground truth on real humans."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from dataclasses import replace

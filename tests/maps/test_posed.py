@@ -1,7 +1,5 @@
 """Bodies in strong poses; slow, on the shared meshes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

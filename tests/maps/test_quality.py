@@ -1,7 +1,5 @@
 """Quality figures and closest points, on surfaces where every answer is known."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -4,8 +4,6 @@ The truth is the closest point of the other cage's surface; it is known to the g
 which is measured beside the map's error. Lengths are of sqrt(area).
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import sparse

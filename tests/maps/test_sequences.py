@@ -1,7 +1,5 @@
 """Frames of a moving source: each map starts from the last one's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Signs of a wrong map, each on a map that has a known amount of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Checks of control meshes: every validator fires on its fault, names the elements, and passes on valid meshes."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

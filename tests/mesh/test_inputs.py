@@ -1,7 +1,5 @@
 """Meshes and landmarks as arrays, and as other libraries have them, at every public function that takes some."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any

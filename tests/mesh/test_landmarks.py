@@ -1,7 +1,5 @@
 """Landmarks: files read and write exactly, exchanged meshes are refused, pairs must fit the two meshes."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

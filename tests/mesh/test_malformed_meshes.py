@@ -1,7 +1,5 @@
 """Real meshes and a built-in one, whole, cut, flipped, duplicated and scaled: each passes or is refused by name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

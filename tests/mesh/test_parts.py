@@ -1,7 +1,5 @@
 """Parts: found by name, taken out whole, paired, matched one by one and stored as one result."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

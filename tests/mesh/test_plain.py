@@ -1,7 +1,5 @@
 """Plain meshes (scheme none): mended and set aside by name, coarse levels below them, matched as they are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Coarse levels below plain meshes, and maps between plain meshes as they are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

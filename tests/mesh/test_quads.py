@@ -1,7 +1,5 @@
 """Triangles joined to the quads that they were."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Connectivity of control meshes, compared with a slow twin that goes face by face; measures of known shapes."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Welding: files split at seams become one surface, and values and landmarks keep their numbering everywhere."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Configurations refuse numbers outside their ranges where they are made."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Factorisations: both libraries behind one interface."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Threads: BLAS keeps to one, surfaces get one each, and neither changes a result."""
 
-from __future__ import annotations
-
 import copy
 import threading
 from concurrent.futures import ThreadPoolExecutor

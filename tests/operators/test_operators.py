@@ -1,7 +1,5 @@
 """SEC operators: what section 2.2.2 and Lemma 5 of the paper promise, to machine precision."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

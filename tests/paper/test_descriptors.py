@@ -1,7 +1,5 @@
 """Descriptors in the spectral domain: Definition 3 of the paper."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

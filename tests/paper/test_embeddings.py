@@ -1,7 +1,5 @@
 """Searches of fine levels: candidates from parents, and points of triangles (paper, section 5.4)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from examples import shapes

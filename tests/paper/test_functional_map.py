@@ -1,7 +1,5 @@
 """Functional maps: eq. 13, eqs. 14-16, and their agreement with a plain dense least-squares solve."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lemmas 1 to 5 and Definition 2 of the paper, with eigenpairs that are exact at their level."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from examples import shapes

@@ -1,7 +1,5 @@
 """The maps of all levels in a RESULT folder: written, read, taken as results of their own, baked and drawn."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

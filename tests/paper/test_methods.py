@@ -1,7 +1,5 @@
 """The methods paper and hfm on real pairs: what each stage is worth, and that maps get better from level to level."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from unittest.mock import patch
 

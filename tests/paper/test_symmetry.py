@@ -1,7 +1,5 @@
 """Self-symmetries: detection, propagation from level to level, projection (paper, section 5.2)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

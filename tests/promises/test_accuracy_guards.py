@@ -3,8 +3,6 @@
 Bounds are the measured figures times 1.15; lengths are of sqrt(area).
 """
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import importlib.util

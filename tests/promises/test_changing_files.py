@@ -1,7 +1,5 @@
 """Files that others change while they are read, or between one command and the next."""
 
-from __future__ import annotations
-
 import shutil
 import threading
 from collections.abc import Callable

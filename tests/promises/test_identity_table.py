@@ -4,8 +4,6 @@ Also where its vertices and faces are renumbered, which only closest points tell
 takes a few hundredths of a second.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

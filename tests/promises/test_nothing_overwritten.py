@@ -1,7 +1,5 @@
 """Nothing that cagemap did not write is deleted or overwritten, and nothing that it was given is lost."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Plain meshes from files to results: every method, wrap, the studio and the store of prepared surfaces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

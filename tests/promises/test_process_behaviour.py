@@ -1,7 +1,5 @@
 """The command line as a guest of a shell: signals, pipes, words on demand; and caches that know the code."""
 
-from __future__ import annotations
-
 import gc
 import logging
 import os

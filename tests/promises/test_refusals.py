@@ -1,7 +1,5 @@
 """Commands that cannot do what is asked say why, end with 2 and write nothing."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A result that is read back does what the one that was written does: it is baked, reported and updated."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

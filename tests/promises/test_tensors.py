@@ -1,7 +1,5 @@
 """Tensors with gradients, or on a device, are taken where arrays are; arrays become tensors of torch."""
 
-from __future__ import annotations
-
 import builtins
 from collections.abc import Callable
 from typing import Any

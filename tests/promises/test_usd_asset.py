@@ -1,7 +1,5 @@
 """A USD file with several UV sets: a match uses the one that is named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

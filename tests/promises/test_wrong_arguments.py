@@ -1,7 +1,5 @@
 """Public names refuse what they cannot use by a named error; values equal themselves alone, and can be hashed."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import importlib

@@ -1,7 +1,5 @@
 """What pictures take for up and front: by the file, by the shape where it is clear, and what they say of it."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pictures: what is drawn is where and how it should be."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

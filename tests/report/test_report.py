@@ -1,7 +1,5 @@
 """The report: self-contained, truthful, and drawn with the right colours."""
 
-from __future__ import annotations
-
 import base64
 import re
 from dataclasses import replace

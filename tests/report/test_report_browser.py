@@ -1,7 +1,5 @@
 """The report in a real browser: opens from a file, turns, says what is shown, and is accessible."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

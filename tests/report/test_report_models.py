@@ -1,7 +1,5 @@
 """What turns on a page: the arrays come back, marks are where the trouble is, and the page stays small."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

@@ -1,7 +1,5 @@
 """What users read has no words of the code's own."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The basis: one level or bands, nothing lost, and what can be asked of it without the dense fine matrix."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 

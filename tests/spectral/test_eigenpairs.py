@@ -1,7 +1,5 @@
 """Eigenpairs of one level: against SciPy, on repeated eigenvalues, and with nothing lost."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Eigenpairs of a mesh to a residual, and DiffusionNet's operators against its published formulas."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from examples import shapes

@@ -1,7 +1,5 @@
 """Eigenfunctions that cannot be computed: every message says which, what is wrong, and what to do."""
 
-from __future__ import annotations
-
 from functools import cache
 from types import SimpleNamespace
 from typing import Any

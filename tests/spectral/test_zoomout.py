@@ -1,7 +1,5 @@
 """ZoomOut: functional maps of matches, matches that they repair, and landmark coordinates that begin it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree

@@ -1,7 +1,5 @@
 """What the tests of the studio share; one studio for a file in a real browser, a new one after a failure."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

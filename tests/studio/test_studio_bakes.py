@@ -1,7 +1,5 @@
 """The finish in a real browser: each kind of control used, files as the command line writes them."""
 
-from __future__ import annotations
-
 import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The studio in a real browser, one for all these tests, which leave it as they found it: landmarks, tabs, the bake."""
 
-from __future__ import annotations
-
 import io
 import json
 import shutil

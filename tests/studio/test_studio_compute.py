@@ -1,7 +1,5 @@
 """Tasks of the preview: maps that follow landmarks, their answers and suggestions, and the worker that runs them."""
 
-from __future__ import annotations
-
 import logging
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Studios of their own in a real browser: parts, other answers, the token, and what the end leaves."""
 
-from __future__ import annotations
-
 import socket
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The finish: the commands that it runs, what it gives to download, and whether its map is the one shown."""
 
-from __future__ import annotations
-
 import io
 import os
 import queue

@@ -1,7 +1,5 @@
 """The process of a finish and its files: the job file makes them again, nothing is left half written."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

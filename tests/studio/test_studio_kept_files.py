@@ -1,7 +1,5 @@
 """Files of the studio's session: landmarks saved, kept and read again, and nothing outside its folders."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from contextlib import closing

@@ -1,7 +1,5 @@
 """What the studio shows: clicks on the smooth surface, skins through a map, seams, and the answers of its bench."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What a page is told and what it may ask for, without a page."""
 
-from __future__ import annotations
-
 import json
 import re
 import time

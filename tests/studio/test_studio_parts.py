@@ -1,7 +1,5 @@
 """Files of several parts in the studio: which one is open, its numbers, and what becomes of landmarks on the others."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Models posed before any bake, and baked images in the view of a session."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Requests of the preview: what is computed again, waits, is dropped or cancelled, and what a bake waits for."""
 
-from __future__ import annotations
-
 import json
 import queue
 import threading

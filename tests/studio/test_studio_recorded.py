@@ -1,7 +1,5 @@
 """A RESULT that the studio opens: what of its match is taken over, and what a bake writes then."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What the studio cannot open: every message names the file or control, what is wrong, and what to do."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from contextlib import closing

@@ -1,7 +1,5 @@
 """What answers on the network: who may ask, the files that are given out, and the web socket of a page."""
 
-from __future__ import annotations
-
 import asyncio
 import http.client
 import socket

@@ -1,7 +1,5 @@
 """The session behind all pages: its maps and views, what ends them, and what is shown of bakes."""
 
-from __future__ import annotations
-
 import os
 import threading
 import time

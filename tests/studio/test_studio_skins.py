@@ -1,7 +1,5 @@
 """Colours and images on the models of the studio, seams in them, and downloads of textured models."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

@@ -1,7 +1,5 @@
 """The studio's landmark list, its history and its files, without a browser."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

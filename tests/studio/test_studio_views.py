@@ -1,7 +1,5 @@
 """What both models show in a real browser: views, turns, what is under the pointer, and narrow windows."""
 
-from __future__ import annotations
-
 import base64
 import io
 

@@ -1,7 +1,5 @@
 """Creases, corners and holes: by hand, under relabelling, and through the whole method."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

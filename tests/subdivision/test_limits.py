@@ -1,7 +1,5 @@
 """Limit positions and normals: consistent between levels, and where the refinement really goes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from examples.shapes import bipyramid, creature, cube, disk, grid, icosahedron, poles, pyramid, triangulated

@@ -1,7 +1,5 @@
 """Agreement with OpenSubdiv 3.5.0 on recorded cases: positions, matrices, limits, and UVs of all six modes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Random creased cages, refined and taken to the limit by OpenSubdiv itself (Debian's libosd-dev) and by us."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from collections.abc import Callable

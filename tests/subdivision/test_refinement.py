@@ -1,7 +1,5 @@
 """Refinement: hand-computed masks, and what must hold on every mesh."""
 
-from __future__ import annotations
-
 import itertools
 import pickle
 import tracemalloc

@@ -1,7 +1,5 @@
 """Triangulated surfaces, points on them, and polylines: what follows from the arrays, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from examples.shapes import creature, torus

@@ -1,7 +1,5 @@
 """Searches on surfaces that cannot be done: every message says of what, what is wrong, and what to do."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from examples.shapes import icosahedron

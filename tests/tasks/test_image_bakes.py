@@ -1,7 +1,5 @@
 """Images that `cagemap transfer` bakes: meaning, sizes, labels, several materials on one, and what is doubtful."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tasks from Python: a request of `cagemap.tasks` and `run`."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields
 from pathlib import Path

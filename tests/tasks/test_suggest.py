@@ -1,7 +1,5 @@
 """The next landmark: where answers differ, where the map is doubtful, and far from the landmarks there are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

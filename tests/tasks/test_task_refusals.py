@@ -1,7 +1,5 @@
 """Commands that their files do not allow: every message says which option or file, what is wrong, and what to do."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What `cagemap transfer` says beside what it writes, values that stay at faces, and pieces that are not matched."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Values, weights and shapes as arrays: kept by the identity; a coarse target follows shapes over whole triangles."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bakes from a detailed mesh: what lies over the source arrives in the target's layout and frames."""
 
-from __future__ import annotations
-
 import sys
 import tracemalloc
 from collections.abc import Callable

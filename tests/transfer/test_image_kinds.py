@@ -1,7 +1,5 @@
 """Every kind of image through a whole transfer: with and without a mask, at its own size and shrunk."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -1,7 +1,5 @@
 """A face with a mouth: lips that close on the source close on the target, and do not go through each other."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Displacement, per-vertex and per-face values, material colours, and the files that hold attributes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Texture bakes: what comes out exactly (under the identity every covered texel), within the filter, and not at all."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

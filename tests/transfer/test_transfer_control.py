@@ -1,7 +1,5 @@
 """Values painted on the source's cage arrive on the target's: exactly under the identity, convex under any map."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from examples.shapes import cube, grid, icosahedron

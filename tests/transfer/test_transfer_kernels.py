@@ -1,7 +1,5 @@
 """The bake's kernels against their slow twins."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from examples.shapes import torus

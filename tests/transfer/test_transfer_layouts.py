@@ -1,7 +1,5 @@
 """Layouts that bakes are made into: tiles, UDIM sets, borders of islands, what lies outside, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Skinning weights, joints, blend shapes and maps: unchanged under the identity, refused where they do not fit."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rigs and maps by the command line: what comes back from files, and what is refused."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Unwrapping: whole polygons, no overlap after refinement, one density; and how much of a layout lies over itself."""
 
-from __future__ import annotations
-
 import importlib
 import itertools
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Normal maps and vector displacement: unchanged under the identity, turned with the map, flat stays flat."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Wrapping: the target's cage in the source's shape, such that the refined surface lies on the source."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

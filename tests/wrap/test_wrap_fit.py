@@ -1,7 +1,5 @@
 """The wrap's linear systems and its mending of faces."""
 
-from __future__ import annotations
-
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a wrap writes beside the cage: notes in its RESULTs, blend shapes all or none, a texture of a model file."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Nets and plain targets that cannot be fitted: every message says by what, what is wrong, and what to do."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """FBX files: read in a process of their own, as what they hold in metres with Y up."""
 
-from __future__ import annotations
-
 import json
 import logging
 from pathlib import Path

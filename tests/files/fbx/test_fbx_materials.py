@@ -1,7 +1,5 @@
 """Materials, textures, animations, poses and scales of FBX files."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

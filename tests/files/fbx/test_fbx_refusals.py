@@ -1,7 +1,5 @@
 """FBX files that are refused or repaired, and a library that stops."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

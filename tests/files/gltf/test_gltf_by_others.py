@@ -1,7 +1,5 @@
 """What independent readers and the Khronos validator say of written glTF, and mirrored nodes."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

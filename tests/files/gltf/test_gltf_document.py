@@ -1,7 +1,5 @@
 """glTF documents: accessors, buffers and compression, and what is refused."""
 
-from __future__ import annotations
-
 import base64
 import json
 import struct

@@ -1,7 +1,5 @@
 """glTF and VRM files as meshes, characters and values: seams, primitives, shapes, and what `check` says."""
 
-from __future__ import annotations
-
 import base64
 import json
 from dataclasses import replace

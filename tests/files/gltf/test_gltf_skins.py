@@ -1,7 +1,5 @@
 """Skins, bind poses, armatures and animations of glTF files."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Writing glTF: what is not understood stays, and characters go into documents."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
