@@ -8,115 +8,11 @@ import json
 import sys
 import time
 import traceback
-from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
-import numpy as np
-
-ZIP, FOLDER, NAMES = sys.argv[1], Path(sys.argv[2]), sys.argv[3:]
-
-bpy.ops.wm.read_factory_settings(use_empty=True)
-if ZIP == "-":
-    bpy.ops.preferences.addon_enable(module="bl_ext.user_default.cagemap")
-else:
-    bpy.ops.extensions.package_install_files(filepath=ZIP, repo="user_default", enable_on_install=True)
-import bmesh  # noqa: E402
-from bl_ext.user_default.cagemap import live, operators, reading, work  # noqa: E402
-
-SETTINGS = bpy.context.scene.cagemap
-CHECKS = {}
-
-
-def check(function):
-    CHECKS[function.__name__] = function
-    return function
-
-
-def clear():
-    global SETTINGS
-    SETTINGS = bpy.context.scene.cagemap  # another one after Undo
-    work.stop()
-    for object_ in list(bpy.data.objects):
-        bpy.data.objects.remove(object_)
-    bpy.data.orphans_purge(do_recursive=True)
-
-
-def pair():
-    """Source and target: two monkeys."""
-    bpy.ops.mesh.primitive_monkey_add()
-    source = bpy.context.object
-    source.name = "source"
-    target = source.copy()
-    target.data, target.name = source.data.copy(), "target"
-    bpy.context.collection.objects.link(target)
-    SETTINGS.source, SETTINGS.target, SETTINGS.vertices = source, target, 1000
-    bpy.ops.object.select_all(action="DESELECT")
-    bpy.context.view_layer.update()
-    return source, target
-
-
-def refusal(button, **options):
-    try:
-        button(**options)
-    except RuntimeError as error:
-        return str(error)
-    return ""
-
-
-class Window:
-    """A context with a window, which Blender does not have here; keeps what is shown in it."""
-
-    def __init__(self):
-        self.status, self.timers, self.reports = [], 0, []
-        self.window_manager = self.workspace = self
-        self.screen = self.window = None
-
-    def __getattr__(self, name):
-        return getattr(bpy.context, name)
-
-    def event_timer_add(self, seconds, window):
-        self.timers += 1
-        return self
-
-    def event_timer_remove(self, timer):
-        self.timers -= 1
-
-    def modal_handler_add(self, button):
-        pass
-
-    def status_text_set(self, text):
-        self.status.append(text)
-
-    def press(self, kind=operators.CAGEMAP_OT_match, **options):
-        """A button that was pressed, and what Blender is answered."""
-        window = self
-
-        class Button(work.Work):
-            bl_label, requests = kind.bl_label, kind.requests
-
-            def report(self, kinds, text):
-                window.reports.append([*kinds, text])
-
-        button = Button()
-        vars(button).update(options)
-        return button, button.invoke(self, event("LEFTMOUSE")).pop()
-
-    def step(self, button, kind="TIMER"):
-        """What a button answers to an event."""
-        return button.modal(self, event(kind)).pop()
-
-    def finish(self, button):
-        """The last answer of a button."""
-        answer, end = "PASS_THROUGH", time.monotonic() + 120.0
-        while answer == "PASS_THROUGH" and time.monotonic() < end:
-            time.sleep(0.02)
-            answer = self.step(button)
-        return answer
-
-
-def event(kind):
-    return type("Event", (), {"type": kind})()
+import character_checks  # noqa: F401
+import texture_checks  # noqa: F401
+from scene_kit import CHECKS, FOLDER, NAMES, SETTINGS, Window, bmesh, check, clear, live, pair, reading, refusal, work
 
 
 @check
@@ -132,8 +28,7 @@ def a_button_in_a_window_returns_at_once_and_writes_at_the_end():
     assert window.step(button, "ESC") == "CANCELLED"
     assert (window.timers, work.Work.running) == (0, False)
     assert "cagemap" not in target.data.color_attributes
-    button, _ = window.press()
-    assert window.finish(button) == "FINISHED"
+    window.run()
     assert (window.timers, work.Work.running) == (0, False)
     assert "cagemap" in target.data.color_attributes
     assert any("prepare" in text for text in window.status if text)
@@ -150,8 +45,7 @@ def other_objects_chosen_meanwhile_end_the_computation():
     assert "same mesh" in window.reports[-1][1]
     assert not work.WORKER.busy
     SETTINGS.target = target
-    button, _ = window.press()
-    assert window.finish(button) == "FINISHED"
+    window.run()
 
 
 @check
@@ -171,216 +65,6 @@ def edit_mode_meanwhile_delays_the_result():
     assert work.WORKER.has_match
 
 
-def shader_nodes(object_, name="coat"):
-    """Node tree of a new material of an object."""
-    material = bpy.data.materials.new(name)
-    if material.node_tree is None:
-        material.use_nodes = True
-    object_.data.materials.append(material)
-    return material.node_tree
-
-
-def principled(tree):
-    return next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
-
-
-def image_node(tree, image):
-    node = tree.nodes.new("ShaderNodeTexImage")
-    node.image = image
-    return node
-
-
-def gradient(name="gradient", size=512):
-    """An image in which every texel has a colour of its own."""
-    image = bpy.data.images.new(name, size, size)
-    x, y = np.meshgrid(np.linspace(0, 1, size), np.linspace(0, 1, size))
-    image.pixels.foreach_set(np.stack([x, y, (x + y) / 2, np.ones_like(x)], axis=2).astype(np.float32).ravel())
-    return image
-
-
-def pixels(image):
-    return np.array(image.pixels[:]).reshape(image.size[1], image.size[0], 4)
-
-
-def texels(image, uvs):
-    """Pixels at UVs (n, 2), repeated outside of the image."""
-    width, height = image.size
-    column, row = (np.mod(uvs, 1.0) * (width, height)).astype(int).T
-    return pixels(image)[np.minimum(row, height - 1), np.minimum(column, width - 1)]
-
-
-def face_middles(object_):
-    """UVs (m, 2) inside the faces."""
-    uvs = np.array([loop.vector[:] for loop in object_.data.uv_layers.active.uv])
-    return np.array([uvs[list(polygon.loop_indices)].mean(0) for polygon in object_.data.polygons])
-
-
-def baked_images(tree):
-    """Images of a node tree and of its groups."""
-    found = [node.image for node in tree.nodes if node.type == "TEX_IMAGE"]
-    for node in tree.nodes:
-        if node.type == "GROUP":
-            found += baked_images(node.node_tree)
-    return found
-
-
-@check
-def a_constant_mapping_is_baked():
-    source, target = pair()
-    tree = shader_nodes(source)
-    texture, mapping, coordinates = (
-        image_node(tree, gradient()),
-        tree.nodes.new("ShaderNodeMapping"),
-        tree.nodes.new("ShaderNodeTexCoord"),
-    )
-    mapping.inputs["Scale"].default_value = (4.0, 2.0, 1.0)
-    mapping.inputs["Rotation"].default_value = (0.0, 0.0, 0.3)
-    mapping.inputs["Location"].default_value = (0.3, 0.1, 0.0)
-    tree.links.new(coordinates.outputs["UV"], mapping.inputs["Vector"])
-    tree.links.new(mapping.outputs["Vector"], texture.inputs["Vector"])
-    tree.links.new(texture.outputs["Color"], principled(tree).inputs["Base Color"])
-    plain = image_node(tree, texture.image)  # the same image without the mapping
-    tree.links.new(plain.outputs["Color"], principled(tree).inputs["Roughness"])
-    bpy.ops.cagemap.transfer(what={"TEXTURES"})
-    made = target.material_slots[0].material.node_tree
-    baked, unmapped = (principled(made).inputs[name].links[0].from_node.image for name in ("Base Color", "Roughness"))
-    uvs = face_middles(target)
-    for image, at in (
-        (unmapped, uvs),
-        (baked, uvs * (4.0, 2.0) @ np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]]) + (0.3, 0.1)),
-    ):
-        apart = np.abs(texels(image, uvs) - texels(texture.image, at)).max(axis=1)
-        assert np.median(apart) < 0.02, np.quantile(apart, [0.1, 0.5, 0.9])
-
-
-@check
-def layouts_that_cannot_be_baked_are_refused_by_name():
-    source, _ = pair()
-    tree = shader_nodes(source)
-    texture = image_node(tree, gradient())
-    tree.links.new(texture.outputs["Color"], principled(tree).inputs["Base Color"])
-    coordinates, mapping = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeMapping")
-    tree.links.new(coordinates.outputs["Generated"], texture.inputs["Vector"])
-    assert "coat, node Texture Coordinate" in refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
-    tree.links.new(mapping.outputs["Vector"], texture.inputs["Vector"])
-    tree.links.new(coordinates.outputs["UV"], mapping.inputs["Vector"])
-    value = tree.nodes.new("ShaderNodeCombineXYZ")
-    tree.links.new(value.outputs["Vector"], mapping.inputs["Scale"])
-    assert "coat, node Mapping" in refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
-    tree.links.new(coordinates.outputs["UV"], texture.inputs["Vector"])
-    texture.projection = "BOX"
-    assert "coat, node Image Texture" in refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
-
-
-def color_group(name):
-    """A node group that takes a Vector and gives a Color, with its input and output nodes."""
-    group = bpy.data.node_groups.new(name, "ShaderNodeTree")
-    group.interface.new_socket("Vector", in_out="INPUT", socket_type="NodeSocketVector")
-    group.interface.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor")
-    return group, group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
-
-
-@check
-def images_in_node_groups_are_baked_into_copies_of_the_groups():
-    source, target = pair()
-    tree = shader_nodes(source)
-    group, begin, end = color_group("hair")
-    texture = image_node(group, gradient())
-    group.links.new(begin.outputs[0], texture.inputs["Vector"])
-    group.links.new(texture.outputs["Color"], end.inputs[0])
-    outer_group, begin, end = color_group("fur")
-    node = outer_group.nodes.new("ShaderNodeGroup")
-    node.node_tree = group
-    outer_group.links.new(begin.outputs[0], node.inputs[0])
-    outer_group.links.new(node.outputs[0], end.inputs[0])
-    node, coordinates = tree.nodes.new("ShaderNodeGroup"), tree.nodes.new("ShaderNodeTexCoord")
-    node.node_tree = outer_group
-    tree.links.new(coordinates.outputs["UV"], node.inputs[0])
-    tree.links.new(node.outputs[0], principled(tree).inputs["Base Color"])
-    for _ in range(2):
-        bpy.ops.cagemap.transfer(what={"TEXTURES"})
-        (image,) = baked_images(target.material_slots[0].material.node_tree)
-        assert image.name == "gradient on target"
-        assert texture.image.name == "gradient"
-        assert sorted(bpy.data.node_groups.keys()) == ["fur", "fur on target", "hair", "hair on target"]
-        assert len(bpy.data.images) == 2, list(bpy.data.images)
-    uvs = face_middles(target)
-    assert np.median(np.abs(texels(image, uvs) - texels(texture.image, uvs)).max(axis=1)) < 0.02
-
-
-@check
-def images_of_slots_without_faces_are_not_baked():
-    source, target = pair()
-    for name in ("used", "unused"):
-        tree = shader_nodes(source, name)
-        tree.links.new(image_node(tree, gradient(name)).outputs["Color"], principled(tree).inputs["Base Color"])
-    assert not refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
-    assert [slot.material.name for slot in target.material_slots] == ["used on target"]
-    assert sorted(bpy.data.images.keys()) == ["unused", "used", "used on target"]
-    assert SETTINGS.message == "1 image transferred"
-
-
-@check
-def a_material_replaced_during_a_bake_leaves_no_baked_image():
-    source, target = pair()
-    tree = shader_nodes(source)
-    tree.links.new(image_node(tree, gradient()).outputs["Color"], principled(tree).inputs["Base Color"])
-    window = Window()
-    button, _ = window.press(operators.CAGEMAP_OT_transfer, what={"TEXTURES"})
-    while not button._stage.startswith("bake"):
-        time.sleep(0.02)
-        assert window.step(button) == "PASS_THROUGH"
-    source.material_slots[0].material = bpy.data.materials.new("plain")
-    assert window.finish(button) == "FINISHED"
-    assert target.material_slots[0].material.name == "plain on target"
-    assert bpy.data.images.keys() == ["gradient"]
-
-
-@check
-def an_image_named_like_a_second_layout_is_baked_as_well():
-    source, target = pair()
-    tree = shader_nodes(source)
-    first = gradient("coat")
-    other = bpy.data.images.new("coat 2", 64, 64)
-    other.generated_color = (1.0, 0.0, 1.0, 1.0)
-    nodes = [image_node(tree, image) for image in (first, first, other)]
-    mapping = tree.nodes.new("ShaderNodeMapping")
-    mapping.inputs["Scale"].default_value = (2.0, 2.0, 1.0)
-    coordinates = tree.nodes.new("ShaderNodeTexCoord")
-    tree.links.new(coordinates.outputs["UV"], mapping.inputs["Vector"])
-    tree.links.new(mapping.outputs["Vector"], nodes[1].inputs["Vector"])
-    for node, name in zip(nodes, ("Base Color", "Roughness", "Metallic"), strict=True):
-        tree.links.new(node.outputs["Color"], principled(tree).inputs[name])
-    bpy.ops.cagemap.transfer(what={"TEXTURES"})
-    made = baked_images(target.material_slots[0].material.node_tree)
-    assert [image.name for image in made] == ["coat on target", "coat 3 on target", "coat 2 on target"]
-    uvs = face_middles(target)
-    for image, given, scale in zip(made, (first, first, other), (1.0, 2.0, 1.0), strict=True):
-        assert np.median(np.abs(texels(image, uvs) - texels(given, scale * uvs)).max(axis=1)) < 0.02, image.name
-
-
-@check
-def only_plain_normal_maps_are_baked():
-    source, _ = pair()
-    tree = shader_nodes(source)
-    texture, bend, normals = (
-        image_node(tree, gradient()),
-        tree.nodes.new("ShaderNodeRGBCurve"),
-        tree.nodes.new("ShaderNodeNormalMap"),
-    )
-    tree.links.new(normals.outputs["Normal"], principled(tree).inputs["Normal"])
-    tree.links.new(texture.outputs["Color"], bend.inputs["Color"])
-    tree.links.new(bend.outputs["Color"], normals.inputs["Color"])
-    assert "coat, node RGB Curves" in refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
-    tree.links.new(texture.outputs["Color"], normals.inputs["Color"])
-    normals.space = "OBJECT"
-    assert "coat, node Normal Map" in refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
-    normals.space, normals.uv_map = "TANGENT", "UVMap"
-    assert not refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
-    made = SETTINGS.target.material_slots[0].material.node_tree.nodes["Normal Map"]
-    assert made.uv_map == ""  # the target's own layout
-
-
 def landmark(object_, name, place=(0.0, 0.0, 0.0)):
     """A landmark, with a number behind its name if that is taken."""
     empty = bpy.data.objects.new(name, None)
@@ -390,259 +74,19 @@ def landmark(object_, name, place=(0.0, 0.0, 0.0)):
     return empty
 
 
+def noses(*objects):
+    """A landmark at the same vertex of each object."""
+    return [landmark(object_, "nose", object_.data.vertices[5].co) for object_ in objects]
+
+
 @check
 def equal_names_of_empties_matter_on_both_objects_alone():
     source, target = pair()
     landmark(target, "Empty"), landmark(target, "Empty")
-    for object_ in (target, source):
-        landmark(object_, "nose", object_.data.vertices[5].co)
+    noses(target, source)
     assert not refusal(bpy.ops.cagemap.match)
     landmark(source, "Empty")
     assert "target: more than one landmark is called Empty" in refusal(bpy.ops.cagemap.match)
-
-
-def rig(object_):
-    """A skeleton of two bones for an object, with weights and inverse kinematics."""
-    bones = bpy.data.armatures.new("bones")
-    armature = bpy.data.objects.new("skeleton", bones)
-    bpy.context.collection.objects.link(armature)
-    bpy.context.view_layer.objects.active = armature
-    bpy.ops.object.mode_set(mode="EDIT")
-    for name, low, high in (("root", -0.8, 0.0), ("tip", 0.0, 0.8)):
-        bone = bones.edit_bones.new(name)
-        bone.head, bone.tail = (0.0, 0.0, low), (0.0, 0.0, high)
-    bpy.ops.object.mode_set(mode="OBJECT")
-    object_.modifiers.new("Armature", "ARMATURE").object = armature
-    numbers = range(len(object_.data.vertices))
-    for name in ("root", "tip"):
-        object_.vertex_groups.new(name=name).add(list(numbers), 0.5, "REPLACE")
-    return armature
-
-
-@check
-def an_armature_that_is_disabled_or_hidden_is_copied():
-    source, target = pair()
-    armature = rig(source)
-    armature.hide_viewport = True
-    hidden = bpy.data.collections.new("hidden")
-    bpy.context.scene.collection.children.link(hidden)
-    hidden.objects.link(target)
-    bpy.context.scene.collection.objects.unlink(target)
-    hidden.hide_viewport = True
-    bpy.context.view_layer.objects.active = source
-    bpy.ops.object.mode_set(mode="WEIGHT_PAINT")
-    bpy.ops.cagemap.rig()
-    assert source.mode == "WEIGHT_PAINT"
-    bpy.ops.object.mode_set(mode="OBJECT")
-    made = target.modifiers["Armature"].object
-    assert made.name == "skeleton on target"
-    assert made.hide_viewport
-    assert [collection.name for collection in made.users_collection] == ["hidden"]
-    assert sorted(group.name for group in target.vertex_groups) == ["root", "tip"]
-    assert made.data.bones["tip"].length > 0.1
-
-
-@check
-def a_group_made_during_rig_like_leaves_no_armature():
-    source, target = pair()
-    rig(source)
-    window = Window()
-    button, _ = window.press(operators.CAGEMAP_OT_rig)
-    while button._stage != "carry weights":
-        time.sleep(0.02)
-        assert window.step(button) == "PASS_THROUGH"
-    target.vertex_groups.new(name="tip")
-    assert window.finish(button) == "CANCELLED"
-    assert "vertex groups of its own called tip" in window.reports[-1][1]
-    assert [one.name for one in bpy.data.objects if one.type == "ARMATURE"] == ["skeleton"]
-    assert not target.modifiers
-
-
-@check
-def what_a_rig_refers_to_is_redirected_to_its_copy():
-    source, target = pair()
-    armature = rig(source)
-    bone = armature.pose.bones["tip"]
-    chain, blend = (bone.constraints.new(kind) for kind in ("IK", "ARMATURE"))
-    chain.target = chain.pole_target = armature
-    chain.subtarget = chain.pole_subtarget = "root"
-    one = blend.targets.new()
-    one.target, one.subtarget = armature, "root"
-    armature.constraints.new("COPY_SCALE").target = source
-    for owner, path in ((bone, "location"), (armature.data, "show_names")):
-        driver = owner.driver_add(path)
-        for curve in driver if isinstance(driver, list) else [driver]:
-            for id_type, id_ in (("OBJECT", armature), ("ARMATURE", armature.data)):
-                variable = curve.driver.variables.new()
-                variable.targets[0].id_type = id_type
-                variable.targets[0].id = id_
-    bpy.ops.cagemap.rig()
-    made = target.modifiers["Armature"].object
-    chain, blend = made.pose.bones["tip"].constraints
-    assert [chain.target, chain.pole_target, blend.targets[0].target] == 3 * [made]
-    assert made.constraints[0].target == target
-    curves = [*made.animation_data.drivers, *made.data.animation_data.drivers]
-    assert len(curves) == 4
-    for curve in curves:
-        assert [variable.targets[0].id for variable in curve.driver.variables] == [made, made.data]
-    chain, blend = bone.constraints
-    assert [chain.target, chain.pole_target, blend.targets[0].target] == 3 * [armature]
-
-
-def garment(source):
-    """A selected shell around the source."""
-    shirt = source.copy()
-    shirt.data, shirt.name = source.data.copy(), "shirt"
-    bpy.context.collection.objects.link(shirt)
-    for vertex in shirt.data.vertices:
-        vertex.co += 0.05 * vertex.normal
-    bpy.context.view_layer.update()
-    shirt.select_set(True)
-    return shirt
-
-
-@check
-def modifiers_of_clothes_refer_to_the_target():
-    source, target = pair()
-    shirt = garment(source)
-    shrink, bound, free = (
-        shirt.modifiers.new(name, kind)
-        for name, kind in (("Fit", "SHRINKWRAP"), ("Bound", "SURFACE_DEFORM"), ("Free", "SURFACE_DEFORM"))
-    )
-    shrink.target = bound.target = free.target = source
-    plain = bpy.data.objects.new("cube", bpy.data.meshes.new("cube"))
-    plain.data.from_pydata([(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)], [], [(0, 1, 2, 3)])
-    bpy.context.collection.objects.link(plain)
-    bound.target = plain
-    bpy.context.view_layer.objects.active = shirt
-    bpy.context.view_layer.update()
-    bpy.ops.object.surfacedeform_bind(modifier="Bound")
-    source.shape_key_add(name="Basis")
-    target.shape_key_add(name="Basis")
-    shirt.shape_key_add(name="Basis")
-    for id_type, id_ in (("OBJECT", source), ("KEY", source.data.shape_keys)):
-        driven = shirt.shape_key_add(name=id_type)
-        aim = driven.driver_add("value").driver.variables.new().targets[0]
-        aim.id_type, aim.id = id_type, id_
-    assert bound.is_bound
-    bpy.ops.cagemap.transfer(what={"CLOTHES"})
-    made = bpy.data.objects["shirt on target"]
-    assert [modifier.name for modifier in made.modifiers] == ["Fit", "Free"]
-    assert [modifier.target for modifier in made.modifiers] == [target, target]
-    drivers = made.data.shape_keys.animation_data.drivers
-    assert [one.driver.variables[0].targets[0].id for one in drivers] == [target, target.data.shape_keys]
-    assert "bound again: Bound of shirt on target" in SETTINGS.message
-    assert [modifier.target for modifier in shirt.modifiers] == [source, plain, source]
-
-
-@check
-def shape_keys_of_clothes_stay_relative_to_their_keys():
-    source, _ = pair()
-    shirt = garment(source)
-    basis, wide, long = (shirt.shape_key_add(name=name) for name in ("Basis", "wide", "long"))
-    for row, vertex in enumerate(basis.data):
-        wide.data[row].co.x = 1.3 * vertex.co.x
-        long.data[row].co = wide.data[row].co
-        long.data[row].co.z += 0.2
-    long.relative_key = wide
-    bpy.ops.cagemap.transfer(what={"CLOTHES"})
-    keys = bpy.data.objects["shirt on target"].data.shape_keys.key_blocks
-    assert keys["long"].relative_key == keys["wide"]
-    for key in (basis, wide, long):  # source and target are the same
-        before, after = (np.array([point.co for point in one.data]) for one in (key, keys[key.name]))
-        assert np.abs(before - after).max() < 0.03, (key.name, np.abs(before - after).max())
-
-
-@check
-def clothes_that_are_far_away_are_reported():
-    source, _ = pair()
-    garment(source).location.z += 50.0
-    bpy.context.view_layer.update()
-    bpy.ops.cagemap.transfer(what={"CLOTHES"})
-    assert "1 garment (shirt is " in SETTINGS.message
-    assert "check its place and size)" in SETTINGS.message
-
-
-@check
-def actions_of_a_body_in_another_pose_are_reported():
-    source, _ = pair()
-    armature = rig(source)
-    whole = work.WORKER.receive
-
-    def receive(**options):
-        message = whole(**options)
-        if message is not None and message[0] == "done" and "is_posed" in message[1]:
-            message[1]["is_posed"] = True
-        return message
-
-    work.WORKER.receive = receive
-    try:
-        for animated in (False, True):
-            if animated:
-                armature.keyframe_insert("location", frame=1)
-            bpy.ops.cagemap.rig()
-            assert ("target stands in another pose than source" in SETTINGS.message) == animated
-            SETTINGS.target.modifiers.clear()
-    finally:
-        del work.WORKER.receive
-
-
-@check
-def a_second_run_replaces_clothes():
-    source, _ = pair()
-    garment(source)
-    for _ in range(2):
-        bpy.ops.cagemap.transfer(what={"CLOTHES"})
-        assert sorted(object_.name for object_ in bpy.data.objects) == ["shirt", "shirt on target", "source", "target"]
-        bpy.ops.object.select_all(action="SELECT")  # results are no clothes of the source
-
-
-@check
-def clothes_may_be_thickened_but_not_mirrored():
-    source, _ = pair()
-    shirt = garment(source)
-    shirt.modifiers.new("Solidify", "SOLIDIFY")
-    assert not refusal(bpy.ops.cagemap.transfer, what={"CLOTHES"})
-    made = bpy.data.objects["shirt on target"]
-    assert len(made.data.vertices) == len(shirt.data.vertices)
-    assert made.modifiers[0].type == "SOLIDIFY"
-    shirt.modifiers.new("Mirror", "MIRROR")
-    assert "shirt: its modifiers (Mirror)" in refusal(bpy.ops.cagemap.transfer, what={"CLOTHES"})
-
-
-@check
-def undo_during_a_bake_leaves_no_removed_objects():
-    source, _ = pair()
-    tree = shader_nodes(source)
-    tree.links.new(image_node(tree, gradient()).outputs["Color"], principled(tree).inputs["Base Color"])
-    bpy.ops.cagemap.match()
-    bpy.ops.ed.undo_push(message="before")
-    for name in ("source", "target"):
-        bpy.data.objects[name].pass_index = 1
-    bpy.ops.ed.undo_push(message="after")
-    window = Window()
-    button, _ = window.press(operators.CAGEMAP_OT_transfer, what={"TEXTURES"})
-    while not button._stage.startswith("bake"):
-        time.sleep(0.02)
-        assert window.step(button) == "PASS_THROUGH"
-    bpy.ops.ed.undo()
-    assert window.finish(button) == "FINISHED"
-    assert len(bpy.data.objects["target"].material_slots) == 1
-
-
-@check
-def undo_while_rig_like_matches_leaves_no_removed_objects():
-    source, _ = pair()
-    rig(source)
-    bpy.ops.ed.undo_push(message="before")
-    for object_ in bpy.data.objects:
-        object_.pass_index = 1
-    bpy.ops.ed.undo_push(message="after")
-    window = Window()
-    button, _ = window.press(operators.CAGEMAP_OT_rig)
-    bpy.ops.ed.undo()
-    assert window.finish(button) == "FINISHED"
-    assert bpy.data.objects["target"].modifiers["Armature"].object == bpy.data.objects["skeleton on target"]
 
 
 @check
@@ -677,7 +121,7 @@ def followed(seconds=60.0):
 @check
 def the_live_map_asks_only_where_landmarks_moved_on_their_objects():
     source, target = pair()
-    empties = [landmark(object_, "nose", object_.data.vertices[5].co) for object_ in (target, source)]
+    empties = noses(target, source)
     live._moved = False
     empties[0].location.z += 0.1
     bpy.context.view_layer.update()
@@ -698,7 +142,7 @@ def the_live_map_asks_only_where_landmarks_moved_on_their_objects():
 @check
 def edit_mode_and_other_objects_do_not_disturb_the_live_map():
     source, target = pair()
-    empties = [landmark(object_, "nose", object_.data.vertices[5].co) for object_ in (target, source)]
+    empties = noses(target, source)
     bpy.ops.cagemap.match()
     SETTINGS.message = ""
     bpy.context.view_layer.objects.active = target
@@ -724,28 +168,6 @@ def edit_mode_and_other_objects_do_not_disturb_the_live_map():
 
 
 @check
-def after_textures_were_transferred_views_show_them():
-    source, target = pair()
-    tree = shader_nodes(source)
-    tree.links.new(image_node(tree, gradient()).outputs["Color"], principled(tree).inputs["Base Color"])
-    own = target.data.color_attributes.new("own", "FLOAT_COLOR", "POINT")
-    target.data.color_attributes.active_color = own
-    window = Window()
-    shading = SimpleNamespace(type="SOLID", color_type="MATERIAL")
-    area = SimpleNamespace(type="VIEW_3D", spaces=SimpleNamespace(active=SimpleNamespace(shading=shading)))
-    window.screen = SimpleNamespace(areas=[area])
-    for _ in range(2):
-        button, _ = window.press()
-        assert window.finish(button) == "FINISHED"
-        assert shading.color_type == "VERTEX"
-        assert target.data.color_attributes.active_color.name == "cagemap"
-        button, _ = window.press(operators.CAGEMAP_OT_transfer, what={"TEXTURES"})
-        assert window.finish(button) == "FINISHED"
-        assert shading.color_type == "TEXTURE"
-        assert target.data.color_attributes.active_color.name == "own"
-
-
-@check
 def a_window_that_is_closed_ends_its_button():
     pair()
     window, first = Window(), Window()
@@ -756,8 +178,7 @@ def a_window_that_is_closed_ends_its_button():
     assert (window.timers, work.Work.running, work.WORKER.busy) == (0, False, False)
     assert first.status[-1] is None
     assert not window.workspace.status
-    button, _ = window.press()
-    assert window.finish(button) == "FINISHED"
+    window.run()
 
 
 @check

@@ -297,7 +297,7 @@ def run_in_blender(script: Path, extension: Path, folder: Path) -> None:
 
 @pytest.fixture(scope="session")
 def checks(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Tracebacks of the checks in `CHECKS` by name, "" where a check holds."""
+    """Tracebacks of all checks by name, "" where a check holds."""
     require_blender()
     folder = tmp_path_factory.mktemp("checks")
     run_in_blender(CHECKS, request.getfixturevalue("extension"), folder)
@@ -305,7 +305,14 @@ def checks(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", re.findall(r"^@check\ndef (\w+)", CHECKS.read_text(encoding="utf-8"), re.MULTILINE))
+@pytest.mark.parametrize(
+    "name",
+    [
+        name
+        for file in sorted(CHECKS.parent.glob("*_checks.py"))
+        for name in re.findall(r"^@check\ndef (\w+)", file.read_text(encoding="utf-8"), re.MULTILINE)
+    ],
+)
 def test_check_in_blender(checks: dict[str, str], name: str) -> None:
     assert not checks[name], checks[name]
 
