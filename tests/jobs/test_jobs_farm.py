@@ -132,8 +132,6 @@ def test_the_slurm_script_ends_where_a_step_is_not_accepted(tmp_path: Path) -> N
 
 LANDMARKS = {("pony", "deer"): "landmarks.json", ("deer", "pony"): "back.json"}  # of source and target
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_fit")]
-
 
 @pytest.fixture
 def folder(pair_files: Path, built_in_pair: ExamplePair) -> Path:
@@ -169,6 +167,8 @@ def cluster(folder: Path, workers: int) -> Iterator[str]:
         yield str(json.loads(file.read_text())["address"])
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick_fit")
 def test_a_scheduler_and_two_workers_of_their_own_give_the_same_results(folder: Path) -> None:
     pairs = [{"source": of[0], "target": of[1], "landmarks": file} for of, file in LANDMARKS.items()]
     (folder / "job.toml").write_text(job_text("vertices = 300", {"pony": {}, "deer": {}}, pairs))

@@ -173,8 +173,6 @@ def remove_slowly(connection: Connection) -> None:
     serve(connection)
 
 
-pytestmark = pytest.mark.slow
-
 TRANSFER: dict[str, Value] = {
     "normal_map": Path("normals.png"),
     "green": "down",
@@ -230,6 +228,7 @@ def same(one: Path, other: Path) -> bool:
     return one.read_bytes() == other.read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("jobs_in_threads", "small_pages", "quick_fit")
 def test_the_job_file_of_a_finish_makes_the_same_files_again(tmp_path: Path) -> None:
     files = built_in_files(tmp_path)

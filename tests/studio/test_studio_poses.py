@@ -24,14 +24,13 @@ from example_character import bare_body, character, write_character
 from refusals import refuses
 from studio_boxes import add_landmarks, at_rest, click, until
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture(scope="module")
 def body() -> ControlMesh:
     return bare_body(1)
 
 
+@pytest.mark.slow
 def test_the_target_moves_as_the_source_does(tmp_path: Path, body: ControlMesh) -> None:
     made = character(body)
     write_character(tmp_path / "C.glb", made)
@@ -58,6 +57,7 @@ def test_the_target_moves_as_the_source_does(tmp_path: Path, body: ControlMesh) 
     refuses(ParameterError, "Pose: expected", run_task, None, ShowPosed(pair_files, "nod, 0.5 s", None), lambda _: None)
 
 
+@pytest.mark.slow
 def test_poses_after_a_cancelled_match_are_those_of_the_map_on_the_page(tmp_path, body, quick_fit):
     """Cancel kills the process, so that the next one has neither the map nor the rotation of the source."""
     turned = body.with_positions(body.positions @ np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]))
@@ -78,6 +78,7 @@ def test_poses_after_a_cancelled_match_are_those_of_the_map_on_the_page(tmp_path
     assert "_PLACE" in attributes_of(again[0], "model")
 
 
+@pytest.mark.slow
 def test_other_files_have_no_poses(tmp_path: Path, body: ControlMesh) -> None:
     for name in ("B.obj", "S.obj"):
         write_mesh(tmp_path / name, body)

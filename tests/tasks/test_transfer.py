@@ -384,8 +384,6 @@ def test_a_file_that_does_not_say_the_place_of_its_values_is_warned_of_once(tmp_
     assert transfer(tmp_path / "o.json", attribute=tmp_path / "g.json")[1] == []  # groups are of vertices
 
 
-pytestmark = pytest.mark.slow
-
 SCALE, SHIFT = 2.5, np.array([3.0, -1.0, 2.0])
 
 
@@ -407,6 +405,7 @@ def matched(source: ControlMesh) -> Bodies:
     return match_bodies(Part("target", target), Part("source", source), Landmarks.none(), Stages())
 
 
+@pytest.mark.slow
 def test_pieces_go_with_the_surface_around_them() -> None:
     source = with_eyes(example_pair(64).target)
     bodies = matched(source)
@@ -425,6 +424,7 @@ def test_pieces_go_with_the_surface_around_them() -> None:
     np.testing.assert_allclose(np.einsum("nd,nde->ne", offsets, found.turns), SCALE * offsets, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_nothing_is_set_aside_of_one_piece() -> None:
     found = lay_set_aside(matched(replace(example_pair(64).target, scheme=Plain())))
     assert all(len(array) == 0 for array in vars(found).values())
