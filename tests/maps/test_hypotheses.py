@@ -1,4 +1,4 @@
-"""Maps without landmarks: one search over all starts, from both sides, and the answer says how sure it is."""
+"""Maps without landmarks: one search over all starts, and the answer says how sure it is."""
 
 from dataclasses import replace
 from itertools import product
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import creature, cube, grid, torus, voxels
+from examples.shapes import creature, cube, grid, voxels
 from scipy.spatial.transform import Rotation
 
 from cagemap.deform.fit import evaluate_placement
@@ -17,9 +17,8 @@ from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.maps.hypotheses import search
-from cagemap.maps.hypotheses import search as search_module
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
-from cagemap.maps.hypotheses.search import cost_floor, search_from_source
+from cagemap.maps.hypotheses.search import cost_floor
 from cagemap.maps.hypotheses.starts import (
     AS_FILED,
     BY_FILE_AXES,
@@ -264,30 +263,3 @@ def test_correct_landmarks_do_not_make_the_rest_worse(shared_data: Path) -> None
     images = match(cow, horse, given).point_map.images.positions[rest.target]
     errors = np.linalg.norm(images - horse.finest_triangles.positions[rest.source], axis=1)
     assert 100 * errors.mean() < 2.2
-
-
-@pytest.mark.parametrize(
-    ("forward", "backward", "searches", "takes_inverse"),
-    [(1.0, 0.5, 2, True), (1.0, 2.0, 2, False), (1e-4, 1e-5, 1, False)],
-    ids=["costs less", "costs more", "is cheap already"],
-)
-def test_the_inverse_of_a_cheaper_reverse_placement_is_taken(monkeypatch, forward, backward, searches, takes_inverse):
-    surface = prepare_surface(torus(12, 8), 1)
-    problem = Problem.of_landmarks(prepare_pair(surface, surface), Landmarks.none())
-    truth = problem.prepared.mesh.positions
-    wrong = Placement(truth @ np.diag([-1.0, 1.0, -1.0]), forward, name="turned")
-    right = Placement(problem.reverse_problem.prepared.mesh.positions, backward)
-    asked: list[Problem] = []
-
-    def search(given: Problem, *_: object, **__: object) -> list[Placement]:
-        asked.append(given)
-        return [replace(wrong)] if given is problem else [right]
-
-    monkeypatch.setattr(search_module, "search_placements", search)
-    first, *others = search_from_source(problem, search(problem))
-    assert len(asked) == searches
-    if takes_inverse:
-        assert np.linalg.norm(first.map_positions - truth, axis=1).max() < 0.02
-        assert [placed.name for placed in others] == ["turned"]
-    else:
-        assert [placed.name for placed in (first, *others)] == ["turned"]
