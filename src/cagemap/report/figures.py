@@ -53,15 +53,7 @@ BACKGROUND = np.array([0.962, 0.966, 0.970])
 
 @dataclass(frozen=True)
 class Figure:
-    """One view of both surfaces, or of the target alone.
-
-    Attributes
-    ----------
-    view : str
-        Name of the view.
-    source : Image or None
-    target : Image
-    """
+    """One view of both surfaces, or of the target alone."""
 
     view: str
     source: Image | None
@@ -70,29 +62,17 @@ class Figure:
 
 @dataclass(frozen=True)
 class Gallery:
-    """All still pictures of a report.
+    """All still pictures of a report."""
 
-    Attributes
-    ----------
-    appearance : str
-        What ``looks`` show: "texture", "material colours" or "checker".
-    looks, maps, trust : tuple of Figure
-        The transferred appearance; the map as colours with landmarks; trust in the map.
-    orientation : str
-        Up axis and front of the target, and how they were found.
-    masks : tuple of Figure
-        The matched parts of both surfaces; empty where everything was matched.
-    answers : tuple of (Figure, Figure)
-        From the front and from behind, if the map is not sure: the runner-up beside the source, as colours, and its
-        distance from the map.
-    """
-
-    appearance: str
+    appearance: str  # what ``looks`` show: "texture", "material colours" or "checker"
+    # `looks`, `maps`, `trust`: the transferred appearance; the map as colours with landmarks; trust in the map
     looks: tuple[Figure, ...]
     maps: tuple[Figure, ...]
     trust: tuple[Figure, ...]
-    orientation: str
-    masks: tuple[Figure, ...] = ()
+    orientation: str  # up axis and front of the target, and how they were found
+    masks: tuple[Figure, ...] = ()  # the matched parts of both surfaces; empty where everything was matched
+    # from the front and from behind, if the map is not sure: the runner-up beside the source, as colours, and its
+    # distance from the map
     answers: tuple[tuple[Figure, Figure], ...] = ()
 
 
@@ -119,19 +99,11 @@ def draw_gallery(
 ) -> Gallery:
     """Draw all still pictures of a report.
 
-    Parameters
-    ----------
-    result : MatchResult
-    texture : (H, W, c) array, optional
-        The source's texture; integers are scaled to 0 to 1. Default: material colours or a checker.
-    baked : (H, W, c) array, optional
-        The texture baked into the target's own layout. Default: the source's texture, pulled back vertex by vertex.
-    size : (int, int)
-        Width and height of each picture, in pixels.
-    progress : callable, optional
-        Called with the name of each step.
-    viewpoints : Viewpoints, optional
-        Default: `choose_viewpoints`.
+    ``texture``: (H, W, c), the source's; integers are scaled to 0 to 1. Default: material colours or a checker.
+    ``baked``: (H, W, c), in the target's own layout. Default: the source's texture, pulled back vertex by vertex.
+    ``size``: width and height of each picture, in pixels.
+    ``progress``: called with the name of each step.
+    ``viewpoints``: default: `choose_viewpoints`.
     """
     models = _model_pair(result, viewpoints or choose_viewpoints(result))
     appearance, source_skin, target_skin = _skins(models, texture, baked)

@@ -61,17 +61,10 @@ def build_page(
 ) -> str:
     """HTML text of the report.
 
-    Parameters
-    ----------
-    result : MatchResult
-    gallery : Gallery
-        Still pictures, for browsers without WebGL and for print.
-    panels : tuple of Panel
-        Pictures of carried data.
-    models : Models, optional
-        Models in three dimensions.
-    textures : tuple of Texture
-        Of the models.
+    ``gallery``: still pictures, for browsers without WebGL and for print.
+    ``panels``: pictures of carried data.
+    ``models``: models in three dimensions.
+    ``textures``: of the models.
     """
     manifest = result.manifest
     quality = manifest.get("quality") or {}

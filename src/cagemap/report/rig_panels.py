@@ -72,39 +72,19 @@ class CarriedItem(Generic[_Value]):
 
 @dataclass(frozen=True, eq=False)
 class BakedImage:
-    """An image in a layout of the target.
-
-    Attributes
-    ----------
-    name : str
-    tiles : dict of int to (H, W, 3) float64
-        sRGB in [0, 1] by UDIM number; 0 for a layout in the unit square.
-    control : ControlMesh
-        The target's cage with the layout.
-    """
+    """An image in a layout of the target."""
 
     name: str
-    tiles: dict[int, FloatArray]
-    control: ControlMesh
+    tiles: dict[int, FloatArray]  # (H, W, 3) sRGB in [0, 1] by UDIM number; 0 for a layout in the unit square
+    control: ControlMesh  # the target's cage with the layout
 
 
 @dataclass(frozen=True, eq=False)
 class CarriedData:
-    """Data carried by the map that a report shows.
-
-    Attributes
-    ----------
-    images : tuple of BakedImage
-    wrapped : ControlMesh or None
-        The target's cage, or the mesh of a finer level, in the source's shape.
-    weights : Weights or None
-    shapes : tuple of CarriedItem
-    passengers : tuple of CarriedItem
-    poses : tuple of CarriedItem
-    """
+    """Data carried by the map that a report shows."""
 
     images: tuple[BakedImage, ...] = field(default=())
-    wrapped: ControlMesh | None = None
+    wrapped: ControlMesh | None = None  # the target's cage, or the mesh of a finer level, in the source's shape
     weights: Weights | None = None
     shapes: tuple[CarriedItem[FloatArray], ...] = field(default=())
     passengers: tuple[CarriedItem[ControlMesh], ...] = field(default=())
@@ -131,14 +111,8 @@ def draw_carried(
 ) -> tuple[Panel, ...]:
     """Draw the data that a map carried, one panel for each kind.
 
-    Parameters
-    ----------
-    result : MatchResult
-    carried : CarriedData
-    size : (int, int)
-        Of every picture.
-    viewpoints : Viewpoints, optional
-        Default: `choose_viewpoints`.
+    ``size``: of every picture.
+    ``viewpoints``: default: `choose_viewpoints`.
     """
     panels, viewpoints = list[Panel](), viewpoints or choose_viewpoints(result)
     if carried.images:

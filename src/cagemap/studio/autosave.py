@@ -71,15 +71,9 @@ def write_autosave(
 ) -> None:
     """Write all landmarks, including the incomplete one.
 
-    Parameters
-    ----------
-    path : Path
-    landmarks : LandmarkList
-        With the files' vertex numbers.
-    parts : (str or None, str or None)
-        The open parts.
-    models : (str or None, str or None)
-        Names by which `read_autosave` recognises target and source.
+    ``landmarks``: with the files' vertex numbers.
+    ``parts``: the open parts.
+    ``models``: names by which `read_autosave` recognises target and source.
     """
     items = [
         {
@@ -115,25 +109,11 @@ def read_autosave_parts(path: Path) -> SideNames:
 
 
 def read_autosave(path: Path, vertices: tuple[int, int], models: SideNames = (None, None)) -> LandmarkList:
-    """Read an autosave; an unusable file is renamed, not overwritten later.
+    """Landmarks with the files' vertex numbers, and curves of all parts; an unusable file is renamed.
 
-    Parameters
-    ----------
-    path : Path
-    vertices : (int, int)
-        Vertex counts of the target's and the source's file.
-    models : (str or None, str or None)
-        See `write_autosave`; None: any model.
-
-    Returns
-    -------
-    landmarks : LandmarkList
-        With the files' vertex numbers, and curves of all parts.
-
-    Raises
-    ------
-    FormatError
-        If the file is no autosave, is damaged, or was made for other models.
+    ``vertices``: vertex counts of the target's and the source's file.
+    ``models``: see `write_autosave`; None: any model.
+    FormatError if the file is no autosave, is damaged, or was made for other models.
     """
     try:
         data = json.loads(read_text(path, "an autosave of the studio"))

@@ -52,36 +52,18 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class PreviewCache:
-    """What the preview process keeps between tasks.
-
-    Attributes
-    ----------
-    pair_files : PairFiles
-    target, source : OpenedModel
-        After a map the source is rotated to face like the target.
-    prepared_pair : PreparedPair or None
-        Everything that does not depend on landmarks.
-    free_match : MatchResult or None
-        Match without landmarks, with all its answers.
-    chosen_answer : int
-        Which of its answers (alignments) maps start from.
-    result : MatchResult or None
-        The current map.
-    config : MatchConfig or None
-        Of a match from the start that gives ``result``; None after an update.
-    character : Character or None
-        Of the source's file; None before the first map.
-    """
+    """What the preview process keeps between tasks."""
 
     pair_files: PairFiles
+    # `target`, `source`: after a map the source is rotated to face like the target
     target: OpenedModel
     source: OpenedModel
-    prepared_pair: PreparedPair | None = None
-    free_match: MatchResult | None = None
-    chosen_answer: int = 0
-    result: MatchResult | None = None
-    config: MatchConfig | None = None
-    character: Character | None = None
+    prepared_pair: PreparedPair | None = None  # everything that does not depend on landmarks
+    free_match: MatchResult | None = None  # match without landmarks, with all its answers
+    chosen_answer: int = 0  # which of its answers (alignments) maps start from
+    result: MatchResult | None = None  # the current map
+    config: MatchConfig | None = None  # of a match from the start that gives ``result``; None after an update
+    character: Character | None = None  # of the source's file; None before the first map
 
 
 def run_task(
@@ -92,10 +74,7 @@ def run_task(
     `ShowBaked` gives the target's glTF, `ShowPosed` that of both. ``show`` receives maps that are not checked yet:
     rough ones before the first map, and updated ones.
 
-    Raises
-    ------
-    CagemapError
-        If files or landmarks are wrong.
+    CagemapError if files or landmarks are wrong.
     """
     files, notes = task.pair_files, tuple[str, ...]()
     is_open = cache is not None and replace(cache.pair_files, ups=files.ups, texture=files.texture) == files
@@ -159,10 +138,7 @@ def find_map(
 ) -> tuple[PreviewCache, MapUpdate]:
     """Match the models with the current landmarks.
 
-    Raises
-    ------
-    ParameterError
-        If there is no such answer.
+    ParameterError if there is no such answer.
     """
     if cache.prepared_pair is None:
         levels = cache.target.level, cache.source.level
@@ -277,10 +253,7 @@ def _landmark_strain(result: MatchResult) -> dict[str, float]:
 def _posed_skins(cache: PreviewCache, task: ShowPosed) -> tuple[bytes, bytes]:
     """Target and source in a pose of the source's animations, with the task's map: a cancelled match drops the cache's.
 
-    Raises
-    ------
-    ParameterError
-        If there is no such pose.
+    ParameterError if there is no such pose.
     """
     target, source, preview_map = cache.target, cache.source, task.preview_map
     shapes = target.shape, align_facing(source.shape, target.shape, preview_map)

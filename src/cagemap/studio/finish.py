@@ -78,32 +78,16 @@ _WRAP_IMAGE_FIELDS = ("size", "space", "green", "rays", "detail", "detail_textur
 
 @dataclass(frozen=True)
 class FinishOptions:
-    """What a finish makes.
+    """What a finish makes."""
 
-    Attributes
-    ----------
-    texture : bool
-        Bake the open texture.
-    maps : tuple of (str, Path)
-        Further images over the source's UVs, by name.
-    map_form : str
-        Suffix of the file for the map itself; '' for none.
-    image_form : str
-        Suffix of all images; '': that of the source's image.
-    wrap, report : bool
-    name : str
-        Stem of files and of the RESULT folder; '': the target's, and the open pair's RESULT.
-    option_values : mapping of (command, field) to value
-        Options with other values than the default.
-    """
-
-    texture: bool = True
-    maps: NamedFiles = ()
-    map_form: str = ""
-    image_form: str = ""
+    texture: bool = True  # bake the open texture
+    maps: NamedFiles = ()  # further images over the source's UVs, by name
+    map_form: str = ""  # suffix of the file for the map itself; '' for none
+    image_form: str = ""  # suffix of all images; '': that of the source's image
     wrap: bool = False
     report: bool = True
-    name: str = ""
+    name: str = ""  # stem of files and of the RESULT folder; '': the target's, and the open pair's RESULT
+    # options with other values than the default
     option_values: Mapping[Key, Value] = field(default_factory=lambda: MappingProxyType({}))
 
     def with_values(self, values: Mapping[Key, Value]) -> FinishOptions:
@@ -113,10 +97,7 @@ class FinishOptions:
     def resolve_paths(self, options: Options, resolve: Callable[[Path], Path]) -> FinishOptions:
         """Apply ``resolve`` to every path.
 
-        Raises
-        ------
-        ParameterError
-            If a path lies outside the chosen folders, or the name is no file name.
+        ParameterError if a path lies outside the chosen folders, or the name is no file name.
         """
         if self.name and (Path(self.name).name != self.name or self.name.startswith(".")):
             raise ParameterError(f"Name: expected what files begin with, without a folder, got {self.name!r}.")
@@ -128,22 +109,12 @@ class FinishOptions:
 
 @dataclass(frozen=True)
 class Command:
-    """One command of a finish.
-
-    Attributes
-    ----------
-    title : str
-    request : request
-        May write further files next to its output.
-    output_title : str
-        '' for the title.
-    computed : ComputedMatch or None
-        For the match: the map on the page, which it writes if its inputs are equal.
-    """
+    """One command of a finish."""
 
     title: str
-    request: Request
-    output_title: str = ""
+    request: Request  # may write further files next to its output
+    output_title: str = ""  # '' for the title
+    # for the match: the map on the page, which it writes if its inputs are equal
     computed: ComputedMatch | None = field(default=None, compare=False)
 
     @property
@@ -157,10 +128,7 @@ def plan_commands(
 ) -> tuple[Command, ...]:
     """Commands of a finish that read and write inside the chosen folders only.
 
-    Raises
-    ------
-    ParameterError
-        If a file or link leads outside them, or a number is outside its range.
+    ParameterError if a file or link leads outside them, or a number is outside its range.
     """
     finish_options = finish_options.resolve_paths(options, workspace.resolve)
     commands = finish_commands(options, files, finish_options, use_landmarks=use_landmarks)
@@ -174,14 +142,8 @@ def finish_commands(
 ) -> tuple[Command, ...]:
     """Commands of a finish, in their order.
 
-    Parameters
-    ----------
-    options : mapping
-        All options of the commands.
-    files : Files
-    finish_options : FinishOptions
-    use_landmarks : bool
-        Match with the landmark file.
+    ``options``: all options of the commands.
+    ``use_landmarks``: match with the landmark file.
     """
     builder = _CommandBuilder(options, files, finish_options)
     if finish_options.name:

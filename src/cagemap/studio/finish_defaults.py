@@ -19,18 +19,8 @@ def with_defaults(options: FinishOptions, files: Files, scene: Scene, vertices: 
     Without an image the source's material or vertex colours are baked, or else its ambient occlusion, and a cage is
     wrapped.
 
-    Parameters
-    ----------
-    options : FinishOptions
-    files : Files
-    scene : Scene
-    vertices : int
-        Of the map shown, for a finish that asks for no other number and no level.
-
-    Raises
-    ------
-    ParameterError
-        If the target cannot be wrapped.
+    ``vertices``: of the map shown, for a finish that asks for no other number and no level.
+    ParameterError if the target cannot be wrapped.
     """
     is_plain, values = files.schemes[0] == NO_SCHEME, options.option_values
     has_level, number = values.get(("match", "level")) is not None, values.get(("match", "vertices"))

@@ -20,25 +20,13 @@ FOLDER_SUFFIX = "/"
 
 @dataclass(frozen=True)
 class Field:
-    """An option on the page.
-
-    Attributes
-    ----------
-    key : (command, field)
-    label : str
-    suffixes : tuple of str
-        Of the files to choose from.
-    hint : str
-        '' for the help text of the command line.
-    step : float
-        Step of a number's input.
-    """
+    """An option on the page."""
 
     key: Key
     label: str
-    suffixes: tuple[str, ...] = ()
-    hint: str = ""
-    step: float = 1.0
+    suffixes: tuple[str, ...] = ()  # of the files to choose from
+    hint: str = ""  # '' for the help text of the command line
+    step: float = 1.0  # step of a number's input
 
 
 @dataclass(frozen=True)

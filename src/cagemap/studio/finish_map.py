@@ -73,12 +73,8 @@ def _file_stamps(files: Iterable[Path]) -> tuple[FileStamp, ...]:
 def map_difference_notes(scene: Scene | None, outputs: tuple[Output, ...]) -> tuple[str, ...]:
     """Warn if a finish has another map than the page.
 
-    Parameters
-    ----------
-    scene : Scene or None
-        With the map on the page.
-    outputs : tuple of Output
-        Of the finish.
+    ``scene``: with the map on the page.
+    ``outputs``: of the finish.
     """
     result = next((output.path for output in outputs if output.title == MAP_TITLE), None)
     if scene is None or scene.preview_map is None or result is None:

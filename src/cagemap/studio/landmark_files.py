@@ -37,17 +37,10 @@ def load_landmarks(
 ) -> tuple[LandmarkList, list[str]]:
     """Read landmarks from a file of pairs or two files of points; also return notes.
 
-    Parameters
-    ----------
-    path : Path
-        File of pairs; or of the target's points, in any format of `read_points`.
-    source_points : Path or None
-        File of the source's points; points of equal name are pairs.
-
-    Raises
-    ------
-    FormatError, DirectionError, InvalidLandmarksError
-        If a file is damaged, made for the other direction, or for other meshes.
+    ``path``: file of pairs; or of the target's points, in any format of `read_points`.
+    ``source_points``: file of the source's points; points of equal name are pairs.
+    FormatError, DirectionError, InvalidLandmarksError if a file is damaged, made for the other direction, or for other
+    meshes.
     """
     target, source = scene.target.file_mesh, scene.source.file_mesh
     tracker.record(path)
@@ -198,10 +191,7 @@ def save_landmarks(
     One file of pairs; for a name with an ending of `files.landmarks.point_formats` one file for each model,
     NAME.target.pp and NAME.source.pp. A file of pairs that others changed, or of other models, is first copied.
 
-    Raises
-    ------
-    FormatError
-        If the ending is unknown, a file cannot be written, or cagemap did not write the existing file.
+    FormatError if the ending is unknown, a file cannot be written, or cagemap did not write the existing file.
     """
     target, source = scene.target.file_mesh, scene.source.file_mesh
     complete = to_landmarks(landmarks, scene.target.control, scene.source.control)

@@ -50,38 +50,17 @@ _PART_NOTE = (
 
 @dataclass(frozen=True, eq=False)
 class OpenedModel(DrawnModel):
-    """A model as the studio has opened it.
+    """A model as the studio has opened it."""
 
-    Attributes
-    ----------
-    level : int
-        Subdivision level of the preview.
-    mirror : (n_control,) int64 or None
-        Mirror image of each control vertex.
-    notes : tuple of str
-        What was changed in the mesh.
-    part_choices : PartChoices
-    scheme : str or None
-        Subdivision scheme: the requested one, or "none" for a mesh that cannot be subdivided.
-    dense : bool
-        Whether it is subdivided although it looks like a scan.
-    weld : str or None
-        Welding tolerance, as `cagemap match --weld` takes it.
-    texture : Path or None
-        File of the look's texture.
-    path : Path or None
-        The model's file.
-    """
-
-    level: int
-    mirror: IndexArray | None
-    notes: tuple[str, ...] = ()
+    level: int  # subdivision level of the preview
+    mirror: IndexArray | None  # (n_control,) mirror image of each control vertex
+    notes: tuple[str, ...] = ()  # what was changed in the mesh
     part_choices: PartChoices = NO_PARTS
-    scheme: str | None = None
-    dense: bool = False
-    weld: str | None = None
-    texture: Path | None = None
-    path: Path | None = None
+    scheme: str | None = None  # subdivision scheme: the requested one, or "none" for a mesh that cannot be subdivided
+    dense: bool = False  # whether it is subdivided although it looks like a scan
+    weld: str | None = None  # welding tolerance, as `cagemap match --weld` takes it
+    texture: Path | None = None  # file of the look's texture
+    path: Path | None = None  # the model's file
 
     @property
     def control(self) -> ControlMesh:
@@ -147,20 +126,10 @@ def textured(source: OpenedModel, holder: Path, folder: Path, progress: Callable
 def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, part: str | None = None) -> OpenedModel:
     """Read, weld, check and refine one model.
 
-    Parameters
-    ----------
-    path : Path
-    scheme, up, part : str or None
-        See `cagemap.studio.state.Files`.
-    vertices : int
-        Approximate number of vertices of the refined surface.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such part, or it has several connected pieces.
-    InvalidMeshError, FormatError
-        If the mesh is invalid, or its file cannot be read.
+    ``scheme``, ``up``, ``part``: see `cagemap.studio.state.Files`.
+    ``vertices``: approximate number of vertices of the refined surface.
+    ParameterError if there is no such part, or it has several connected pieces.
+    InvalidMeshError, FormatError if the mesh is invalid, or its file cannot be read.
     """
     file_mesh = replace(read_whole(path), name=path.name)
     if structure_problems(file_mesh):

@@ -76,10 +76,7 @@ def command_line_files(
 ) -> Files | None:
     """Files of the command line, or those of a RESULT alone; None without any.
 
-    Raises
-    ------
-    ParameterError
-        If only one model is named, other files without models, or a RESULT whose models are gone.
+    ParameterError if only one model is named, other files without models, or a RESULT whose models are gone.
     """
     if target is None and source is None:
         if result is not None:
@@ -103,12 +100,8 @@ def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> 
 
     Where an option is not taken over, the files have another RESULT folder.
 
-    Raises
-    ------
-    FormatError
-        If the folder is no RESULT of a readable version, or is damaged.
-    ParameterError
-        If a model has moved or changed.
+    FormatError if the folder is no RESULT of a readable version, or is damaged.
+    ParameterError if a model has moved or changed.
     """
     manifest = read_manifest(result)
     record = parse_record(ResultRecord, manifest, result / MANIFEST, REMEDY)

@@ -34,18 +34,11 @@ _KINDS = ("models", "image", "pose", "map", "answer", "baked")
 class Preview:
     """Computes what the page shows; a newer request replaces one that waits.
 
-    Parameters
-    ----------
-    vertices : int
-        Approximate number of vertices of each previewed surface.
-    folder : Path
-        Receives an image that is inside the source's file.
-    current_inputs : callable
-        Gives the current landmarks, map and chosen answer when a task starts.
-    on_job : callable
-        Called at every task and stage.
-    on_result : callable
-        Called with a task and its result.
+    ``vertices``: approximate number of vertices of each previewed surface.
+    ``folder``: receives an image that is inside the source's file.
+    ``current_inputs``: gives the current landmarks, map and chosen answer when a task starts.
+    ``on_job``: called at every task and stage.
+    ``on_result``: called with a task and its result.
     """
 
     def __init__(

@@ -47,12 +47,8 @@ log = logging.getLogger(__name__)
 class PreviewResults(LandmarkEdits):
     """Starts tasks of the preview process, and changes the state by their results.
 
-    Parameters
-    ----------
-    vertices : int
-        Approximate number of vertices of each previewed surface.
-    folder : Path
-        Receives an image that is inside the source's file; earlier versions saved landmarks there.
+    ``vertices``: approximate number of vertices of each previewed surface.
+    ``folder``: receives an image that is inside the source's file; earlier versions saved landmarks there.
     """
 
     def __init__(self, vertices: int, folder: Path) -> None:

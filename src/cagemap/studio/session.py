@@ -39,13 +39,8 @@ from cagemap.tasks.requests.catalogue import Options
 class Session(PreviewResults):
     """State and actions of a running studio; may be called from any thread.
 
-    Parameters
-    ----------
-    workspace : Workspace
-    vertices : int
-        Approximate number of vertices of each previewed surface.
-    options : mapping
-        Options of the commands of a finish.
+    ``vertices``: approximate number of vertices of each previewed surface.
+    ``options``: options of the commands of a finish.
     """
 
     def __init__(self, workspace: Workspace, vertices: int, options: Options) -> None:
@@ -198,10 +193,7 @@ class Session(PreviewResults):
     def plan(self, options: FinishOptions) -> tuple[Command, ...]:
         """Commands that a press of *Bake* runs, with the page's alignment and the default options of `with_defaults`.
 
-        Raises
-        ------
-        ParameterError
-            If the target cannot be wrapped, or a value is refused.
+        ParameterError if the target cannot be wrapped, or a value is refused.
         """
         files, scene = self._require_open()
         has_constraints = self._state.history.present.has_constraints
