@@ -164,7 +164,7 @@ def test_every_kind_of_data_of_a_transfer_has_its_own_command() -> None:
     data_fields = [field.name for field, _, option in option_fields(TransferRequest) if option.group == CARRIED]
     carried = [[name for name in data_fields if getattr(request, name)] for request in requests]
     # The joints also name the columns of the weights.
-    assert carried == [["weights", "joints"] if of == "weights" else [of] for of in [t.data_field for t in TRANSFERS]]
+    assert carried == [["weights", "joints"] if of == "weights" else [of] for of in TRANSFERS]
     assert {name for names in carried for name in names} == {*data_fields}
     for _, name in given:
         default = OPTIONS["transfer", name].default
@@ -226,6 +226,16 @@ def test_own_images_lie_under_what_they_are_named_after() -> None:
     with_maps = FinishOptions(maps=(("roughness", Path("/w/r.png")),), option_values=given_values(bases=own))
     (color, *_) = finish_commands(OPTIONS, files, with_maps, use_landmarks=False)[1].request.bases
     assert color == ("color", Path("/w/c.png"))
+
+
+def test_green_and_sharpness_are_those_of_all_images_that_read_them() -> None:
+    """As of the command line: a map that looks like a normal map is turned with --green, labels are not mixed."""
+    files = default_files(Path("/w"), Path("/w/cow.obj"), Path("/w/spot.obj"), None)
+    given = given_values(green="down", filter="nearest", material_colors=True)
+    asked = FinishOptions(maps=(("normal", Path("/w/n.png")),), option_values=given)
+    maps, colors = (command.request for command in finish_commands(OPTIONS, files, asked, use_landmarks=False)[1:3])
+    assert (maps.green, maps.filter) == ("down", "nearest")
+    assert (colors.green, colors.filter) == ("up", "nearest")
 
 
 def test_links_that_lead_out_of_the_folders_are_neither_read_nor_written(tmp_path: Path) -> None:

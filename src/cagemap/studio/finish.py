@@ -27,7 +27,7 @@ from cagemap.tasks.requests.catalogue import (
     Value,
     request_of,
 )
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.transfer import READ_BY, TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 
 # Options of several commands that the page shows once: (command, field), and the one that is shown.
@@ -41,36 +41,21 @@ MAP_TITLE = "the map"
 COLOR_MAP = "color"
 # Kinds of bakes in messages, where they have other words.
 _KIND_WORDS = {"ao": "ambient occlusion", "colors": "vertex colours"}
-_IMAGE_FIELDS = ("size", "bits", "filter", "unwrap", "bases", "force")
-
-
-@dataclass(frozen=True)
-class Transfer:
-    """A kind of `cagemap transfer`: the option of its data, and its other options."""
-
-    title: str
-    data_field: str
-    option_fields: tuple[str, ...]
-
-
-TRANSFERS = (
-    Transfer("texture", "texture", ("as_color", "usd", *_IMAGE_FIELDS)),
-    Transfer("normal map", "normal_map", ("space", "green", *_IMAGE_FIELDS)),
-    Transfer("displacement", "displacement", ("scale", "midlevel", *_IMAGE_FIELDS)),
-    Transfer("vector displacement", "vector_displacement", ("space", "scale", "midlevel", *_IMAGE_FIELDS)),
-    Transfer("material colours", "material_colors", ("size", "bits", "unwrap", "bases", "force")),
-    Transfer("detail", "bake", ("detail", "detail_texture", "rays", "space", "green", *_IMAGE_FIELDS)),
-    Transfer("attribute", "attribute", ("usd", "bases", "force")),
-    Transfer("UVs of the source", "source_uvs", ("force",)),
-    Transfer("skin weights", "weights", ("influences", "only", "mirror", "joints", "usd", "bases", "force")),
-    Transfer("joints", "joints", ("force",)),
-    Transfer("blend shapes", "blend_shapes", ("usd", "force")),
-    Transfer("passenger", "passenger", ("kind", "force")),
-    Transfer("map for other programs", "write_map", ("force",)),
-)
-# Options that only some transfers take; all others go to each.
-_TRANSFER_FIELDS = {"output"} | {
-    name for transfer in TRANSFERS for name in (transfer.data_field, *transfer.option_fields)
+# Titles of the transfers, by the option of their data; in the order in which they are made.
+TRANSFERS = {
+    "texture": "texture",
+    "normal_map": "normal map",
+    "displacement": "displacement",
+    "vector_displacement": "vector displacement",
+    "material_colors": "material colours",
+    "bake": "detail",
+    "attribute": "attribute",
+    "source_uvs": "UVs of the source",
+    "weights": "skin weights",
+    "joints": "joints",
+    "blend_shapes": "blend shapes",
+    "passenger": "passenger",
+    "write_map": "map for other programs",
 }
 # Options of `cagemap wrap` for its images.
 _WRAP_IMAGE_FIELDS = ("size", "space", "green", "rays", "detail", "detail_texture", "texture", "force")
@@ -150,8 +135,8 @@ def finish_commands(
         stem = f"{builder.stem}_from{builder.source_suffix}" if builder.source_suffix else builder.stem
         builder = replace(builder, files=replace(files, result=files.result.with_name(f"{stem}_RESULT")))
     commands = [builder.match(use_landmarks=use_landmarks)]
-    for transfer in TRANSFERS:
-        command = builder.transfer(transfer, [other.output for other in commands])
+    for data_field in TRANSFERS:
+        command = builder.transfer(data_field, [other.output for other in commands])
         commands += [] if command is None else [command]
     commands += [builder.wrap()] if finish_options.wrap else []
     commands += [builder.report()] if finish_options.report else []
@@ -212,25 +197,23 @@ class _CommandBuilder:
         }
         return Command("match", request_of("match", values), MAP_TITLE)
 
-    def transfer(self, transfer: Transfer, used_outputs: list[Path]) -> Command | None:
-        """A transfer, or None if it is not requested."""
-        data = (
-            self._texture_values()
-            if transfer.data_field == "texture"
-            else self.values("transfer", [transfer.data_field])
-        )
-        if transfer.data_field == "write_map":
+    def transfer(self, data_field: str, used_outputs: list[Path]) -> Command | None:
+        """The transfer of one kind of data, or None if it is not requested."""
+        data = self._texture_values() if data_field == "texture" else self.values("transfer", [data_field])
+        if data_field == "write_map":
             data = {"write_map": bool(self.finish_options.map_form)}
         if not any(data.values()):
             return None
-        name, ending = self._name_parts(transfer)
+        name, ending = self._name_parts(data_field)
         output = self.files.result.parent / f"{self.stem}{name}{self.source_suffix}{ending}"
         if output in used_outputs:
-            output = output.with_name(f"{output.stem}_{transfer.data_field}{output.suffix}")
-        common = (name for command, name in self.options if command == "transfer" and name not in _TRANSFER_FIELDS)
-        values = {name: self._option_value(transfer, name, output) for name in (*transfer.option_fields, *common)}
+            output = output.with_name(f"{output.stem}_{data_field}{output.suffix}")
+        others = (name for command, name in self.options if command == "transfer" and name not in TRANSFERS)
+        read = [name for name in others if data_field in READ_BY.get(name, (data_field,))]
+        read += ["joints"] if data_field == "weights" else []  # they name the columns
+        values = {name: self._option_value(data_field, name, output) for name in read}
         values |= {**data, "result": self.files.result, "output": output}
-        return Command(transfer.title, request_of("transfer", values))
+        return Command(TRANSFERS[data_field], request_of("transfer", values))
 
     def _texture_values(self) -> dict[str, Value]:
         """The open texture, alone or among the maps of its material."""
@@ -239,25 +222,25 @@ class _CommandBuilder:
             return {"texture": texture}
         return {"maps": (*(() if texture is None else ((COLOR_MAP, texture),)), *self.finish_options.maps)}
 
-    def _option_value(self, transfer: Transfer, name: str, output: Path) -> Value:
+    def _option_value(self, data_field: str, name: str, output: Path) -> Value:
         """The value of a transfer's option."""
         value = self.value("transfer", name)
         if name == "usd":
             return output.with_suffix(".usda") if value else None
         if name == "bases":
-            return self._base_files(transfer)
+            return self._base_files(data_field)
         if name == "detail_texture" and "texture" not in _as_names(self.value("transfer", "bake")):
             return None  # it is meant for the wrapped cage
         return value
 
-    def _base_files(self, transfer: Transfer) -> NamedFiles:
+    def _base_files(self, data_field: str) -> NamedFiles:
         """The target's own files under the transferred data, selected by name."""
         bases: NamedFiles = self.value("transfer", "bases")  # type: ignore[assignment]
-        if transfer.data_field == "bake":
+        if data_field == "bake":
             kinds = _as_names(self.value("transfer", "bake"))
             return tuple((kind, path) for kind in kinds for name, path in bases if _normalize(name) == _normalize(kind))
-        if transfer.data_field != "texture":
-            return tuple(("", path) for name, path in bases if _normalize(name) == _normalize(transfer.data_field))
+        if data_field != "texture":
+            return tuple(("", path) for name, path in bases if _normalize(name) == _normalize(data_field))
         if not self.finish_options.maps:
             return tuple(("", path) for name, path in bases if name in ("", "texture", COLOR_MAP))
         names = {_normalize(name): name for name, _ in self.finish_options.maps}
@@ -265,10 +248,10 @@ class _CommandBuilder:
             names |= {"": COLOR_MAP, "texture": COLOR_MAP, COLOR_MAP: COLOR_MAP}
         return tuple((names[_normalize(name)], path) for name, path in bases if _normalize(name) in names)
 
-    def _name_parts(self, transfer: Transfer) -> tuple[str, str]:
+    def _name_parts(self, data_field: str) -> tuple[str, str]:
         """Parts of an output's name after the stem: before and after the source's part."""
-        source, value = self.files.source, self.value("transfer", transfer.data_field)
-        match transfer.data_field:
+        source, value = self.files.source, self.value("transfer", data_field)
+        match data_field:
             case "texture":
                 texture = self.files.texture if self.finish_options.texture else None
                 return self._image_name(texture or self.finish_options.maps[0][1])
@@ -293,7 +276,7 @@ class _CommandBuilder:
                 return self._origin(value.stem), _mesh_suffix(value)
             case _:
                 assert isinstance(value, Path)
-                scene_form = ".json" if transfer.data_field == "joints" else ".npz"
+                scene_form = ".json" if data_field == "joints" else ".npz"
                 is_scene = value.suffix.lower() in (*USD_SUFFIXES, *SCENE_SUFFIXES)
                 return self._origin(value.stem), scene_form if is_scene else value.suffix
 
