@@ -288,20 +288,11 @@ class _Overlay:
 
 def _make_overlay(models: _ModelPair, *, is_source: bool) -> _Overlay:
     pairs, viewpoints = models.result.landmarks, models.viewpoints
-    if is_source:
-        surface, points, cage_curves, turn = (
-            models.result.source,
-            pairs.source_points,
-            [pair.source for pair in pairs.curves],
-            viewpoints.source_turn,
-        )
-    else:
-        surface, points, cage_curves, turn = (
-            models.result.target,
-            pairs.target_points,
-            [pair.target for pair in pairs.curves],
-            viewpoints.target.turn,
-        )
+    surface, points, cage_curves, turn = (
+        (models.result.source, pairs.source_points, [pair.source for pair in pairs.curves], viewpoints.source_turn)
+        if is_source
+        else (models.result.target, pairs.target_points, [pair.target for pair in pairs.curves], viewpoints.target.turn)
+    )
     finest = surface.finest_triangles
     lines = [surface_curve(surface, curve).line for curve in cage_curves]
     curves = tuple(Polyline(line.positions @ turn / finest.scale, line.closed) for line in lines)
