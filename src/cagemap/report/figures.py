@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -110,17 +111,18 @@ def draw_gallery(
     target_colors = position_colors(result.image(), result.source.vertices)
     source_colors = position_colors(result.source.vertices, result.source.vertices)
     trust = scalar_colors(result.trust, 0.0, 1.0, TRUST_SCALE)
-    jobs: list[_FigureJob] = [
-        *((view, source_skin, target_skin, False) for view in VIEWS),
-        *((view, Skin(vertex_colors=source_colors), Skin(vertex_colors=target_colors), True) for view in (FRONT, BACK)),
-        *((view, None, Skin(vertex_colors=trust), False) for view in (FRONT, BACK)),
+    map_skins = Skin(vertex_colors=source_colors), Skin(vertex_colors=target_colors)
+    jobs: list[list[_FigureJob]] = [
+        [(view, source_skin, target_skin, False) for view in VIEWS],
+        [(view, *map_skins, True) for view in (FRONT, BACK)],
+        [(view, None, Skin(vertex_colors=trust), False) for view in (FRONT, BACK)],
+        _mask_jobs(result),
+        _answer_jobs(result),
     ]
-    masks, answers = _mask_jobs(result), _answer_jobs(result)
-    figures = _draw_figures(models, [*jobs, *masks, *answers], size, progress)
-    mask_figures, answer_figures = figures[7 : 7 + len(masks)], figures[7 + len(masks) :]
-    answer_pairs = tuple(zip(answer_figures[::2], answer_figures[1::2], strict=True))
-    orientation = str(models.viewpoints.target)
-    return Gallery(appearance, figures[:3], figures[3:5], figures[5:7], orientation, mask_figures, answer_pairs)
+    drawn = iter(_draw_figures(models, list(chain(*jobs)), size, progress))
+    looks, maps, trusts, masks, answers = (tuple(islice(drawn, len(group))) for group in jobs)
+    answer_pairs = tuple(zip(answers[::2], answers[1::2], strict=True))
+    return Gallery(appearance, looks, maps, trusts, str(models.viewpoints.target), masks, answer_pairs)
 
 
 def _mask_jobs(result: MatchResult) -> list[_FigureJob]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import groupby
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -114,20 +114,16 @@ def draw_carried(
     ``size``: of every picture.
     ``viewpoints``: default: `choose_viewpoints`.
     """
-    panels, viewpoints = list[Panel](), viewpoints or choose_viewpoints(result)
-    if carried.images:
-        panels.append(_images_panel(result, carried.images, viewpoints, size))
-    if carried.wrapped is not None:
-        panels.append(_wrap_panel(result, carried.wrapped, viewpoints, size))
-    if carried.weights is not None:
-        panels.append(_weights_panel(result, carried.weights, viewpoints, size))
-    if carried.shapes:
-        panels.append(_shapes_panel(result, carried.shapes, viewpoints, size))
-    if carried.passengers:
-        panels.append(_passengers_panel(result, carried.passengers, viewpoints, size))
-    if carried.poses:
-        panels.append(_poses_panel(result, carried.poses, viewpoints, size))
-    return tuple(panels)
+    viewpoints = viewpoints or choose_viewpoints(result)
+    kinds: tuple[tuple[Any, Callable[..., Panel]], ...] = (
+        (carried.images, _images_panel),
+        (carried.wrapped, _wrap_panel),
+        (carried.weights, _weights_panel),
+        (carried.shapes, _shapes_panel),
+        (carried.passengers, _passengers_panel),
+        (carried.poses, _poses_panel),
+    )
+    return tuple(draw(result, data, viewpoints, size) for data, draw in kinds if data not in (None, ()))
 
 
 def _images_panel(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -75,15 +75,6 @@ def write_autosave(
     ``parts``: the open parts.
     ``models``: names by which `read_autosave` recognises target and source.
     """
-    items = [
-        {
-            "number": item.number,
-            "name": item.name,
-            "target": _to_entry(item.target),
-            "source": _to_entry(item.source),
-        }
-        for item in landmarks.items
-    ]
     unused = Landmarks.none() if landmarks.unused_landmarks is None else landmarks.unused_landmarks
     content = {
         "format": _FORMAT,
@@ -91,7 +82,7 @@ def write_autosave(
         "mark": mark(),
         "models": models,
         "parts": parts,
-        "items": items,
+        "items": list(map(asdict, landmarks.items)),
         "pairs": list(map(json.loads, format_pairs(unused))),
         "curves": list(map(json.loads, pair_entries(path, landmarks.curves + unused.curves))),
     }
@@ -151,10 +142,6 @@ def move_aside(path: Path) -> Path:
 
 def _unused_name(path: Path) -> Path:
     return next(name for k in itertools.count(1) if not (name := path.with_name(f"{path.name}.{k}")).exists())
-
-
-def _to_entry(place: Place | None) -> dict[str, Any] | None:
-    return None if place is None else {"position": place.position, "corners": place.corners, "weights": place.weights}
 
 
 def _from_entry(entry: Any, vertices: int) -> Place | None:

@@ -6,6 +6,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files import IMAGE_SUFFIXES
@@ -13,7 +16,7 @@ from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.images.image import UDIM_MARK
 from cagemap.files.usd.stages import USD_SUFFIXES
 from cagemap.studio.opening import part_slug
-from cagemap.studio.state import Files
+from cagemap.studio.state import NO_SCHEME, Files
 from cagemap.studio.workspace import Workspace
 from cagemap.tasks.match import ComputedMatch
 from cagemap.tasks.requests.catalogue import (
@@ -29,6 +32,9 @@ from cagemap.tasks.requests.catalogue import (
 )
 from cagemap.tasks.requests.transfer import READ_BY, TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
+
+if TYPE_CHECKING:  # the process of a bake needs no models
+    from cagemap.studio.scene import Scene
 
 # Options of several commands that the page shows once: (command, field), and the one that is shown.
 SHARED_OPTIONS: dict[Key, Key] = {
@@ -90,6 +96,39 @@ class FinishOptions:
         values = {key: options[key].placed(value, resolve) for key, value in self.option_values.items()}
         maps: NamedFiles = maps_option.placed(self.maps, resolve)  # type: ignore[assignment]
         return replace(self, maps=maps, option_values=values)
+
+
+def with_defaults(options: FinishOptions, files: Files, scene: Scene, vertices: int) -> FinishOptions:
+    """Options with defaults for the open pair.
+
+    Without an image the source's material or vertex colours are baked, or else its ambient occlusion, and a cage is
+    wrapped.
+
+    ``vertices``: of the map shown, for a finish that asks for no other number and no level.
+    ParameterError if the target cannot be wrapped.
+    """
+    is_plain, values = files.schemes[0] == NO_SCHEME, options.option_values
+    has_level, number = values.get(("match", "level")) is not None, values.get(("match", "vertices"))
+    options = options.with_values(
+        {
+            ("transfer", "unwrap"): not scene.target.control.has_layout,
+            ("match", "vertices"): None if has_level else vertices if number is None else number,
+        }
+    )
+    if options.texture and files.texture is None and scene.has_colors:
+        options = options.with_values({("transfer", "material_colors"): True})
+    elif options.texture and files.texture is None:
+        colors = None if values.get(("transfer", "detail")) else scene.source.control.vertex_colors
+        default = ("ao",) if colors is None or np.isnan(colors).all() else ("colors",)
+        kinds = values.get(("transfer", "bake")) or default
+        wrap = options.wrap or not (is_plain or kinds == ("colors",))
+        options = replace(options, wrap=wrap).with_values({("transfer", "bake"): kinds})
+    if is_plain and options.wrap:
+        raise ParameterError(
+            f"{files.target.name} is open as a plain mesh, which cannot be wrapped. Press Open… and choose how the "
+            "target is subdivided (Options). Or choose something else to make below."
+        )
+    return options
 
 
 @dataclass(frozen=True)

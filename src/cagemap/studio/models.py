@@ -34,6 +34,7 @@ from cagemap.pipeline import choose_level
 from cagemap.studio.file_parts import NO_PARTS, PartChoices, SelectedPart, other_parts_surface, select_part
 from cagemap.studio.shape import OriginalMesh, refined_shape
 from cagemap.studio.skins import DrawnModel, Look
+from cagemap.studio.state import NO_SCHEME
 from cagemap.subdivision import refine, with_options
 from cagemap.tasks.material_atlas import material_atlas
 from cagemap.transfer import face_colors
@@ -42,7 +43,6 @@ from cagemap.transfer import face_colors
 PREVIEW_TEXTURE_SIZE = 1024
 # Triangle meshes of at least so many faces may be scans.
 MIN_SCAN_FACES = 20_000
-NO_SCHEME = "none"
 _PART_NOTE = (
     "{file} has several parts: only {part} is matched, the others are grey. To choose another, press Open…, Part"
 )

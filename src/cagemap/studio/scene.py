@@ -49,11 +49,6 @@ class Scene:
         scene = replace(self, target=self.target.with_up(ups[0]), source=self.source.with_up(ups[1]))
         return replace(scene, source=scene.aligned_source)
 
-    @property
-    def has_mirrors(self) -> bool:
-        """Whether both models have a mirror plane."""
-        return all(mirror is not None for mirror in self.mirrors)
-
     def warm_up(self) -> None:
         """Compile and compute what the first click needs, in a thread."""
 

@@ -11,8 +11,7 @@ from cagemap.files import IMAGE_SUFFIXES
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, move_aside, read_autosave_parts
-from cagemap.studio.finish import MAP_TITLE, Command, FinishOptions, made_of, plan_commands
-from cagemap.studio.finish_defaults import with_defaults
+from cagemap.studio.finish import MAP_TITLE, Command, FinishOptions, made_of, plan_commands, with_defaults
 from cagemap.studio.finish_layout import explain_flags, in_page_words
 from cagemap.studio.finish_map import WrittenMap, map_difference_notes
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks

@@ -56,16 +56,6 @@ class Shape:
         numbers = None if self.original is None else self.control.file_vertices
         return vertices if numbers is None else numbers[vertices]
 
-    @property
-    def name(self) -> str:
-        """The mesh's file name."""
-        return self.control.name
-
-    @property
-    def n_control(self) -> int:
-        """Number of control vertices."""
-        return self.control.n_vertices
-
     @kept
     def edges(self) -> FloatArray:
         """(e, 2, 3) ends of the control mesh's edges, in file units."""
@@ -81,7 +71,7 @@ class Shape:
     def cage(self) -> TriangleSurface:
         """Control mesh with its vertices on the smooth surface, in the units of `surface`."""
         return TriangleSurface(
-            self.surface.positions[: self.n_control], cage_triangles(self.control)[0], self.surface.scale
+            self.surface.positions[: self.control.n_vertices], cage_triangles(self.control)[0], self.surface.scale
         )
 
     @kept

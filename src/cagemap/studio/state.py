@@ -19,6 +19,7 @@ from cagemap.studio.recorded_match import RecordedMatch
 Mode = Literal["texture", "colours", "checker", "plain", "baked"]
 MODES: tuple[Mode, ...] = ("texture", "colours", "checker", "plain", "baked")
 MessageKind = Literal["error", "note"]
+NO_SCHEME = "none"  # of a model that is not subdivided
 _TILE_NUMBER = re.compile(r"\.1\d{3}$")
 # Ends the name of a copy of the target with a new UV layout.
 _UNWRAPPED_ENDING = "_unwrapped.obj"
