@@ -20,10 +20,10 @@ from cagemap.files.atomic import require_replaceable, write_whole
 from cagemap.files.ownership import mark
 from cagemap.files.result.manifest import file_hash
 from cagemap.files.result.verdicts import overall_verdict, rate_figures
+from cagemap.files.text import flatten_entries
 from cagemap.jobs.plan import PICTURE_FILE, RESULT_FOLDER, STATE_FOLDER, Plan, Task, pair_folder
 from cagemap.jobs.run import TaskOutcome
 from cagemap.report.page import html_page, page_header
-from cagemap.report.tables import flatten_entries
 
 VERDICT_RANK = {"failed": 0, "poor": 1, "fair": 2, "good": 3}
 VERDICT_WORDS = {"failed": "failed", "poor": "do not use", "fair": "look at it", "good": "sound"}

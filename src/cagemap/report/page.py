@@ -252,11 +252,6 @@ def _figure_section(result: MatchResult, ratings: list[Rating]) -> str:
     return f'<ul class="chips">{items}</ul>{rating_cards(ratings)}'
 
 
-def data_uri(image: Image) -> str:
-    """The picture as a JPEG data URI."""
-    return _uri(_jpeg(image, JPEG_QUALITY))
-
-
 def _uri(content: bytes) -> str:
     return f"data:image/jpeg;base64,{base64.b64encode(content).decode('ascii')}"
 
@@ -301,7 +296,7 @@ def _message_list(result: MatchResult, warnings: list[str], notes: list[str]) ->
 
 def _pictures(pictures: Iterable[tuple[Image, str]]) -> str:
     figures = (
-        f'<figure><img src="{data_uri(image)}" width="{image.shape[1]}" height="{image.shape[0]}" '
+        f'<figure><img src="{_uri(_jpeg(image, JPEG_QUALITY))}" width="{image.shape[1]}" height="{image.shape[0]}" '
         f'alt="{escape(caption)}"><figcaption>{escape(caption)}</figcaption></figure>'
         for image, caption in pictures
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
 from typing import Any, Generic, TypeVar
@@ -83,12 +83,12 @@ class BakedImage:
 class CarriedData:
     """Data carried by the map that a report shows."""
 
-    images: tuple[BakedImage, ...] = field(default=())
+    images: tuple[BakedImage, ...] = ()
     wrapped: ControlMesh | None = None  # the target's cage, or the mesh of a finer level, in the source's shape
     weights: Weights | None = None
-    shapes: tuple[CarriedItem[FloatArray], ...] = field(default=())
-    passengers: tuple[CarriedItem[ControlMesh], ...] = field(default=())
-    poses: tuple[CarriedItem[FloatArray], ...] = field(default=())
+    shapes: tuple[CarriedItem[FloatArray], ...] = ()
+    passengers: tuple[CarriedItem[ControlMesh], ...] = ()
+    poses: tuple[CarriedItem[FloatArray], ...] = ()
 
 
 NO_DATA = CarriedData()
@@ -148,12 +148,12 @@ def _images_panel(
     return Panel("Baked images", lead, tuple(pictures))
 
 
-def join_tiles(tiles: dict[int, FloatArray], longest: int = MAX_LAYOUT_PIXELS) -> tuple[FloatArray, IndexArray]:
-    """One picture of all tiles, at most ``longest`` pixels a side, and its (columns, rows) of tiles."""
+def join_tiles(tiles: dict[int, FloatArray]) -> tuple[FloatArray, IndexArray]:
+    """One picture of all tiles, at most `MAX_LAYOUT_PIXELS` a side, and its (columns, rows) of tiles."""
     cells = {number: np.array(udim_origin(number), dtype=np.int64) for number in tiles}
     columns, rows = counts = np.max(list(cells.values()), axis=0) + 1
     height, width = np.max([pixels.shape[:2] for pixels in tiles.values()], axis=0)
-    share = min(1.0, longest / max(columns * width, rows * height))
+    share = min(1.0, MAX_LAYOUT_PIXELS / max(columns * width, rows * height))
     height, width = max(1, int(height * share)), max(1, int(width * share))
     joined = np.ones((rows * height, columns * width, 3))
     for number, (column, row) in cells.items():

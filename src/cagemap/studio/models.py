@@ -169,7 +169,7 @@ def _open_welded(
     if isinstance(mesh.scheme, Plain):
         return _open_plain(selected, whole, file_mesh, rotation)
     _require_one_piece(mesh)
-    dense = scheme is None and is_dense(mesh)
+    dense = scheme is None and _may_be_plain(mesh) and mesh.n_faces >= MIN_SCAN_FACES  # it looks like a scan
     try:
         require_valid(mesh)
     except InvalidMeshError as error:
@@ -192,11 +192,6 @@ def _open_welded(
 def _with_file_vertices(selected: SelectedPart, welded: RepairedMesh) -> SelectedPart:
     """A part of a welded mesh, with its vertices for those of the file."""
     return replace(selected, vertex_of=np.where(welded.vertex_of < 0, -1, selected.vertex_of[welded.vertex_of]))
-
-
-def is_dense(mesh: ControlMesh) -> bool:
-    """Whether a mesh looks like a scan: many triangles, no scheme and no creases."""
-    return _may_be_plain(mesh) and mesh.n_faces >= MIN_SCAN_FACES
 
 
 def _may_be_plain(mesh: ControlMesh) -> bool:

@@ -52,7 +52,7 @@ class Preview:
         self._vertices, self._folder = vertices, folder
         self._current_inputs, self._on_job, self._on_result = current_inputs, on_job, on_result
         self._condition = threading.Condition()
-        self._pair_files: PairFiles | None = None
+        self.pair_files: PairFiles | None = None  # of the pair that is open or about to be
         self._requests: dict[str, tuple[Any, ...]] = {}  # those that wait: arguments by kind
         self._running_kind = ""
         self._closed = False
@@ -68,26 +68,19 @@ class Preview:
         """Open two models; requests and a running map of other models are dropped."""
         with self._condition:
             sides = files.schemes, files.ups, files.parts
-            self._pair_files = PairFiles(
-                files.target, files.source, files.texture, self._vertices, self._folder, *sides
-            )
+            self.pair_files = PairFiles(files.target, files.source, files.texture, self._vertices, self._folder, *sides)
             task = self._task
-            if task is not None and not isinstance(task, OpenModels) and task.pair_files != self._pair_files:
+            if task is not None and not isinstance(task, OpenModels) and task.pair_files != self.pair_files:
                 self._worker.cancel(task)
             self._requests.clear()
             self.request("models")
 
-    @property
-    def pair_files(self) -> PairFiles | None:
-        """The pair that is open or about to be."""
-        return self._pair_files
-
     def turn(self, side: Side, up: str, pose: str) -> None:
         """Draw the open models with another axis of a file up, in a pose; a running map is computed again."""
         with self._condition:
-            assert self._pair_files is not None
-            target, source = self._pair_files.ups
-            self._pair_files = replace(self._pair_files, ups=(up, source) if side == "target" else (target, up))
+            assert self.pair_files is not None
+            target, source = self.pair_files.ups
+            self.pair_files = replace(self.pair_files, ups=(up, source) if side == "target" else (target, up))
             if isinstance(self._task, FindMap):
                 self._worker.cancel(self._task)
             self.request("pose", pose)
@@ -103,8 +96,8 @@ class Preview:
     def set_image(self, image: Path | None) -> None:
         """Use an image of the source from the next task on."""
         with self._condition:
-            assert self._pair_files is not None
-            self._pair_files = replace(self._pair_files, texture=image)
+            assert self.pair_files is not None
+            self.pair_files = replace(self.pair_files, texture=image)
 
     def find(self, *, fresh: bool) -> None:
         """Compute the map, by an update if there is one and ``fresh`` is not set."""
@@ -159,7 +152,7 @@ class Preview:
     def _repeat_turned(self, task: Task) -> None:
         """Request a map again if the models were turned or got another image: its drawings are of those before."""
         with self._condition:
-            files = self._pair_files
+            files = self.pair_files
             assert files is not None
             drawn_files = replace(task.pair_files, ups=files.ups, texture=files.texture)
             if isinstance(task, FindMap) and task.pair_files != files == drawn_files:
@@ -175,7 +168,7 @@ class Preview:
             if self._closed:
                 return None
             kind = min(self._requests, key=_KINDS.index)
-            pair_files, arguments, self._running_kind = self._pair_files, self._requests.pop(kind), kind
+            pair_files, arguments, self._running_kind = self.pair_files, self._requests.pop(kind), kind
         # Outside the lock: the callee has its own lock, and may be waiting for this one.
         landmarks, preview_map, chosen_answer = self._current_inputs()
         assert pair_files is not None  # the first request is to open
