@@ -59,13 +59,7 @@ def build_page(
     models: Models | None = None,
     textures: tuple[Texture, ...] = (),
 ) -> str:
-    """HTML text of the report.
-
-    ``gallery``: still pictures, for browsers without WebGL and for print.
-    ``panels``: pictures of carried data.
-    ``models``: models in three dimensions.
-    ``textures``: of the models.
-    """
+    """HTML text of the report; still pictures (``gallery``) are for browsers without WebGL and for print."""
     manifest = result.manifest
     quality = manifest.get("quality") or {}
     marks = () if models is None else models.marks

@@ -109,11 +109,7 @@ class Panel:
 def draw_carried(
     result: MatchResult, carried: CarriedData, size: tuple[int, int], viewpoints: Viewpoints | None = None
 ) -> tuple[Panel, ...]:
-    """Draw the data that a map carried, one panel for each kind.
-
-    ``size``: of every picture.
-    ``viewpoints``: default: `choose_viewpoints`.
-    """
+    """Draw the data that a map carried, one panel for each kind."""
     viewpoints = viewpoints or choose_viewpoints(result)
     kinds: tuple[tuple[Any, Callable[..., Panel]], ...] = (
         (carried.images, _images_panel),

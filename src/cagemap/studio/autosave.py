@@ -72,7 +72,6 @@ def write_autosave(
     """Write all landmarks, including the incomplete one.
 
     ``landmarks``: with the files' vertex numbers.
-    ``parts``: the open parts.
     ``models``: names by which `read_autosave` recognises target and source.
     """
     unused = Landmarks.none() if landmarks.unused_landmarks is None else landmarks.unused_landmarks

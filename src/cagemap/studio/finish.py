@@ -166,7 +166,6 @@ def finish_commands(
 ) -> tuple[Command, ...]:
     """Commands of a finish, in their order.
 
-    ``options``: all options of the commands.
     ``use_landmarks``: match with the landmark file.
     """
     builder = _CommandBuilder(options, files, finish_options)

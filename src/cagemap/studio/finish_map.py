@@ -65,11 +65,7 @@ def _file_stamp(file: Path) -> tuple[int, int] | None:
 
 
 def map_difference_notes(scene: Scene | None, outputs: tuple[Output, ...]) -> tuple[str, ...]:
-    """Warn if a finish has another map than the page.
-
-    ``scene``: with the map on the page.
-    ``outputs``: of the finish.
-    """
+    """Warn if a finish has another map than the page."""
     result = next((output.path for output in outputs if output.title == MAP_TITLE), None)
     if scene is None or scene.preview_map is None or result is None:
         return ()

@@ -38,7 +38,6 @@ class Preview:
     ``folder``: receives an image that is inside the source's file.
     ``current_inputs``: gives the current landmarks, map and chosen answer when a task starts.
     ``on_job``: called at every task and stage.
-    ``on_result``: called with a task and its result.
     """
 
     def __init__(

@@ -43,10 +43,7 @@ class PageRequest:
 
 
 class StudioApp:
-    """A running studio.
-
-    ``address`` is to be opened in a browser.
-    """
+    """A running studio."""
 
     def __init__(self, request: PageRequest) -> None:
         self.session = Session(Workspace.of(*request.folders), request.vertices, request.options)
@@ -60,7 +57,7 @@ class StudioApp:
         )
         self.session.subscribe(lambda *_: self._changed.set())
         threading.Thread(target=self._send_changes, name="studio page", daemon=True).start()
-        self.address = self._server.address
+        self.address = self._server.address  # to open in a browser
         if request.files is not None:
             self.session.open(request.files)
 
