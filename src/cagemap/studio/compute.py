@@ -88,16 +88,16 @@ def run_task(
         cache = replace(cache, pair_files=files, target=target, source=source)
     match task:
         case OpenModels():
-            return cache, OpenedPair(cache.target, cache.source, _posed_skins(cache, ShowPosed(files, "", None)))
+            return cache, OpenedPair(cache.target, cache.source, _posed_skins(cache, None))
         case FindMap():
             return find_map(cache, task, progress, show)
         case ShowBaked():
             return cache, _baked_skin(cache, task)
         case ShowImage():
-            skins = _posed_skins(cache, ShowPosed(files, "", task.preview_map))
+            skins = _posed_skins(cache, task.preview_map)
             return cache, ImageUpdate(skins, cache.source.texture, notes)
         case ShowPosed():
-            return cache, _posed_skins(cache, task)
+            return cache, _posed_skins(cache, task.preview_map, task.pose)
 
 
 def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, OpenedModel]:
@@ -250,18 +250,18 @@ def _landmark_strain(result: MatchResult) -> dict[str, float]:
     return strain | {suspect.name: suspect.distance for suspect in result.suspects}
 
 
-def _posed_skins(cache: PreviewCache, task: ShowPosed) -> tuple[bytes, bytes]:
-    """Target and source in a pose of the source's animations, with the task's map: a cancelled match drops the cache's.
+def _posed_skins(cache: PreviewCache, preview_map: PreviewMap | None, pose_name: str = "") -> tuple[bytes, bytes]:
+    """Target and source, in a pose of the source's animations, with a task's map: a cancelled match drops the cache's.
 
     ParameterError if there is no such pose.
     """
-    target, source, preview_map = cache.target, cache.source, task.preview_map
+    target, source = cache.target, cache.source
     shapes = target.shape, align_facing(source.shape, target.shape, preview_map)
-    if task.pose:
+    if pose_name:
         character = _source_character(cache)
-        pose = animation_poses(character).get(task.pose)
+        pose = animation_poses(character).get(pose_name)
         if pose is None or preview_map is None:
-            raise ParameterError(f"Pose: expected a pose of the source, and a map, got {task.pose!r}. Choose another.")
+            raise ParameterError(f"Pose: expected a pose of the source, and a map, got {pose_name!r}. Choose another.")
         surfaces = target.shape.surface, source.shape.surface
         point_map = PointMap.from_arrays(*surfaces, preview_map.triangle, preview_map.barycentric)
         shapes = pose_shapes(character, pose, *shapes, preview_map, point_map)

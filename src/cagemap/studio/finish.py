@@ -22,12 +22,12 @@ from cagemap.tasks.match import ComputedMatch
 from cagemap.tasks.requests.catalogue import (
     WRAP_IMAGES_OF,
     WRITTEN,
-    CommandOption,
     Key,
     NamedFiles,
     Options,
     Request,
     Value,
+    placed_path,
     request_of,
 )
 from cagemap.tasks.requests.transfer import READ_BY, TransferRequest
@@ -92,9 +92,8 @@ class FinishOptions:
         """
         if self.name and (Path(self.name).name != self.name or self.name.startswith(".")):
             raise ParameterError(f"Name: expected what files begin with, without a folder, got {self.name!r}.")
-        maps_option = CommandOption("transfer", "maps", "--texture", "", "named files")
         values = {key: options[key].placed(value, resolve) for key, value in self.option_values.items()}
-        maps: NamedFiles = maps_option.placed(self.maps, resolve)  # type: ignore[assignment]
+        maps = tuple((name, placed_path(path, resolve)) for name, path in self.maps)
         return replace(self, maps=maps, option_values=values)
 
 
