@@ -41,17 +41,8 @@ def _fields(command: str, *fields: tuple[object, ...]) -> tuple[Field, ...]:
     return tuple(Field((command, str(name)), *others) for name, *others in fields)  # type: ignore[arg-type]
 
 
-# Titles of sections.
-MORE_IMAGES, DETAIL, RIG, WRAP, MATCH, MASKS, FILES, ADVANCED = (
-    "More images",
-    "Detailed mesh",
-    "Rig",
-    "Wrap",
-    "Match",
-    "Masks and UV sets",
-    "Files",
-    "Advanced",
-)
+# Titles of the sections that the form adds to, and of the last one, see `sections`.
+MORE_IMAGES, WRAP, FILES, ADVANCED = "More images", "Wrap", "Files", "Advanced"
 # Suffixes of files to choose from.
 _IMAGES, _MESHES, _TABLES = IMAGE_SUFFIXES, MESH_SUFFIXES, TABLE_SUFFIXES
 _RIGS = (*USD_SUFFIXES, *SCENE_SUFFIXES)
@@ -78,7 +69,7 @@ SECTIONS = (
         ),
     ),
     Section(
-        DETAIL,
+        "Detailed mesh",
         _fields(
             "transfer",
             (
@@ -93,7 +84,7 @@ SECTIONS = (
         ),
     ),
     Section(
-        RIG,
+        "Rig",
         _fields(
             "transfer",
             ("weights", "Skin weights", (".csv", ".npz", *_RIGS), "of the source's cage, one column per joint"),
@@ -126,7 +117,7 @@ SECTIONS = (
         ),
     ),
     Section(
-        MASKS,
+        "Masks and UV sets",
         _fields(
             "match",
             ("target_mask", "Target mask", (*_TABLES, *_IMAGES), _MASK_HINT),
@@ -141,7 +132,7 @@ SECTIONS = (
         ),
     ),
     Section(
-        MATCH,
+        "Match",
         _fields(
             "match",
             ("level", "Level", (), "subdivision level of both, in place of Vertices"),

@@ -16,14 +16,13 @@ from cagemap.studio.state import Files, RunningJob
 from cagemap.studio.worker import Worker, serve_preview
 
 # Titles of computations on the page.
-OPENING_TITLE, MATCHING_TITLE, BAKED_TITLE = "Opening the models", "Matching", "Showing the baked image"
-IMAGE_TITLE, POSE_TITLE = "Showing the image", "Showing a pose"
+OPENING_TITLE = "Opening the models"
 _TITLES = {
     OpenModels: OPENING_TITLE,
-    FindMap: MATCHING_TITLE,
-    ShowBaked: BAKED_TITLE,
-    ShowImage: IMAGE_TITLE,
-    ShowPosed: POSE_TITLE,
+    FindMap: "Matching",
+    ShowBaked: "Showing the baked image",
+    ShowImage: "Showing the image",
+    ShowPosed: "Showing a pose",
 }
 # Follows the titles until a first map has compiled all functions.
 _COMPILE_NOTE = " (about a minute longer the first time after installing)"
