@@ -28,7 +28,7 @@ def copied(folder: Path, target: str, source: str) -> Files:
     """Two models of the shared data in a folder of their own."""
     for name in {target, source}:
         shutil.copy(DATA / name, folder / Path(name).name)
-    return default_files(folder, folder / Path(target).name, folder / Path(source).name, None)
+    return default_files(folder / Path(target).name, folder / Path(source).name, None)
 
 
 def bodies(folder: Path) -> Files:

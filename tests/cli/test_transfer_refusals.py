@@ -12,8 +12,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result, write_result
-from cagemap.tasks import transfer as door
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.transfer import READ_BY, TransferRequest
 
 from example_result import identity_result
 from transfer_command import transfer
@@ -78,7 +77,7 @@ def fail() -> str:
 
 
 def test_options_that_would_do_nothing_are_those_of_the_request() -> None:
-    assert set(door._READ_BY) <= {field.name for field in fields(TransferRequest)}
+    assert set(READ_BY) <= {field.name for field in fields(TransferRequest)}
 
 
 def test_a_result_that_may_only_be_read_is_used_with_a_word(place, monkeypatch, caplog):

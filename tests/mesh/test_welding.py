@@ -394,7 +394,7 @@ def test_the_studio_opens_the_welded_whole(folder: Path) -> None:
 def test_the_finish_of_the_studio_welds_as_it_opened(folder: Path, boxes: Path, session: Session) -> None:
     for name in ("split.obj", "whole.obj"):
         shutil.copy(folder / name, boxes)
-    session.open(default_files(boxes, boxes / "split.obj", boxes / "whole.obj", None))
+    session.open(default_files(boxes / "split.obj", boxes / "whole.obj", None))
     until(lambda: session.state.files is not None and session.state.files.welds == ("0", None), session)
     assert session.state.files is not None
     request = finish_commands(all_options(), session.state.files, FinishOptions(), use_landmarks=False)[0].request
@@ -404,7 +404,7 @@ def test_the_finish_of_the_studio_welds_as_it_opened(folder: Path, boxes: Path, 
 @pytest.mark.slow
 def test_studio_landmarks_on_a_welded_mesh_have_the_numbers_of_the_file(folder: Path, tmp_path: Path) -> None:
     opening, _, opened = opened_pair(folder / "split.obj", folder / "whole.obj")
-    files = replace(default_files(tmp_path, opening.target, opening.source, None), landmarks=folder / "pairs.json")
+    files = replace(default_files(opening.target, opening.source, None), landmarks=folder / "pairs.json")
     found, notes = load_landmarks(files.landmarks, None, opened.scene, files, FileTracker())
     assert len(found.items) == 9, notes
     for item in found.items:

@@ -69,7 +69,7 @@ SHOWN = (*(field.key for fold in SECTIONS for field in fold.fields), VERTICES_KE
 
 
 def test_a_finish_is_the_commands_that_one_would_type(tmp_path: Path) -> None:
-    files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", tmp_path / "spot.png")
+    files = default_files(tmp_path / "cow.obj", tmp_path / "spot.obj", tmp_path / "spot.png")
     asked = FinishOptions(option_values={VERTICES_KEY: 5000, SIZE_KEY: 256, ("transfer", "unwrap"): True})
     todo = finish_commands(OPTIONS, files, asked, use_landmarks=True)
     assert [command.title for command in todo] == ["match", "texture", "report"]
@@ -97,7 +97,7 @@ def test_an_option_that_is_new_to_a_request_is_on_the_page(monkeypatch: pytest.M
     assert sections(options)[-1].title == ADVANCED
     key = ("transfer", "grain")
     assert [field.key for fold in sections(options)[len(SECTIONS) :] for field in fold.fields] == [key]
-    files = default_files(Path("/w"), Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
+    files = default_files(Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
     todo = finish_commands(options, files, FinishOptions(option_values={key: 2.0}), use_landmarks=False)
     assert todo[1].request.grain == 2.0
     for outside in (0.0, 5.0):
@@ -153,7 +153,7 @@ def test_every_kind_of_data_of_a_transfer_has_its_own_command() -> None:
         given[key] = option.choices[-1] if option.kind == "choice" else values_by_kind.get(option.kind, scene)
     given |= given_values(bake=("ao", "texture"), bases=(("", Path("/w/own.png")),), blend_shapes=(scene,))
     del given["transfer", "green"]  # not in object space
-    files = default_files(Path("/w"), Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
+    files = default_files(Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
     asked = FinishOptions(map_form=".npy", option_values=given)
     todo = finish_commands(OPTIONS, files, asked, use_landmarks=False)
     requests = [command.request for command in todo if isinstance(command.request, TransferRequest)]
@@ -162,7 +162,7 @@ def test_every_kind_of_data_of_a_transfer_has_its_own_command() -> None:
     data_fields = [field.name for field, _, option in option_fields(TransferRequest) if option.group == CARRIED]
     carried = [[name for name in data_fields if getattr(request, name)] for request in requests]
     # The joints also name the columns of the weights.
-    assert carried == [["weights", "joints"] if of == "weights" else [of] for of in [t.data_field for t in TRANSFERS]]
+    assert carried == [["weights", "joints"] if of == "weights" else [of] for of in TRANSFERS]
     assert {name for names in carried for name in names} == {*data_fields}
     for _, name in given:
         default = OPTIONS["transfer", name].default
@@ -170,7 +170,7 @@ def test_every_kind_of_data_of_a_transfer_has_its_own_command() -> None:
 
 
 def test_a_passenger_is_a_mesh_and_its_option_belongs_to_no_other_transfer(tmp_path: Path) -> None:
-    files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", tmp_path / "spot.png")
+    files = default_files(tmp_path / "cow.obj", tmp_path / "spot.obj", tmp_path / "spot.png")
     for name, written in (("hat.obj", "hat.obj"), ("hat.glb", "hat.obj"), ("hat.usdz", "hat.usda")):
         given = given_values(passenger=tmp_path / name, kind="rigid")
         asked = FinishOptions(report=False, option_values=given)
@@ -186,7 +186,7 @@ def test_a_passenger_is_a_mesh_and_its_option_belongs_to_no_other_transfer(tmp_p
 @QUICK
 @given(asked=ASKED)
 def test_the_command_line_understands_every_finish(asked: FinishOptions) -> None:
-    files = default_files(Path("/w"), Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
+    files = default_files(Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
     todo = finish_commands(OPTIONS, files, asked, use_landmarks=True)
     said: list[object] = []
     for command in todo:
@@ -214,7 +214,7 @@ def given_values(**given: Value) -> dict[Key, Value]:
 
 
 def test_own_images_lie_under_what_they_are_named_after() -> None:
-    files = default_files(Path("/w"), Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
+    files = default_files(Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
     own = (("", Path("/w/c.png")), ("Normal Map", Path("/w/n.png")), ("ao", Path("/w/ao.png")))
     asked = FinishOptions(option_values=given_values(bases=own, normal_map=Path("/w/bumps.png"), bake=("ao",)))
     texture, normals, baked = finish_commands(OPTIONS, files, asked, use_landmarks=False)[1:4]
@@ -224,6 +224,16 @@ def test_own_images_lie_under_what_they_are_named_after() -> None:
     with_maps = FinishOptions(maps=(("roughness", Path("/w/r.png")),), option_values=given_values(bases=own))
     (color, *_) = finish_commands(OPTIONS, files, with_maps, use_landmarks=False)[1].request.bases
     assert color == ("color", Path("/w/c.png"))
+
+
+def test_green_and_sharpness_are_those_of_all_images_that_read_them() -> None:
+    """As of the command line: a map that looks like a normal map is turned with --green, labels are not mixed."""
+    files = default_files(Path("/w/cow.obj"), Path("/w/spot.obj"), None)
+    given = given_values(green="down", filter="nearest", material_colors=True)
+    asked = FinishOptions(maps=(("normal", Path("/w/n.png")),), option_values=given)
+    maps, colors = (command.request for command in finish_commands(OPTIONS, files, asked, use_landmarks=False)[1:3])
+    assert (maps.green, maps.filter) == ("down", "nearest")
+    assert (colors.green, colors.filter) == ("up", "nearest")
 
 
 def test_links_that_lead_out_of_the_folders_are_neither_read_nor_written(tmp_path: Path) -> None:
@@ -236,7 +246,7 @@ def test_links_that_lead_out_of_the_folders_are_neither_read_nor_written(tmp_pat
     (inside / "link.obj").symlink_to(outside / "secret.obj")
     for path in ("../out/secret.obj", str(outside / "secret.obj"), "link.obj"):
         refuses(ParameterError, "outside", workspace.resolve, path)
-    files = default_files(inside, inside / "cow.obj", inside / "spot.obj", inside / "spot.png")
+    files = default_files(inside / "cow.obj", inside / "spot.obj", inside / "spot.png")
 
     def refused(asked: FinishOptions) -> None:
         refuses(ParameterError, "outside", plan_commands, OPTIONS, workspace, files, asked, use_landmarks=False)
@@ -250,7 +260,7 @@ def test_links_that_lead_out_of_the_folders_are_neither_read_nor_written(tmp_pat
     refused(FinishOptions(option_values=given_values(normal_map=Path("skin.<UDIM>.png"))))
     refused(FinishOptions(option_values={("match", "target_mask"): "not:../out/secret.png"}))
     with pytest.raises(ParameterError, match="outside"):  # the open texture as well
-        workspace.resolve_paths(default_files(inside, files.target, files.source, inside / "skin.<UDIM>.png"))
+        workspace.resolve_paths(default_files(files.target, files.source, inside / "skin.<UDIM>.png"))
     (inside / "cow_from_spot.1002.png").symlink_to(outside / "secret.png")
     refused(FinishOptions())
     with pytest.raises(ParameterError, match="Name"):
@@ -363,7 +373,7 @@ def runner_of(on_job: Callable[[Any], object] = lambda _: None) -> tuple[Runner,
 
 @pytest.mark.slow
 def test_a_failing_command_gives_its_own_words_and_the_others_go_on(tmp_path: Path) -> None:
-    files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", None)
+    files = default_files(tmp_path / "cow.obj", tmp_path / "spot.obj", None)
     runner, told, ended = runner_of()
     todo = finish_commands(OPTIONS, files, FinishOptions(), use_landmarks=True)
     runner.start(todo)
@@ -421,7 +431,7 @@ def test_a_cancelled_run_says_so_whatever_begins_after_it(tmp_path: Path) -> Non
 
 
 def test_what_a_command_wrote_in_folders_is_told_as_the_folder(tmp_path: Path) -> None:
-    files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", None)
+    files = default_files(tmp_path / "cow.obj", tmp_path / "spot.obj", None)
     (match, *_) = finish_commands(OPTIONS, files, FinishOptions(), use_landmarks=False)
     inside = (files.result / "map.npz", files.result / "manifest.json", tmp_path / "a.png", tmp_path.parent / "b.png")
     assert [output.path.name for output in command_outputs(match, inside)] == [files.result.name, "a.png"]
@@ -450,7 +460,7 @@ def test_the_map_of_a_finish_is_the_one_that_is_shown_or_it_is_said(tmp_path: Pa
 def test_images_of_two_sources_have_names_of_their_own(tmp_path: Path) -> None:
     names = []
     for source, image in (("cow", "cow.png"), ("cow", "cow_color.png"), ("cow", "skin.png"), ("bull", "skin.png")):
-        files = default_files(tmp_path, tmp_path / "deer.obj", tmp_path / f"{source}.obj", tmp_path / image)
+        files = default_files(tmp_path / "deer.obj", tmp_path / f"{source}.obj", tmp_path / image)
         names.append(finish_commands(OPTIONS, files, FinishOptions(), use_landmarks=False)[1].output.name)
     assert names == [
         "deer_from_cow.png",

@@ -331,7 +331,7 @@ def test_landmarks_in_the_first_folder_are_read_where_there_are_none_beside_the_
     """Earlier versions saved them there, also for pairs of other folders."""
     name, folder, scene = "b__a.json", tmp_path / "anna", opened.scene
     folder.mkdir()
-    files = default_files(folder, folder / "a.obj", boxes / "b.obj", None)
+    files = default_files(folder / "a.obj", boxes / "b.obj", None)
     earlier = tmp_path / name
 
     def read(files: Files = files) -> tuple[LandmarkList, list[str]] | None:

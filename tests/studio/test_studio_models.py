@@ -169,7 +169,7 @@ def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     assert any("set aside" in note for note in opened.target.notes)
     shape = opened.scene.target
     np.testing.assert_allclose(shape.positions, points)
-    files = default_files(tmp_path, opening.target, opening.source, None, opening.schemes)
+    files = default_files(opening.target, opening.source, None, opening.schemes)
     scene = opened.scene
     picked = landmarks(cache, 3, 40, 90)
     save_landmarks(files.landmarks, picked, scene, files, FileTracker())

@@ -62,7 +62,7 @@ def test_every_stage_of_a_match_is_said_in_words_of_the_page(opened: Session) ->
 
 
 def test_the_status_says_what_is_asked_of_the_user() -> None:
-    files = default_files(Path(), Path("a.obj"), Path("b.obj"), None)
+    files = default_files(Path("a.obj"), Path("b.obj"), None)
     landmark = LandmarkList((Landmark(1, "nose"),))
     ready = StudioState(files=files, map=MapState(revision=1))
     wrong = Message("error", "a.obj, line 4: expected a number. Correct it.")
@@ -367,7 +367,7 @@ def test_a_studio_is_served_and_ends(boxes: Path) -> None:
 
 
 def test_without_models_or_a_map_the_status_says_what_to_press(opened: Session) -> None:
-    files = default_files(Path(), Path("a.obj"), Path("b.obj"), None)
+    files = default_files(Path("a.obj"), Path("b.obj"), None)
     assert status_entries(StudioState(files=files), None)["text"] == "These models are not open. Press Open…"
     without_map = replace(opened.scene, preview_map=None)
     assert status_entries(StudioState(files=files), without_map)["text"] == "No map yet. Press Match again."

@@ -153,7 +153,7 @@ def list_of(scene: Scene, *vertices: int) -> LandmarkList:
 
 
 def test_landmarks_of_one_part_leave_those_of_the_others_in_the_file(folder: Path) -> None:
-    files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
+    files = default_files(folder / "a.obj", folder / "b.obj", None)
     eyes, body = opened("eye"), opened("body")
     tracker = FileTracker()
     save_landmarks(files.landmarks, list_of(eyes, 2, 5), eyes, files, tracker)
@@ -179,7 +179,7 @@ def test_no_name_is_given_that_a_landmark_elsewhere_has() -> None:
 
 
 def test_what_was_not_saved_opens_its_part_and_waits_on_the_others(folder: Path) -> None:
-    files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
+    files = default_files(folder / "a.obj", folder / "b.obj", None)
     kept = autosave_path(files.landmarks)
     eyes, body = opened("eye"), opened("body")
     half = list_of(eyes, 3)
@@ -230,7 +230,7 @@ def test_the_finish_matches_the_open_parts_into_a_folder_of_their_own(folder: Pa
 
 
 def test_no_two_parts_share_a_file(folder: Path) -> None:
-    files = default_files(folder, folder / "a.obj", folder / "b.obj", folder / "skin.png")
+    files = default_files(folder / "a.obj", folder / "b.obj", folder / "skin.png")
     titles = (None, "object:eye", "object:/char/left/eye", "object:/char/right/eye", "material:eye", "object:::")
     titles += ("object:" + "long" * 20 + "_L", "object:" + "long" * 20 + "_R")
     pairs = [(target, source) for target in titles for source in titles]
@@ -257,7 +257,7 @@ def idle_session(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
 
 
 def test_the_whole_file_can_be_chosen_while_a_part_has_unsaved_landmarks(folder, monkeypatch):
-    files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
+    files = default_files(folder / "a.obj", folder / "b.obj", None)
     session = idle_session(folder, monkeypatch)
     session.open(replace(files, parts=("object:eye", "object:eye")))
     session._scene = opened("eye")
@@ -271,7 +271,7 @@ def test_the_whole_file_can_be_chosen_while_a_part_has_unsaved_landmarks(folder,
 
 
 def test_an_autosave_of_a_part_that_is_gone_keeps_nobody_out(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
+    files = default_files(folder / "a.obj", folder / "b.obj", None)
     write_autosave(autosave_path(files.landmarks), LandmarkList(), ("object:nose", None))
     session = idle_session(folder, monkeypatch)
     session.open(files)
@@ -293,7 +293,7 @@ def test_loaded_landmarks_leave_those_of_other_parts(folder: Path) -> None:
     loaded = keep_unused_landmarks(list_of(scene, 10), before)
     assert loaded.unused_landmarks.names == ("mark 10 (2)", "hat")
     np.testing.assert_array_equal(loaded.unused_landmarks.target, [2, 5])
-    files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
+    files = default_files(folder / "a.obj", folder / "b.obj", None)
     save_landmarks(files.landmarks, loaded, scene, files, FileTracker())
     assert len(read_landmarks(files.landmarks, "a.obj", "b.obj")[0]) == 3
     # A file that has some there replaces them.
@@ -375,7 +375,7 @@ def test_a_download_has_the_image_in_the_uv_set_of_the_open_part(tmp_path: Path)
     opening = PairFiles(tmp_path / "a.usda", tmp_path / "a.usda", None, 300, tmp_path, parts=("map1_mesh",) * 2)
     _, answer = run_task(None, OpenModels(opening), lambda _: None)
     write_image(tmp_path / "t.png", np.full((8, 8, 3), 90, dtype=np.uint8))
-    files = default_files(tmp_path, tmp_path / "a.usda", tmp_path / "a.usda", None)
+    files = default_files(tmp_path / "a.usda", tmp_path / "a.usda", None)
     state = StudioState(files=files, outputs=(Output(tmp_path / "t.png", "texture"),))
     (tmp_path / "out.glb").write_bytes(textured_model(state, answer.scene))
     found = read_mesh(tmp_path / "out.glb")
@@ -389,7 +389,7 @@ def test_only_the_open_part_has_the_baked_image_in_a_download(folder: Path) -> N
 
     write_image(folder / "t.png", np.full((8, 8, 3), 90, dtype=np.uint8))
     write_mesh(folder / "a.obj", figure().with_uvs(np.zeros((1, 2)), np.zeros(len(figure().face_indices), dtype=int)))
-    files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
+    files = default_files(folder / "a.obj", folder / "b.obj", None)
     state = StudioState(files=files, outputs=(Output(folder / "t.png", "texture"),))
     document = pygltflib.GLTF2.load_from_bytes(textured_model(state, opened("eye")))
     textured = [material.pbrMetallicRoughness.baseColorTexture is not None for material in document.materials]

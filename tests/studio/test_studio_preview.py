@@ -250,7 +250,7 @@ def test_a_chosen_image_and_axis_that_are_not_drawn_yet_stay_when_models_are_ope
             head = json.dumps({"name": "c.obj", "role": role}).encode()
             Actions(opened).handle(head + b"\n" + (boxes / "a.obj").read_bytes())
     finally:
-        opened._preview._pair_files = pair_files
+        opened._preview.pair_files = pair_files
         (boxes / "c.obj").unlink()
     dropped = [(image, (None, files.ups[1])), (None, ("z", None))]
     assert [(one.texture, one.ups) for one in begun] == [*2 * [(image, ("z", files.ups[1]))], *dropped]

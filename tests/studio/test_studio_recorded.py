@@ -297,7 +297,7 @@ def test_options_of_a_result_are_not_those_of_other_models(folder: Path, browser
 
 @pytest.mark.slow
 def test_a_converted_model_is_still_the_one_that_was_opened(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    session = opened_session(folder, default_files(folder, folder / "a.obj", folder / "b.obj", None))
+    session = opened_session(folder, default_files(folder / "a.obj", folder / "b.obj", None))
     opened = session.state.models
     assert opened == (folder / "a.obj", folder / "b.obj")
     with session._lock:

@@ -195,7 +195,7 @@ def titles_of(commands: list[Command]) -> list[str]:
 def test_without_an_image_colours_or_ambient_occlusion_are_baked(opened: Session, started: list[Command]) -> None:
     opened._change(files=replace(opened.state.files, texture=None))
     bake, plain = ("transfer", "bake"), opened.scene
-    control = replace(plain.source.control, vertex_colors=np.full((plain.source.n_control, 3), 0.5))
+    control = replace(plain.source.control, vertex_colors=np.full((plain.source.control.n_vertices, 3), 0.5))
     painted = replace(plain, source=replace(plain.source, control=control), has_colors=False)
     occlusion = "ambient occlusion, the wrapped mesh"
     for scene, kinds, titles, made in (

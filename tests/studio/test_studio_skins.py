@@ -145,7 +145,7 @@ def test_a_bake_in_the_second_uv_set_is_shown_in_it(tmp_path: Path) -> None:
     second = UvSet("TEXCOORD_1", 0.5 * mesh.uvs, mesh.uv_indices)
     write_mesh(tmp_path / "box.glb", replace(mesh, uv_sets=(second,)))
     write_skin(tmp_path, name="t.png")
-    files = default_files(tmp_path, tmp_path / "box.glb", tmp_path / "box.glb", None)
+    files = default_files(tmp_path / "box.glb", tmp_path / "box.glb", None)
     opening, cache, _ = opened_pair(tmp_path / "box.glb", tmp_path / "box.glb")
     for uv_set, factor in ((None, 1.0), ("TEXCOORD_1", 0.5)):
         largest = factor * mesh.uvs[:, 0].max()
@@ -159,7 +159,7 @@ def test_a_bake_in_the_second_uv_set_is_shown_in_it(tmp_path: Path) -> None:
 def _downloaded(folder: Path, target: Path, *outputs: Path) -> pygltflib.GLTF2:
     """The model to download of a target with the image ``t.png`` and further outputs."""
     write_skin(folder, name="t.png")
-    files = default_files(folder, target, target, None)
+    files = default_files(target, target, None)
     listed = tuple(Output(path, "texture") for path in (folder / "t.png", *outputs))
     return pygltflib.GLTF2.load_from_bytes(textured_model(StudioState(files=files, outputs=listed), None))
 
@@ -197,7 +197,7 @@ def test_a_download_of_a_model_with_z_up_is_turned_with_a_new_layout_too(tmp_pat
 def test_the_image_inside_a_glb_is_the_texture_where_none_is_named(tmp_path: Path) -> None:
     write_mesh(tmp_path / "box.obj", unwrapped_cube())
     write_image(tmp_path / "t.png", np.full((8, 8, 3), [255, 0, 0], dtype=np.uint8))
-    files = default_files(tmp_path, tmp_path / "box.obj", tmp_path / "box.obj", None)
+    files = default_files(tmp_path / "box.obj", tmp_path / "box.obj", None)
     model = textured_model(StudioState(files=files, outputs=(Output(tmp_path / "t.png", "texture"),)), None)
     (tmp_path / "box.glb").write_bytes(model)
     given = tmp_path / "box.obj", tmp_path / "box.glb"
@@ -235,7 +235,7 @@ def test_each_material_of_a_glb_is_shown_with_its_own_image(tmp_path: Path) -> N
     of_triangle = opened.source.control.face_materials[shape.faces]
     meant = np.array([[255, 0, 0], [0, 0, 255]])[of_triangle]
     assert np.abs(shown.astype(int) - meant).max() < 60  # JPEG
-    files = default_files(tmp_path, tmp_path / "box.gltf", tmp_path / "box.gltf", opened.source.texture)
+    files = default_files(tmp_path / "box.gltf", tmp_path / "box.gltf", opened.source.texture)
     commands = finish_commands(all_options(), files, FinishOptions(), use_landmarks=False)
     assert any(command.output.name == "box_from_box.png" for command in commands)
 

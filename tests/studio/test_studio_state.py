@@ -54,7 +54,7 @@ def test_the_view_shows_what_was_baked_in_the_layout_that_it_lies_in() -> None:
 
 def test_a_model_is_shown_with_an_image_of_colours_where_there_is_one() -> None:
     def state(*outputs: tuple[str, str]) -> StudioState:
-        files = default_files(Path(), Path("a.obj"), Path("b.obj"), None)
+        files = default_files(Path("a.obj"), Path("b.obj"), None)
         return StudioState(files=files, outputs=tuple(Output(Path(name), title) for name, title in outputs))
 
     others = (

@@ -12,39 +12,12 @@ from cagemap import __version__
 from cagemap.cli.console import say, set_verbosity, warn
 from cagemap.cli.progress import ConsoleStages
 from cagemap.cli.request_command import LAZY_MODULES, QUIET, VERBOSE, command_class, command_of, load_lazily
-from cagemap.tasks import runner_of
-from cagemap.tasks.requests.demo import DemoRequest
-from cagemap.tasks.requests.face import FaceRequest
-from cagemap.tasks.requests.functions import FunctionsRequest
-from cagemap.tasks.requests.import_map import MapRequest
-from cagemap.tasks.requests.match import MatchRequest
-from cagemap.tasks.requests.mesh_commands import CheckRequest, RefineRequest
-from cagemap.tasks.requests.report import ReportRequest
-from cagemap.tasks.requests.rig import RigRequest
-from cagemap.tasks.requests.run import RunRequest
+from cagemap.tasks import request_class, runner_of
 from cagemap.tasks.requests.settings import moved_options
 from cagemap.tasks.requests.studio import StudioRequest
-from cagemap.tasks.requests.suggest import SuggestRequest
-from cagemap.tasks.requests.transfer import TransferRequest
-from cagemap.tasks.requests.wrap import WrapRequest
 
-# In the order of `--help`.
-_COMMANDS: dict[str, type] = {
-    "demo": DemoRequest,
-    "check": CheckRequest,
-    "refine": RefineRequest,
-    "match": MatchRequest,
-    "transfer": TransferRequest,
-    "rig": RigRequest,
-    "face": FaceRequest,
-    "report": ReportRequest,
-    "suggest": SuggestRequest,
-    "run": RunRequest,
-    "studio": StudioRequest,
-    "functions": FunctionsRequest,
-    "wrap": WrapRequest,
-    "map": MapRequest,
-}
+# In the order of `--help`; the request of "demo" is `DemoRequest`.
+_COMMANDS = "demo check refine match transfer rig face report suggest run studio functions wrap map".split()
 
 app = typer.Typer(
     name="cagemap",
@@ -115,5 +88,6 @@ def _run(request: Any) -> None:
         say(summary)
 
 
-for _name, _kind in _COMMANDS.items():
+for _name in _COMMANDS:
+    _kind = StudioRequest if _name == "studio" else request_class(f"{_name.capitalize()}Request")
     app.command(_name, cls=command_class(moved_options(_kind)))(command_of(_kind, _run))

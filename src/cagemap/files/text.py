@@ -157,3 +157,13 @@ def check_writable_name(name: str) -> None:
             f"the name {name!r}: expected no line breaks, no tabs, no blanks at its ends and no backslash at its end, "
             "which a text file cannot hold. Rename this material, object or group."
         )
+
+
+def flatten_entries(prefix: str, value: Any) -> dict[str, Any]:
+    """Nested dicts as one dict; names are joined by dots."""
+    if not isinstance(value, dict):
+        return {prefix: value}
+    entries: dict[str, Any] = {}
+    for name, entry in value.items():
+        entries |= flatten_entries(f"{prefix}.{name}" if prefix else name, entry)
+    return entries

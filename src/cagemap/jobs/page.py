@@ -20,9 +20,10 @@ from cagemap.files.atomic import require_replaceable, write_whole
 from cagemap.files.ownership import mark
 from cagemap.files.result.manifest import file_hash
 from cagemap.files.result.verdicts import overall_verdict, rate_figures
+from cagemap.files.text import flatten_entries
 from cagemap.jobs.plan import PICTURE_FILE, RESULT_FOLDER, STATE_FOLDER, Plan, Task, pair_folder
 from cagemap.jobs.run import TaskOutcome
-from cagemap.report.tables import flatten_entries
+from cagemap.report.page import html_page, page_header
 
 VERDICT_RANK = {"failed": 0, "poor": 1, "fair": 2, "good": 3}
 VERDICT_WORDS = {"failed": "failed", "poor": "do not use", "fair": "look at it", "good": "sound"}
@@ -103,9 +104,9 @@ def remarks_of(outcome: TaskOutcome, name: str = "") -> list[str]:
 
 def build_library_page(title: str, rows: Sequence[PairRow], notes: Sequence[str] = ()) -> str:
     """HTML text of the page; its only script sorts the table."""
-    style = resources.files("cagemap.report").joinpath("style.css").read_text(encoding="utf-8")
-    own_style = resources.files("cagemap.jobs").joinpath("page.css").read_text(encoding="utf-8")
-    script = resources.files("cagemap.jobs").joinpath("sort.js").read_text(encoding="utf-8")
+    style, script = (
+        resources.files("cagemap.jobs").joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "sort.js")
+    )
     counts = {verdict: sum(row.verdict == verdict for row in rows) for verdict in VERDICT_RANK}
     chips = [f'<li class="{v}">{count} {VERDICT_WORDS[v]}</li>' for v, count in counts.items() if count]
     with_cycles = any(row.cycle_error is not None for row in rows)
@@ -113,20 +114,17 @@ def build_library_page(title: str, rows: Sequence[PairRow], notes: Sequence[str]
     heads += ["disagrees by %"] if with_cycles else []
     heads += ["seconds"]
     note_items = "".join(f"<li>{escape(note)}</li>" for note in notes)
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<meta name="generator" content="{mark()}">\n'
-        f"<title>{escape(title)} · cagemap</title>\n<style>\n{style}{own_style}</style>\n</head>\n<body>\n<main>\n"
-        f'<header>\n<p class="brand">cagemap</p>\n<h1>{escape(title)}</h1>\n<ul class="chips">{"".join(chips)}</ul>\n'
-        f'</header>\n{f"<ul class=notes>{note_items}</ul>" if note_items else ""}\n<section>\n<p class="lead">Equal '
-        "colours correspond: the source on the left, the target on the right. Worst pairs first; click a heading to "
-        f'sort.</p>\n<table class="library" style="--figures: {len(heads) - 3}"><thead><tr>'
-        + "".join(f"<th>{escape(head)}</th>" for head in heads)
-        + "</tr></thead>\n<tbody>\n"
-        + "\n".join(_row(row, with_cycles) for row in rows)
-        + f"\n</tbody></table>\n</section>\n</main>\n<script>\n{script}</script>\n</body>\n</html>\n"
+    heading = "".join(f"<th>{escape(head)}</th>" for head in heads)
+    body = "\n".join(_row(row, with_cycles) for row in rows)
+    sections = (
+        page_header(title, f'<ul class="chips">{"".join(chips)}</ul>'),
+        f"<ul class=notes>{note_items}</ul>" if note_items else "",
+        '<section>\n<p class="lead">Equal colours correspond: the source on the left, the target on the right. Worst '
+        "pairs first; click a heading to sort.</p>\n"
+        f'<table class="library" style="--figures: {len(heads) - 3}"><thead><tr>{heading}</tr></thead>\n<tbody>\n'
+        f"{body}\n</tbody></table>\n</section>",
     )
+    return html_page(title, sections, style=style, scripts=f"<script>\n{script}</script>\n")
 
 
 def build_table(rows: Sequence[PairRow]) -> list[dict[str, Any]]:

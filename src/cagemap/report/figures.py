@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -53,15 +54,7 @@ BACKGROUND = np.array([0.962, 0.966, 0.970])
 
 @dataclass(frozen=True)
 class Figure:
-    """One view of both surfaces, or of the target alone.
-
-    Attributes
-    ----------
-    view : str
-        Name of the view.
-    source : Image or None
-    target : Image
-    """
+    """One view of both surfaces, or of the target alone."""
 
     view: str
     source: Image | None
@@ -70,29 +63,17 @@ class Figure:
 
 @dataclass(frozen=True)
 class Gallery:
-    """All still pictures of a report.
+    """All still pictures of a report."""
 
-    Attributes
-    ----------
-    appearance : str
-        What ``looks`` show: "texture", "material colours" or "checker".
-    looks, maps, trust : tuple of Figure
-        The transferred appearance; the map as colours with landmarks; trust in the map.
-    orientation : str
-        Up axis and front of the target, and how they were found.
-    masks : tuple of Figure
-        The matched parts of both surfaces; empty where everything was matched.
-    answers : tuple of (Figure, Figure)
-        From the front and from behind, if the map is not sure: the runner-up beside the source, as colours, and its
-        distance from the map.
-    """
-
-    appearance: str
+    appearance: str  # what ``looks`` show: "texture", "material colours" or "checker"
+    # `looks`, `maps`, `trust`: the transferred appearance; the map as colours with landmarks; trust in the map
     looks: tuple[Figure, ...]
     maps: tuple[Figure, ...]
     trust: tuple[Figure, ...]
-    orientation: str
-    masks: tuple[Figure, ...] = ()
+    orientation: str  # up axis and front of the target, and how they were found
+    masks: tuple[Figure, ...] = ()  # the matched parts of both surfaces; empty where everything was matched
+    # from the front and from behind, if the map is not sure: the runner-up beside the source, as colours, and its
+    # distance from the map
     answers: tuple[tuple[Figure, Figure], ...] = ()
 
 
@@ -119,36 +100,29 @@ def draw_gallery(
 ) -> Gallery:
     """Draw all still pictures of a report.
 
-    Parameters
-    ----------
-    result : MatchResult
-    texture : (H, W, c) array, optional
-        The source's texture; integers are scaled to 0 to 1. Default: material colours or a checker.
-    baked : (H, W, c) array, optional
-        The texture baked into the target's own layout. Default: the source's texture, pulled back vertex by vertex.
-    size : (int, int)
-        Width and height of each picture, in pixels.
-    progress : callable, optional
-        Called with the name of each step.
-    viewpoints : Viewpoints, optional
-        Default: `choose_viewpoints`.
+    ``texture``: (H, W, c), the source's; integers are scaled to 0 to 1. Default: material colours or a checker.
+    ``baked``: (H, W, c), in the target's own layout. Default: the source's texture, pulled back vertex by vertex.
+    ``size``: width and height of each picture, in pixels.
+    ``progress``: called with the name of each step.
+    ``viewpoints``: default: `choose_viewpoints`.
     """
     models = _model_pair(result, viewpoints or choose_viewpoints(result))
     appearance, source_skin, target_skin = _skins(models, texture, baked)
     target_colors = position_colors(result.image(), result.source.vertices)
     source_colors = position_colors(result.source.vertices, result.source.vertices)
     trust = scalar_colors(result.trust, 0.0, 1.0, TRUST_SCALE)
-    jobs: list[_FigureJob] = [
-        *((view, source_skin, target_skin, False) for view in VIEWS),
-        *((view, Skin(vertex_colors=source_colors), Skin(vertex_colors=target_colors), True) for view in (FRONT, BACK)),
-        *((view, None, Skin(vertex_colors=trust), False) for view in (FRONT, BACK)),
+    map_skins = Skin(vertex_colors=source_colors), Skin(vertex_colors=target_colors)
+    jobs: list[list[_FigureJob]] = [
+        [(view, source_skin, target_skin, False) for view in VIEWS],
+        [(view, *map_skins, True) for view in (FRONT, BACK)],
+        [(view, None, Skin(vertex_colors=trust), False) for view in (FRONT, BACK)],
+        _mask_jobs(result),
+        _answer_jobs(result),
     ]
-    masks, answers = _mask_jobs(result), _answer_jobs(result)
-    figures = _draw_figures(models, [*jobs, *masks, *answers], size, progress)
-    mask_figures, answer_figures = figures[7 : 7 + len(masks)], figures[7 + len(masks) :]
-    answer_pairs = tuple(zip(answer_figures[::2], answer_figures[1::2], strict=True))
-    orientation = str(models.viewpoints.target)
-    return Gallery(appearance, figures[:3], figures[3:5], figures[5:7], orientation, mask_figures, answer_pairs)
+    drawn = iter(_draw_figures(models, list(chain(*jobs)), size, progress))
+    looks, maps, trusts, masks, answers = (tuple(islice(drawn, len(group))) for group in jobs)
+    answer_pairs = tuple(zip(answers[::2], answers[1::2], strict=True))
+    return Gallery(appearance, looks, maps, trusts, str(models.viewpoints.target), masks, answer_pairs)
 
 
 def _mask_jobs(result: MatchResult) -> list[_FigureJob]:
@@ -316,20 +290,11 @@ class _Overlay:
 
 def _make_overlay(models: _ModelPair, *, is_source: bool) -> _Overlay:
     pairs, viewpoints = models.result.landmarks, models.viewpoints
-    if is_source:
-        surface, points, cage_curves, turn = (
-            models.result.source,
-            pairs.source_points,
-            [pair.source for pair in pairs.curves],
-            viewpoints.source_turn,
-        )
-    else:
-        surface, points, cage_curves, turn = (
-            models.result.target,
-            pairs.target_points,
-            [pair.target for pair in pairs.curves],
-            viewpoints.target.turn,
-        )
+    surface, points, cage_curves, turn = (
+        (models.result.source, pairs.source_points, [pair.source for pair in pairs.curves], viewpoints.source_turn)
+        if is_source
+        else (models.result.target, pairs.target_points, [pair.target for pair in pairs.curves], viewpoints.target.turn)
+    )
     finest = surface.finest_triangles
     lines = [surface_curve(surface, curve).line for curve in cage_curves]
     curves = tuple(Polyline(line.positions @ turn / finest.scale, line.closed) for line in lines)

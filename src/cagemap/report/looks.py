@@ -39,15 +39,8 @@ def report_models(
 ) -> Models:
     """The models of a page with all their colourings and shapes.
 
-    Parameters
-    ----------
-    result : MatchResult
-    viewpoints : Viewpoints
-    texture, baked : (H, W, c) array, optional
-        The source's texture, and the same in the target's layout.
-    carried : CarriedData
-    max_vertices : int
-        Of each model.
+    ``texture``, ``baked``: (H, W, c), the source's texture, and the same in the target's layout.
+    ``max_vertices``: of each model.
     """
     target, source = display_surfaces(result, viewpoints, max_vertices)
     source_reached = reached_vertices(result, source)

@@ -28,22 +28,11 @@ DECIDING_TEXT = "a landmark here tells which answer is right"
 
 @dataclass(frozen=True)
 class Mark:
-    """A place and what is wrong there.
+    """A place and what is wrong there."""
 
-    Attributes
-    ----------
-    number : int
-        From 1; landmarks have one number on both models.
-    side : str
-        "target" or "source".
-    vertex : int
-        Of the finest level.
-    text : str
-    """
-
-    number: int
-    side: str
-    vertex: int
+    number: int  # from 1; landmarks have one number on both models
+    side: str  # "target" or "source"
+    vertex: int  # of the finest level
     text: str
 
 

@@ -23,22 +23,14 @@ CHECKER_CELLS = 24  # along the longest side
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """One way to colour both models.
-
-    Attributes
-    ----------
-    name, legend : str
-    source, target : (n, 3) float64, str or None
-        Colours of the displayed vertices, the HTML id of a texture, or None where ``kind`` decides.
-    kind : str
-        "own" (colours or texture), "checker", "places" or "doubt".
-    """
+    """One way to colour both models."""
 
     name: str
     legend: str
+    # `source`, `target`: colours of the displayed vertices, the HTML id of a texture, or None where ``kind`` decides
     source: FloatArray | str | None = None
     target: FloatArray | str | None = None
-    kind: str = "own"
+    kind: str = "own"  # "own" (colours or texture), "checker", "places" or "doubt"
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,29 +44,17 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Models:
-    """Both models of a page.
-
-    Attributes
-    ----------
-    target, source : DisplaySurface
-    looks : tuple of Look
-    trust : dict of str to (n,) float64
-        By side, from 0 to 1.
-    marks : tuple of Mark
-    shapes : tuple of Shape
-    corner_keys : dict of str to (t, 3) int64
-        By side, where colours may jump between triangles: a vertex is drawn once for each key.
-    key_values : dict of str to (k, 2) or (k, 3) float64
-        Texture coordinates (k, 2) or colours (k, 3) of the keys.
-    """
+    """Both models of a page."""
 
     target: DisplaySurface
     source: DisplaySurface
     looks: tuple[Look, ...]
-    trust: Mapping[str, FloatArray]
+    trust: Mapping[str, FloatArray]  # (n,) by side, from 0 to 1
     marks: tuple[Mark, ...] = ()
     shapes: tuple[Shape, ...] = ()
+    # (t, 3) by side, where colours may jump between triangles: a vertex is drawn once for each key
     corner_keys: Mapping[str, IndexArray] = field(default_factory=dict)
+    # texture coordinates (k, 2) or colours (k, 3) of the keys
     key_values: Mapping[str, FloatArray] = field(default_factory=dict)
 
 

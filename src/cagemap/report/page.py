@@ -59,20 +59,7 @@ def build_page(
     models: Models | None = None,
     textures: tuple[Texture, ...] = (),
 ) -> str:
-    """HTML text of the report.
-
-    Parameters
-    ----------
-    result : MatchResult
-    gallery : Gallery
-        Still pictures, for browsers without WebGL and for print.
-    panels : tuple of Panel
-        Pictures of carried data.
-    models : Models, optional
-        Models in three dimensions.
-    textures : tuple of Texture
-        Of the models.
-    """
+    """HTML text of the report; still pictures (``gallery``) are for browsers without WebGL and for print."""
     manifest = result.manifest
     quality = manifest.get("quality") or {}
     marks = () if models is None else models.marks
@@ -82,8 +69,9 @@ def build_page(
     verdict, sentence = map_verdict(manifest, marked=bool(marks))
     title = f"{_stem(result.source.control.name)} → {_stem(result.target.control.name)}"
     panel_sections = [_details(escape(panel.title), escape(panel.lead), _pictures(panel.pictures)) for panel in panels]
+    sentence = use_option_names(name_marks(sentence, marks))
     sections = [
-        _page_header(title, use_option_names(name_marks(sentence, marks)), verdict),
+        page_header(title, f'<p class="verdict {verdict}">{escape(sentence)}</p>'),
         "" if models is None else _viewer_section(result, models),
         _still_pictures(result, gallery),
         _mark_list(marks),
@@ -116,13 +104,18 @@ def build_page(
         ),
     ]
     scripts = "" if models is None else _scripts(models, result)
+    return html_page(title, [section for section in sections if section], scripts=scripts)
+
+
+def html_page(title: str, sections: Iterable[str], *, style: str = "", scripts: str = "") -> str:
+    """Text of a page of sections, in the reports' style and a further one."""
+    body = "\n".join(sections)
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta name="generator" content="{mark()}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)} · cagemap</title>\n<style>\n{_resource(_STYLE)}</style>\n</head>\n<body>\n<main>\n"
-        + "\n".join(section for section in sections if section)
-        + f"\n</main>\n{scripts}</body>\n</html>\n"
+        f"<title>{escape(title)} · cagemap</title>\n<style>\n{_resource(_STYLE)}{style}</style>\n</head>\n<body>\n"
+        f"<main>\n{body}\n</main>\n{scripts}</body>\n</html>\n"
     )
 
 
@@ -253,11 +246,6 @@ def _figure_section(result: MatchResult, ratings: list[Rating]) -> str:
     return f'<ul class="chips">{items}</ul>{rating_cards(ratings)}'
 
 
-def data_uri(image: Image) -> str:
-    """The picture as a JPEG data URI."""
-    return _uri(_jpeg(image, JPEG_QUALITY))
-
-
 def _uri(content: bytes) -> str:
     return f"data:image/jpeg;base64,{base64.b64encode(content).decode('ascii')}"
 
@@ -284,11 +272,9 @@ def _section(title: str, lead: str, body: str) -> str:
     return f"<section>\n<h2>{title}</h2>\n{lead_html}\n{body}\n</section>"
 
 
-def _page_header(title: str, text: str, verdict: str) -> str:
-    return (
-        f'<header>\n<p class="brand">cagemap</p>\n<h1>{escape(title)}</h1>\n'
-        f'<p class="verdict {verdict}">{escape(text)}</p>\n</header>'
-    )
+def page_header(title: str, below: str) -> str:
+    """Header of a page; ``below``: HTML under its title."""
+    return f'<header>\n<p class="brand">cagemap</p>\n<h1>{escape(title)}</h1>\n{below}\n</header>'
 
 
 def _message_list(result: MatchResult, warnings: list[str], notes: list[str]) -> str:
@@ -304,7 +290,7 @@ def _message_list(result: MatchResult, warnings: list[str], notes: list[str]) ->
 
 def _pictures(pictures: Iterable[tuple[Image, str]]) -> str:
     figures = (
-        f'<figure><img src="{data_uri(image)}" width="{image.shape[1]}" height="{image.shape[0]}" '
+        f'<figure><img src="{_uri(_jpeg(image, JPEG_QUALITY))}" width="{image.shape[1]}" height="{image.shape[0]}" '
         f'alt="{escape(caption)}"><figcaption>{escape(caption)}</figcaption></figure>'
         for image, caption in pictures
     )

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -72,43 +72,23 @@ class CarriedItem(Generic[_Value]):
 
 @dataclass(frozen=True, eq=False)
 class BakedImage:
-    """An image in a layout of the target.
-
-    Attributes
-    ----------
-    name : str
-    tiles : dict of int to (H, W, 3) float64
-        sRGB in [0, 1] by UDIM number; 0 for a layout in the unit square.
-    control : ControlMesh
-        The target's cage with the layout.
-    """
+    """An image in a layout of the target."""
 
     name: str
-    tiles: dict[int, FloatArray]
-    control: ControlMesh
+    tiles: dict[int, FloatArray]  # (H, W, 3) sRGB in [0, 1] by UDIM number; 0 for a layout in the unit square
+    control: ControlMesh  # the target's cage with the layout
 
 
 @dataclass(frozen=True, eq=False)
 class CarriedData:
-    """Data carried by the map that a report shows.
+    """Data carried by the map that a report shows."""
 
-    Attributes
-    ----------
-    images : tuple of BakedImage
-    wrapped : ControlMesh or None
-        The target's cage, or the mesh of a finer level, in the source's shape.
-    weights : Weights or None
-    shapes : tuple of CarriedItem
-    passengers : tuple of CarriedItem
-    poses : tuple of CarriedItem
-    """
-
-    images: tuple[BakedImage, ...] = field(default=())
-    wrapped: ControlMesh | None = None
+    images: tuple[BakedImage, ...] = ()
+    wrapped: ControlMesh | None = None  # the target's cage, or the mesh of a finer level, in the source's shape
     weights: Weights | None = None
-    shapes: tuple[CarriedItem[FloatArray], ...] = field(default=())
-    passengers: tuple[CarriedItem[ControlMesh], ...] = field(default=())
-    poses: tuple[CarriedItem[FloatArray], ...] = field(default=())
+    shapes: tuple[CarriedItem[FloatArray], ...] = ()
+    passengers: tuple[CarriedItem[ControlMesh], ...] = ()
+    poses: tuple[CarriedItem[FloatArray], ...] = ()
 
 
 NO_DATA = CarriedData()
@@ -129,31 +109,17 @@ class Panel:
 def draw_carried(
     result: MatchResult, carried: CarriedData, size: tuple[int, int], viewpoints: Viewpoints | None = None
 ) -> tuple[Panel, ...]:
-    """Draw the data that a map carried, one panel for each kind.
-
-    Parameters
-    ----------
-    result : MatchResult
-    carried : CarriedData
-    size : (int, int)
-        Of every picture.
-    viewpoints : Viewpoints, optional
-        Default: `choose_viewpoints`.
-    """
-    panels, viewpoints = list[Panel](), viewpoints or choose_viewpoints(result)
-    if carried.images:
-        panels.append(_images_panel(result, carried.images, viewpoints, size))
-    if carried.wrapped is not None:
-        panels.append(_wrap_panel(result, carried.wrapped, viewpoints, size))
-    if carried.weights is not None:
-        panels.append(_weights_panel(result, carried.weights, viewpoints, size))
-    if carried.shapes:
-        panels.append(_shapes_panel(result, carried.shapes, viewpoints, size))
-    if carried.passengers:
-        panels.append(_passengers_panel(result, carried.passengers, viewpoints, size))
-    if carried.poses:
-        panels.append(_poses_panel(result, carried.poses, viewpoints, size))
-    return tuple(panels)
+    """Draw the data that a map carried, one panel for each kind."""
+    viewpoints = viewpoints or choose_viewpoints(result)
+    kinds: tuple[tuple[Any, Callable[..., Panel]], ...] = (
+        (carried.images, _images_panel),
+        (carried.wrapped, _wrap_panel),
+        (carried.weights, _weights_panel),
+        (carried.shapes, _shapes_panel),
+        (carried.passengers, _passengers_panel),
+        (carried.poses, _poses_panel),
+    )
+    return tuple(draw(result, data, viewpoints, size) for data, draw in kinds if data not in (None, ()))
 
 
 def _images_panel(
@@ -178,12 +144,12 @@ def _images_panel(
     return Panel("Baked images", lead, tuple(pictures))
 
 
-def join_tiles(tiles: dict[int, FloatArray], longest: int = MAX_LAYOUT_PIXELS) -> tuple[FloatArray, IndexArray]:
-    """One picture of all tiles, at most ``longest`` pixels a side, and its (columns, rows) of tiles."""
+def join_tiles(tiles: dict[int, FloatArray]) -> tuple[FloatArray, IndexArray]:
+    """One picture of all tiles, at most `MAX_LAYOUT_PIXELS` a side, and its (columns, rows) of tiles."""
     cells = {number: np.array(udim_origin(number), dtype=np.int64) for number in tiles}
     columns, rows = counts = np.max(list(cells.values()), axis=0) + 1
     height, width = np.max([pixels.shape[:2] for pixels in tiles.values()], axis=0)
-    share = min(1.0, longest / max(columns * width, rows * height))
+    share = min(1.0, MAX_LAYOUT_PIXELS / max(columns * width, rows * height))
     height, width = max(1, int(height * share)), max(1, int(width * share))
     joined = np.ones((rows * height, columns * width, 3))
     for number, (column, row) in cells.items():

@@ -23,33 +23,18 @@ MIN_REACH = 0.01
 
 @dataclass(frozen=True, eq=False)
 class DisplaySurface:
-    """The vertices and triangles of a surface that a page displays.
-
-    Attributes
-    ----------
-    surface : Surface
-    vertices : (n,) int64
-        Of the finest level.
-    triangles : (t, 3) int64
-        Of ``vertices``.
-    positions : (n, 3) float64
-        Upright, centred, in the unit ball.
-    turn, centre, radius
-        ``positions`` are ``(p @ turn - centre) / radius``.
-    corner_uvs : (t, 3, 2) float64 or None
-    control_faces : (t,) int64 or None
-        Control face of each triangle; None if the surface is simplified.
-    """
+    """The vertices and triangles of a surface that a page displays."""
 
     surface: Surface
-    vertices: IndexArray
-    triangles: IndexArray
-    positions: FloatArray
+    vertices: IndexArray  # (n,) of the finest level
+    triangles: IndexArray  # (t, 3) of ``vertices``
+    positions: FloatArray  # (n, 3) upright, centred, in the unit ball
+    # `turn`, `centre`, `radius`: ``positions`` are ``(p @ turn - centre) / radius``
     turn: FloatArray
     centre: FloatArray
     radius: float
-    corner_uvs: FloatArray | None
-    control_faces: IndexArray | None
+    corner_uvs: FloatArray | None  # (t, 3, 2)
+    control_faces: IndexArray | None  # (t,) control face of each triangle; None if the surface is simplified
 
     def to_page(self, positions: FloatArray) -> FloatArray:
         """Page coordinates (p, 3) of positions in file units."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.files.result.verdicts import Rating
+from cagemap.files.text import flatten_entries
 from cagemap.maps.regions import RegionFigures, region_figures
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.schemes import Plain, scheme_name
@@ -122,13 +123,3 @@ def _subdivision(refinement: Refinement) -> str:
     """How a surface is subdivided, for users."""
     scheme, level = refinement.scheme, refinement.finest_level
     return "not subdivided" if isinstance(scheme, Plain) else f"{scheme_name(scheme)} to level {level}"
-
-
-def flatten_entries(prefix: str, value: Any) -> dict[str, Any]:
-    """Nested dicts as one dict; names are joined by dots."""
-    if not isinstance(value, dict):
-        return {prefix: value}
-    entries: dict[str, Any] = {}
-    for name, entry in value.items():
-        entries |= flatten_entries(f"{prefix}.{name}" if prefix else name, entry)
-    return entries

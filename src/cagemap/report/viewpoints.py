@@ -14,16 +14,10 @@ from cagemap.subdivision import level_triangles
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """Rotations, for rows, after which target and source face the same way with +Y up.
-
-    Attributes
-    ----------
-    target : Orientation
-    source_turn : (3, 3) float64
-    """
+    """Rotations, for rows, after which target and source face the same way with +Y up."""
 
     target: Orientation
-    source_turn: FloatArray
+    source_turn: FloatArray  # (3, 3)
 
 
 def choose_viewpoints(
@@ -31,15 +25,9 @@ def choose_viewpoints(
 ) -> Viewpoints:
     """Orient the target by its file or shape, the source by the map.
 
-    Parameters
-    ----------
-    result : MatchResult
-    upright : (3, 3) float64, optional
-        Rotation for rows after which the target's up is +Y, if known.
-    reason : str
-        Where ``upright`` comes from.
-    usual : (3, 3) float64
-        The rotation if ``upright`` is not known and the shape does not tell.
+    ``upright``: (3, 3) rotation for rows after which the target's up is +Y, if known.
+    ``reason``: where ``upright`` comes from.
+    ``usual``: the rotation if ``upright`` is not known and the shape does not tell.
     """
     refinement = result.target.refinement
     positions = np.asarray(refinement.finest.positions)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,25 +71,9 @@ def write_autosave(
 ) -> None:
     """Write all landmarks, including the incomplete one.
 
-    Parameters
-    ----------
-    path : Path
-    landmarks : LandmarkList
-        With the files' vertex numbers.
-    parts : (str or None, str or None)
-        The open parts.
-    models : (str or None, str or None)
-        Names by which `read_autosave` recognises target and source.
+    ``landmarks``: with the files' vertex numbers.
+    ``models``: names by which `read_autosave` recognises target and source.
     """
-    items = [
-        {
-            "number": item.number,
-            "name": item.name,
-            "target": _to_entry(item.target),
-            "source": _to_entry(item.source),
-        }
-        for item in landmarks.items
-    ]
     unused = Landmarks.none() if landmarks.unused_landmarks is None else landmarks.unused_landmarks
     content = {
         "format": _FORMAT,
@@ -97,7 +81,7 @@ def write_autosave(
         "mark": mark(),
         "models": models,
         "parts": parts,
-        "items": items,
+        "items": list(map(asdict, landmarks.items)),
         "pairs": list(map(json.loads, format_pairs(unused))),
         "curves": list(map(json.loads, pair_entries(path, landmarks.curves + unused.curves))),
     }
@@ -115,25 +99,11 @@ def read_autosave_parts(path: Path) -> SideNames:
 
 
 def read_autosave(path: Path, vertices: tuple[int, int], models: SideNames = (None, None)) -> LandmarkList:
-    """Read an autosave; an unusable file is renamed, not overwritten later.
+    """Landmarks with the files' vertex numbers, and curves of all parts; an unusable file is renamed.
 
-    Parameters
-    ----------
-    path : Path
-    vertices : (int, int)
-        Vertex counts of the target's and the source's file.
-    models : (str or None, str or None)
-        See `write_autosave`; None: any model.
-
-    Returns
-    -------
-    landmarks : LandmarkList
-        With the files' vertex numbers, and curves of all parts.
-
-    Raises
-    ------
-    FormatError
-        If the file is no autosave, is damaged, or was made for other models.
+    ``vertices``: vertex counts of the target's and the source's file.
+    ``models``: see `write_autosave`; None: any model.
+    FormatError if the file is no autosave, is damaged, or was made for other models.
     """
     try:
         data = json.loads(read_text(path, "an autosave of the studio"))
@@ -171,10 +141,6 @@ def move_aside(path: Path) -> Path:
 
 def _unused_name(path: Path) -> Path:
     return next(name for k in itertools.count(1) if not (name := path.with_name(f"{path.name}.{k}")).exists())
-
-
-def _to_entry(place: Place | None) -> dict[str, Any] | None:
-    return None if place is None else {"position": place.position, "corners": place.corners, "weights": place.weights}
 
 
 def _from_entry(entry: Any, vertices: int) -> Place | None:

@@ -52,36 +52,18 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class PreviewCache:
-    """What the preview process keeps between tasks.
-
-    Attributes
-    ----------
-    pair_files : PairFiles
-    target, source : OpenedModel
-        After a map the source is rotated to face like the target.
-    prepared_pair : PreparedPair or None
-        Everything that does not depend on landmarks.
-    free_match : MatchResult or None
-        Match without landmarks, with all its answers.
-    chosen_answer : int
-        Which of its answers (alignments) maps start from.
-    result : MatchResult or None
-        The current map.
-    config : MatchConfig or None
-        Of a match from the start that gives ``result``; None after an update.
-    character : Character or None
-        Of the source's file; None before the first map.
-    """
+    """What the preview process keeps between tasks."""
 
     pair_files: PairFiles
+    # `target`, `source`: after a map the source is rotated to face like the target
     target: OpenedModel
     source: OpenedModel
-    prepared_pair: PreparedPair | None = None
-    free_match: MatchResult | None = None
-    chosen_answer: int = 0
-    result: MatchResult | None = None
-    config: MatchConfig | None = None
-    character: Character | None = None
+    prepared_pair: PreparedPair | None = None  # everything that does not depend on landmarks
+    free_match: MatchResult | None = None  # match without landmarks, with all its answers
+    chosen_answer: int = 0  # which of its answers (alignments) maps start from
+    result: MatchResult | None = None  # the current map
+    config: MatchConfig | None = None  # of a match from the start that gives ``result``; None after an update
+    character: Character | None = None  # of the source's file; None before the first map
 
 
 def run_task(
@@ -92,10 +74,7 @@ def run_task(
     `ShowBaked` gives the target's glTF, `ShowPosed` that of both. ``show`` receives maps that are not checked yet:
     rough ones before the first map, and updated ones.
 
-    Raises
-    ------
-    CagemapError
-        If files or landmarks are wrong.
+    CagemapError if files or landmarks are wrong.
     """
     files, notes = task.pair_files, tuple[str, ...]()
     is_open = cache is not None and replace(cache.pair_files, ups=files.ups, texture=files.texture) == files
@@ -109,16 +88,16 @@ def run_task(
         cache = replace(cache, pair_files=files, target=target, source=source)
     match task:
         case OpenModels():
-            return cache, OpenedPair(cache.target, cache.source, _posed_skins(cache, ShowPosed(files, "", None)))
+            return cache, OpenedPair(cache.target, cache.source, _posed_skins(cache, None))
         case FindMap():
             return find_map(cache, task, progress, show)
         case ShowBaked():
             return cache, _baked_skin(cache, task)
         case ShowImage():
-            skins = _posed_skins(cache, ShowPosed(files, "", task.preview_map))
+            skins = _posed_skins(cache, task.preview_map)
             return cache, ImageUpdate(skins, cache.source.texture, notes)
         case ShowPosed():
-            return cache, _posed_skins(cache, task)
+            return cache, _posed_skins(cache, task.preview_map, task.pose)
 
 
 def open_models(files: PairFiles, progress: Progress) -> tuple[OpenedModel, OpenedModel]:
@@ -159,10 +138,7 @@ def find_map(
 ) -> tuple[PreviewCache, MapUpdate]:
     """Match the models with the current landmarks.
 
-    Raises
-    ------
-    ParameterError
-        If there is no such answer.
+    ParameterError if there is no such answer.
     """
     if cache.prepared_pair is None:
         levels = cache.target.level, cache.source.level
@@ -274,21 +250,18 @@ def _landmark_strain(result: MatchResult) -> dict[str, float]:
     return strain | {suspect.name: suspect.distance for suspect in result.suspects}
 
 
-def _posed_skins(cache: PreviewCache, task: ShowPosed) -> tuple[bytes, bytes]:
-    """Target and source in a pose of the source's animations, with the task's map: a cancelled match drops the cache's.
+def _posed_skins(cache: PreviewCache, preview_map: PreviewMap | None, pose_name: str = "") -> tuple[bytes, bytes]:
+    """Target and source, in a pose of the source's animations, with a task's map: a cancelled match drops the cache's.
 
-    Raises
-    ------
-    ParameterError
-        If there is no such pose.
+    ParameterError if there is no such pose.
     """
-    target, source, preview_map = cache.target, cache.source, task.preview_map
+    target, source = cache.target, cache.source
     shapes = target.shape, align_facing(source.shape, target.shape, preview_map)
-    if task.pose:
+    if pose_name:
         character = _source_character(cache)
-        pose = animation_poses(character).get(task.pose)
+        pose = animation_poses(character).get(pose_name)
         if pose is None or preview_map is None:
-            raise ParameterError(f"Pose: expected a pose of the source, and a map, got {task.pose!r}. Choose another.")
+            raise ParameterError(f"Pose: expected a pose of the source, and a map, got {pose_name!r}. Choose another.")
         surfaces = target.shape.surface, source.shape.surface
         point_map = PointMap.from_arrays(*surfaces, preview_map.triangle, preview_map.barycentric)
         shapes = pose_shapes(character, pose, *shapes, preview_map, point_map)

@@ -34,24 +34,13 @@ _MAX_GREY_VERTICES = 40_000
 
 @dataclass(frozen=True)
 class PartChoices:
-    """Parts of a file that can be opened.
+    """Parts of a file that can be opened."""
 
-    Attributes
-    ----------
-    titles : tuple of str
-        Names for `cagemap match --part`, sorted by number of faces, largest first; empty for a file of one part.
-    faces : tuple of int
-        Number of faces of each.
-    opened : str or None
-        The open part; None: the whole file.
-    whole : bool
-        Whether the whole file can be opened too.
-    """
-
+    # names for `cagemap match --part`, sorted by number of faces, largest first; empty for a file of one part
     titles: tuple[str, ...] = ()
-    faces: tuple[int, ...] = ()
-    opened: str | None = None
-    whole: bool = True
+    faces: tuple[int, ...] = ()  # number of faces of each
+    opened: str | None = None  # the open part; None: the whole file
+    whole: bool = True  # whether the whole file can be opened too
 
 
 NO_PARTS = PartChoices()
@@ -68,40 +57,20 @@ class OtherParts:
 
 @dataclass(frozen=True, eq=False)
 class SelectedPart:
-    """The part of a file that is opened.
-
-    Attributes
-    ----------
-    mesh : ControlMesh
-    vertex_of : (n,) int64
-        Its vertex for each of the file's vertices, -1 for those of other parts.
-    other_faces : (k,) int64
-        Faces of the file that are not in the part.
-    part_choices : PartChoices
-    """
+    """The part of a file that is opened."""
 
     mesh: ControlMesh
-    vertex_of: IndexArray
-    other_faces: IndexArray
+    vertex_of: IndexArray  # (n,) its vertex for each of the file's vertices, -1 for those of other parts
+    other_faces: IndexArray  # (k,) faces of the file that are not in the part
     part_choices: PartChoices
 
 
 def select_part(mesh: ControlMesh, name: str | None, *, plain: bool) -> SelectedPart:
     """Select a part; by default the whole file or the largest of several pieces.
 
-    Parameters
-    ----------
-    mesh : ControlMesh
-        The mesh of the file.
-    name : str or None
-        See `cagemap.mesh.parts.find_part`.
-    plain : bool
-        The mesh is not subdivided; small pieces may then be left out.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such part, or it has several subdivision schemes.
+    ``name``: see `cagemap.mesh.parts.find_part`.
+    ``plain``: the mesh is not subdivided; small pieces may then be left out.
+    ParameterError if there is no such part, or it has several subdivision schemes.
     """
     n_pieces = 1 + int(face_components(mesh).max(initial=0))
     whole = (n_pieces == 1 and not mesh.object_schemes) or plain

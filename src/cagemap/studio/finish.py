@@ -6,6 +6,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files import IMAGE_SUFFIXES
@@ -13,22 +16,25 @@ from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.images.image import UDIM_MARK
 from cagemap.files.usd.stages import USD_SUFFIXES
 from cagemap.studio.opening import part_slug
-from cagemap.studio.state import Files
+from cagemap.studio.state import NO_SCHEME, Files
 from cagemap.studio.workspace import Workspace
 from cagemap.tasks.match import ComputedMatch
 from cagemap.tasks.requests.catalogue import (
     WRAP_IMAGES_OF,
     WRITTEN,
-    CommandOption,
     Key,
     NamedFiles,
     Options,
     Request,
     Value,
+    placed_path,
     request_of,
 )
-from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.transfer import READ_BY, TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
+
+if TYPE_CHECKING:  # the process of a bake needs no models
+    from cagemap.studio.scene import Scene
 
 # Options of several commands that the page shows once: (command, field), and the one that is shown.
 SHARED_OPTIONS: dict[Key, Key] = {
@@ -41,36 +47,21 @@ MAP_TITLE = "the map"
 COLOR_MAP = "color"
 # Kinds of bakes in messages, where they have other words.
 _KIND_WORDS = {"ao": "ambient occlusion", "colors": "vertex colours"}
-_IMAGE_FIELDS = ("size", "bits", "filter", "unwrap", "bases", "force")
-
-
-@dataclass(frozen=True)
-class Transfer:
-    """A kind of `cagemap transfer`: the option of its data, and its other options."""
-
-    title: str
-    data_field: str
-    option_fields: tuple[str, ...]
-
-
-TRANSFERS = (
-    Transfer("texture", "texture", ("as_color", "usd", *_IMAGE_FIELDS)),
-    Transfer("normal map", "normal_map", ("space", "green", *_IMAGE_FIELDS)),
-    Transfer("displacement", "displacement", ("scale", "midlevel", *_IMAGE_FIELDS)),
-    Transfer("vector displacement", "vector_displacement", ("space", "scale", "midlevel", *_IMAGE_FIELDS)),
-    Transfer("material colours", "material_colors", ("size", "bits", "unwrap", "bases", "force")),
-    Transfer("detail", "bake", ("detail", "detail_texture", "rays", "space", "green", *_IMAGE_FIELDS)),
-    Transfer("attribute", "attribute", ("usd", "bases", "force")),
-    Transfer("UVs of the source", "source_uvs", ("force",)),
-    Transfer("skin weights", "weights", ("influences", "only", "mirror", "joints", "usd", "bases", "force")),
-    Transfer("joints", "joints", ("force",)),
-    Transfer("blend shapes", "blend_shapes", ("usd", "force")),
-    Transfer("passenger", "passenger", ("kind", "force")),
-    Transfer("map for other programs", "write_map", ("force",)),
-)
-# Options that only some transfers take; all others go to each.
-_TRANSFER_FIELDS = {"output"} | {
-    name for transfer in TRANSFERS for name in (transfer.data_field, *transfer.option_fields)
+# Titles of the transfers, by the option of their data; in the order in which they are made.
+TRANSFERS = {
+    "texture": "texture",
+    "normal_map": "normal map",
+    "displacement": "displacement",
+    "vector_displacement": "vector displacement",
+    "material_colors": "material colours",
+    "bake": "detail",
+    "attribute": "attribute",
+    "source_uvs": "UVs of the source",
+    "weights": "skin weights",
+    "joints": "joints",
+    "blend_shapes": "blend shapes",
+    "passenger": "passenger",
+    "write_map": "map for other programs",
 }
 # Options of `cagemap wrap` for its images.
 _WRAP_IMAGE_FIELDS = ("size", "space", "green", "rays", "detail", "detail_texture", "texture", "force")
@@ -78,32 +69,16 @@ _WRAP_IMAGE_FIELDS = ("size", "space", "green", "rays", "detail", "detail_textur
 
 @dataclass(frozen=True)
 class FinishOptions:
-    """What a finish makes.
+    """What a finish makes."""
 
-    Attributes
-    ----------
-    texture : bool
-        Bake the open texture.
-    maps : tuple of (str, Path)
-        Further images over the source's UVs, by name.
-    map_form : str
-        Suffix of the file for the map itself; '' for none.
-    image_form : str
-        Suffix of all images; '': that of the source's image.
-    wrap, report : bool
-    name : str
-        Stem of files and of the RESULT folder; '': the target's, and the open pair's RESULT.
-    option_values : mapping of (command, field) to value
-        Options with other values than the default.
-    """
-
-    texture: bool = True
-    maps: NamedFiles = ()
-    map_form: str = ""
-    image_form: str = ""
+    texture: bool = True  # bake the open texture
+    maps: NamedFiles = ()  # further images over the source's UVs, by name
+    map_form: str = ""  # suffix of the file for the map itself; '' for none
+    image_form: str = ""  # suffix of all images; '': that of the source's image
     wrap: bool = False
     report: bool = True
-    name: str = ""
+    name: str = ""  # stem of files and of the RESULT folder; '': the target's, and the open pair's RESULT
+    # options with other values than the default
     option_values: Mapping[Key, Value] = field(default_factory=lambda: MappingProxyType({}))
 
     def with_values(self, values: Mapping[Key, Value]) -> FinishOptions:
@@ -113,37 +88,56 @@ class FinishOptions:
     def resolve_paths(self, options: Options, resolve: Callable[[Path], Path]) -> FinishOptions:
         """Apply ``resolve`` to every path.
 
-        Raises
-        ------
-        ParameterError
-            If a path lies outside the chosen folders, or the name is no file name.
+        ParameterError if a path lies outside the chosen folders, or the name is no file name.
         """
         if self.name and (Path(self.name).name != self.name or self.name.startswith(".")):
             raise ParameterError(f"Name: expected what files begin with, without a folder, got {self.name!r}.")
-        maps_option = CommandOption("transfer", "maps", "--texture", "", "named files")
         values = {key: options[key].placed(value, resolve) for key, value in self.option_values.items()}
-        maps: NamedFiles = maps_option.placed(self.maps, resolve)  # type: ignore[assignment]
+        maps = tuple((name, placed_path(path, resolve)) for name, path in self.maps)
         return replace(self, maps=maps, option_values=values)
+
+
+def with_defaults(options: FinishOptions, files: Files, scene: Scene, vertices: int) -> FinishOptions:
+    """Options with defaults for the open pair.
+
+    Without an image the source's material or vertex colours are baked, or else its ambient occlusion, and a cage is
+    wrapped.
+
+    ``vertices``: of the map shown, for a finish that asks for no other number and no level.
+    ParameterError if the target cannot be wrapped.
+    """
+    is_plain, values = files.schemes[0] == NO_SCHEME, options.option_values
+    has_level, number = values.get(("match", "level")) is not None, values.get(("match", "vertices"))
+    options = options.with_values(
+        {
+            ("transfer", "unwrap"): not scene.target.control.has_layout,
+            ("match", "vertices"): None if has_level else vertices if number is None else number,
+        }
+    )
+    if options.texture and files.texture is None and scene.has_colors:
+        options = options.with_values({("transfer", "material_colors"): True})
+    elif options.texture and files.texture is None:
+        colors = None if values.get(("transfer", "detail")) else scene.source.control.vertex_colors
+        default = ("ao",) if colors is None or np.isnan(colors).all() else ("colors",)
+        kinds = values.get(("transfer", "bake")) or default
+        wrap = options.wrap or not (is_plain or kinds == ("colors",))
+        options = replace(options, wrap=wrap).with_values({("transfer", "bake"): kinds})
+    if is_plain and options.wrap:
+        raise ParameterError(
+            f"{files.target.name} is open as a plain mesh, which cannot be wrapped. Press Open… and choose how the "
+            "target is subdivided (Options). Or choose something else to make below."
+        )
+    return options
 
 
 @dataclass(frozen=True)
 class Command:
-    """One command of a finish.
-
-    Attributes
-    ----------
-    title : str
-    request : request
-        May write further files next to its output.
-    output_title : str
-        '' for the title.
-    computed : ComputedMatch or None
-        For the match: the map on the page, which it writes if its inputs are equal.
-    """
+    """One command of a finish."""
 
     title: str
-    request: Request
-    output_title: str = ""
+    request: Request  # may write further files next to its output
+    output_title: str = ""  # '' for the title
+    # for the match: the map on the page, which it writes if its inputs are equal
     computed: ComputedMatch | None = field(default=None, compare=False)
 
     @property
@@ -157,10 +151,7 @@ def plan_commands(
 ) -> tuple[Command, ...]:
     """Commands of a finish that read and write inside the chosen folders only.
 
-    Raises
-    ------
-    ParameterError
-        If a file or link leads outside them, or a number is outside its range.
+    ParameterError if a file or link leads outside them, or a number is outside its range.
     """
     finish_options = finish_options.resolve_paths(options, workspace.resolve)
     commands = finish_commands(options, files, finish_options, use_landmarks=use_landmarks)
@@ -174,22 +165,15 @@ def finish_commands(
 ) -> tuple[Command, ...]:
     """Commands of a finish, in their order.
 
-    Parameters
-    ----------
-    options : mapping
-        All options of the commands.
-    files : Files
-    finish_options : FinishOptions
-    use_landmarks : bool
-        Match with the landmark file.
+    ``use_landmarks``: match with the landmark file.
     """
     builder = _CommandBuilder(options, files, finish_options)
     if finish_options.name:
         stem = f"{builder.stem}_from{builder.source_suffix}" if builder.source_suffix else builder.stem
         builder = replace(builder, files=replace(files, result=files.result.with_name(f"{stem}_RESULT")))
     commands = [builder.match(use_landmarks=use_landmarks)]
-    for transfer in TRANSFERS:
-        command = builder.transfer(transfer, [other.output for other in commands])
+    for data_field in TRANSFERS:
+        command = builder.transfer(data_field, [other.output for other in commands])
         commands += [] if command is None else [command]
     commands += [builder.wrap()] if finish_options.wrap else []
     commands += [builder.report()] if finish_options.report else []
@@ -250,25 +234,23 @@ class _CommandBuilder:
         }
         return Command("match", request_of("match", values), MAP_TITLE)
 
-    def transfer(self, transfer: Transfer, used_outputs: list[Path]) -> Command | None:
-        """A transfer, or None if it is not requested."""
-        data = (
-            self._texture_values()
-            if transfer.data_field == "texture"
-            else self.values("transfer", [transfer.data_field])
-        )
-        if transfer.data_field == "write_map":
+    def transfer(self, data_field: str, used_outputs: list[Path]) -> Command | None:
+        """The transfer of one kind of data, or None if it is not requested."""
+        data = self._texture_values() if data_field == "texture" else self.values("transfer", [data_field])
+        if data_field == "write_map":
             data = {"write_map": bool(self.finish_options.map_form)}
         if not any(data.values()):
             return None
-        name, ending = self._name_parts(transfer)
+        name, ending = self._name_parts(data_field)
         output = self.files.result.parent / f"{self.stem}{name}{self.source_suffix}{ending}"
         if output in used_outputs:
-            output = output.with_name(f"{output.stem}_{transfer.data_field}{output.suffix}")
-        common = (name for command, name in self.options if command == "transfer" and name not in _TRANSFER_FIELDS)
-        values = {name: self._option_value(transfer, name, output) for name in (*transfer.option_fields, *common)}
+            output = output.with_name(f"{output.stem}_{data_field}{output.suffix}")
+        others = (name for command, name in self.options if command == "transfer" and name not in TRANSFERS)
+        read = [name for name in others if data_field in READ_BY.get(name, (data_field,))]
+        read += ["joints"] if data_field == "weights" else []  # they name the columns
+        values = {name: self._option_value(data_field, name, output) for name in read}
         values |= {**data, "result": self.files.result, "output": output}
-        return Command(transfer.title, request_of("transfer", values))
+        return Command(TRANSFERS[data_field], request_of("transfer", values))
 
     def _texture_values(self) -> dict[str, Value]:
         """The open texture, alone or among the maps of its material."""
@@ -277,25 +259,25 @@ class _CommandBuilder:
             return {"texture": texture}
         return {"maps": (*(() if texture is None else ((COLOR_MAP, texture),)), *self.finish_options.maps)}
 
-    def _option_value(self, transfer: Transfer, name: str, output: Path) -> Value:
+    def _option_value(self, data_field: str, name: str, output: Path) -> Value:
         """The value of a transfer's option."""
         value = self.value("transfer", name)
         if name == "usd":
             return output.with_suffix(".usda") if value else None
         if name == "bases":
-            return self._base_files(transfer)
+            return self._base_files(data_field)
         if name == "detail_texture" and "texture" not in _as_names(self.value("transfer", "bake")):
             return None  # it is meant for the wrapped cage
         return value
 
-    def _base_files(self, transfer: Transfer) -> NamedFiles:
+    def _base_files(self, data_field: str) -> NamedFiles:
         """The target's own files under the transferred data, selected by name."""
         bases: NamedFiles = self.value("transfer", "bases")  # type: ignore[assignment]
-        if transfer.data_field == "bake":
+        if data_field == "bake":
             kinds = _as_names(self.value("transfer", "bake"))
             return tuple((kind, path) for kind in kinds for name, path in bases if _normalize(name) == _normalize(kind))
-        if transfer.data_field != "texture":
-            return tuple(("", path) for name, path in bases if _normalize(name) == _normalize(transfer.data_field))
+        if data_field != "texture":
+            return tuple(("", path) for name, path in bases if _normalize(name) == _normalize(data_field))
         if not self.finish_options.maps:
             return tuple(("", path) for name, path in bases if name in ("", "texture", COLOR_MAP))
         names = {_normalize(name): name for name, _ in self.finish_options.maps}
@@ -303,10 +285,10 @@ class _CommandBuilder:
             names |= {"": COLOR_MAP, "texture": COLOR_MAP, COLOR_MAP: COLOR_MAP}
         return tuple((names[_normalize(name)], path) for name, path in bases if _normalize(name) in names)
 
-    def _name_parts(self, transfer: Transfer) -> tuple[str, str]:
+    def _name_parts(self, data_field: str) -> tuple[str, str]:
         """Parts of an output's name after the stem: before and after the source's part."""
-        source, value = self.files.source, self.value("transfer", transfer.data_field)
-        match transfer.data_field:
+        source, value = self.files.source, self.value("transfer", data_field)
+        match data_field:
             case "texture":
                 texture = self.files.texture if self.finish_options.texture else None
                 return self._image_name(texture or self.finish_options.maps[0][1])
@@ -331,7 +313,7 @@ class _CommandBuilder:
                 return self._origin(value.stem), _mesh_suffix(value)
             case _:
                 assert isinstance(value, Path)
-                scene_form = ".json" if transfer.data_field == "joints" else ".npz"
+                scene_form = ".json" if data_field == "joints" else ".npz"
                 is_scene = value.suffix.lower() in (*USD_SUFFIXES, *SCENE_SUFFIXES)
                 return self._origin(value.stem), scene_form if is_scene else value.suffix
 

@@ -20,25 +20,13 @@ FOLDER_SUFFIX = "/"
 
 @dataclass(frozen=True)
 class Field:
-    """An option on the page.
-
-    Attributes
-    ----------
-    key : (command, field)
-    label : str
-    suffixes : tuple of str
-        Of the files to choose from.
-    hint : str
-        '' for the help text of the command line.
-    step : float
-        Step of a number's input.
-    """
+    """An option on the page."""
 
     key: Key
     label: str
-    suffixes: tuple[str, ...] = ()
-    hint: str = ""
-    step: float = 1.0
+    suffixes: tuple[str, ...] = ()  # of the files to choose from
+    hint: str = ""  # '' for the help text of the command line
+    step: float = 1.0  # step of a number's input
 
 
 @dataclass(frozen=True)
@@ -53,17 +41,8 @@ def _fields(command: str, *fields: tuple[object, ...]) -> tuple[Field, ...]:
     return tuple(Field((command, str(name)), *others) for name, *others in fields)  # type: ignore[arg-type]
 
 
-# Titles of sections.
-MORE_IMAGES, DETAIL, RIG, WRAP, MATCH, MASKS, FILES, ADVANCED = (
-    "More images",
-    "Detailed mesh",
-    "Rig",
-    "Wrap",
-    "Match",
-    "Masks and UV sets",
-    "Files",
-    "Advanced",
-)
+# Titles of the sections that the form adds to, and of the last one, see `sections`.
+MORE_IMAGES, WRAP, FILES, ADVANCED = "More images", "Wrap", "Files", "Advanced"
 # Suffixes of files to choose from.
 _IMAGES, _MESHES, _TABLES = IMAGE_SUFFIXES, MESH_SUFFIXES, TABLE_SUFFIXES
 _RIGS = (*USD_SUFFIXES, *SCENE_SUFFIXES)
@@ -90,7 +69,7 @@ SECTIONS = (
         ),
     ),
     Section(
-        DETAIL,
+        "Detailed mesh",
         _fields(
             "transfer",
             (
@@ -105,7 +84,7 @@ SECTIONS = (
         ),
     ),
     Section(
-        RIG,
+        "Rig",
         _fields(
             "transfer",
             ("weights", "Skin weights", (".csv", ".npz", *_RIGS), "of the source's cage, one column per joint"),
@@ -138,7 +117,7 @@ SECTIONS = (
         ),
     ),
     Section(
-        MASKS,
+        "Masks and UV sets",
         _fields(
             "match",
             ("target_mask", "Target mask", (*_TABLES, *_IMAGES), _MASK_HINT),
@@ -153,7 +132,7 @@ SECTIONS = (
         ),
     ),
     Section(
-        MATCH,
+        "Match",
         _fields(
             "match",
             ("level", "Level", (), "subdivision level of both, in place of Vertices"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +15,6 @@ from cagemap.studio.finish import MAP_TITLE, Command
 from cagemap.studio.recorded_match import MASK_FIELDS
 from cagemap.studio.scene import Scene
 from cagemap.studio.state import Output, StudioState
-
-# Time of change in nanoseconds and size; None for a missing file.
-FileStamp = tuple[int, int] | None
 
 
 class WrittenMap:
@@ -51,35 +47,25 @@ def _match_inputs(match: Command, state: StudioState) -> object:
     models = files.target, files.source
     if any(map(is_in_several_files, models)):  # the stamps do not include the further files
         return None
-    return match, state.map_inputs, _file_stamps(models)
+    return match, state.map_inputs, tuple(map(_file_stamp, models))
 
 
 def _result_stamps(result: Path) -> object:
     """Stamp of the map, and whether a manifest exists; later commands change the manifest itself."""
-    return _file_stamps((result / ARRAYS,)), (result / MANIFEST).is_file()
+    return _file_stamp(result / ARRAYS), (result / MANIFEST).is_file()
 
 
-def _file_stamps(files: Iterable[Path]) -> tuple[FileStamp, ...]:
-    stamps: list[FileStamp] = []
-    for file in files:
-        try:
-            status = file.stat()
-            stamps.append((status.st_mtime_ns, status.st_size))
-        except OSError:
-            stamps.append(None)
-    return tuple(stamps)
+def _file_stamp(file: Path) -> tuple[int, int] | None:
+    """Time of change in nanoseconds and size; None for a missing file."""
+    try:
+        status = file.stat()
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_size
 
 
 def map_difference_notes(scene: Scene | None, outputs: tuple[Output, ...]) -> tuple[str, ...]:
-    """Warn if a finish has another map than the page.
-
-    Parameters
-    ----------
-    scene : Scene or None
-        With the map on the page.
-    outputs : tuple of Output
-        Of the finish.
-    """
+    """Warn if a finish has another map than the page."""
     result = next((output.path for output in outputs if output.title == MAP_TITLE), None)
     if scene is None or scene.preview_map is None or result is None:
         return ()
@@ -87,7 +73,7 @@ def map_difference_notes(scene: Scene | None, outputs: tuple[Output, ...]) -> tu
         match = read_result(result)
     except CagemapError:  # reported where the result is used
         return ()
-    n = scene.target.n_control
+    n = scene.target.control.n_vertices
     preview_images = scene.preview_map.pull_back(scene.source.triangles, scene.source.positions)[:n]
     images = match.point_map.images.positions  # at unit area
     if len(images) < n:

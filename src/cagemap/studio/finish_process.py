@@ -27,20 +27,11 @@ from cagemap.tasks.progress import Stages
 
 @dataclass(frozen=True)
 class RequestResult:
-    """Result of a request.
-
-    Attributes
-    ----------
-    warnings : tuple of str
-    files : tuple of Path
-        Written files, also those of a failed request.
-    failure : str
-        Error message; '' if it succeeded.
-    """
+    """Result of a request."""
 
     warnings: tuple[str, ...] = ()
-    files: tuple[Path, ...] = ()
-    failure: str = ""
+    files: tuple[Path, ...] = ()  # written files, also those of a failed request
+    failure: str = ""  # error message; '' if it succeeded
 
 
 def serve(connection: Connection) -> None:

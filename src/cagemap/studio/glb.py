@@ -20,19 +20,12 @@ _LINE_MODE, _TRIANGLE_MODE = 1, 4
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """A mesh of triangles or lines.
-
-    Attributes
-    ----------
-    name : str
-    attributes : mapping of str to (n, q) array
-        By glTF's names; the page's own begin with ``_``. POSITION: in view coordinates. TEXCOORD: v up.
-    corners : (t, 3) or (s, 2) int64
-    """
+    """A mesh of triangles or lines."""
 
     name: str
+    # (n, q) by glTF's names; the page's own begin with ``_``. POSITION: in view coordinates. TEXCOORD: v up.
     attributes: Mapping[str, NDArray[Any]]
-    corners: IndexArray
+    corners: IndexArray  # (t, 3) or (s, 2)
 
 
 def pack_glb(parts: Sequence[MeshPart], images: Mapping[str, bytes] = MappingProxyType({})) -> bytes:

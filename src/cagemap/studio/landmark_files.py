@@ -37,17 +37,10 @@ def load_landmarks(
 ) -> tuple[LandmarkList, list[str]]:
     """Read landmarks from a file of pairs or two files of points; also return notes.
 
-    Parameters
-    ----------
-    path : Path
-        File of pairs; or of the target's points, in any format of `read_points`.
-    source_points : Path or None
-        File of the source's points; points of equal name are pairs.
-
-    Raises
-    ------
-    FormatError, DirectionError, InvalidLandmarksError
-        If a file is damaged, made for the other direction, or for other meshes.
+    ``path``: file of pairs; or of the target's points, in any format of `read_points`.
+    ``source_points``: file of the source's points; points of equal name are pairs.
+    FormatError, DirectionError, InvalidLandmarksError if a file is damaged, made for the other direction, or for other
+    meshes.
     """
     target, source = scene.target.file_mesh, scene.source.file_mesh
     tracker.record(path)
@@ -82,7 +75,7 @@ def earlier_landmarks(
 
     None if the pair has a landmark file or another name for it, or if the one in the folder is of other models.
     """
-    default = default_files(files.target.parent, files.target, files.source, None).landmarks
+    default = default_files(files.target, files.source, None).landmarks
     path = folder / default.name
     if files.landmarks != default or default.is_file() or path.is_symlink() or not path.is_file():
         return None
@@ -198,28 +191,18 @@ def save_landmarks(
     One file of pairs; for a name with an ending of `files.landmarks.point_formats` one file for each model,
     NAME.target.pp and NAME.source.pp. A file of pairs that others changed, or of other models, is first copied.
 
-    Raises
-    ------
-    FormatError
-        If the ending is unknown, a file cannot be written, or cagemap did not write the existing file.
+    FormatError if the ending is unknown, a file cannot be written, or cagemap did not write the existing file.
     """
     target, source = scene.target.file_mesh, scene.source.file_mesh
     complete = to_landmarks(landmarks, scene.target.control, scene.source.control)
     complete = complete.renumbered(scene.target.to_file_vertices, scene.source.to_file_vertices)
     complete = complete if landmarks.unused_landmarks is None else complete.joined_with(landmarks.unused_landmarks)
     if not is_of_pairs(path):
-        sides: tuple[tuple[Side, CagePoints, list[Curve[CagePoints]], ControlMesh], ...] = (
-            ("target", complete.target_points, [pair.target for pair in complete.curves], target),
-            ("source", complete.source_points, [pair.source for pair in complete.curves], source),
-        )
-        contents = [
-            (side_file(path, side), _named_points(complete, points, curves, control), control)
-            for side, points, curves, control in sides
-        ]
-        form = point_form(path)
-        for file, named_points, control in contents:
-            write_points(file, named_points if form.curves else replace(named_points, curves=()), control)
-        return tuple(file for file, _, _ in contents), form.lost(contents[0][1])
+        form, models = point_form(path), zip(SIDES, (target, source), strict=True)
+        sides = [(side_file(path, side), _named_points(complete, side, mesh), mesh) for side, mesh in models]
+        for file, points, mesh in sides:
+            write_points(file, points if form.curves else replace(points, curves=()), mesh)
+        return tuple(file for file, *_ in sides), form.lost(sides[0][1])
     is_open = path == files.landmarks
     is_foreign = (is_open and tracker.is_changed(path)) or not (
         is_own(path) and _names_these_models(path, scene, files)
@@ -265,15 +248,15 @@ def to_landmarks(landmarks: LandmarkList, target: ControlMesh, source: ControlMe
     )
 
 
-def _named_points(
-    landmarks: Landmarks, points: CagePoints, curves: list[Curve[CagePoints]], control: ControlMesh
-) -> NamedPoints:
+def _named_points(landmarks: Landmarks, side: Side, control: ControlMesh) -> NamedPoints:
     """Landmarks and curves of one model."""
+    points: CagePoints = getattr(landmarks, f"{side}_points")
     vertices = points.vertices
     positions = np.where(vertices[:, None] >= 0, np.nan, points.of(control.positions))
+    curves: list[tuple[str, Curve[CagePoints]]] = [(pair.name, getattr(pair, side)) for pair in landmarks.curves]
     named_curves = tuple(
-        NamedCurve(pair.name, curve.points.vertices, curve.points.of(control.positions), curve.closed)
-        for pair, curve in zip(landmarks.curves, curves, strict=True)
+        NamedCurve(name, curve.points.vertices, curve.points.of(control.positions), curve.closed)
+        for name, curve in curves
     )
     return NamedPoints(landmarks.names, vertices, positions, control.name, named_curves)
 

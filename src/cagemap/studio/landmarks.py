@@ -26,36 +26,18 @@ def opposite_side(side: Side) -> Side:
 
 @dataclass(frozen=True)
 class Place:
-    """A point of a model's control mesh and its position on the smooth surface.
+    """A point of a model's control mesh and its position on the smooth surface."""
 
-    Attributes
-    ----------
-    position : (x, y, z)
-        Of the smooth surface, in the units of the model's file.
-    corners : (a, b, c)
-        Control vertices of the triangle that holds the point.
-    weights : (u, v, w)
-        Barycentric coordinates, with sum 1.
-    """
-
-    position: tuple[float, float, float]
-    corners: tuple[int, int, int]
-    weights: tuple[float, float, float]
+    position: tuple[float, float, float]  # of the smooth surface, in the units of the model's file
+    corners: tuple[int, int, int]  # control vertices of the triangle that holds the point
+    weights: tuple[float, float, float]  # barycentric coordinates, with sum 1
 
 
 @dataclass(frozen=True)
 class Landmark:
-    """A landmark; complete when both models have its place.
+    """A landmark; complete when both models have its place."""
 
-    Attributes
-    ----------
-    number : int
-        Fixed; decides the landmark's colour and is drawn on the models.
-    name : str
-    target, source : Place or None
-    """
-
-    number: int
+    number: int  # fixed; decides the landmark's colour and is drawn on the models
     name: str
     target: Place | None = None
     source: Place | None = None
@@ -76,19 +58,11 @@ class Landmark:
 
 @dataclass(frozen=True)
 class LandmarkList:
-    """All landmarks in the order of creation; at most one is incomplete.
-
-    Attributes
-    ----------
-    items : tuple of Landmark
-    curves : tuple of CurvePair
-        Curves of the landmark file; used and saved again unchanged.
-    unused_landmarks : Landmarks or None
-        Pairs and curves on parts that are not open, with the files' vertex numbers; saved again unchanged.
-    """
+    """All landmarks in the order of creation; at most one is incomplete."""
 
     items: tuple[Landmark, ...] = ()
-    curves: CageCurvePairs = ()
+    curves: CageCurvePairs = ()  # curves of the landmark file; used and saved again unchanged
+    # pairs and curves on parts that are not open, with the files' vertex numbers; saved again unchanged
     unused_landmarks: Landmarks | None = None
 
     def __len__(self) -> int:
@@ -166,12 +140,8 @@ def mirror(
 ) -> LandmarkList:
     """Add a landmark's mirror image, unless another landmark has its place.
 
-    Parameters
-    ----------
-    mirror_place : callable
-        Mirror image of a place on one model; None for a place on the mirror plane or a model without one.
-    is_same_place : callable
-        Whether two places of one model are close together.
+    ``mirror_place``: mirror image of a place on one model; None for a place on the mirror plane or a model without one.
+    ``is_same_place``: whether two places of one model are close together.
     """
     item = landmarks.get(number)
     if item is None or item.target is None or item.source is None:
@@ -249,16 +219,10 @@ def _free_name(used: set[str], name: str) -> str:
 
 @dataclass(frozen=True)
 class History:
-    """The landmarks with their earlier and undone versions.
-
-    Attributes
-    ----------
-    present : LandmarkList
-    past, future : tuple of LandmarkList
-        The version next to the present one is last.
-    """
+    """The landmarks with their earlier and undone versions."""
 
     present: LandmarkList = LandmarkList()
+    # `past`, `future`: the version next to the present one is last
     past: tuple[LandmarkList, ...] = ()
     future: tuple[LandmarkList, ...] = ()
 

@@ -34,6 +34,7 @@ from cagemap.pipeline import choose_level
 from cagemap.studio.file_parts import NO_PARTS, PartChoices, SelectedPart, other_parts_surface, select_part
 from cagemap.studio.shape import OriginalMesh, refined_shape
 from cagemap.studio.skins import DrawnModel, Look
+from cagemap.studio.state import NO_SCHEME
 from cagemap.subdivision import refine, with_options
 from cagemap.tasks.material_atlas import material_atlas
 from cagemap.transfer import face_colors
@@ -42,7 +43,6 @@ from cagemap.transfer import face_colors
 PREVIEW_TEXTURE_SIZE = 1024
 # Triangle meshes of at least so many faces may be scans.
 MIN_SCAN_FACES = 20_000
-NO_SCHEME = "none"
 _PART_NOTE = (
     "{file} has several parts: only {part} is matched, the others are grey. To choose another, press Open…, Part"
 )
@@ -50,38 +50,17 @@ _PART_NOTE = (
 
 @dataclass(frozen=True, eq=False)
 class OpenedModel(DrawnModel):
-    """A model as the studio has opened it.
+    """A model as the studio has opened it."""
 
-    Attributes
-    ----------
-    level : int
-        Subdivision level of the preview.
-    mirror : (n_control,) int64 or None
-        Mirror image of each control vertex.
-    notes : tuple of str
-        What was changed in the mesh.
-    part_choices : PartChoices
-    scheme : str or None
-        Subdivision scheme: the requested one, or "none" for a mesh that cannot be subdivided.
-    dense : bool
-        Whether it is subdivided although it looks like a scan.
-    weld : str or None
-        Welding tolerance, as `cagemap match --weld` takes it.
-    texture : Path or None
-        File of the look's texture.
-    path : Path or None
-        The model's file.
-    """
-
-    level: int
-    mirror: IndexArray | None
-    notes: tuple[str, ...] = ()
+    level: int  # subdivision level of the preview
+    mirror: IndexArray | None  # (n_control,) mirror image of each control vertex
+    notes: tuple[str, ...] = ()  # what was changed in the mesh
     part_choices: PartChoices = NO_PARTS
-    scheme: str | None = None
-    dense: bool = False
-    weld: str | None = None
-    texture: Path | None = None
-    path: Path | None = None
+    scheme: str | None = None  # subdivision scheme: the requested one, or "none" for a mesh that cannot be subdivided
+    dense: bool = False  # whether it is subdivided although it looks like a scan
+    weld: str | None = None  # welding tolerance, as `cagemap match --weld` takes it
+    texture: Path | None = None  # file of the look's texture
+    path: Path | None = None  # the model's file
 
     @property
     def control(self) -> ControlMesh:
@@ -147,20 +126,10 @@ def textured(source: OpenedModel, holder: Path, folder: Path, progress: Callable
 def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, part: str | None = None) -> OpenedModel:
     """Read, weld, check and refine one model.
 
-    Parameters
-    ----------
-    path : Path
-    scheme, up, part : str or None
-        See `cagemap.studio.state.Files`.
-    vertices : int
-        Approximate number of vertices of the refined surface.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such part, or it has several connected pieces.
-    InvalidMeshError, FormatError
-        If the mesh is invalid, or its file cannot be read.
+    ``scheme``, ``up``, ``part``: see `cagemap.studio.state.Files`.
+    ``vertices``: approximate number of vertices of the refined surface.
+    ParameterError if there is no such part, or it has several connected pieces.
+    InvalidMeshError, FormatError if the mesh is invalid, or its file cannot be read.
     """
     file_mesh = replace(read_whole(path), name=path.name)
     if structure_problems(file_mesh):
@@ -200,7 +169,7 @@ def _open_welded(
     if isinstance(mesh.scheme, Plain):
         return _open_plain(selected, whole, file_mesh, rotation)
     _require_one_piece(mesh)
-    dense = scheme is None and is_dense(mesh)
+    dense = scheme is None and _may_be_plain(mesh) and mesh.n_faces >= MIN_SCAN_FACES  # it looks like a scan
     try:
         require_valid(mesh)
     except InvalidMeshError as error:
@@ -223,11 +192,6 @@ def _open_welded(
 def _with_file_vertices(selected: SelectedPart, welded: RepairedMesh) -> SelectedPart:
     """A part of a welded mesh, with its vertices for those of the file."""
     return replace(selected, vertex_of=np.where(welded.vertex_of < 0, -1, selected.vertex_of[welded.vertex_of]))
-
-
-def is_dense(mesh: ControlMesh) -> bool:
-    """Whether a mesh looks like a scan: many triangles, no scheme and no creases."""
-    return _may_be_plain(mesh) and mesh.n_faces >= MIN_SCAN_FACES
 
 
 def _may_be_plain(mesh: ControlMesh) -> bool:

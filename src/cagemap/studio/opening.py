@@ -27,11 +27,20 @@ _MAX_SLUG_LENGTH = 40
 
 
 def default_files(
-    folder: Path, target: Path, source: Path, texture: Path | None, schemes: SideNames = (None, None)
+    target: Path,
+    source: Path,
+    texture: Path | None,
+    schemes: SideNames = (None, None),
+    *,
+    landmarks: Path | None = None,
+    result: Path | None = None,
+    parts: SideNames = (None, None),
 ) -> Files:
-    """Files of a pair, with landmarks and RESULT named after it in a folder."""
+    """Absolute paths of a pair; landmarks and RESULT are by default beside the target, and named after the pair."""
+    target, source, image = target.resolve(), source.resolve(), texture and texture.resolve()
     pair = f"{source.stem}__{target.stem}"
-    return Files(target, source, texture, folder / f"{pair}.json", folder / f"{pair}_RESULT", schemes)
+    landmarks, result = landmarks or target.with_name(f"{pair}.json"), result or target.with_name(f"{pair}_RESULT")
+    return Files(target, source, image, landmarks.resolve(), result.resolve(), schemes, parts=parts)
 
 
 def result_folder(files: Files, parts: SideNames) -> Path:
@@ -76,10 +85,7 @@ def command_line_files(
 ) -> Files | None:
     """Files of the command line, or those of a RESULT alone; None without any.
 
-    Raises
-    ------
-    ParameterError
-        If only one model is named, other files without models, or a RESULT whose models are gone.
+    ParameterError if only one model is named, other files without models, or a RESULT whose models are gone.
     """
     if target is None and source is None:
         if result is not None:
@@ -95,7 +101,7 @@ def command_line_files(
         return None
     if target is None or source is None:
         raise ParameterError("expected --target and --source, got one of them. Name both models, or none.")
-    return _pair_files(target, source, landmarks, texture, result, schemes, parts)
+    return default_files(target, source, texture, schemes, landmarks=landmarks, result=result, parts=parts)
 
 
 def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> Files:
@@ -103,12 +109,8 @@ def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> 
 
     Where an option is not taken over, the files have another RESULT folder.
 
-    Raises
-    ------
-    FormatError
-        If the folder is no RESULT of a readable version, or is damaged.
-    ParameterError
-        If a model has moved or changed.
+    FormatError if the folder is no RESULT of a readable version, or is damaged.
+    ParameterError if a model has moved or changed.
     """
     manifest = read_manifest(result)
     record = parse_record(ResultRecord, manifest, result / MANIFEST, REMEDY)
@@ -124,7 +126,7 @@ def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> 
     if landmarks is not None or match.has_only_pairs:
         landmarks = landmarks or match.request.landmarks
         match = match.with_defaults_of(*LANDMARK_FIELDS)
-    files = _pair_files(target, source, landmarks, texture, result, schemes, parts)
+    files = default_files(target, source, texture, schemes, landmarks=landmarks, result=result, parts=parts)
     files, notes = keep_result(replace(files, recorded_match=match), lost)
     return replace(files, recorded_match=replace(match, notes=(*match.notes, *notes)))
 
@@ -151,25 +153,6 @@ def _recorded_part(record: ResultRecord, side: str) -> str | None:
 def _recorded_scheme(side: SideRecord) -> str | None:
     name = side.scheme.get("name")
     return name if isinstance(name, str) else None
-
-
-def _pair_files(
-    target: Path,
-    source: Path,
-    landmarks: Path | None,
-    texture: Path | None,
-    result: Path | None,
-    schemes: SideNames,
-    parts: SideNames,
-) -> Files:
-    """Absolute paths of a pair, with default names for missing ones."""
-    image = None if texture is None else texture.resolve()
-    files = default_files(target.resolve().parent, target.resolve(), source.resolve(), image, schemes)
-    if landmarks is not None:
-        files = replace(files, landmarks=landmarks.resolve())
-    if result is not None:
-        files = replace(files, result=result.resolve())
-    return replace(files, parts=parts)
 
 
 def built_in_files(folder: Path) -> Files:

@@ -16,14 +16,13 @@ from cagemap.studio.state import Files, RunningJob
 from cagemap.studio.worker import Worker, serve_preview
 
 # Titles of computations on the page.
-OPENING_TITLE, MATCHING_TITLE, BAKED_TITLE = "Opening the models", "Matching", "Showing the baked image"
-IMAGE_TITLE, POSE_TITLE = "Showing the image", "Showing a pose"
+OPENING_TITLE = "Opening the models"
 _TITLES = {
     OpenModels: OPENING_TITLE,
-    FindMap: MATCHING_TITLE,
-    ShowBaked: BAKED_TITLE,
-    ShowImage: IMAGE_TITLE,
-    ShowPosed: POSE_TITLE,
+    FindMap: "Matching",
+    ShowBaked: "Showing the baked image",
+    ShowImage: "Showing the image",
+    ShowPosed: "Showing a pose",
 }
 # Follows the titles until a first map has compiled all functions.
 _COMPILE_NOTE = " (about a minute longer the first time after installing)"
@@ -34,18 +33,10 @@ _KINDS = ("models", "image", "pose", "map", "answer", "baked")
 class Preview:
     """Computes what the page shows; a newer request replaces one that waits.
 
-    Parameters
-    ----------
-    vertices : int
-        Approximate number of vertices of each previewed surface.
-    folder : Path
-        Receives an image that is inside the source's file.
-    current_inputs : callable
-        Gives the current landmarks, map and chosen answer when a task starts.
-    on_job : callable
-        Called at every task and stage.
-    on_result : callable
-        Called with a task and its result.
+    ``vertices``: approximate number of vertices of each previewed surface.
+    ``folder``: receives an image that is inside the source's file.
+    ``current_inputs``: gives the current landmarks, map and chosen answer when a task starts.
+    ``on_job``: called at every task and stage.
     """
 
     def __init__(
@@ -59,7 +50,7 @@ class Preview:
         self._vertices, self._folder = vertices, folder
         self._current_inputs, self._on_job, self._on_result = current_inputs, on_job, on_result
         self._condition = threading.Condition()
-        self._pair_files: PairFiles | None = None
+        self.pair_files: PairFiles | None = None  # of the pair that is open or about to be
         self._requests: dict[str, tuple[Any, ...]] = {}  # those that wait: arguments by kind
         self._running_kind = ""
         self._closed = False
@@ -75,26 +66,19 @@ class Preview:
         """Open two models; requests and a running map of other models are dropped."""
         with self._condition:
             sides = files.schemes, files.ups, files.parts
-            self._pair_files = PairFiles(
-                files.target, files.source, files.texture, self._vertices, self._folder, *sides
-            )
+            self.pair_files = PairFiles(files.target, files.source, files.texture, self._vertices, self._folder, *sides)
             task = self._task
-            if task is not None and not isinstance(task, OpenModels) and task.pair_files != self._pair_files:
+            if task is not None and not isinstance(task, OpenModels) and task.pair_files != self.pair_files:
                 self._worker.cancel(task)
             self._requests.clear()
             self.request("models")
 
-    @property
-    def pair_files(self) -> PairFiles | None:
-        """The pair that is open or about to be."""
-        return self._pair_files
-
     def turn(self, side: Side, up: str, pose: str) -> None:
         """Draw the open models with another axis of a file up, in a pose; a running map is computed again."""
         with self._condition:
-            assert self._pair_files is not None
-            target, source = self._pair_files.ups
-            self._pair_files = replace(self._pair_files, ups=(up, source) if side == "target" else (target, up))
+            assert self.pair_files is not None
+            target, source = self.pair_files.ups
+            self.pair_files = replace(self.pair_files, ups=(up, source) if side == "target" else (target, up))
             if isinstance(self._task, FindMap):
                 self._worker.cancel(self._task)
             self.request("pose", pose)
@@ -110,8 +94,8 @@ class Preview:
     def set_image(self, image: Path | None) -> None:
         """Use an image of the source from the next task on."""
         with self._condition:
-            assert self._pair_files is not None
-            self._pair_files = replace(self._pair_files, texture=image)
+            assert self.pair_files is not None
+            self.pair_files = replace(self.pair_files, texture=image)
 
     def find(self, *, fresh: bool) -> None:
         """Compute the map, by an update if there is one and ``fresh`` is not set."""
@@ -166,7 +150,7 @@ class Preview:
     def _repeat_turned(self, task: Task) -> None:
         """Request a map again if the models were turned or got another image: its drawings are of those before."""
         with self._condition:
-            files = self._pair_files
+            files = self.pair_files
             assert files is not None
             drawn_files = replace(task.pair_files, ups=files.ups, texture=files.texture)
             if isinstance(task, FindMap) and task.pair_files != files == drawn_files:
@@ -182,7 +166,7 @@ class Preview:
             if self._closed:
                 return None
             kind = min(self._requests, key=_KINDS.index)
-            pair_files, arguments, self._running_kind = self._pair_files, self._requests.pop(kind), kind
+            pair_files, arguments, self._running_kind = self.pair_files, self._requests.pop(kind), kind
         # Outside the lock: the callee has its own lock, and may be waiting for this one.
         landmarks, preview_map, chosen_answer = self._current_inputs()
         assert pair_files is not None  # the first request is to open

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from cagemap.studio.finish_layout import in_page_words
 from cagemap.studio.landmark_edits import LandmarkEdits
 from cagemap.studio.landmark_files import INITIAL_LANDMARK_READERS, earlier_landmarks
 from cagemap.studio.landmarks import History, LandmarkList, SideNames
@@ -41,18 +39,12 @@ from cagemap.studio.state import (
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.tasks.match import ComputedMatch
 
-log = logging.getLogger(__name__)
-
 
 class PreviewResults(LandmarkEdits):
     """Starts tasks of the preview process, and changes the state by their results.
 
-    Parameters
-    ----------
-    vertices : int
-        Approximate number of vertices of each previewed surface.
-    folder : Path
-        Receives an image that is inside the source's file; earlier versions saved landmarks there.
+    ``vertices``: approximate number of vertices of each previewed surface.
+    ``folder``: receives an image that is inside the source's file; earlier versions saved landmarks there.
     """
 
     def __init__(self, vertices: int, folder: Path) -> None:
@@ -117,27 +109,24 @@ class PreviewResults(LandmarkEdits):
         if files is not None and self._scene is not None and files.ups != ups and not isinstance(result, Failure):
             self._scene = self._scene.turned(ups)
             self._change(files=replace(files, ups=ups))
-        if isinstance(result, Failure):
-            self._apply_failure(task, result, cancelled=cancelled)
-        elif isinstance(result, OpenedPair):
-            self._apply_models(result)
-        elif self._scene is None:  # the same models are being opened again
-            return
-        elif isinstance(result, MapUpdate) and isinstance(task, FindMap):
-            self._apply_map(self._scene, task, result)
-        elif isinstance(result, ImageUpdate):
-            self._show_skins(result.skins)
-            if files is not None:
-                self._change(files=replace(files, ups=ups, texture=result.texture))
-            self._say_all(map(in_page_words, result.notes))
-        elif isinstance(result, bytes) and isinstance(task, ShowBaked):
-            if task.image == self._state.view.baked:
-                self._show_skins((result, self._scene.skins[1]))
-        elif isinstance(result, tuple) and isinstance(task, ShowPosed):
-            if task.pose == self._state.view.pose:
-                self._show_skins(result)
-        else:
-            log.warning("unexpected result %r of %r", type(result), type(task))
+        match task, result:
+            case _, Failure() as failure:
+                self._apply_failure(task, failure, cancelled=cancelled)
+            case _, OpenedPair() as opened:
+                self._apply_models(opened)
+            case _ if self._scene is None:  # the same models are being opened again
+                return
+            case FindMap() as search, MapUpdate() as update:
+                self._apply_map(self._scene, search, update)
+            case _, ImageUpdate(skins, texture, notes):
+                self._show_skins(skins)
+                if files is not None:
+                    self._change(files=replace(files, ups=ups, texture=texture))
+                self._say_all(notes)
+            case ShowBaked(image=image), bytes() as skin if image == self._state.view.baked:
+                self._show_skins((skin, self._scene.skins[1]))
+            case ShowPosed(pose=pose), (bytes() as target, bytes() as source) if pose == self._state.view.pose:
+                self._show_skins((target, source))
 
     def _apply_failure(self, task: Task, failure: Failure, *, cancelled: bool) -> None:
         """Say why a task failed; open the requested parts if those of the autosave do not exist any more."""
@@ -194,7 +183,7 @@ class PreviewResults(LandmarkEdits):
                 self._say_all((*recorded.notes, *notes))
                 files = replace(files, recorded_match=replace(recorded, notes=()))
             self._change(files=replace(files, schemes=schemes, welds=welds, texture=source.texture))
-        self._say_all(tuple(map(in_page_words, target.notes + source.notes)))
+        self._say_all(target.notes + source.notes)
         self._load_initial_landmarks()
 
     def _keep_recorded_result(self, *lost_options: str) -> None:

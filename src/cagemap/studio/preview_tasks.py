@@ -15,25 +15,14 @@ from cagemap.tasks.match import ComputedMatch
 
 @dataclass(frozen=True)
 class PairFiles:
-    """Files of the open pair, and how the preview opens them.
-
-    Attributes
-    ----------
-    target, source : Path
-    texture : Path or None
-    vertices : int
-        Approximate number of vertices of each previewed surface.
-    folder : Path
-        Receives FBX models as GLB, and an image that is inside the source's file.
-    schemes, ups, parts : (str or None, str or None)
-        See `cagemap.studio.state.Files`.
-    """
+    """Files of the open pair, and how the preview opens them."""
 
     target: Path
     source: Path
     texture: Path | None
-    vertices: int
-    folder: Path
+    vertices: int  # approximate number of vertices of each previewed surface
+    folder: Path  # receives FBX models as GLB, and an image that is inside the source's file
+    # `schemes`, `ups`, `parts`: see `cagemap.studio.state.Files`
     schemes: SideNames = (None, None)
     ups: SideNames = (None, None)
     parts: SideNames = (None, None)
@@ -48,25 +37,15 @@ class OpenModels:
 
 @dataclass(frozen=True)
 class FindMap:
-    """Compute the map.
-
-    Attributes
-    ----------
-    pair_files : PairFiles
-    landmarks : LandmarkList
-    fresh : bool
-        Match from the start in place of an update of the last map. A chosen answer is kept where there are fewer than
-        three landmarks.
-    answer : int or None
-        Choose one of the alignments that are found without landmarks.
-    chosen_answer : int or str
-        The one chosen before, for a process without a map; or the name of that of an opened RESULT.
-    """
+    """Compute the map."""
 
     pair_files: PairFiles
     landmarks: LandmarkList
+    # Match from the start in place of an update of the last map. A chosen answer is kept where there are fewer than
+    # three landmarks.
     fresh: bool = False
-    answer: int | None = None
+    answer: int | None = None  # choose one of the alignments that are found without landmarks
+    # the one chosen before, for a process without a map; or the name of that of an opened RESULT
     chosen_answer: int | str = 0
 
 
@@ -126,23 +105,12 @@ class OpenedPair:
 
 @dataclass(frozen=True)
 class MapUpdate:
-    """Result of `FindMap`.
-
-    Attributes
-    ----------
-    preview_map : PreviewMap
-    skins : (bytes, bytes or None)
-        Target and source as drawn with the map; None: the source as before.
-    map_state : MapState
-        Without the revision.
-    computed : ComputedMatch or None
-        The map as a match from the start; None after an update.
-    """
+    """Result of `FindMap`."""
 
     preview_map: PreviewMap
-    skins: tuple[bytes, bytes | None]
-    map_state: MapState
-    computed: ComputedMatch | None = None
+    skins: tuple[bytes, bytes | None]  # target and source as drawn with the map; None: the source as before
+    map_state: MapState  # without the revision
+    computed: ComputedMatch | None = None  # the map as a match from the start; None after an update
 
 
 @dataclass(frozen=True)

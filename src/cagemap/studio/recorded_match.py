@@ -41,19 +41,11 @@ _KNOWN_FIELDS = {
 
 @dataclass(frozen=True)
 class RecordedMatch:
-    """What the studio takes over from the match of a RESULT.
+    """What the studio takes over from the match of a RESULT."""
 
-    Attributes
-    ----------
-    request : MatchRequest
-        Options and files that are taken over; paths are absolute.
-    answer_name : str
-        Name of the chosen alignment of several that were possible (``--answer``); '' for the first one, or if landmarks
-        determined it.
-    notes : tuple of str
-    """
-
-    request: MatchRequest
+    request: MatchRequest  # options and files that are taken over; paths are absolute
+    # name of the chosen alignment of several that were possible (``--answer``); '' for the first one, or if landmarks
+    # determined it
     answer_name: str = ""
     notes: tuple[str, ...] = ()
 
@@ -89,19 +81,9 @@ def match_of_result(
 ) -> tuple[RecordedMatch, list[str]]:
     """The match of a RESULT folder, and reasons why the studio cannot repeat it, in words.
 
-    Parameters
-    ----------
-    result : Path
-    manifest : dict
-    record : ResultRecord
-        The manifest, checked.
-    sides : mapping of str to Path
-        Target and source.
-
-    Raises
-    ------
-    FormatError
-        If an option has an impossible value.
+    ``record``: the manifest, checked.
+    ``sides``: target and source.
+    FormatError if an option has an impossible value.
     """
     parameters, lost, notes = record.parameters, _lost_options(result, manifest, record), list[str]()
     names = (*FORM_FIELDS, *_WELD_FIELDS, "exchange_landmarks", "answer")

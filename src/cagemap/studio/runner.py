@@ -19,16 +19,10 @@ _STAGE_SHARE = 0.15
 class Runner:
     """Runs the commands of one finish at a time in a thread.
 
-    Parameters
-    ----------
-    on_job : callable
-        Called at every command and stage, and with None at the end.
-    on_output : callable
-        Called with every written file.
-    on_message : callable
-        Called with warnings and errors of commands.
-    on_end : callable
-        Called with a summary, and whether the run was cancelled.
+    ``on_job``: called at every command and stage, and with None at the end.
+    ``on_output``: called with every written file.
+    ``on_message``: called with warnings and errors of commands.
+    ``on_end``: called with a summary, and whether the run was cancelled.
     """
 
     def __init__(

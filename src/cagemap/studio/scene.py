@@ -24,32 +24,16 @@ _SAME_PLACE_DISTANCE = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The open models, the map between them, and both as the page draws them.
-
-    Attributes
-    ----------
-    target, source : Shape
-    mirrors : two (n_control,) arrays or None
-        Mirror image of each control vertex of target and source.
-    skins : two bytes
-        Binary glTF files of target and source.
-    preview_map : PreviewMap or None
-    part_choices : two PartChoices
-        Parts of both files.
-    dense : two bool
-        Whether a model is subdivided although it looks like a scan.
-    has_colors : bool
-        Whether the source's materials have colours.
-    """
+    """The open models, the map between them, and both as the page draws them."""
 
     target: Shape
     source: Shape
-    mirrors: tuple[IndexArray | None, IndexArray | None]
-    skins: tuple[bytes, bytes]
+    mirrors: tuple[IndexArray | None, IndexArray | None]  # (n_control,) mirror images of control vertices
+    skins: tuple[bytes, bytes]  # binary glTF files of target and source
     preview_map: PreviewMap | None = None
-    part_choices: tuple[PartChoices, PartChoices] = (NO_PARTS, NO_PARTS)
-    dense: tuple[bool, bool] = (False, False)
-    has_colors: bool = False
+    part_choices: tuple[PartChoices, PartChoices] = (NO_PARTS, NO_PARTS)  # parts of both files
+    dense: tuple[bool, bool] = (False, False)  # whether a model is subdivided although it looks like a scan
+    has_colors: bool = False  # whether the source's materials have colours
 
     def shape(self, side: Side) -> Shape:
         """One of the models."""
@@ -64,11 +48,6 @@ class Scene:
         """The scene with other axes of the files up; see `cagemap.studio.state.Files`."""
         scene = replace(self, target=self.target.with_up(ups[0]), source=self.source.with_up(ups[1]))
         return replace(scene, source=scene.aligned_source)
-
-    @property
-    def has_mirrors(self) -> bool:
-        """Whether both models have a mirror plane."""
-        return all(mirror is not None for mirror in self.mirrors)
 
     def warm_up(self) -> None:
         """Compile and compute what the first click needs, in a thread."""

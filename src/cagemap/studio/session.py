@@ -11,8 +11,7 @@ from cagemap.files import IMAGE_SUFFIXES
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, move_aside, read_autosave_parts
-from cagemap.studio.finish import MAP_TITLE, Command, FinishOptions, made_of, plan_commands
-from cagemap.studio.finish_defaults import with_defaults
+from cagemap.studio.finish import MAP_TITLE, Command, FinishOptions, made_of, plan_commands, with_defaults
 from cagemap.studio.finish_layout import explain_flags, in_page_words
 from cagemap.studio.finish_map import WrittenMap, map_difference_notes
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks
@@ -39,13 +38,8 @@ from cagemap.tasks.requests.catalogue import Options
 class Session(PreviewResults):
     """State and actions of a running studio; may be called from any thread.
 
-    Parameters
-    ----------
-    workspace : Workspace
-    vertices : int
-        Approximate number of vertices of each previewed surface.
-    options : mapping
-        Options of the commands of a finish.
+    ``vertices``: approximate number of vertices of each previewed surface.
+    ``options``: options of the commands of a finish.
     """
 
     def __init__(self, workspace: Workspace, vertices: int, options: Options) -> None:
@@ -198,10 +192,7 @@ class Session(PreviewResults):
     def plan(self, options: FinishOptions) -> tuple[Command, ...]:
         """Commands that a press of *Bake* runs, with the page's alignment and the default options of `with_defaults`.
 
-        Raises
-        ------
-        ParameterError
-            If the target cannot be wrapped, or a value is refused.
+        ParameterError if the target cannot be wrapped, or a value is refused.
         """
         files, scene = self._require_open()
         has_constraints = self._state.history.present.has_constraints

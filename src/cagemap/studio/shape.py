@@ -19,48 +19,27 @@ from cagemap.surface.triangles import triangle_areas, triangle_frames
 
 @dataclass(frozen=True, eq=False)
 class OriginalMesh:
-    """The file's mesh, if the control mesh is welded, cleaned or a part of it.
-
-    Attributes
-    ----------
-    mesh : ControlMesh
-    vertex_of : (n,) int64
-        Control vertex of each of the file's vertices, -1 for those left out.
-    """
+    """The file's mesh, if the control mesh is welded, cleaned or a part of it."""
 
     mesh: ControlMesh
-    vertex_of: IndexArray
+    vertex_of: IndexArray  # (n,) control vertex of each of the file's vertices, -1 for those left out
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """Triangles of one subdivision level, at their limit positions.
-
-    Attributes
-    ----------
-    control : ControlMesh
-    positions, normals : (n, 3) float64
-        Limit positions in file units, unit normals; the first rows are the control vertices' points.
-    triangles : (t, 3) int64
-        Numbered as in point maps.
-    uvs : (p, 2) float64 or None
-    uv_triangles : (t, 3) int64 or None
-    faces : (t,) int64
-        Control face of every triangle.
-    original : OriginalMesh or None
-        None if the control mesh is the file's mesh.
-    rotation : (3, 3) float64
-        From file coordinates to the view, where y is up; multiplies rows from the right.
-    """
+    """Triangles of one subdivision level, at their limit positions."""
 
     control: ControlMesh
+    # `positions`, `normals`: (n, 3) limit positions in file units, unit normals; the first rows are the control
+    # vertices' points
     positions: FloatArray
     normals: FloatArray
-    triangles: IndexArray
-    uvs: FloatArray | None
-    uv_triangles: IndexArray | None
-    faces: IndexArray
-    original: OriginalMesh | None = None
+    triangles: IndexArray  # (t, 3) numbered as in point maps
+    uvs: FloatArray | None  # (p, 2)
+    uv_triangles: IndexArray | None  # (t, 3)
+    faces: IndexArray  # (t,) control face of every triangle
+    original: OriginalMesh | None = None  # None if the control mesh is the file's mesh
+    # (3, 3) from file coordinates to the view, where y is up; multiplies rows from the right
     rotation: FloatArray = field(default_factory=lambda: np.eye(3))
 
     @property
@@ -77,16 +56,6 @@ class Shape:
         numbers = None if self.original is None else self.control.file_vertices
         return vertices if numbers is None else numbers[vertices]
 
-    @property
-    def name(self) -> str:
-        """The mesh's file name."""
-        return self.control.name
-
-    @property
-    def n_control(self) -> int:
-        """Number of control vertices."""
-        return self.control.n_vertices
-
     @kept
     def edges(self) -> FloatArray:
         """(e, 2, 3) ends of the control mesh's edges, in file units."""
@@ -102,7 +71,7 @@ class Shape:
     def cage(self) -> TriangleSurface:
         """Control mesh with its vertices on the smooth surface, in the units of `surface`."""
         return TriangleSurface(
-            self.surface.positions[: self.n_control], cage_triangles(self.control)[0], self.surface.scale
+            self.surface.positions[: self.control.n_vertices], cage_triangles(self.control)[0], self.surface.scale
         )
 
     @kept
@@ -167,28 +136,17 @@ def refined_shape(
 
 @dataclass(frozen=True, eq=False)
 class Hit:
-    """Intersection of a ray and a shape.
-
-    Attributes
-    ----------
-    triangle : int
-    barycentric : (3,) float64
-    position : (3,) float64
-        In file units.
-    """
+    """Intersection of a ray and a shape."""
 
     triangle: int
-    barycentric: FloatArray
-    position: FloatArray
+    barycentric: FloatArray  # (3,)
+    position: FloatArray  # (3,) in file units
 
 
 def pick(shape: Shape, origin: FloatArray, direction: FloatArray) -> Hit | None:
     """First intersection of a ray with a shape.
 
-    Parameters
-    ----------
-    origin, direction : (3,) float64
-        In the view's coordinates.
+    ``origin``, ``direction``: (3,) in the view's coordinates.
     """
     start = shape.to_file(np.asarray(origin, dtype=np.float64))
     triangles, weights, distances = line_hits(
@@ -207,12 +165,8 @@ def line_hits(
 ) -> tuple[IndexArray, FloatArray, FloatArray]:
     """Intersections of a line with triangles (Moeller and Trumbore 1997, vectorised).
 
-    Returns
-    -------
-    triangle : (h,) int64
-    barycentric : (h, 3) float64
-    distance : (h,) float64
-        Signed, from the start, in lengths of ``line``.
+    Returns triangles (h,), barycentric coordinates (h, 3), and signed distances (h,) from the start in lengths of
+    ``line``.
     """
     candidates = _triangles_near_line(positions, triangles, start, line)
     a, b, c = (positions[triangles[candidates, k]] for k in range(3))

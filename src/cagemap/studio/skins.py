@@ -34,25 +34,12 @@ _MIN_SAMPLES_PER_SIDE, _MAX_SAMPLES_PER_SIDE, _MAX_SAMPLES = 3, 8, 50_000
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """Texture and colours of a model.
+    """Texture and colours of a model."""
 
-    Attributes
-    ----------
-    texture : (h, w, c) array or None
-        As displayed, 8 bits; tiles side by side.
-    jpeg : bytes or None
-        The texture as a JPEG file.
-    tiles : (int, int)
-        Columns and rows of tiles in the texture.
-    colors : (faces, 3) float64 or None
-        Linear material colours of the control faces.
-    other_parts : OtherParts or None
-    """
-
-    texture: Pixels | None = None
-    jpeg: bytes | None = None
-    tiles: tuple[int, int] = (1, 1)
-    colors: FloatArray | None = None
+    texture: Pixels | None = None  # (h, w, c) as displayed, 8 bits; tiles side by side
+    jpeg: bytes | None = None  # the texture as a JPEG file
+    tiles: tuple[int, int] = (1, 1)  # columns and rows of tiles in the texture
+    colors: FloatArray | None = None  # (faces, 3) linear material colours of the control faces
     other_parts: OtherParts | None = None
 
     def to_image_uvs(self, uvs: FloatArray) -> FloatArray:
@@ -62,13 +49,7 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class DrawnModel:
-    """A model in the view.
-
-    Attributes
-    ----------
-    shape : Shape
-    look : Look
-    """
+    """A model in the view."""
 
     shape: Shape
     look: Look
@@ -118,18 +99,11 @@ class DrawnModel:
 
 @dataclass(frozen=True, eq=False)
 class PreviewMap:
-    """Images of a target shape's vertices on the source shape.
+    """Images of a target shape's vertices on the source shape."""
 
-    Attributes
-    ----------
-    triangle : (n,) int64
-    barycentric : (n, 3) float64
-    trust : (n,) float64
-    """
-
-    triangle: IndexArray
-    barycentric: FloatArray
-    trust: FloatArray
+    triangle: IndexArray  # (n,)
+    barycentric: FloatArray  # (n, 3)
+    trust: FloatArray  # (n,)
 
     def pull_back(self, triangles: IndexArray, values: FloatArray) -> FloatArray:
         """Interpolate values at corners of source triangles at the image of each target vertex."""

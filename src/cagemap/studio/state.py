@@ -19,6 +19,7 @@ from cagemap.studio.recorded_match import RecordedMatch
 Mode = Literal["texture", "colours", "checker", "plain", "baked"]
 MODES: tuple[Mode, ...] = ("texture", "colours", "checker", "plain", "baked")
 MessageKind = Literal["error", "note"]
+NO_SCHEME = "none"  # of a model that is not subdivided
 _TILE_NUMBER = re.compile(r"\.1\d{3}$")
 # Ends the name of a copy of the target with a new UV layout.
 _UNWRAPPED_ENDING = "_unwrapped.obj"
@@ -30,41 +31,24 @@ MAX_MESSAGES = 100
 
 @dataclass(frozen=True)
 class Files:
-    """Files of the open pair, and how they are opened.
+    """Files of the open pair, and how they are opened."""
 
-    Attributes
-    ----------
-    target, source : Path
-        Control meshes.
-    texture : Path or None
-        Image over the source's UVs.
-    landmarks : Path
-        File that landmarks are saved to.
-    result : Path
-        RESULT folder of the finish.
-    schemes : (str or None, str or None)
-        Subdivision scheme of target and source, "none" for a plain mesh; None: as stated in the file.
-    ups : (str or None, str or None)
-        Up axis of target and source, "y" or "z"; None: as stated in the file, else by the shape or format.
-    parts : (str or None, str or None)
-        Part of each file, as `cagemap match --part` takes it; None: the whole file. Opening a file of several pieces
-        without a part sets this to its largest piece.
-    welds : (str or None, str or None)
-        Tolerance that each file was welded with when it was opened, as `cagemap match --weld` takes it.
-    recorded_match : RecordedMatch or None
-        The match of an opened RESULT.
-    """
-
+    # `target`, `source`: control meshes
     target: Path
     source: Path
-    texture: Path | None
-    landmarks: Path
-    result: Path
+    texture: Path | None  # image over the source's UVs
+    landmarks: Path  # file that landmarks are saved to
+    result: Path  # RESULT folder of the finish
+    # subdivision scheme of target and source, "none" for a plain mesh; None: as stated in the file
     schemes: SideNames = (None, None)
+    # up axis of target and source, "y" or "z"; None: as stated in the file, else by the shape or format
     ups: SideNames = (None, None)
+    # Part of each file, as `cagemap match --part` takes it; None: the whole file. Opening a file of several pieces
+    # without a part sets this to its largest piece.
     parts: SideNames = (None, None)
+    # tolerance that each file was welded with when it was opened, as `cagemap match --weld` takes it
     welds: SideNames = (None, None)
-    recorded_match: RecordedMatch | None = None
+    recorded_match: RecordedMatch | None = None  # the match of an opened RESULT
 
     def without_answer(self) -> Files:
         """The files without the alignment of an opened RESULT, which is of these models as they were matched."""
@@ -73,90 +57,45 @@ class Files:
 
 @dataclass(frozen=True)
 class View:
-    """How the models are shown.
+    """How the models are shown."""
 
-    Attributes
-    ----------
-    mode : str
-        "texture": the source's image, on the target through the map; "colours" and "checker": patterns on the source,
-        on the target through the map; "plain": both models without the map; "baked": a baked image in the target's
-        own layout.
-    cages : bool
-        Show control meshes as lines.
-    symmetric : bool
-        Add the mirror image of a new landmark on symmetric models.
-    doubts : bool
-        Show doubtful places of the map in red.
-    linked : bool
-        Both models turn together.
-    other_parts : bool
-        Show parts that are not open, in grey.
-    baked : Path or None
-        Image of mode "baked".
-    pose : str
-        Name of the pose in which both models are shown, one of `MapState.poses`; '' for none.
-    """
-
+    # "texture": the source's image, on the target through the map; "colours" and "checker": patterns on the source, on
+    # the target through the map; "plain": both models without the map; "baked": a baked image in the target's own
+    # layout
     mode: Mode = "texture"
-    cages: bool = False
-    symmetric: bool = True
-    doubts: bool = True
-    linked: bool = True
-    other_parts: bool = True
-    baked: Path | None = None
-    pose: str = ""
+    cages: bool = False  # show control meshes as lines
+    symmetric: bool = True  # add the mirror image of a new landmark on symmetric models
+    doubts: bool = True  # show doubtful places of the map in red
+    linked: bool = True  # both models turn together
+    other_parts: bool = True  # show parts that are not open, in grey
+    baked: Path | None = None  # image of mode "baked"
+    pose: str = ""  # name of the pose in which both models are shown, one of `MapState.poses`; '' for none
 
 
 @dataclass(frozen=True)
 class MapState:
-    """What is known about the current map.
+    """What is known about the current map."""
 
-    Attributes
-    ----------
-    revision : int
-        Number of finished maps; 0 before the first.
-    answers : tuple of str
-        Names of the alignments found without landmarks, best first; empty if there was no such search.
-    chosen_answer : int
-        The one that the map started from.
-    sought_answer : str
-        Name of the answer that an opened RESULT was computed from, until the preview has looked for it; else ''.
-    confidence : str
-        Message of the search about the first answer.
-    strain : dict of str to float
-        For each landmark name, how far the landmark would move without its constraint, in units of the model's size.
-    contradictions : dict of str to str
-        For each landmark name that contradicts the others, the reason.
-    notes : tuple of str
-        Warnings of the match.
-    suggestion : int or None
-        Control vertex of the target where the next landmark helps most.
-    unchecked : bool
-        Whether the map shown is not checked yet: a rough one, or an update. The rest is of the one before.
-    from_start : bool
-        Whether a match with these landmarks finds this map; False for a map that was only updated.
-    poor : str
-        Worst finding of a map that should not be used as it is; '' for others.
-    poses : tuple of str
-        Names of poses of the source's animations.
-    first_seconds : float
-        How long the first map took, from the models' being open; 0 before it.
-    """
-
-    revision: int = 0
+    revision: int = 0  # number of finished maps; 0 before the first
+    # names of the alignments found without landmarks, best first; empty if there was no such search
     answers: tuple[str, ...] = ()
-    chosen_answer: int = 0
+    chosen_answer: int = 0  # the one that the map started from
+    # name of the answer that an opened RESULT was computed from, until the preview has looked for it; else ''
     sought_answer: str = ""
-    confidence: str = ""
+    confidence: str = ""  # message of the search about the first answer
+    # for each landmark name, how far the landmark would move without its constraint, in units of the model's size
     strain: dict[str, float] = field(default_factory=dict)
+    # for each landmark name that contradicts the others, the reason
     contradictions: dict[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    suggestion: int | None = None
+    notes: tuple[str, ...] = ()  # warnings of the match
+    suggestion: int | None = None  # control vertex of the target where the next landmark helps most
+    # Whether the map shown is not checked yet: a rough one, or an update. The rest is of the one before.
     unchecked: bool = False
+    # whether a match with these landmarks finds this map; False for a map that was only updated
     from_start: bool = False
-    poor: str = ""
-    poses: tuple[str, ...] = ()
-    first_seconds: float = 0.0
+    poor: str = ""  # worst finding of a map that should not be used as it is; '' for others
+    poses: tuple[str, ...] = ()  # names of poses of the source's animations
+    first_seconds: float = 0.0  # how long the first map took, from the models' being open; 0 before it
 
     @property
     def answer_name(self) -> str:
@@ -191,52 +130,27 @@ class MapState:
 
 @dataclass(frozen=True)
 class RunningJob:
-    """A running computation, as the page shows it.
-
-    Attributes
-    ----------
-    title : str
-    stage : str
-        Current stage.
-    fraction : float or None
-        Share that is done, from 0 to 1; None if unknown.
-    begun : float
-        When the computation began, of `time.monotonic`.
-    """
+    """A running computation, as the page shows it."""
 
     title: str
     stage: str = ""
-    fraction: float | None = None
-    begun: float = field(default_factory=time.monotonic, compare=False)
+    fraction: float | None = None  # share that is done, from 0 to 1; None if unknown
+    begun: float = field(default_factory=time.monotonic, compare=False)  # when the computation began
 
 
 @dataclass(frozen=True)
 class Probe:
-    """A point under the mouse and its image under the map.
+    """A point under the mouse and its image under the map."""
 
-    Attributes
-    ----------
-    target, source : (x, y, z) or None
-        In file units.
-    text : str
-        Names of the parts of both points.
-    """
-
+    # `target`, `source`: in file units
     target: tuple[float, float, float] | None
     source: tuple[float, float, float] | None
-    text: str = ""
+    text: str = ""  # names of the parts of both points
 
 
 @dataclass(frozen=True)
 class Message:
-    """A message to the user.
-
-    Attributes
-    ----------
-    kind : str
-        "error" or "note".
-    text : str
-    """
+    """A message to the user."""
 
     kind: MessageKind
     text: str
@@ -244,58 +158,34 @@ class Message:
 
 @dataclass(frozen=True)
 class Output:
-    """A file or folder that a finish wrote, with the command's title.
-
-    ``uv_set`` is the target's UV set that its images are in; None: the first.
-    """
+    """A file or folder that a finish wrote, with the command's title."""
 
     path: Path
     title: str
-    uv_set: str | None = None
+    uv_set: str | None = None  # the target's UV set that its images are in; None: the first
 
 
 @dataclass(frozen=True)
 class StudioState:
-    """Everything that the pages show.
+    """Everything that the pages show."""
 
-    Attributes
-    ----------
-    files : Files or None
-        None until two models are chosen.
-    models : tuple of Path
-        Target and source as they were chosen; ``files`` has the files that FBX models are converted to.
-    history : History
-    selected : int or None
-        Number of the selected landmark.
-    proposal : Proposal or None
-        Place that the map proposes to complete the open landmark.
-    view : View
-    map : MapState
-    preview_job, finish_job : RunningJob or None
-        Running computations.
-    probe : Probe or None
-    messages : tuple of Message
-    answered_error : Message or None
-        The last error, if the user has done something else since: the status line no longer shows it.
-    outputs : tuple of Output
-    saved : bool
-        Whether the landmark file holds the current landmarks.
-    """
-
-    files: Files | None = None
+    files: Files | None = None  # None until two models are chosen
+    # target and source as they were chosen; ``files`` has the files that FBX models are converted to
     models: tuple[Path, ...] = ()
     history: History = field(default_factory=History)
-    selected: int | None = None
-    proposal: Proposal | None = None
+    selected: int | None = None  # number of the selected landmark
+    proposal: Proposal | None = None  # place that the map proposes to complete the open landmark
     view: View = View()
     map: MapState = MapState()
+    # `preview_job`, `finish_job`: running computations
     preview_job: RunningJob | None = None
     finish_job: RunningJob | None = None
     probe: Probe | None = None
     messages: tuple[Message, ...] = ()
+    # the last error, if the user has done something else since: the status line no longer shows it
     answered_error: Message | None = None
     outputs: tuple[Output, ...] = ()
-    saved: bool = True
+    saved: bool = True  # whether the landmark file holds the current landmarks
 
     @property
     def map_inputs(self) -> tuple[object, ...]:
@@ -372,10 +262,7 @@ def image_uv_set(state: StudioState, image: Path) -> str | None:
 def update_view(state: StudioState, **fields: object) -> View:
     """The view with changed fields; mode "baked" shows the first image of colours by default, else another one.
 
-    Raises
-    ------
-    ParameterError
-        If there is no baked image.
+    ParameterError if there is no baked image.
     """
     view = replace(map_view(state.view) if fields.get("pose") else state.view, **fields)  # type: ignore[arg-type]
     if view.mode != "baked" or view.baked is not None:

@@ -31,20 +31,11 @@ _CANCEL_MESSAGE = "cancel"
 
 @dataclass(frozen=True)
 class Failure:
-    """An error that ended a task.
+    """An error that ended a task."""
 
-    Attributes
-    ----------
-    kind : str
-        Name of the error's class, `STOPPED_KIND` or `CANCELLED_KIND`.
-    message : str
-    notes : tuple of str
-        Added to the error by `BaseException.add_note`.
-    """
-
-    kind: str
+    kind: str  # name of the error's class, `STOPPED_KIND` or `CANCELLED_KIND`
     message: str
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # added to the error by `BaseException.add_note`
 
 
 class _CancelledError(Exception):
@@ -83,15 +74,10 @@ def without_folders(texts: Iterable[str], folders: Iterable[Path]) -> tuple[str,
 class Worker:
     """Runs tasks, one after the other, in a process that can be killed.
 
-    Parameters
-    ----------
-    on_stage : callable
-        Called with the name of each stage.
-    serve : callable
-        Loop of the process: receives tasks, and sends stages and then the result, which may be a `Failure`; None in
-        place of a task ends it.
-    on_early_result : callable
-        Called with results before the task is done.
+    ``on_stage``: called with the name of each stage.
+    ``serve``: loop of the process: receives tasks, and sends stages and then the result, which may be a `Failure`; None
+        in place of a task ends it.
+    ``on_early_result``: called with results before the task is done.
     """
 
     def __init__(
@@ -113,18 +99,9 @@ class Worker:
             self._connect()
 
     def run(self, task: Any, is_cancelled: Callable[[], bool] = lambda: False) -> Any:
-        """Run a task and wait for its result.
+        """Run a task and wait for its result: a `Failure` also if the process ended.
 
-        Parameters
-        ----------
-        task : value
-        is_cancelled : callable
-            Asked before the task is sent, while `end` waits.
-
-        Returns
-        -------
-        result or Failure
-            `Failure` also if the process ended.
+        ``is_cancelled``: asked before the task is sent, while `end` waits.
         """
         with self._lock:
             try:

@@ -48,15 +48,9 @@ _MAX_LISTED_ENTRIES = 20_000
 
 @dataclass(frozen=True)
 class Workspace:
-    """Folders chosen at the start of the studio; nothing outside them is read or written.
+    """Folders chosen at the start of the studio; nothing outside them is read or written."""
 
-    Attributes
-    ----------
-    folders : tuple of Path
-        Resolved; new files are written to the first.
-    """
-
-    folders: tuple[Path, ...]
+    folders: tuple[Path, ...]  # resolved; new files are written to the first
 
     @classmethod
     def of(cls, *folders: Path) -> Workspace:
@@ -66,11 +60,8 @@ class Workspace:
     def resolve(self, path: str | Path) -> Path:
         """Return the absolute path; relative ones start at the first folder.
 
-        Raises
-        ------
-        ParameterError
-            If it, or a tile of an image, lies outside the folders, also through links. Files that a model names are
-            not looked at: who may place links in the folders may read them.
+        ParameterError if it, or a tile of an image, lies outside the folders, also through links. Files that a model
+        names are not looked at: who may place links in the folders may read them.
         """
         resolved = self._resolve_one(path)
         for tile in texture_files(resolved) if resolved.suffix.lower() in IMAGE_SUFFIXES else ():
@@ -93,22 +84,14 @@ class Workspace:
     def resolve_paths(self, value: DataclassT) -> DataclassT:
         """Resolve every path among a dataclass's fields.
 
-        Raises
-        ------
-        ParameterError
-            If one lies outside the folders.
+        ParameterError if one lies outside the folders.
         """
         values = {field.name: getattr(value, field.name) for field in fields(value)}  # type: ignore[arg-type]
         paths = {name: self.resolve(item) for name, item in values.items() if isinstance(item, Path)}
         return replace(value, **paths)  # type: ignore[type-var]
 
     def require_outputs(self, output: Path) -> None:
-        """Refuse an output whose links, or those of files next to it, lead outside.
-
-        Raises
-        ------
-        ParameterError
-        """
+        """Refuse an output whose links, or those of files next to it, lead outside."""
         self.resolve(output)
         siblings = (file for file in output.parent.glob(f"{glob.escape(output.stem)}*") if file.is_symlink())
         contents = (file for file in output.rglob("*") if file.is_symlink()) if output.is_dir() else ()
@@ -136,20 +119,10 @@ class Workspace:
     def add(self, name: str, content: bytes, added_names: Mapping[str, str] = MappingProxyType({})) -> Path:
         """Write a new file into the first folder, numbered if a file of other content has the name.
 
-        Parameters
-        ----------
-        name : str
-        content : bytes
-        added_names : mapping of str to str
-            Names under which files of the same drop were added, by the given ones: an OBJ, MTL, glTF or PLY file
-            names these.
-
-        Raises
-        ------
-        ParameterError
-            If the studio does not open such files, or a mesh refers to a file outside the folders.
-        FormatError
-            If it is an OBJ that is no text or a damaged USD file, or cannot be written.
+        ``added_names``: names under which files of the same drop were added, by the given ones: an OBJ, MTL, glTF or
+            PLY file names these.
+        ParameterError if the studio does not open such files, or a mesh refers to a file outside the folders.
+        FormatError if it is an OBJ that is no text or a damaged USD file, or cannot be written.
         """
         path = self.resolve(Path(name).name)
         if path.suffix.lower() not in UPLOAD_SUFFIXES:

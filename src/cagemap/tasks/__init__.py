@@ -112,10 +112,16 @@ def runner_of(request: object) -> Callable[[Any, Stages], tuple[str, Any]]:
     return runner
 
 
+def request_class(name: str) -> type:
+    """The request of a name, such as `DemoRequest`."""
+    kind: type = getattr(import_module(f"cagemap.tasks.requests.{_TASKS[name][0]}"), name)
+    return kind
+
+
 def __getattr__(name: str) -> object:
     if name not in _TASKS:
         raise AttributeError(f"module 'cagemap.tasks' has no attribute {name!r}")
-    request = getattr(import_module(f"cagemap.tasks.requests.{_TASKS[name][0]}"), name)
+    request = request_class(name)
     document_fields(request)
     return request
 

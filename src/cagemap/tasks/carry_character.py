@@ -162,13 +162,7 @@ class Bodies:
 
 
 def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stages) -> Bodies:
-    """Match the meshes of two parts, after repairs if they need any.
-
-    Raises
-    ------
-    ParameterError
-        If the piece of a part that is matched is only a fragment of it.
-    """
+    """Match the meshes of two parts, after repairs if they need any; refuse a part of which a fragment is matched."""
     ready = _ready_body(target), _ready_body(source)
     kept = landmarks.renumbered(*(mesh.vertex_of.__getitem__ for mesh in ready))
     stages("prepare")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import re
 import tomllib
-from dataclasses import MISSING, Field, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +88,7 @@ def stated_options(request: Any, folder: Path) -> dict[str, Any]:
     options = {}
     for field in fields(request):
         value = getattr(request, field.name)
-        if field.name in _PLACES or value is None or value == _default(field):
+        if field.name in _PLACES or value is None or value == field.default:
             continue
         # A mask is a name or a file: its suffix decides, not its type.
         file = mask_file(value) if field.name in ("target_mask", "source_mask") else None
@@ -108,10 +108,6 @@ def noted_options(folder: Path) -> dict[str, Any] | None:
 def _asset_name(path: Path) -> str:
     """A valid asset name from a mesh file's name."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", path.stem).strip("-._")[:60] or "model"
-
-
-def _default(field: Field[Any]) -> Any:
-    return field.default_factory() if field.default_factory is not MISSING else field.default
 
 
 def _write(path: Path, data: dict[str, Any]) -> None:

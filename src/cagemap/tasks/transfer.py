@@ -45,37 +45,12 @@ from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import ASSUMED_AT_VERTICES, keep_base, to_file_values, with_masks
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import refuse_unread
-from cagemap.tasks.requests.transfer import TransferRequest, require_map_names
+from cagemap.tasks.requests.transfer import READ_BY, TransferRequest, require_map_names
 from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
 from cagemap.tasks.usd_output import missing_file_warnings, texture_reference, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 
 Carrier = Callable[[TransferRequest, MatchResult, Stages], SummaryAndWarnings]
-# Kinds of data whose transfer reads an option; with other kinds the option is refused.
-_PICTURES = ("texture", "displacement", "normal_map", "vector_displacement", "bake", "material_colors")
-_MASKED = (*_PICTURES, "attribute", "weights", "blend_shapes")
-_READ_BY = {
-    "usd": ("texture", "attribute", "weights", "blend_shapes"),
-    "space": ("normal_map", "vector_displacement", "bake"),
-    "green": ("texture", "normal_map", "bake"),
-    "as_color": ("texture",),
-    "filter": _PICTURES,
-    "detail": ("bake",),
-    "detail_texture": ("bake",),
-    "rays": ("bake",),
-    "influences": ("weights",),
-    "only": ("weights",),
-    "mirror": ("weights",),
-    "kind": ("passenger",),
-    "size": _PICTURES,
-    "bits": _PICTURES,
-    "scale": ("displacement", "vector_displacement"),
-    "midlevel": ("displacement", "vector_displacement"),
-    "unwrap": _PICTURES,
-    "bases": (*_PICTURES, "attribute", "weights"),
-    "target_mask": _MASKED,
-    "source_mask": _MASKED,
-}
 
 
 def run_transfer(request: TransferRequest, stages: Stages) -> SummaryAndWarnings:
@@ -154,7 +129,7 @@ def _carrier(request: TransferRequest) -> Carrier:
             "kind of data."
         )
     require_green(request)
-    refuse_unread(request, _READ_BY, chosen)
+    refuse_unread(request, READ_BY, chosen)
     return carriers[chosen[0]]
 
 

@@ -122,7 +122,7 @@ class Actions:
 
         Landmarks and RESULT are those of the open pair, if both models are the same.
         """
-        opened, files = self._session.requested_files, default_files(target.parent, target, source, texture)
+        opened, files = self._session.requested_files, default_files(target, source, texture)
         if opened is None:
             return files
         stays = opened.target == target, opened.source == source

@@ -31,41 +31,19 @@ LIST_MESSAGE = '{"do":"list"}'
 
 @dataclass(frozen=True)
 class PageRequest:
-    """Options of `cagemap studio`.
+    """Options of `cagemap studio`."""
 
-    Attributes
-    ----------
-    files : Files or None
-        Opened at the start.
-    options : mapping
-        Options of the commands of a finish.
-    folders : tuple of Path
-        Nothing outside them is read or written.
-    host : str
-    port : int
-    vertices : int
-        Approximate number of vertices of each previewed surface.
-    open_browser : bool
-    """
-
-    files: Files | None
-    options: Options
-    folders: tuple[Path, ...]
+    files: Files | None  # opened at the start
+    options: Options  # options of the commands of a finish
+    folders: tuple[Path, ...]  # nothing outside them is read or written
     host: str = "127.0.0.1"
     port: int = 8765
-    vertices: int = 25_000
+    vertices: int = 25_000  # approximate number of vertices of each previewed surface
     open_browser: bool = True
 
 
 class StudioApp:
-    """A running studio.
-
-    Attributes
-    ----------
-    session : Session
-    address : str
-        To open in a browser.
-    """
+    """A running studio."""
 
     def __init__(self, request: PageRequest) -> None:
         self.session = Session(Workspace.of(*request.folders), request.vertices, request.options)
@@ -79,7 +57,7 @@ class StudioApp:
         )
         self.session.subscribe(lambda *_: self._changed.set())
         threading.Thread(target=self._send_changes, name="studio page", daemon=True).start()
-        self.address = self._server.address
+        self.address = self._server.address  # to open in a browser
         if request.files is not None:
             self.session.open(request.files)
 
@@ -154,10 +132,7 @@ class StudioApp:
 def run_page(request: PageRequest, tell: Callable[[str], None]) -> None:
     """Serve the studio until interrupted.
 
-    Raises
-    ------
-    ParameterError
-        If the address cannot be served.
+    ParameterError if the address cannot be served.
     """
     app = StudioApp(request)
     try:

@@ -31,13 +31,8 @@ def form_fields(
     The page sends values that a user changed, and those of entries with ``always_sent``. Options of an opened RESULT
     also have a ``default``, which the page takes when other models are opened.
 
-    Parameters
-    ----------
-    options : mapping
-    vertices : int
-        Of the map shown, which a bake uses where nothing else is typed.
-    recorded : mapping of (command, field) to value
-        Options of an opened RESULT.
+    ``vertices``: of the map shown, which a bake uses where nothing else is typed.
+    ``recorded``: options of an opened RESULT.
     """
     more = f"more, such as {DEFAULT_VERTICES}," if vertices < DEFAULT_VERTICES else "more"
     vertices_hint = f"of each model in the final map, approximately; {more} is finer and slower"
@@ -76,16 +71,8 @@ def form_fields(
 def read_form(options: Options, sent: Mapping[str, Any]) -> FinishOptions:
     """Read the values that a page sent.
 
-    Parameters
-    ----------
-    options : mapping
-    sent : mapping of str to value
-        By the keys of `form_fields`; missing ones have the default.
-
-    Raises
-    ------
-    ParameterError
-        If a value is of the wrong kind.
+    ``sent``: by the keys of `form_fields`; missing ones have the default.
+    ParameterError if a value is of the wrong kind.
     """
     labels = {field.key: field.label for section in sections(options) for field in section.fields}
     labels |= {VERTICES_KEY: "Vertices", SIZE_KEY: "Image size"}

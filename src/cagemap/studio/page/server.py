@@ -74,21 +74,12 @@ def _cookie_name(request: Request) -> str:
 class Server:
     """Serves the page in a thread until `close`.
 
-    Parameters
-    ----------
-    host : str
-    port : int
-        Following ports are tried if it is in use.
-    token : str or None
-        None only on a loopback address.
-    download : callable
-        Content and media type of a file by its name; None for an unknown name.
-    draw : callable
-        Binary glTF of a drawing by its key; None for an unknown or old key.
-    first_messages : callable
-        Messages for a page that connects, the second of them made after the first is sent.
-    on_message : callable
-        Called in a thread with a page's message and a function that replies to that page.
+    ``port``: following ports are tried if it is in use.
+    ``token``: None only on a loopback address.
+    ``download``: content and media type of a file by its name; None for an unknown name.
+    ``draw``: binary glTF of a drawing by its key; None for an unknown or old key.
+    ``first_messages``: messages for a page that connects, the second of them made after the first is sent.
+    ``on_message``: called in a thread with a page's message and a function that replies to that page.
     """
 
     def __init__(

@@ -49,7 +49,7 @@ def constant_entries() -> dict[str, Any]:
 def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, keys: dict[str, str]) -> dict[str, Any]:
     """Everything that a page shows; ``keys`` are those of its drawings."""
     map_state, present, view = state.map, state.history.present, state.view
-    confidence = confidence_text(map_state.confidence)
+    confidence, vertex = confidence_text(map_state.confidence), map_state.suggestion
     return {
         "status": status_entries(state, scene),
         "verdict": verdict(state, scene),
@@ -57,7 +57,7 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "files": None if state.files is None else _file_entries(state.files, workspace),
         "pair": [workspace.display_name(path) for path in state.models],
         "models": None if scene is None else {side: _model_entry(scene, side) for side in SIDES},
-        "symmetric": scene is not None and scene.has_mirrors,
+        "symmetric": scene is not None and all(mirror is not None for mirror in scene.mirrors),
         "drawn": keys,
         "view": {name: getattr(view, name) for name in _VIEW_FIELDS},
         "poses": map_state.poses,
@@ -73,7 +73,9 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "redo": len(state.history.future),
         "saved": state.saved,
         "revision": map_state.revision,
-        "suggests": None if scene is None else _suggestion_entry(map_state.suggestion, scene.target),
+        "suggests": None
+        if scene is None or vertex is None
+        else _place_entry(scene.target, vertex_place(scene.target, vertex)),
         "said": [
             *([confidence[:1].upper() + confidence[1:]] if confidence else []),
             *(confidence_text(in_page_words(text)) for text in (*map_state.contradictions.values(), *map_state.notes)),
@@ -118,7 +120,7 @@ def _model_entry(scene: Scene, side: Side) -> dict[str, Any]:
     shape, number = scene.shape(side), SIDES.index(side)
     choices = scene.part_choices[number]
     return {
-        "name": shape.name,
+        "name": shape.control.name,
         "vertices": len(shape.positions),
         "parts": list(zip(choices.titles, choices.faces, strict=True)),
         "opened": choices.opened,
@@ -154,10 +156,6 @@ def _landmark_entries(state: StudioState, scene: Scene) -> list[dict[str, Any]]:
             | points
         )
     return rows
-
-
-def _suggestion_entry(vertex: int | None, target: Shape) -> list[float] | None:
-    return None if vertex is None else _place_entry(target, vertex_place(target, vertex))
 
 
 def _place_entry(shape: Shape, place: Place) -> list[float]:

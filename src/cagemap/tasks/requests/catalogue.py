@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass
 from functools import cache
 from pathlib import Path
@@ -69,12 +69,12 @@ class CommandOption:
     def placed(self, value: Value, require: Callable[[Path], Path]) -> Value:
         """The value with paths passed through ``require``, which also checks links in folders."""
         if isinstance(value, Path):
-            return _placed(value, require)
+            return placed_path(value, require)
         if self.kind == "name or file" and isinstance(value, str):
             name = value.removeprefix(INVERT_PREFIX)
             if Path(name).suffix.lower() not in self.suffixes:
                 return value
-            return value[: len(value) - len(name)] + str(_placed(Path(name), require))
+            return value[: len(value) - len(name)] + str(placed_path(Path(name), require))
         if isinstance(value, tuple):
             return tuple(_placed_one(item, require) for item in value)  # type: ignore[return-value]
         return value
@@ -83,14 +83,9 @@ class CommandOption:
 Options = Mapping[Key, CommandOption]
 
 
-def catalogue(options: Iterable[CommandOption]) -> dict[Key, CommandOption]:
-    """Options by command and field."""
-    return {option.key: option for option in options}
-
-
 def all_options() -> Options:
     """Every option of the commands in `COMMANDS`."""
-    return catalogue(option for command, request in COMMANDS.items() for option in options_of(command, request))
+    return {option.key: option for command, request in COMMANDS.items() for option in options_of(command, request)}
 
 
 def request_of(command: str, values: Mapping[str, Value]) -> Request:
@@ -156,11 +151,12 @@ _KINDS: dict[Any, Kind] = {
 
 def _placed_one(one: object, require: Callable[[Path], Path]) -> object:
     if isinstance(one, tuple):
-        return one[0], _placed(one[1], require)
-    return _placed(one, require) if isinstance(one, Path) else one
+        return one[0], placed_path(one[1], require)
+    return placed_path(one, require) if isinstance(one, Path) else one
 
 
-def _placed(path: Path, require: Callable[[Path], Path]) -> Path:
+def placed_path(path: Path, require: Callable[[Path], Path]) -> Path:
+    """A path passed through ``require``, and the links in a folder too."""
     allowed = require(path)
     for file in allowed.iterdir() if allowed.is_dir() else ():
         if file.is_symlink():

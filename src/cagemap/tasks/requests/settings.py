@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_origin
 
 from cagemap.errors import ParameterError, wrong_values
-from cagemap.files.text import read_toml
+from cagemap.files.text import flatten_entries, read_toml
 from cagemap.tasks.requests.options import Option, option_fields
 
 # The field with parameters of the method, and the prefix of their names.
@@ -85,14 +85,6 @@ def _pairs(words: Sequence[str]) -> Iterator[tuple[str, Any, Path]]:
             yield name.strip(), value, Path()
         elif not equals and word.endswith(".toml"):
             table = read_toml(Path(word), "a file of settings")[1]
-            yield from ((name, value, Path(word).parent) for name, value in _flat(table))
+            yield from ((name, value, Path(word).parent) for name, value in flatten_entries("", table).items())
         else:
             raise ParameterError(f"--set: expected NAME=VALUE or a .toml file, got '{word}'.")
-
-
-def _flat(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in table.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{before}{name}.")
-        else:
-            yield f"{before}{name}", value
