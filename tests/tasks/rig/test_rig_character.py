@@ -91,6 +91,34 @@ def test_a_body_moved_and_scaled_moves_like_the_character(run: Run, files: Chara
         np.testing.assert_allclose(skinned_positions(found, made.rig, poses[1])[rows], expected, atol=2e-3 * size)
 
 
+def test_a_prop_with_a_motion_of_its_own_moves_at_the_place_and_size_of_the_body(
+    run: Run, files: Character, body: ControlMesh
+) -> None:
+    """A moon beside no joint, which turns and orbits: on a body that is scaled by 2, turned and shifted."""
+    place, turn = body.positions.max(axis=0), Rotation.from_rotvec([0.0, 0.4, 0.0]).as_matrix()
+    moon, count = ball("moon", np.array([0.02, 0.0, 0.0]), 0.1), ball("moon", place, 0.1).n_vertices
+    document = character_glb(replace(files, parts=(files.parts[0], Part("moon", moon))))
+    binary = Binary(document)
+    (node,) = (number for number, one in enumerate(document.json["nodes"]) if one["name"] == "moon")
+    document.json["nodes"][node]["translation"] = place.tolist()
+    times = binary.accessor(np.array([0.0, 1.0], "<f4"), min=[0.0], max=[1.0])
+    (animation,) = document.json["animations"]
+    quarter = [0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)]
+    for path, keys in (("translation", [place, place * [-1, 1, 1]]), ("rotation", [[0, 0, 0, 1], quarter])):
+        animation["samplers"].append({"input": times, "output": binary.accessor(np.array(keys, "<f4"))})
+        sampler = len(animation["samplers"]) - 1
+        animation["channels"].append({"sampler": sampler, "target": {"node": node, "path": path}})
+    write_document("C.glb", binary.document(document.json), force=True)
+    write_mesh("B.glb", body.with_positions(2 * body.positions @ turn + [0.1, 0.2, 0.3]), force=True)
+    made = rig_done(run)
+    posed = skinned_positions(part_named(made, "moon"), made.rig, pose_at(made.rig, made.animations[0], 1.0))
+    rotation = Rotation.from_quat(quarter).as_matrix().T
+    expected = 2 * (moon.positions @ rotation + place * [-1, 1, 1]) @ turn + [0.1, 0.2, 0.3]
+    size = float(np.ptp(body.positions, axis=0).max())
+    assert posed.shape == (count, 3)
+    np.testing.assert_allclose(np.sort(posed, axis=0), np.sort(expected, axis=0), atol=5e-3 * size)
+
+
 def test_animated_shapes_need_no_skeleton(run: Run, files: Character) -> None:
     write_character(Path("C.glb"), Character(tuple(replace(part, weights=None) for part in files.parts)))
     document = read_document("C.glb")
