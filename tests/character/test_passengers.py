@@ -182,6 +182,17 @@ def test_pieces_of_one_mesh_move_on_their_own_and_concentric_ones_together(body,
     np.testing.assert_allclose(ratio, 1.1, rtol=1e-9)
 
 
+def test_an_iris_of_its_own_mesh_moves_with_the_eyeball_that_it_lies_in(body: ControlMesh, ball: ControlMesh) -> None:
+    eye = moved(ball, (2.2, 0.8, 0.0))
+    disc = ball.with_positions(ball.positions * [0.5, 0.1, 0.5])
+    iris = replace(moved(disc, (2.2, 0.885, 0.0)), name="iris")
+    carried = carry_passengers(swollen(body), [eye, iris])
+    matrix = carried[0].matrices[0]
+    for mesh, one in zip((eye, iris), carried, strict=True):
+        expected = carried[0].positions[0] + (mesh.positions - eye.positions[0]) @ matrix
+        np.testing.assert_allclose(one.positions, expected, rtol=0, atol=1e-9)
+
+
 def test_passengers_carried_together_arrive_as_each_alone(body: ControlMesh, ball: ControlMesh) -> None:
     point_map, meshes = swollen(body), all_of(body, ball)
     for mesh, carried in zip(meshes, carry_passengers(point_map, meshes), strict=True):

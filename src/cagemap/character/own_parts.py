@@ -9,12 +9,13 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cagemap.character.passenger_pieces import EYES, PieceConfig, find_pieces
+from cagemap.character.passenger_pieces import PIECES, PieceConfig, find_pieces
 from cagemap.character.passengers import carry_passengers
 from cagemap.character.values import Part
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.parts import passenger_word
+from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.parts import join_meshes, passenger_word
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.skin import normalise_rows, prune_rows
@@ -32,10 +33,17 @@ def own_parts_with_weights(
     ``left_out``: parts of the source that are not carried.
     """
     assert body.weights is not None
-    rigid = [rigid_groups(part.mesh, point_map.target) for part in own]
-    words = {passenger_word(part.name) for part, groups in zip(own, rigid, strict=True) if groups} - {""}
+    if not own:
+        return []
+    mesh = join_meshes([part.mesh for part in own])
+    ends = np.cumsum([part.mesh.n_vertices for part in own])
+    groups = rigid_groups(mesh, point_map.target)
+    parts_of = [np.unique(np.searchsorted(ends, group, side="right")).tolist() for group in groups]
+    words = [max(passenger_word(own[number].name) for number in numbers) for numbers in parts_of]
     given = [
-        (part, part.weights) for part in left_out if part.weights is not None and passenger_word(part.name) in words
+        (part, part.weights)
+        for part in left_out
+        if part.weights is not None and passenger_word(part.name) in {*words} - {""}
     ]
     places, weights, words_of_rows = [np.zeros((0, 3))], [body.weights[:0]], list[str]()
     all_carried = carry_passengers(point_map, [part.mesh for part, _ in given])
@@ -45,27 +53,24 @@ def own_parts_with_weights(
             weights.append(given_weights[group])
             words_of_rows += [passenger_word(part.name)] * len(group)
     all_places, all_weights = np.concatenate(places), sparse.vstack(weights, format="csr")
-    made = []
-    for part, groups in zip(own, rigid, strict=True):
-        asked = part.mesh.positions
-        part_weights = body.weights[nearest_rows(body.mesh.positions, asked)]
-        if groups:
-            table = part_weights.toarray()
-            of_same_word = np.flatnonzero(np.array(words_of_rows) == passenger_word(part.name))
-            if len(of_same_word):
-                for group in groups:
-                    nearest = nearest_rows(all_places[of_same_word], asked[group])
-                    table[group] = all_weights[of_same_word[nearest]].toarray()
-            part_weights = sparse.csr_array(average_rows(table, groups, influences))
-        made.append(replace(part, weights=part_weights))
-    return made
+    own_weights = body.weights[nearest_rows(body.mesh.positions, mesh.positions)]
+    means, rows = [own_weights], np.arange(mesh.n_vertices)
+    for number, (group, word) in enumerate(zip(groups, words, strict=True)):
+        of_word = np.flatnonzero(np.array(words_of_rows) == word)
+        found = own_weights[group]
+        if len(of_word):
+            found = all_weights[of_word[nearest_rows(all_places[of_word], mesh.positions[group])]]
+        means.append(sparse.csr_array(limit_influences(found.toarray().mean(axis=0)[None], influences)))
+        rows[group] = mesh.n_vertices + number
+    table = sparse.vstack(means, format="csr")
+    return [replace(part, weights=table[of_part]) for part, of_part in zip(own, np.split(rows, ends[:-1]), strict=True)]
 
 
-def rigid_groups(mesh: ControlMesh, surface: TriangleSurface, config: PieceConfig = EYES) -> list[IndexArray]:
+def rigid_groups(mesh: ControlMesh, surface: TriangleSurface, config: PieceConfig = PIECES) -> list[IndexArray]:
     """Vertices of each group of pieces that keeps its shape, such as an eyeball; lengths by the body's surface."""
     places = surface.scale * mesh.positions
     # Heights of 0: no part, such as a wide skirt, is rigid because it is far from the body.
-    return find_pieces(mesh, places, np.zeros(len(places)), None, config).rigid_groups()
+    return find_pieces(cage_triangles(mesh)[0], places, np.zeros(len(places)), None, config).rigid_groups()
 
 
 def average_rows(table: FloatArray, groups: Collection[IndexArray], influences: int | None) -> FloatArray:

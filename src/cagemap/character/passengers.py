@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress, pairwise
 
 import numpy as np
 
@@ -56,9 +57,9 @@ def carry_passengers(
 ) -> list[CarriedPassenger]:
     """Carry meshes on the source's body to the target's body.
 
-    Cloth follows the surface below it at its old distance. Small compact pieces (eyeballs, buttons, teeth) and pieces
-    far from the body keep their shape, as 'similarity' does; `find_pieces` decides which. Cloth outside the source's
-    body stays outside the target's.
+    Cloth follows the surface below it at its old distance. Small compact pieces (eyeballs with
+    their irises, buttons, teeth) and pieces far from the body keep their shape, as 'similarity' does; `find_pieces`
+    decides which. Cloth outside the source's body stays outside the target's.
 
     Parameters
     ----------
@@ -106,16 +107,21 @@ def carry_passengers(
     places, matrices = frames.carry(points, distances)
     contact = Contact.find(frames, points, triangles, distances.normals, matrices)
     places = push_out(target, contact, places, np.concatenate(triangles))
-    factor = source.scale / target.scale
-    carried = []
-    for mesh, start in zip(meshes, starts[:-1], strict=True):
-        rows = slice(start, start + mesh.n_vertices)
-        pieces = find_pieces(mesh, points[rows], distances.heights[rows], kinds.get(mesh.name))
-        positions, turns, scales = fit_similarities(pieces, points[rows], places[rows], matrices[rows])
-        linear_map = factor * scales[:, None, None] * turns
-        distance = float(np.abs(distances.heights[rows]).mean())
-        carried.append(CarriedPassenger(positions / target.scale, linear_map, distance))
-    return carried
+    kind_of = [kinds.get(mesh.name) for mesh in meshes]
+    positions, linear_maps = np.empty_like(places), np.empty_like(matrices)
+    for of_group in dict.fromkeys(kind_of):  # meshes of one kind together: an iris joins the eyeball of another mesh
+        is_taken = [one == of_group for one in kind_of]
+        rows = np.flatnonzero(np.repeat(is_taken, np.diff(starts)))
+        of_kind = np.searchsorted(rows, np.concatenate(list(compress(triangles, is_taken))))
+        pieces = find_pieces(of_kind, points[rows], distances.heights[rows], of_group)
+        positions[rows], turns, scales = fit_similarities(pieces, points[rows], places[rows], matrices[rows])
+        linear_maps[rows] = source.scale / target.scale * scales[:, None, None] * turns
+    return [
+        CarriedPassenger(
+            positions[rows] / target.scale, linear_maps[rows], float(np.abs(distances.heights[rows]).mean())
+        )
+        for rows in (slice(start, end) for start, end in pairwise(starts.tolist()))
+    ]
 
 
 # Mean distance of a passenger from the body, in sqrt(body area), above which its units or place are doubtful.

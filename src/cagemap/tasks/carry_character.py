@@ -17,7 +17,7 @@ from cagemap.character.own_parts import (
     own_parts_with_weights,
     rigid_groups,
 )
-from cagemap.character.passenger_pieces import EYES, PassengerKind, PieceConfig
+from cagemap.character.passenger_pieces import PIECES, PassengerKind, PieceConfig
 from cagemap.character.passengers import CarriedPassenger, carry_passengers, hidden_passenger
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body
@@ -218,7 +218,7 @@ def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
     return made
 
 
-def rigid_pieces(bodies: Bodies, config: PieceConfig = EYES) -> list[IndexArray]:
+def rigid_pieces(bodies: Bodies, config: PieceConfig = PIECES) -> list[IndexArray]:
     """Vertices of each unmatched piece of the target's mesh that keeps its shape, such as an eyeball."""
     mesh, unmatched = bodies.given[0].mesh, bodies.ready[0].vertex_of < 0
     if not unmatched.any():

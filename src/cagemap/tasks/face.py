@@ -9,7 +9,7 @@ import numpy as np
 
 from cagemap.character.body_frames import BodyFrames
 from cagemap.character.bones import humanoid_joints
-from cagemap.character.passenger_pieces import EYES
+from cagemap.character.passenger_pieces import PIECES
 from cagemap.character.self_collision import move_apart
 from cagemap.character.values import Character, Part, Rig
 from cagemap.errors import ParameterError
@@ -43,7 +43,7 @@ from cagemap.tasks.rig_character import (
 # Least trusted share of a head's area: heads have 0.98 and more, a whole body 0.5.
 _LEAST_TRUSTED_SHARE = 0.8
 # Radius of eyeballs in units of sqrt(area) of the head; MakeHuman's have 0.04, drawn characters' are larger.
-_EYES = replace(EYES, max_radius=0.1)
+_EYES = replace(PIECES, max_radius=0.1)
 _AROUND_EYES = ("eye", "brow", "cheekSquint")  # beginnings of names of shapes
 _COLUMNS, _PIXELS = 9, 200
 _VIEW = View("face", 15.0, 3.0)

@@ -91,6 +91,34 @@ def test_a_body_moved_and_scaled_moves_like_the_character(run: Run, files: Chara
         np.testing.assert_allclose(skinned_positions(found, made.rig, poses[1])[rows], expected, atol=2e-3 * size)
 
 
+def test_a_prop_with_a_motion_of_its_own_moves_at_the_place_and_size_of_the_body(
+    run: Run, files: Character, body: ControlMesh
+) -> None:
+    """A moon beside no joint, which turns and orbits: on a body that is scaled by 2, turned and shifted."""
+    place, turn = body.positions.max(axis=0), Rotation.from_rotvec([0.0, 0.4, 0.0]).as_matrix()
+    moon, count = ball("moon", np.array([0.02, 0.0, 0.0]), 0.1), ball("moon", place, 0.1).n_vertices
+    document = character_glb(replace(files, parts=(files.parts[0], Part("moon", moon))))
+    binary = Binary(document)
+    (node,) = (number for number, one in enumerate(document.json["nodes"]) if one["name"] == "moon")
+    document.json["nodes"][node]["translation"] = place.tolist()
+    times = binary.accessor(np.array([0.0, 1.0], "<f4"), min=[0.0], max=[1.0])
+    (animation,) = document.json["animations"]
+    quarter = [0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)]
+    for path, keys in (("translation", [place, place * [-1, 1, 1]]), ("rotation", [[0, 0, 0, 1], quarter])):
+        animation["samplers"].append({"input": times, "output": binary.accessor(np.array(keys, "<f4"))})
+        sampler = len(animation["samplers"]) - 1
+        animation["channels"].append({"sampler": sampler, "target": {"node": node, "path": path}})
+    write_document("C.glb", binary.document(document.json), force=True)
+    write_mesh("B.glb", body.with_positions(2 * body.positions @ turn + [0.1, 0.2, 0.3]), force=True)
+    made = rig_done(run)
+    posed = skinned_positions(part_named(made, "moon"), made.rig, pose_at(made.rig, made.animations[0], 1.0))
+    rotation = Rotation.from_quat(quarter).as_matrix().T
+    expected = 2 * (moon.positions @ rotation + place * [-1, 1, 1]) @ turn + [0.1, 0.2, 0.3]
+    size = float(np.ptp(body.positions, axis=0).max())
+    assert posed.shape == (count, 3)
+    np.testing.assert_allclose(np.sort(posed, axis=0), np.sort(expected, axis=0), atol=5e-3 * size)
+
+
 def test_animated_shapes_need_no_skeleton(run: Run, files: Character) -> None:
     write_character(Path("C.glb"), Character(tuple(replace(part, weights=None) for part in files.parts)))
     document = read_document("C.glb")
@@ -330,27 +358,30 @@ def test_a_piece_that_stays_moves_as_that_of_the_character(body: ControlMesh, in
         np.testing.assert_allclose(made.shapes[name], 2.0 * offsets, atol=1e-3)
 
 
-@pytest.mark.parametrize("has_eyes", [False, True])
-def test_an_own_eyeball_moves_as_a_whole(body: ControlMesh, has_eyes: bool) -> None:
+@pytest.mark.parametrize(("has_eyes", "in_one_part"), [(False, True), (True, True), (True, False)])
+def test_an_own_eyeball_moves_as_a_whole(body: ControlMesh, has_eyes: bool, in_one_part: bool) -> None:
     """It follows the character's eye joint, or the skin around it on average; so do its iris and a ball in the mesh."""
     top = body.positions[np.argmax(body.positions[:, 1])]
     eye, button = ball("eye", top - [0, 0.4, 0], 0.2), ball("button", top - [0, 2.4, 0], 0.2)
     meshes = [replace(one, face_objects=None, object_names=()) for one in (body, button)]
     iris = ball("iris", np.zeros(3), 0.1)
     iris = iris.with_positions(iris.positions * [1.0, 1.0, 0.1] + top - [0, 0.4, 0.2])
-    own_eye = Part("My eyes", replace(join_meshes([eye, iris]), face_objects=None, object_names=()))
-    own = Part("body", replace(with_options(join_meshes(meshes), "none"), name="B.glb")), own_eye
+    eyes = [Part("My eyes", eye), Part("Iris", iris)]
+    if in_one_part:
+        eyes = [Part("My eyes", replace(join_meshes([eye, iris]), face_objects=None, object_names=()))]
+    own = Part("body", replace(with_options(join_meshes(meshes), "none"), name="B.glb")), *eyes
     height = body.positions[:, 1] - body.positions[:, 1].min()
     share = height / height.max()
     weights = sparse.csr_array(np.column_stack([1 - share, share, np.zeros(len(share))]))
     of_eye = sparse.csr_array(np.tile([[0.0, 0.0, 1.0]], (eye.n_vertices, 1)))
     parts = Part("body", replace(body, name="C.glb"), weights), *([Part("eye", eye, of_eye)] if has_eyes else [])
     rig = Rig(("root", "head", "look"), np.array([-1, 0, 1]), *2 * [np.tile(np.eye(4), (3, 1, 1))])
-    made, made_eye = carry_character(Character(own), Character(parts, rig)).character.parts
-    for found in (made_eye.weights.toarray(), made.weights.toarray()[body.n_vertices :]):
+    made, *made_eyes = carry_character(Character(own), Character(parts, rig)).character.parts
+    of_eyes = np.concatenate([part.weights.toarray() for part in made_eyes])
+    for found in (of_eyes, made.weights.toarray()[body.n_vertices :]):
         np.testing.assert_allclose(np.ptp(found, axis=0), 0.0, atol=1e-12)
         np.testing.assert_allclose(found.sum(axis=1), 1.0)
-    np.testing.assert_allclose(made_eye.weights.toarray()[0, 2], float(has_eyes))
+    np.testing.assert_allclose(of_eyes[0, 2], float(has_eyes))
 
 
 def test_a_part_where_the_mesh_of_the_body_has_a_piece_is_named(body: ControlMesh) -> None:
