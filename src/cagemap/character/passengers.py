@@ -10,7 +10,9 @@ import numpy as np
 
 from cagemap.character.body_frames import BodyFrames, SignedDistances
 from cagemap.character.contact import Contact, push_out
+from cagemap.character.normals import move_vertices
 from cagemap.character.passenger_pieces import PASSENGER_KINDS, PassengerKind, find_pieces, fit_similarities
+from cagemap.character.values import Part
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
@@ -124,6 +126,17 @@ def carry_passengers(
     ]
 
 
+def carried_parts(
+    result: PointMap | MatchResult, parts: Sequence[Part], *, kinds: Mapping[str, PassengerKind] | None = None
+) -> list[Part]:
+    """Parts of the source, with their shapes, on the target's body; see `carry_passengers`."""
+    carried = carry_passengers(result, [part.mesh for part in parts], kinds=kinds)
+    return [
+        move_vertices(part, one.positions, {name: one.carry_offsets(offsets) for name, offsets in part.shapes.items()})
+        for part, one in zip(parts, carried, strict=True)
+    ]
+
+
 # Mean distance of a passenger from the body, in sqrt(body area), above which its units or place are doubtful.
 MAX_BODY_DISTANCE = 0.5
 
@@ -140,9 +153,12 @@ def far_passenger(name: str, body: str, distance: float, factor: float) -> str:
 _MAX_HIDDEN_SHARE = 0.5
 
 
-def hidden_passenger(point_map: PointMap, mesh: ControlMesh, carried: CarriedPassenger) -> list[str]:
-    """A note on a rigid passenger that is inside the target's body, but not in the source's."""
-    sides = (point_map.source, mesh.positions), (point_map.target, carried.positions)
+def hidden_passenger(point_map: PointMap, mesh: ControlMesh, carried: FloatArray) -> list[str]:
+    """A note on a rigid passenger that is inside the target's body, but not in the source's.
+
+    ``carried``: (n, 3) its positions on the target.
+    """
+    sides = (point_map.source, mesh.positions), (point_map.target, carried)
     before, share = ((SignedDistances.of(body, body.scale * at).heights < 0.0).mean() for body, at in sides)
     if share <= before + _MAX_HIDDEN_SHARE:
         return []

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from cagemap.character.doubled_pieces import PairedFaces, doubled_pieces, pieces_in_surface
-from cagemap.character.normals import move_vertices, with_shape_normals
+from cagemap.character.normals import with_shape_normals
 from cagemap.character.own_parts import (
     average_rows,
     limit_influences,
     nearest_rows,
-    own_parts_with_weights,
+    parts_of_one_kind,
     rigid_groups,
+    with_nearest_values,
 )
 from cagemap.character.passenger_pieces import PIECES, PassengerKind, PieceConfig
-from cagemap.character.passengers import CarriedPassenger, carry_passengers, hidden_passenger
+from cagemap.character.passengers import CarriedPassenger, carried_parts, carry_passengers, hidden_passenger
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body
 from cagemap.character.skeleton import carry_rig
@@ -73,10 +76,10 @@ def carry_character(
     """Rig and dress a body like a character.
 
     ``target``: its body gets the source's rig and animations, and keeps its own shapes, also against shapes of the same
-        name; its other parts stay, with weights by `own_parts_with_weights`.
+        name; its other parts stay, with weights and shapes by `with_nearest_values`.
     ``bodies``: names of the target's and of the source's body; by default `find_body` finds them.
     ``passengers``: names of the source's other parts to carry; by default all whose `passenger_word` no other part of
-        the target has.
+        the target has and at whose place none of its nameless parts is.
     ``kinds``: see `carry_passengers`.
     ``influences``: most joints per vertex of the body; None for all.
     ``taken``: names that no other part of the target keeps, such as those of joints.
@@ -92,30 +95,37 @@ def carry_character(
     notes += matched.notes
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]
     others = [part for part in target.parts if part is not target_body]
-    pieces, counterparts, left_out = _pieces_to_carry(matched, others, named=set(kinds or ()))
-    notes += left_out
+    pieces, counterparts, left_out_notes = _pieces_to_carry(matched, others, named=set(kinds or ()))
+    notes += left_out_notes
     to_carry = [*chosen, *([] if pieces is None else [pieces])]
     stages("weights and shapes")
     weights, shapes = _body_weights(matched, counterparts, influences), body_shapes(matched)
     for name, offsets in counterparts.shapes.items():
         shapes[name][counterparts.vertices] = offsets
     body = replace(target_body, name=source_body.name, weights=weights, shapes={**shapes, **target_body.shapes})
-    body = with_shape_normals(body, [name for name in source_body.shape_normals if name not in target_body.shapes])
-    taken = {*taken, *(part.name for part in (body, *to_carry))}
-    extras = [replace(part, name=f"{part.name} (own)") if part.name in taken else part for part in others]
-    if weights is not None:
-        extras = own_parts_with_weights(extras, body, declined, result.point_map, influences)
     stages("passengers")
-    carried = carry_passengers(result, [part.mesh for part in to_carry], kinds=kinds)
-    for part, one in zip(to_carry, carried, strict=True):
-        if (kinds or {}).get(part.name) == "rigid":
-            notes += hidden_passenger(result.point_map, part.mesh, one)
+    dressed = carried_parts(result, to_carry, kinds=kinds)
+    left_out = carried_parts(result, declined if others else [])
+    same_kind = parts_of_one_kind([*dressed[: len(chosen)], *left_out], others)
     if passengers is None:
-        notes += _doubled_passengers(matched, zip(chosen, carried[: len(chosen)], strict=True))
-    dressed = [
-        move_vertices(part, one.positions, {name: one.carry_offsets(offsets) for name, offsets in part.shapes.items()})
-        for part, one in zip(to_carry, carried, strict=True)
-    ]
+        has_own = {*chain.from_iterable(same_kind)}
+        doubled = [part.name for part in dressed[: len(chosen)] if part in has_own and part.name not in (kinds or ())]
+        if doubled:
+            notes += _declined_note(doubled)
+            to_carry = [part for part in to_carry if part.name not in doubled]
+            dressed = carried_parts(result, to_carry, kinds=kinds)
+        notes += _doubled_passengers(matched, dressed[: len(chosen) - len(doubled)])
+    for part, one in zip(to_carry, dressed, strict=True):
+        if (kinds or {}).get(part.name) == "rigid":
+            notes += hidden_passenger(result.point_map, part.mesh, one.mesh.positions)
+    if weights is not None:
+        same_kind = [[part for part in parts if part.weights is not None] for parts in same_kind]
+    skin = replace(body, shapes={name: body.shapes[name] for name in shapes})
+    skin = _part_of_faces(skin, np.flatnonzero(_matched_faces(body.mesh, matched.ready[0])))
+    extras = with_nearest_values(others, skin, same_kind, result.point_map.target, influences)
+    taken = {*taken, *(part.name for part in (body, *to_carry))}
+    extras = [replace(part, name=f"{part.name} (own)") if part.name in taken else part for part in extras]
+    body = with_shape_normals(body, [name for name in source_body.shape_normals if name not in target_body.shapes])
     rig, animations = None, source.animations  # without a skeleton, those of blend shapes
     if source.rig is not None:
         stages("skeleton and animations")
@@ -296,14 +306,14 @@ def _values_of_pairs(
     )
 
 
-def _doubled_passengers(bodies: Bodies, carried: Iterable[tuple[Part, CarriedPassenger]]) -> list[str]:
+def _doubled_passengers(bodies: Bodies, dressed: Sequence[Part]) -> list[str]:
     """A note on carried parts at whose place the mesh of the target's body has pieces."""
     own = _set_aside(bodies.given[0], bodies.ready[0])
     if own is None:
         return []
     doubled = []
-    for part, place in carried:
-        pairs = doubled_pieces(part.mesh.with_positions(place.positions), own.mesh)
+    for part in dressed:
+        pairs = doubled_pieces(part.mesh, own.mesh)
         doubled += [part.name] if sum(len(faces) for faces, _ in pairs) == part.mesh.n_faces else []
     text = "has pieces where they are carried to: --passengers without them leaves them out"
     return [f"{', '.join(doubled)}: the mesh of {bodies.given[0].mesh.name} {text}"] if doubled else []
@@ -311,13 +321,17 @@ def _doubled_passengers(bodies: Bodies, carried: Iterable[tuple[Part, CarriedPas
 
 def _set_aside(body: Part, ready: RepairedMesh) -> Part | None:
     """Unmatched pieces of a body's mesh as a separate part; None without any."""
-    mesh = body.mesh
-    kept = np.maximum.reduceat(ready.vertex_of[mesh.face_indices], mesh.face_offsets[:-1]) >= 0
-    if kept.all():
+    matched = _matched_faces(body.mesh, ready)
+    if matched.all():
         return None
-    pieces = _part_of_faces(body, np.flatnonzero(~kept))
+    pieces = _part_of_faces(body, np.flatnonzero(~matched))
     name = _name_of_pieces(body)
     return replace(pieces, name=name, mesh=replace(pieces.mesh, name=name))
+
+
+def _matched_faces(mesh: ControlMesh, ready: RepairedMesh) -> NDArray[np.bool_]:
+    """(m,) whether a face of a body's mesh belongs to the piece that is matched."""
+    return np.maximum.reduceat(ready.vertex_of[mesh.face_indices], mesh.face_offsets[:-1]) >= 0
 
 
 def _name_of_pieces(body: Part) -> str:
@@ -365,8 +379,12 @@ def _select_passengers(
         return [part for part in candidates if part.name in names], []
     roles = {passenger_word(part.name) for part in target.parts if part is not target_body} - {""}
     declined = [part.name for part in candidates if passenger_word(part.name) in roles]
-    notes = [f"{', '.join(declined)}: the body has its own and keeps them; name them as passengers to carry them"]
-    return [part for part in candidates if part.name not in declined], notes if declined else []
+    return [part for part in candidates if part.name not in declined], _declined_note(declined)
+
+
+def _declined_note(names: Sequence[str]) -> list[str]:
+    note = "the body has its own and keeps them; name them as passengers to carry them"
+    return [f"{', '.join(names)}: {note}"] if names else []
 
 
 def _require_passengers(names: Iterable[str], known: Sequence[str], declined: Collection[str]) -> None:
