@@ -1,8 +1,9 @@
-"""Skinning weights of the target's own parts, such as eyes: all vertices of a rigid piece have the same weights."""
+"""Skinning weights and blend shapes of the target's own parts, such as eyes, lashes and teeth."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +17,17 @@ from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.parts import join_meshes, passenger_word
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, label_components
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.skin import normalise_rows, prune_rows
+
+# Parts that move with the skin at their roots, and parts in the mouth. Eyelashes are no eyes.
+_HAIRS = re.compile("lash|brow|beard|moustache", re.IGNORECASE)
+_IN_MOUTH = re.compile("teeth|tooth|tongue|gum", re.IGNORECASE)
+# A root's distance from the skin counts this much more than its distance from the vertex (docs/lab/characters.md).
+_ROOT_WEIGHT = 5.0
+# Of a part's size: shapes that move it by less are left out.
+_MIN_SHIFT = 1e-3
 
 
 def own_parts_with_weights(
@@ -64,6 +73,72 @@ def own_parts_with_weights(
         rows[group] = mesh.n_vertices + number
     table = sparse.vstack(means, format="csr")
     return [replace(part, weights=table[of_part]) for part, of_part in zip(own, np.split(rows, ends[:-1]), strict=True)]
+
+
+def own_parts_with_shapes(
+    own: Sequence[Part],
+    skin: FloatArray,
+    shapes: Mapping[str, FloatArray],
+    left_out: Sequence[Part],
+    point_map: PointMap,
+) -> list[Part]:
+    """Parts of the target with shapes: lashes, brows and beards of the skin, teeth and tongues of ``left_out`` parts.
+
+    Shapes that a part has itself stay.
+
+    ``skin``: (m, 3) vertices of the target's body, and ``shapes`` their offsets.
+    ``left_out``: parts of the source that are not carried.
+    """
+    made = []
+    for part in own:
+        word = _mouth_word(part.name)
+        twin = next((one for one in left_out if word and one.shapes and _mouth_word(one.name) == word), None)
+        if twin is not None:
+            (carried,) = carry_passengers(point_map, [twin.mesh])
+            rows = nearest_rows(carried.positions, part.mesh.positions)
+            made.append(_with_shapes(part, rows, {n: carried.carry_offsets(one) for n, one in twin.shapes.items()}))
+        else:
+            made.append(with_shapes_of_skin(part, skin, shapes))
+    return made
+
+
+def with_shapes_of_skin(part: Part, skin: FloatArray, shapes: Mapping[str, FloatArray]) -> Part:
+    """Lashes, brows or a beard with the shapes of a skin (m, 3) that move their roots; other parts unchanged."""
+    if not _HAIRS.search(part.name):
+        return part
+    return _with_shapes(part, root_rows(part.mesh.positions, vertex_pieces(part.mesh), skin), shapes)
+
+
+def _with_shapes(part: Part, rows: IndexArray, shapes: Mapping[str, FloatArray]) -> Part:
+    """A part with rows (n,) of offsets (m, 3) of those shapes that move it and that it does not have."""
+    least = _MIN_SHIFT * box_diagonal(part.mesh.positions)
+    moved = {name: offsets[rows] for name, offsets in shapes.items() if name not in part.shapes}
+    kept = {name: offsets for name, offsets in moved.items() if np.linalg.norm(offsets, axis=1).max() > least}
+    return replace(part, shapes={**part.shapes, **kept})
+
+
+def _mouth_word(name: str) -> str:
+    """The word in a part's name that says what it is in the mouth, in lower case; '' without one."""
+    match = _IN_MOUTH.search(name)
+    return "" if match is None else match[0].lower()
+
+
+def root_rows(places: FloatArray, pieces: IndexArray, skin: FloatArray) -> IndexArray:
+    """(n,) row of ``skin`` (m, 3) at the root of each vertex, so that lashes and hairs move as a whole.
+
+    The root is a vertex of the same piece, near the vertex and nearer to the skin.
+
+    ``places``: (n, 3) vertices, and ``pieces`` (n,) their connected pieces.
+    """
+    distances, nearest = cKDTree(skin).query(places)
+    apart = 10.0 * (box_diagonal(places) + _ROOT_WEIGHT * float(np.max(distances))) * pieces
+    roots = np.column_stack([places, _ROOT_WEIGHT * distances, apart])
+    return np.asarray(nearest, dtype=np.int64)[nearest_rows(roots, roots * [1.0, 1.0, 1.0, 0.0, 1.0])]
+
+
+def vertex_pieces(mesh: ControlMesh) -> IndexArray:
+    """(n,) connected piece of every vertex."""
+    return label_components(mesh.face_indices, mesh.face_indices[mesh.next_corners], mesh.n_vertices)
 
 
 def rigid_groups(mesh: ControlMesh, surface: TriangleSurface, config: PieceConfig = PIECES) -> list[IndexArray]:

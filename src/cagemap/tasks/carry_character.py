@@ -14,8 +14,11 @@ from cagemap.character.own_parts import (
     average_rows,
     limit_influences,
     nearest_rows,
+    own_parts_with_shapes,
     own_parts_with_weights,
     rigid_groups,
+    root_rows,
+    vertex_pieces,
 )
 from cagemap.character.passenger_pieces import PIECES, PassengerKind, PieceConfig
 from cagemap.character.passengers import CarriedPassenger, carry_passengers, hidden_passenger
@@ -73,7 +76,7 @@ def carry_character(
     """Rig and dress a body like a character.
 
     ``target``: its body gets the source's rig and animations, and keeps its own shapes, also against shapes of the same
-        name; its other parts stay, with weights by `own_parts_with_weights`.
+        name; its other parts stay, with weights and shapes by `cagemap.character.own_parts`.
     ``bodies``: names of the target's and of the source's body; by default `find_body` finds them.
     ``passengers``: names of the source's other parts to carry; by default all whose `passenger_word` no other part of
         the target has.
@@ -96,13 +99,17 @@ def carry_character(
     notes += left_out
     to_carry = [*chosen, *([] if pieces is None else [pieces])]
     stages("weights and shapes")
-    weights, shapes = _body_weights(matched, counterparts, influences), body_shapes(matched)
+    rigid = rigid_pieces(matched)
+    weights, shapes = _body_weights(matched, counterparts, rigid, influences), body_shapes(matched, rigid)
     for name, offsets in counterparts.shapes.items():
         shapes[name][counterparts.vertices] = offsets
     body = replace(target_body, name=source_body.name, weights=weights, shapes={**shapes, **target_body.shapes})
     body = with_shape_normals(body, [name for name in source_body.shape_normals if name not in target_body.shapes])
     taken = {*taken, *(part.name for part in (body, *to_carry))}
     extras = [replace(part, name=f"{part.name} (own)") if part.name in taken else part for part in others]
+    skin = np.flatnonzero(matched.ready[0].vertex_of >= 0)
+    of_skin = {name: offsets[skin] for name, offsets in shapes.items() if name not in target_body.shapes}
+    extras = own_parts_with_shapes(extras, target_body.mesh.positions[skin], of_skin, declined, result.point_map)
     if weights is not None:
         extras = own_parts_with_weights(extras, body, declined, result.point_map, influences)
     stages("passengers")
@@ -152,12 +159,13 @@ class Bodies:
         return rows
 
     def on_target(self, values: FloatArray) -> FloatArray:
-        """Values at the given target's vertices; vertices that were set aside copy the nearest matched vertex."""
-        vertex_of, places = self.ready[0].vertex_of, self.given[0].mesh.positions
+        """Values at the given target's vertices; pieces that were set aside copy matched vertices at their roots."""
+        vertex_of, mesh = self.ready[0].vertex_of, self.given[0].mesh
         known = vertex_of >= 0
         rows = np.where(known, vertex_of, 0)
         if not known.all():
-            rows[~known] = vertex_of[known][nearest_rows(places[known], places[~known])]
+            places, pieces = mesh.positions[~known], vertex_pieces(mesh)[~known]
+            rows[~known] = vertex_of[known][root_rows(places, pieces, mesh.positions[known])]
         return np.asarray(values[rows])
 
 
@@ -192,19 +200,24 @@ def _ready_body(part: Part) -> RepairedMesh:
     return ready
 
 
-def _body_weights(bodies: Bodies, counterparts: _Counterparts, influences: int | None) -> sparse.csr_array | None:
+def _body_weights(
+    bodies: Bodies, counterparts: _Counterparts, rigid: Sequence[IndexArray], influences: int | None
+) -> sparse.csr_array | None:
     weights = bodies.given[1].weights
     if weights is None:
         return None
     carried = carry_weights(bodies.result, weights[bodies.rows(1)].toarray(), influences=influences)
-    table = average_rows(bodies.on_target(carried), rigid_pieces(bodies), influences)
+    table = average_rows(bodies.on_target(carried), rigid, influences)
     if counterparts.weights is not None:
         table[counterparts.vertices] = limit_influences(counterparts.weights.toarray(), influences)
     return sparse.csr_array(table)
 
 
-def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
-    """Blend shapes of the source as offsets of the given target's vertices, by name."""
+def body_shapes(bodies: Bodies, rigid: Sequence[IndexArray] = ()) -> dict[str, FloatArray]:
+    """Blend shapes of the source as offsets of the given target's vertices, by name.
+
+    ``rigid``: vertices of pieces that move as a whole.
+    """
     shapes = bodies.given[1].shapes
     if not shapes:
         return {}
@@ -212,7 +225,7 @@ def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
     carried = carry_shapes(bodies.result, {name: offsets[rows] for name, offsets in shapes.items()})
     assert isinstance(carried, dict)
     made = {name: bodies.on_target(offsets) for name, offsets in carried.items()}
-    for piece in rigid_pieces(bodies):
+    for piece in rigid:
         for offsets in made.values():
             offsets[piece] = offsets[piece].mean(axis=0)
     return made

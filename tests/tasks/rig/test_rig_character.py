@@ -384,6 +384,28 @@ def test_an_own_eyeball_moves_as_a_whole(body: ControlMesh, has_eyes: bool, in_o
     np.testing.assert_allclose(of_eyes[0, 2], float(has_eyes))
 
 
+def test_own_lashes_and_teeth_get_shapes(body: ControlMesh) -> None:
+    """Lashes those of the skin at their roots, as a whole; teeth those of the character's teeth; a hat none."""
+    top = body.positions[np.argmax(body.positions[:, 1])]
+    lash = ball("lash", np.zeros(3), 1.0)
+    lash = lash.with_positions(lash.positions * [0.1, 0.5, 0.1] + top + [0.0, 0.5, 0.0])
+    teeth, hat = ball("teeth", top - [0, 2, 0], 0.2), ball("hat", top + [0, 2, 0], 0.2)
+    shapes = {"lift": np.where(body.positions[:, 1:] > top[1] - 0.5, 1.0, 0.0)[:, [0]] * [0.0, 0.5, 0.0]}
+    bite = {"bite": np.tile([0.0, 0.0, 0.2], (teeth.n_vertices, 1))}
+    own = Part("Eyelashes", lash, shapes={"mine": lash.positions}), Part("My teeth", teeth), Part("hat", hat)
+    source = Part("body", replace(body, name="C.glb"), shapes=shapes), Part("teeth", teeth, shapes=bite)
+    target = Part("body", replace(body, name="B.glb")), *own
+    made = {part.name: part for part in carry_character(Character(target), Character(source)).character.parts}
+    assert {name: list(part.shapes) for name, part in made.items()} == {
+        "body": ["lift"],
+        "Eyelashes": ["mine", "lift"],
+        "My teeth": ["bite"],
+        "hat": [],
+    }
+    np.testing.assert_allclose(made["Eyelashes"].shapes["lift"], np.tile([0.0, 0.5, 0.0], (42, 1)), atol=1e-3)
+    np.testing.assert_allclose(made["My teeth"].shapes["bite"], bite["bite"], atol=1e-3)
+
+
 def test_a_part_where_the_mesh_of_the_body_has_a_piece_is_named(body: ControlMesh) -> None:
     """Eyes of the character, carried to a body whose mesh has eyes."""
     place = body.positions[np.argmax(body.positions[:, 2])] + [0, 0, 0.3]
