@@ -10,7 +10,7 @@ import pytest
 from cagemap.character.values import Part
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.tasks.carry_character import Bodies, match_bodies
+from cagemap.tasks.bodies import Bodies, match_bodies
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.set_aside import lay_set_aside
 

@@ -1,4 +1,4 @@
-"""Skinning weights and blend shapes of the target's own parts, such as eyes and clothes."""
+"""Skinning weights and blend shapes of the target's own parts, such as eyes, lashes and clothes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cagemap.character.values import Part
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.parts import join_meshes, passenger_word
-from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, offsets_of
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, label_components, offsets_of
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.skin import normalise_rows, prune_rows
@@ -27,8 +27,11 @@ from cagemap.transfer.skin import normalise_rows, prune_rows
 _COUNTERPART_DISTANCE = 0.05
 # A part has a shape that moves it by at least this share of the shape's largest offset; less is rounding.
 _LEAST_OFFSET = 1e-3
-# Words of parts inside the body, which do not follow the shapes of the skin.
+# Words of parts inside the body, which do not follow the shapes of the skin, and of parts that move with their roots.
 _INSIDE = ("eye", "teeth", "tongue")
+HAIRS = ("lash", "brow", "beard")
+# A root's distance from the skin counts this much more than its distance from the vertex (docs/lab/characters.md).
+_ROOT_WEIGHT = 5.0
 
 
 def parts_of_one_kind(candidates: Sequence[Part], others: Sequence[Part]) -> list[list[Part]]:
@@ -54,8 +57,9 @@ def with_nearest_values(
 ) -> list[Part]:
     """Parts of the target with the weights and shapes of the surface nearest to each vertex: the body or a counterpart.
 
-    Of a rigid group, such as an eyeball with its iris, vertices without a counterpart have the mean of those with one;
-    without any, all have the mean of the group. Shapes that a part has already stay.
+    Lashes, brows and beards have the body's values at their roots. Of a rigid group, such as an eyeball with its iris,
+    vertices without a counterpart have the mean of those with one; without any, all have the mean of the group. Shapes
+    that a part has already stay.
 
     Parameters
     ----------
@@ -74,10 +78,8 @@ def with_nearest_values(
         return []
     sources = [body, *dict.fromkeys(chain.from_iterable(counterparts))]
     surfaces = [TriangleSurface(one.mesh.positions, cage_triangles(one.mesh)[0]) for one in sources]
-    sides = [
-        (part.mesh.positions, [0, *map(sources.index, parts)]) for part, parts in zip(own, counterparts, strict=True)
-    ]
-    matrices, known = zip(*(_nearest_points(points, surfaces, numbers) for points, numbers in sides), strict=True)
+    sides = [(part, [0, *map(sources.index, parts)]) for part, parts in zip(own, counterparts, strict=True)]
+    matrices, known = zip(*(_nearest_points(part, surfaces, numbers) for part, numbers in sides), strict=True)
     is_known = np.concatenate(known)
     is_inside = np.concatenate([np.full(p.mesh.n_vertices, passenger_word(p.name) in _INSIDE) for p in own])
     rows, members = np.arange(len(is_known)), list[IndexArray]()
@@ -98,20 +100,24 @@ def with_nearest_values(
         if body.weights is not None:
             given = sparse.vstack([one.weights for one in sources if one.weights is not None], format="csr")
             weights = sparse.csr_array(limit_influences((sampling[start:end] @ given).toarray(), influences))
-        moved = {name: rows[start:end] for name, rows in shapes.items() if np.abs(rows[start:end]).max() > least[name]}
-        made.append(replace(part, weights=weights, shapes={**moved, **part.shapes}))
+        moved = {name: offsets[start:end] for name, offsets in shapes.items() if name not in part.shapes}
+        moved = {name: offsets for name, offsets in moved.items() if np.abs(offsets).max() > least[name]}
+        made.append(replace(part, weights=weights, shapes=part.shapes | moved))
     return made
 
 
 def _nearest_points(
-    points: FloatArray, surfaces: Sequence[TriangleSurface], numbers: Sequence[int]
+    part: Part, surfaces: Sequence[TriangleSurface], numbers: Sequence[int]
 ) -> tuple[sparse.csr_array, NDArray[np.bool_]]:
-    """Matrix from values at all vertices of the surfaces to points (n, 3); and whether a counterpart is the nearest.
+    """Matrix from values at all vertices of the surfaces to those of a part; and whether a counterpart is the nearest.
 
     ``numbers``: of the surfaces to choose from; the first is the body.
     """
+    points = part.mesh.positions
     found = [SurfacePoints.nearest(surfaces[number], points) for number in numbers]
     distances = np.array([np.linalg.norm(points - one.positions, axis=1) for one in found])
+    if passenger_word(part.name) in HAIRS:
+        found[0] = found[0].at(root_vertices(points, vertex_pieces(part.mesh), distances[0]))
     distances[0] = np.maximum(distances[0], _COUNTERPART_DISTANCE * box_diagonal(points))
     chosen, every = distances.argmin(axis=0), np.arange(len(points))
     starts = offsets_of([surface.n for surface in surfaces])
@@ -126,6 +132,21 @@ def _means(members: Sequence[IndexArray], count: int) -> sparse.csr_array:
     sizes = np.array([len(one) for one in members], dtype=np.int64)
     columns = np.concatenate([np.zeros(0, dtype=np.int64), *members])
     return sparse.csr_array((np.repeat(1.0 / sizes, sizes), columns, offsets_of(sizes)), shape=(len(members), count))
+
+
+def root_vertices(places: FloatArray, pieces: IndexArray, distances: FloatArray) -> IndexArray:
+    """(n,) vertex at the root of each vertex (n, 3): of the same piece, near it and nearer to the skin.
+
+    ``pieces``: (n,) connected piece of each vertex, and ``distances`` (n,) from the skin.
+    """
+    apart = 10.0 * (box_diagonal(places) + _ROOT_WEIGHT * float(np.max(distances))) * pieces
+    roots = np.column_stack([places, _ROOT_WEIGHT * distances, apart])
+    return nearest_rows(roots, roots * [1.0, 1.0, 1.0, 0.0, 1.0])
+
+
+def vertex_pieces(mesh: ControlMesh) -> IndexArray:
+    """(n,) connected piece of every vertex."""
+    return label_components(mesh.face_indices, mesh.face_indices[mesh.next_corners], mesh.n_vertices)
 
 
 def rigid_groups(mesh: ControlMesh, surface: TriangleSurface, config: PieceConfig = PIECES) -> list[IndexArray]:

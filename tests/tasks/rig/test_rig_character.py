@@ -30,7 +30,8 @@ from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.subdivision import with_options
-from cagemap.tasks.carry_character import _set_aside, carry_character, match_bodies
+from cagemap.tasks.bodies import match_bodies
+from cagemap.tasks.carry_character import _set_aside, carry_character
 from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
@@ -384,6 +385,28 @@ def test_an_own_eyeball_moves_as_a_whole(body: ControlMesh, has_eyes: bool, in_o
     np.testing.assert_allclose(of_eyes[0, 2], float(has_eyes))
 
 
+def test_own_lashes_and_teeth_get_shapes(body: ControlMesh) -> None:
+    """Lashes those of the skin at their roots, as a whole; a hat those of the skin below; teeth the character's."""
+    top = body.positions[np.argmax(body.positions[:, 1])]
+    lash = ball("lash", np.zeros(3), 1.0)
+    lash = lash.with_positions(lash.positions * [0.1, 0.5, 0.1] + top + [0.0, 0.5, 0.0])
+    teeth, hat = ball("teeth", top - [0, 2, 0], 0.2), ball("hat", top - [0, -2, 0], 0.2)
+    shapes = {"lift": np.where(body.positions[:, 1:] > top[1] - 0.5, 1.0, 0.0)[:, [0]] * [0.0, 0.5, 0.0]}
+    bite = {"bite": np.tile([0.0, 0.0, 0.2], (teeth.n_vertices, 1))}
+    own = Part("Eyelashes", lash, shapes={"mine": lash.positions}), Part("My teeth", teeth), Part("hat", hat)
+    source = Part("body", replace(body, name="C.glb"), shapes=shapes), Part("teeth", teeth, shapes=bite)
+    target = Part("body", replace(body, name="B.glb")), *own
+    made = {part.name: part for part in carry_character(Character(target), Character(source)).character.parts}
+    assert {name: list(part.shapes) for name, part in made.items()} == {
+        "body": ["lift"],
+        "Eyelashes": ["mine", "lift"],
+        "My teeth": ["bite"],
+        "hat": ["lift"],
+    }
+    np.testing.assert_allclose(made["Eyelashes"].shapes["lift"], np.tile([0.0, 0.5, 0.0], (42, 1)), atol=1e-3)
+    np.testing.assert_allclose(made["My teeth"].shapes["bite"], bite["bite"], atol=1e-3)
+
+
 def test_a_part_where_the_mesh_of_the_body_has_a_piece_is_named(body: ControlMesh) -> None:
     """Eyes of the character, carried to a body whose mesh has eyes."""
     place = body.positions[np.argmax(body.positions[:, 2])] + [0, 0, 0.3]
@@ -431,6 +454,7 @@ def test_a_scan_as_ply_is_repaired(run: Run, files: Character, body: ControlMesh
     faces = scan.face_indices.reshape(-1, 3)
     write_mesh("SCAN.ply", ControlMesh.from_faces(scan.positions, faces))
     outcome = run.done("rig SCAN.ply --like C.glb -o OUT.glb")
+    assert "SCAN.ply: matched as a plain mesh, since it is no control mesh: " in outcome.err
     assert "SCAN.ply: 1 vertex split where parts only touch" in outcome.err
     assert part_named(read_character("OUT.glb"), "body").mesh.n_vertices == scan.n_vertices
 
@@ -485,8 +509,8 @@ def test_landmarks_that_are_left_out_and_warnings_of_the_map_are_said(body, monk
     check = {"suspects": [{"message": "nose: left out"}], "notes": []}
     manifest = {"landmark_check": check, "quality": {"warnings": ["5 % is folded"]}}
     result = SimpleNamespace(manifest=manifest)
-    monkeypatch.setattr("cagemap.tasks.carry_character.prepare_surfaces", lambda *given: (None, None))
-    monkeypatch.setattr("cagemap.tasks.carry_character.match", lambda *given, progress: result)
+    monkeypatch.setattr("cagemap.tasks.bodies.prepare_surfaces", lambda *given: (None, None))
+    monkeypatch.setattr("cagemap.tasks.bodies.match", lambda *given, progress: result)
     spots = np.array([3, whole.n_vertices - 1])
     bodies = match_bodies(part, part, Landmarks(("nose", "button"), spots, spots, "a", "b"), Stages())
     lost = "1 of 2 landmarks lie on pieces that are set aside and are left out"
