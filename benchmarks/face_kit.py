@@ -29,8 +29,8 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.render import Model
 from cagemap.surface.triangles import fan_triangles, row_lengths, surface_area
+from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies
 from cagemap.tasks.carry_arrays import carry_values
-from cagemap.tasks.carry_character import Bodies, body_shapes, match_bodies
 from cagemap.tasks.face import face_shapes
 from cagemap.tasks.progress import Stages
 

@@ -111,10 +111,10 @@ def test_a_rigid_passenger_inside_a_body_that_is_larger_there_is_named(body: Con
     larger = body.positions + half * vertex_normals(body.positions, triangles)
     source = surface(body.positions, triangles)
     point_map = PointMap(surface(larger, triangles), SurfacePoints.from_vertices(source, np.arange(source.n)))
-    (note,) = hidden_passenger(point_map, cloth, carry_passenger(point_map, cloth, kind="rigid"))
+    (note,) = hidden_passenger(point_map, cloth, carry_passenger(point_map, cloth, kind="rigid").positions)
     assert note.startswith("cloth: ")
     assert "% of it is inside the body; if it is not kept rigid, it stays outside" in note
-    assert hidden_passenger(point_map, cloth, carry_passenger(point_map, cloth)) == []
+    assert hidden_passenger(point_map, cloth, carry_passenger(point_map, cloth).positions) == []
 
 
 def test_what_was_outside_stays_outside(body: ControlMesh) -> None:
@@ -180,6 +180,17 @@ def test_pieces_of_one_mesh_move_on_their_own_and_concentric_ones_together(body,
     ratio = np.linalg.norm(places[count:] - places[count:].mean(axis=0), axis=1)
     ratio /= np.linalg.norm(places[:count] - places[:count].mean(axis=0), axis=1)
     np.testing.assert_allclose(ratio, 1.1, rtol=1e-9)
+
+
+def test_an_iris_of_its_own_mesh_moves_with_the_eyeball_that_it_lies_in(body: ControlMesh, ball: ControlMesh) -> None:
+    eye = moved(ball, (2.2, 0.8, 0.0))
+    disc = ball.with_positions(ball.positions * [0.5, 0.1, 0.5])
+    iris = replace(moved(disc, (2.2, 0.885, 0.0)), name="iris")
+    carried = carry_passengers(swollen(body), [eye, iris])
+    matrix = carried[0].matrices[0]
+    for mesh, one in zip((eye, iris), carried, strict=True):
+        expected = carried[0].positions[0] + (mesh.positions - eye.positions[0]) @ matrix
+        np.testing.assert_allclose(one.positions, expected, rtol=0, atol=1e-9)
 
 
 def test_passengers_carried_together_arrive_as_each_alone(body: ControlMesh, ball: ControlMesh) -> None:

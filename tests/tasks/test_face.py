@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +29,12 @@ from cagemap.files.usd.convert import read_usd_character
 from cagemap.files.usd.space import StageSpace, stage_units
 from cagemap.files.usd.stages import open_stage
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import join_meshes
+from cagemap.mesh.parts import extract_faces, join_meshes, numbers_on_part
+from cagemap.mesh.topology import face_components
 from cagemap.subdivision import with_options
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.carry_character import Bodies, body_shapes, match_bodies
-from cagemap.tasks.face import _cut, _head_vertices, _landmarks, _on_body, contact_sheet, face_shapes
+from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies
+from cagemap.tasks.face import _cut, _head_vertices, _landmarks, _on_body, _other_parts, contact_sheet, face_shapes
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.face import FaceRequest
 
@@ -43,7 +45,7 @@ from refusals import refuses
 @pytest.fixture(autouse=True)
 def coarse_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
     """Heads are matched at level 1 in place of 2: no test here asks how accurate the map of two heads is."""
-    monkeypatch.setattr("cagemap.tasks.carry_character.BODY_VERTICES", 10_000)
+    monkeypatch.setattr("cagemap.tasks.bodies.BODY_VERTICES", 10_000)
 
 
 def test_the_kit_has_all_names_of_arkit_but_one() -> None:
@@ -84,7 +86,7 @@ def test_the_sheet_shows_the_face_wherever_it_looks() -> None:
     to_x = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
     turned = replace(kit, mesh=kit.mesh.with_positions(kit.mesh.positions @ to_x), shapes={})
     sides = (kit, np.eye(3)), (turned, to_x)
-    sheets = [contact_sheet(Character((part,)), part.name, [], part, turn) for part, turn in sides]
+    sheets = [contact_sheet(Character((part,)), [], part, turn) for part, turn in sides]
     assert np.mean(sheets[0] != sheets[0][0, 0]) > 0.2  # a face is there
     assert np.mean(sheets[0] != sheets[1]) < 0.01
 
@@ -140,6 +142,47 @@ def test_eyeballs_in_the_mesh_of_the_head_stay() -> None:
     assert np.linalg.norm(shift[1], axis=1).min() > 0.0
     alone = face_shapes(found, ["noseSneerLeft"])["noseSneerLeft"]
     assert not alone[-2 * eye.n_vertices : -eye.n_vertices].any()
+
+
+@pytest.mark.parametrize("in_mesh", [True, False])
+def test_teeth_and_lashes_move_as_those_of_the_kit(shared_data: Path, in_mesh: bool) -> None:
+    """Upper teeth stay, lower ones and lower gums follow the jaw rigidly, lashes the lids; in centimetres."""
+    folder = shared_data / "characters" / "face"
+    if not folder.is_dir():
+        pytest.skip("characters are not among the shared data")
+    kit, parts = read_face_kit(("eyeBlinkLeft", "jawOpen", "jawLeft")), read_mesh(folder / "ict_parts_neutral.obj")
+    pieces = face_components(parts)
+    meshes = [extract_faces(parts, np.flatnonzero(np.isin(pieces, range(*some)))) for some in ((0, 33), (43, 55))]
+    mesh = join_meshes([kit.mesh, *meshes]) if in_mesh else kit.mesh
+    head = Part("head", replace(with_options(mesh, "none"), name="head"))
+    found = match_bodies(head, kit, Landmarks.none(), Stages())
+    on_head = face_shapes(found, list(kit.shapes))
+    if in_mesh:
+        cuts = np.cumsum([one.n_vertices for one in (kit.mesh, *meshes)])
+        moved = [{name: offsets[start:end] for name, offsets in on_head.items()} for start, end in pairwise(cuts)]
+    else:
+        own = Part("denture", meshes[0]), Part("Eyelashes", meshes[1])
+        made = dict(_other_parts(Character((head, *own)), head, found, on_head))
+        assert [list(one.shapes) for one in made.values()] == [["jawOpen", "jawLeft"], ["eyeBlinkLeft", "jawOpen"]]
+        moved = [made[one].shapes for one in own]
+    with np.load(folder / "ict_expressions.npz") as given:
+        names = list(given["names"])
+        true = {}
+        for name in ("jawOpen", "jawLeft", "eyeBlink_L"):
+            start, end = given["extra_offset"][names.index(name) :][:2]
+            true[name] = np.zeros(parts.positions.shape)
+            true[name][given["extra_row"][start:end].astype(int) - kit.mesh.n_vertices] = given["extra_delta"][
+                start:end
+            ]
+    rows = [one.file_numbers[0] for one in meshes]
+    teeth = numbers_on_part(extract_faces(parts, np.flatnonzero((pieces > 0) & (pieces < 33))), meshes[0]) >= 0
+    for name in ("jawOpen", "jawLeft"):
+        error = np.linalg.norm(moved[0][name] - true[name][rows[0]], axis=1)
+        assert error[teeth].max() < 0.05
+        assert error[~teeth].mean() < 0.25  # gums and tongue, in one piece
+    error = np.linalg.norm(moved[1]["eyeBlinkLeft"] - true["eyeBlink_L"][rows[1]], axis=1)
+    assert error.mean() < 0.15
+    assert error.max() < 1.0  # tips of lashes turn with the lids in the kit
 
 
 @pytest.mark.slow

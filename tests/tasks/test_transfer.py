@@ -28,7 +28,7 @@ from cagemap.spectral import BasisConfig, Surface
 from cagemap.subdivision import refine
 from cagemap.tasks import bake_tiles
 from cagemap.tasks.carry_arrays import carry_values
-from cagemap.tasks.carry_character import Bodies, match_bodies
+from cagemap.tasks.bodies import Bodies, match_bodies
 from cagemap.tasks.match_summary import next_commands
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.report import run_report

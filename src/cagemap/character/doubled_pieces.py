@@ -5,13 +5,15 @@ Used by `cagemap.tasks.carry_character`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial import cKDTree
 
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles, face_areas, keep_faces
-from cagemap.mesh.parts import passenger_pieces
+from cagemap.mesh.parts import join_meshes, passenger_pieces
 from cagemap.mesh.topology import face_components
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, members_of
 from cagemap.surface.closest_points import closest_points
@@ -44,11 +46,29 @@ PairedFaces = tuple[IndexArray, IndexArray]
 
 
 def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[PairedFaces]:
-    """Faces of every connected piece of ``carried`` at the place of a piece of ``own``, the target's, and of that one.
+    """Faces of every piece of ``carried`` at the place of a piece of ``own``, the target's, and of that one."""
+    return _at_one_place(carried, face_components(carried), own, face_components(own))
 
-    Two pieces are compared only if each has the other's nearest bounding box.
+
+def doubled_meshes(carried: Sequence[ControlMesh], own: Sequence[ControlMesh]) -> list[tuple[int, int]]:
+    """Numbers of every mesh of ``carried`` at the place of a mesh of ``own``, the target's, and of that one."""
+    if not carried or not own:
+        return []
+    sides = [
+        (join_meshes(meshes), np.repeat(np.arange(len(meshes)), [mesh.n_faces for mesh in meshes]))
+        for meshes in (carried, own)
+    ]
+    pairs = _at_one_place(*sides[0], *sides[1])
+    return [(int(sides[0][1][faces[0]]), int(sides[1][1][own_faces[0]])) for faces, own_faces in pairs]
+
+
+def _at_one_place(
+    carried: ControlMesh, labels: IndexArray, own: ControlMesh, own_labels: IndexArray
+) -> list[PairedFaces]:
+    """Faces of every part of ``carried`` at the place of a part of ``own``, and of that one.
+
+    Two parts are compared only if each has the other's nearest bounding box. ``labels`` (m,) are the parts of faces.
     """
-    labels, own_labels = face_components(carried), face_components(own)
     pieces, own_pieces = members_of(labels), members_of(own_labels)
     boxes, own_boxes = _boxes(carried, labels), _boxes(own, own_labels)
     to_own = np.asarray(cKDTree(own_boxes).query(boxes)[1])

@@ -1,71 +1,159 @@
-"""Skinning weights of the target's own parts, such as eyes: all vertices of a rigid piece have the same weights."""
+"""Skinning weights and blend shapes of the target's own parts, such as eyes, lashes and clothes."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from itertools import chain, compress, pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cagemap.character.passenger_pieces import EYES, PieceConfig, find_pieces
-from cagemap.character.passengers import carry_passengers
+from cagemap.character.doubled_pieces import doubled_meshes
+from cagemap.character.passenger_pieces import PIECES, PieceConfig, find_pieces
 from cagemap.character.values import Part
-from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.parts import passenger_word
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.parts import join_meshes, passenger_word
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, label_components, offsets_of
+from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.skin import normalise_rows, prune_rows
 
+# A vertex has the values of a counterpart that is nearer than the body, or within this share of the diagonal of the
+# part's bounding box (docs/lab/characters.md).
+_COUNTERPART_DISTANCE = 0.05
+# A part has a shape that moves it by at least this share of the shape's largest offset; less is rounding.
+_LEAST_OFFSET = 1e-3
+# Words of parts inside the body, which do not follow the shapes of the skin, and of parts that move with their roots.
+_INSIDE = ("eye", "teeth", "tongue")
+HAIRS = ("lash", "brow", "beard")
+# A root's distance from the skin counts this much more than its distance from the vertex (docs/lab/characters.md).
+_ROOT_WEIGHT = 5.0
 
-def own_parts_with_weights(
-    own: Sequence[Part], body: Part, left_out: Sequence[Part], point_map: PointMap, influences: int | None
-) -> list[Part]:
-    """Parts of the target with the weights of the nearest vertices of its body.
 
-    All vertices of a rigid piece, such as an eyeball with its iris, have the mean of these weights, or of those of the
-    rigid pieces of ``left_out`` parts with the same passenger word.
+def parts_of_one_kind(candidates: Sequence[Part], others: Sequence[Part]) -> list[list[Part]]:
+    """For each of the target's other parts, the parts of the source, on the target, that are of its kind.
 
-    ``body``: the target's, with weights.
-    ``left_out``: parts of the source that are not carried.
+    They have its `passenger_word`, or are at its place if one of the two names has no such word.
     """
-    assert body.weights is not None
-    rigid = [rigid_groups(part.mesh, point_map.target) for part in own]
-    words = {passenger_word(part.name) for part, groups in zip(own, rigid, strict=True) if groups} - {""}
-    given = [
-        (part, part.weights) for part in left_out if part.weights is not None and passenger_word(part.name) in words
-    ]
-    places, weights, words_of_rows = [np.zeros((0, 3))], [body.weights[:0]], list[str]()
-    all_carried = carry_passengers(point_map, [part.mesh for part, _ in given])
-    for (part, given_weights), carried in zip(given, all_carried, strict=True):
-        for group in rigid_groups(part.mesh, point_map.source):
-            places.append(carried.positions[group])
-            weights.append(given_weights[group])
-            words_of_rows += [passenger_word(part.name)] * len(group)
-    all_places, all_weights = np.concatenate(places), sparse.vstack(weights, format="csr")
-    made = []
-    for part, groups in zip(own, rigid, strict=True):
-        asked = part.mesh.positions
-        part_weights = body.weights[nearest_rows(body.mesh.positions, asked)]
-        if groups:
-            table = part_weights.toarray()
-            of_same_word = np.flatnonzero(np.array(words_of_rows) == passenger_word(part.name))
-            if len(of_same_word):
-                for group in groups:
-                    nearest = nearest_rows(all_places[of_same_word], asked[group])
-                    table[group] = all_weights[of_same_word[nearest]].toarray()
-            part_weights = sparse.csr_array(average_rows(table, groups, influences))
-        made.append(replace(part, weights=part_weights))
+    pairs = doubled_meshes([part.mesh for part in candidates], [part.mesh for part in others])
+    words, found = [passenger_word(part.name) for part in candidates], []
+    for number, own in enumerate(others):
+        own_word = passenger_word(own.name)
+        alike = [word == own_word if word and own_word else (row, number) in pairs for row, word in enumerate(words)]
+        found.append(list(compress(candidates, alike)))
+    return found
+
+
+def with_nearest_values(
+    own: Sequence[Part],
+    body: Part,
+    counterparts: Sequence[Sequence[Part]],
+    surface: TriangleSurface,
+    influences: int | None,
+) -> list[Part]:
+    """Parts of the target with the weights and shapes of the surface nearest to each vertex: the body or a counterpart.
+
+    Lashes, brows and beards have the body's values at their roots. Of a rigid group, such as an eyeball with its iris,
+    vertices without a counterpart have the mean of those with one; without any, all have the mean of the group. Shapes
+    that a part has already stay.
+
+    Parameters
+    ----------
+    own : sequence of Part
+    body : Part
+        The target's, with the source's weights and shapes.
+    counterparts : sequence of sequences of Part
+        For each own part, parts of the source of the same kind, at their places on the target; with weights if the body
+        has weights.
+    surface : TriangleSurface
+        The target's; its unit decides which pieces are rigid.
+    influences : int or None
+        Most joints per vertex; None for all.
+    """
+    if not own:
+        return []
+    sources = [body, *dict.fromkeys(chain.from_iterable(counterparts))]
+    surfaces = [TriangleSurface(one.mesh.positions, cage_triangles(one.mesh)[0]) for one in sources]
+    sides = [(part, [0, *map(sources.index, parts)]) for part, parts in zip(own, counterparts, strict=True)]
+    matrices, known = zip(*(_nearest_points(part, surfaces, numbers) for part, numbers in sides), strict=True)
+    is_known = np.concatenate(known)
+    is_inside = np.concatenate([np.full(p.mesh.n_vertices, passenger_word(p.name) in _INSIDE) for p in own])
+    rows, members = np.arange(len(is_known)), list[IndexArray]()
+    for group in rigid_groups(join_meshes([part.mesh for part in own]), surface):
+        unknown = group[~is_known[group]]
+        rows[unknown] = len(is_known) + len(members)
+        is_inside[unknown] = is_inside[group].any() and len(unknown) == len(group)
+        members.append(group[is_known[group]] if len(unknown) < len(group) else group)
+    sampling = sparse.vstack(matrices, format="csr")
+    sampling = sparse.vstack([sampling, _means(members, len(rows)) @ sampling], format="csr")[rows]
+    shapes, least, made = dict[str, FloatArray](), dict[str, float](), list[Part]()
+    for name in dict.fromkeys(chain.from_iterable(part.shapes for part in sources)):
+        offsets = np.concatenate([part.shapes.get(name, np.zeros((part.mesh.n_vertices, 3))) for part in sources])
+        shapes[name] = np.where((is_inside & ~is_known)[:, None], 0.0, sampling @ offsets)
+        least[name] = _LEAST_OFFSET * np.abs(offsets).max()
+    for part, (start, end) in zip(own, pairwise([0, *np.cumsum([len(one) for one in known])]), strict=True):
+        weights = part.weights
+        if body.weights is not None:
+            given = sparse.vstack([one.weights for one in sources if one.weights is not None], format="csr")
+            weights = sparse.csr_array(limit_influences((sampling[start:end] @ given).toarray(), influences))
+        moved = {name: offsets[start:end] for name, offsets in shapes.items() if name not in part.shapes}
+        moved = {name: offsets for name, offsets in moved.items() if np.abs(offsets).max() > least[name]}
+        made.append(replace(part, weights=weights, shapes=part.shapes | moved))
     return made
 
 
-def rigid_groups(mesh: ControlMesh, surface: TriangleSurface, config: PieceConfig = EYES) -> list[IndexArray]:
+def _nearest_points(
+    part: Part, surfaces: Sequence[TriangleSurface], numbers: Sequence[int]
+) -> tuple[sparse.csr_array, NDArray[np.bool_]]:
+    """Matrix from values at all vertices of the surfaces to those of a part; and whether a counterpart is the nearest.
+
+    ``numbers``: of the surfaces to choose from; the first is the body.
+    """
+    points = part.mesh.positions
+    found = [SurfacePoints.nearest(surfaces[number], points) for number in numbers]
+    distances = np.array([np.linalg.norm(points - one.positions, axis=1) for one in found])
+    if passenger_word(part.name) in HAIRS:
+        found[0] = found[0].at(root_vertices(points, vertex_pieces(part.mesh), distances[0]))
+    distances[0] = np.maximum(distances[0], _COUNTERPART_DISTANCE * box_diagonal(points))
+    chosen, every = distances.argmin(axis=0), np.arange(len(points))
+    starts = offsets_of([surface.n for surface in surfaces])
+    corners = np.array([one.corners + starts[number] for one, number in zip(found, numbers, strict=True)])
+    weights = np.array([one.barycentric for one in found])
+    table = weights[chosen, every].ravel(), corners[chosen, every].ravel(), 3 * np.arange(len(points) + 1)
+    return sparse.csr_array(table, shape=(len(points), int(starts[-1]))), chosen > 0
+
+
+def _means(members: Sequence[IndexArray], count: int) -> sparse.csr_array:
+    """(g, n) matrix to the mean of each group of vertices."""
+    sizes = np.array([len(one) for one in members], dtype=np.int64)
+    columns = np.concatenate([np.zeros(0, dtype=np.int64), *members])
+    return sparse.csr_array((np.repeat(1.0 / sizes, sizes), columns, offsets_of(sizes)), shape=(len(members), count))
+
+
+def root_vertices(places: FloatArray, pieces: IndexArray, distances: FloatArray) -> IndexArray:
+    """(n,) vertex at the root of each vertex (n, 3): of the same piece, near it and nearer to the skin.
+
+    ``pieces``: (n,) connected piece of each vertex, and ``distances`` (n,) from the skin.
+    """
+    apart = 10.0 * (box_diagonal(places) + _ROOT_WEIGHT * float(np.max(distances))) * pieces
+    roots = np.column_stack([places, _ROOT_WEIGHT * distances, apart])
+    return nearest_rows(roots, roots * [1.0, 1.0, 1.0, 0.0, 1.0])
+
+
+def vertex_pieces(mesh: ControlMesh) -> IndexArray:
+    """(n,) connected piece of every vertex."""
+    return label_components(mesh.face_indices, mesh.face_indices[mesh.next_corners], mesh.n_vertices)
+
+
+def rigid_groups(mesh: ControlMesh, surface: TriangleSurface, config: PieceConfig = PIECES) -> list[IndexArray]:
     """Vertices of each group of pieces that keeps its shape, such as an eyeball; lengths by the body's surface."""
     places = surface.scale * mesh.positions
     # Heights of 0: no part, such as a wide skirt, is rigid because it is far from the body.
-    return find_pieces(mesh, places, np.zeros(len(places)), None, config).rigid_groups()
+    return find_pieces(cage_triangles(mesh)[0], places, np.zeros(len(places)), None, config).rigid_groups()
 
 
 def average_rows(table: FloatArray, groups: Collection[IndexArray], influences: int | None) -> FloatArray:

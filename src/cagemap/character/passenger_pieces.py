@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import (
     FloatArray,
     IndexArray,
@@ -31,11 +30,11 @@ class PieceConfig(Config):
     max_radius: float = 0.04  # of a button, a tooth or an eyeball
     min_compactness: float = 0.75  # middle over largest extent; strips have less
     prop_distance: float = 0.15  # mean distance from the body beyond which a piece is a prop
-    concentric_share: float = 0.5  # largest distance of the centres of one group, over the larger radius
+    # distance from a rigid piece's centre, over its radius, within which other pieces join it, as an iris its eyeball
+    joined_distance: float = 1.2
 
 
 PIECES = PieceConfig()
-EYES = PieceConfig(concentric_share=1.2)  # an iris or a cornea is as far from the eyeball's centre as its radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,14 +51,18 @@ class Pieces:
 
 
 def find_pieces(
-    mesh: ControlMesh, points: FloatArray, heights: FloatArray, kind: PassengerKind | None, config: PieceConfig = PIECES
+    triangles: IndexArray,
+    points: FloatArray,
+    heights: FloatArray,
+    kind: PassengerKind | None,
+    config: PieceConfig = PIECES,
 ) -> Pieces:
-    """Group the connected pieces of a mesh; decide which are rigid.
+    """Group the connected pieces of triangles (m, 3); decide which are rigid.
 
-    ``points``: (n, 3), its vertices in the source's unit, and ``heights`` (n,), their signed distances from the body.
+    ``points``: (n, 3), vertices in the source's unit, and ``heights`` (n,), their signed distances from the body.
     ``kind``: of all pieces.
     """
-    piece = label_components(mesh.face_indices, mesh.face_indices[mesh.next_corners], mesh.n_vertices)
+    piece = label_components(triangles.ravel(), triangles[:, [1, 2, 0]].ravel(), len(points))
     count = int(piece.max()) + 1
     sizes = np.bincount(piece, minlength=count)
     centres = grouped_sums(piece, points, count) / sizes[:, None]
@@ -75,12 +78,14 @@ def find_pieces(
     if kind is not None:
         is_rigid = np.full(count, kind != "cloth")
     rigid = np.flatnonzero(is_rigid)
-    near = cKDTree(centres[rigid]).query_pairs(config.concentric_share * config.max_radius, output_type="ndarray")
-    heads, tails = rigid[near].T
-    is_joined = np.linalg.norm(centres[heads] - centres[tails], axis=1) < config.concentric_share * np.maximum(
-        radius[heads], radius[tails]
-    )
-    group = label_components(heads[is_joined], tails[is_joined], count)
+    near = cKDTree(centres[rigid]).query_pairs(config.joined_distance * config.max_radius, output_type="ndarray")
+    smaller, larger = np.take_along_axis(rigid[near], np.argsort(radius[rigid[near]], axis=1), axis=1).T
+    reach, members = config.joined_distance * radius[larger], members_of(piece)
+    is_joined = np.linalg.norm(centres[smaller] - centres[larger], axis=1) < reach
+    for pair in np.flatnonzero(is_joined):
+        offsets = points[members[smaller[pair]]] - centres[larger[pair]]
+        is_joined[pair] = np.linalg.norm(offsets, axis=1).max() < reach[pair]
+    group = label_components(smaller[is_joined], larger[is_joined], count)
     group_rigid = np.zeros(int(group.max()) + 1, dtype=bool)
     group_rigid[group[is_rigid]] = True
     return Pieces(group[piece], group_rigid, kind != "rigid")

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress, pairwise
 
 import numpy as np
 
 from cagemap.character.body_frames import BodyFrames, SignedDistances
 from cagemap.character.contact import Contact, push_out
+from cagemap.character.normals import move_vertices
 from cagemap.character.passenger_pieces import PASSENGER_KINDS, PassengerKind, find_pieces, fit_similarities
+from cagemap.character.values import Part
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
@@ -56,9 +59,9 @@ def carry_passengers(
 ) -> list[CarriedPassenger]:
     """Carry meshes on the source's body to the target's body.
 
-    Cloth follows the surface below it at its old distance. Small compact pieces (eyeballs, buttons, teeth) and pieces
-    far from the body keep their shape, as 'similarity' does; `find_pieces` decides which. Cloth outside the source's
-    body stays outside the target's.
+    Cloth follows the surface below it at its old distance. Small compact pieces (eyeballs with
+    their irises, buttons, teeth) and pieces far from the body keep their shape, as 'similarity' does; `find_pieces`
+    decides which. Cloth outside the source's body stays outside the target's.
 
     Parameters
     ----------
@@ -106,16 +109,32 @@ def carry_passengers(
     places, matrices = frames.carry(points, distances)
     contact = Contact.find(frames, points, triangles, distances.normals, matrices)
     places = push_out(target, contact, places, np.concatenate(triangles))
-    factor = source.scale / target.scale
-    carried = []
-    for mesh, start in zip(meshes, starts[:-1], strict=True):
-        rows = slice(start, start + mesh.n_vertices)
-        pieces = find_pieces(mesh, points[rows], distances.heights[rows], kinds.get(mesh.name))
-        positions, turns, scales = fit_similarities(pieces, points[rows], places[rows], matrices[rows])
-        linear_map = factor * scales[:, None, None] * turns
-        distance = float(np.abs(distances.heights[rows]).mean())
-        carried.append(CarriedPassenger(positions / target.scale, linear_map, distance))
-    return carried
+    kind_of = [kinds.get(mesh.name) for mesh in meshes]
+    positions, linear_maps = np.empty_like(places), np.empty_like(matrices)
+    for of_group in dict.fromkeys(kind_of):  # meshes of one kind together: an iris joins the eyeball of another mesh
+        is_taken = [one == of_group for one in kind_of]
+        rows = np.flatnonzero(np.repeat(is_taken, np.diff(starts)))
+        of_kind = np.searchsorted(rows, np.concatenate(list(compress(triangles, is_taken))))
+        pieces = find_pieces(of_kind, points[rows], distances.heights[rows], of_group)
+        positions[rows], turns, scales = fit_similarities(pieces, points[rows], places[rows], matrices[rows])
+        linear_maps[rows] = source.scale / target.scale * scales[:, None, None] * turns
+    return [
+        CarriedPassenger(
+            positions[rows] / target.scale, linear_maps[rows], float(np.abs(distances.heights[rows]).mean())
+        )
+        for rows in (slice(start, end) for start, end in pairwise(starts.tolist()))
+    ]
+
+
+def carried_parts(
+    result: PointMap | MatchResult, parts: Sequence[Part], *, kinds: Mapping[str, PassengerKind] | None = None
+) -> list[Part]:
+    """Parts of the source, with their shapes, on the target's body; see `carry_passengers`."""
+    carried = carry_passengers(result, [part.mesh for part in parts], kinds=kinds)
+    return [
+        move_vertices(part, one.positions, {name: one.carry_offsets(offsets) for name, offsets in part.shapes.items()})
+        for part, one in zip(parts, carried, strict=True)
+    ]
 
 
 # Mean distance of a passenger from the body, in sqrt(body area), above which its units or place are doubtful.
@@ -134,9 +153,12 @@ def far_passenger(name: str, body: str, distance: float, factor: float) -> str:
 _MAX_HIDDEN_SHARE = 0.5
 
 
-def hidden_passenger(point_map: PointMap, mesh: ControlMesh, carried: CarriedPassenger) -> list[str]:
-    """A note on a rigid passenger that is inside the target's body, but not in the source's."""
-    sides = (point_map.source, mesh.positions), (point_map.target, carried.positions)
+def hidden_passenger(point_map: PointMap, mesh: ControlMesh, carried: FloatArray) -> list[str]:
+    """A note on a rigid passenger that is inside the target's body, but not in the source's.
+
+    ``carried``: (n, 3) its positions on the target.
+    """
+    sides = (point_map.source, mesh.positions), (point_map.target, carried)
     before, share = ((SignedDistances.of(body, body.scale * at).heights < 0.0).mean() for body, at in sides)
     if share <= before + _MAX_HIDDEN_SHARE:
         return []

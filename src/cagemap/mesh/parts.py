@@ -25,12 +25,38 @@ MIN_SHARE_OF_FACES = 0.5
 # Least diagonal of the bounding box of the body, divided by that of the whole mesh: at least 0.77 for whole bodies,
 # 0.25 for the head of a body that is deleted under the clothes (docs/lab/characters.md).
 MIN_BODY_EXTENT = 0.5
-# Words in the names of passengers: parts that are moved with the body. Those of the last line
+# Words in the names of passengers, parts that are moved with the body, by the word for all of one kind. With _END they
 # count only at the end of a word or before a plural s: "panther" and "hatchling" name no passengers.
+_END = r"(?=s?(?-i:(?![a-z])))"
 _PASSENGER_WORDS = re.compile(
-    r"eye|lash|brow(?!(?-i:n))|teeth|tooth|tongue|hair|beard|moustache|helmet|glasses|shirt|jacket|suit|dress|skirt|trouser|cloth|"
-    r"outfit|garment|shoe|boot|sock|glove|belt|scarf|armor|armour|weapon|sword|accessor|"
-    r"(?:gum|hat|cap|top|coat|pant|jean|short|bag|cape)(?=s?(?-i:(?![a-z])))",
+    "|".join(
+        f"(?P<{word}>{pattern})"
+        for word, pattern in {
+            "eye": "eye(?!.?(?:lash|brow|glass|patch))",
+            "lash": "lash",
+            "brow": "brow(?!(?-i:n))",
+            "teeth": f"teeth|tooth|gum{_END}",
+            "tongue": "tongue",
+            "hair": f"hair|wig{_END}",
+            "beard": "beard|moustache",
+            "glasses": "glass|goggle",
+            "hat": f"helmet|(?:top.?)?hat{_END}|cap{_END}",
+            "shirt": f"shirt|blouse|sweater|hoodie|top{_END}",
+            "jacket": f"jacket|coat{_END}",
+            "suit": "suit|dress|outfit|garment|cloth",
+            "skirt": "skirt",
+            "trouser": f"trouser|legging|(?:pant|jean|short){_END}",
+            "shoe": "shoe|boot|sandal|sneaker|slipper",
+            "sock": "sock|stocking",
+            "glove": "glove",
+            "belt": "belt",
+            "scarf": "scarf",
+            "cape": f"cloak|cape{_END}",
+            "armor": "armou?r",
+            "weapon": "weapon|sword",
+            "accessory": f"accessor|necklace|bracelet|earring|backpack|bag{_END}",
+        }.items()
+    ),
     re.IGNORECASE,
 )
 
@@ -86,9 +112,12 @@ def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
 
 
 def passenger_word(name: str) -> str:
-    """The word in a part's name that marks it as clothes, hair, eyes or equipment, in lower case; '' without one."""
+    """The word for clothes, hair, eyes or equipment that a part's name states; '' without one.
+
+    Words for one kind, such as jeans and trousers, give the same.
+    """
     match = _PASSENGER_WORDS.search(name)
-    return "" if match is None else match[0].lower()
+    return "" if match is None else match.lastgroup or ""
 
 
 def largest_part(mesh: ControlMesh) -> Part:

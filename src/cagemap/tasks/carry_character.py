@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 from scipy import sparse
 
 from cagemap.character.doubled_pieces import PairedFaces, doubled_pieces, pieces_in_surface
-from cagemap.character.normals import move_vertices, with_shape_normals
+from cagemap.character.normals import with_shape_normals
 from cagemap.character.own_parts import (
     average_rows,
     limit_influences,
     nearest_rows,
-    own_parts_with_weights,
-    rigid_groups,
+    parts_of_one_kind,
+    with_nearest_values,
 )
-from cagemap.character.passenger_pieces import EYES, PassengerKind, PieceConfig
-from cagemap.character.passengers import CarriedPassenger, carry_passengers, hidden_passenger
+from cagemap.character.passenger_pieces import PassengerKind
+from cagemap.character.passengers import CarriedPassenger, carried_parts, carry_passengers, hidden_passenger
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body
 from cagemap.character.skeleton import carry_rig
@@ -28,20 +29,12 @@ from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
-from cagemap.mesh.parts import MIN_BODY_EXTENT, extract_faces, join_meshes, numbers_on_part, passenger_word
+from cagemap.mesh.parts import extract_faces, join_meshes, numbers_on_part, passenger_word
 from cagemap.mesh.repairs import RepairedMesh
-from cagemap.mesh.topology import used_vertices
-from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
-from cagemap.pipeline import choose_level, match, prepare_surfaces
-from cagemap.tasks.carry_arrays import carry_shapes, carry_weights
-from cagemap.tasks.match_parts import lost_landmark_notes, ready_mesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies, rigid_pieces
+from cagemap.tasks.carry_arrays import carry_weights
 from cagemap.tasks.progress import Stages
-
-# Least number of finest vertices of a body that is subdivided; plain meshes are not.
-BODY_VERTICES = 100_000
-# A part is refused as a body if the piece that is matched spans less than `MIN_BODY_EXTENT` of it, and the other pieces
-# have more than this share of the area.
-_MAX_OTHER_PIECES = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +66,10 @@ def carry_character(
     """Rig and dress a body like a character.
 
     ``target``: its body gets the source's rig and animations, and keeps its own shapes, also against shapes of the same
-        name; its other parts stay, with weights by `own_parts_with_weights`.
+        name; its other parts stay, with weights and shapes by `with_nearest_values`.
     ``bodies``: names of the target's and of the source's body; by default `find_body` finds them.
     ``passengers``: names of the source's other parts to carry; by default all whose `passenger_word` no other part of
-        the target has.
+        the target has and at whose place none of its nameless parts is.
     ``kinds``: see `carry_passengers`.
     ``influences``: most joints per vertex of the body; None for all.
     ``taken``: names that no other part of the target keeps, such as those of joints.
@@ -92,30 +85,37 @@ def carry_character(
     notes += matched.notes
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]
     others = [part for part in target.parts if part is not target_body]
-    pieces, counterparts, left_out = _pieces_to_carry(matched, others, named=set(kinds or ()))
-    notes += left_out
+    pieces, counterparts, left_out_notes = _pieces_to_carry(matched, others, named=set(kinds or ()))
+    notes += left_out_notes
     to_carry = [*chosen, *([] if pieces is None else [pieces])]
     stages("weights and shapes")
-    weights, shapes = _body_weights(matched, counterparts, influences), body_shapes(matched)
+    rigid = rigid_pieces(matched)
+    weights, shapes = _body_weights(matched, counterparts, rigid, influences), body_shapes(matched, rigid)
     for name, offsets in counterparts.shapes.items():
         shapes[name][counterparts.vertices] = offsets
     body = replace(target_body, name=source_body.name, weights=weights, shapes={**shapes, **target_body.shapes})
-    body = with_shape_normals(body, [name for name in source_body.shape_normals if name not in target_body.shapes])
-    taken = {*taken, *(part.name for part in (body, *to_carry))}
-    extras = [replace(part, name=f"{part.name} (own)") if part.name in taken else part for part in others]
-    if weights is not None:
-        extras = own_parts_with_weights(extras, body, declined, result.point_map, influences)
     stages("passengers")
-    carried = carry_passengers(result, [part.mesh for part in to_carry], kinds=kinds)
-    for part, one in zip(to_carry, carried, strict=True):
-        if (kinds or {}).get(part.name) == "rigid":
-            notes += hidden_passenger(result.point_map, part.mesh, one)
+    dressed = carried_parts(result, to_carry, kinds=kinds)
+    left_out = carried_parts(result, declined if others else [])
+    same_kind = parts_of_one_kind([*dressed[: len(chosen)], *left_out], others)
     if passengers is None:
-        notes += _doubled_passengers(matched, zip(chosen, carried[: len(chosen)], strict=True))
-    dressed = [
-        move_vertices(part, one.positions, {name: one.carry_offsets(offsets) for name, offsets in part.shapes.items()})
-        for part, one in zip(to_carry, carried, strict=True)
-    ]
+        has_own = {*chain.from_iterable(same_kind)}
+        doubled = [part.name for part in dressed[: len(chosen)] if part in has_own and part.name not in (kinds or ())]
+        if doubled:
+            notes += _declined_note(doubled)
+            to_carry = [part for part in to_carry if part.name not in doubled]
+            dressed = carried_parts(result, to_carry, kinds=kinds)
+        notes += _doubled_passengers(matched, dressed[: len(chosen) - len(doubled)])
+    for part, one in zip(to_carry, dressed, strict=True):
+        if (kinds or {}).get(part.name) == "rigid":
+            notes += hidden_passenger(result.point_map, part.mesh, one.mesh.positions)
+    if weights is not None:
+        same_kind = [[part for part in parts if part.weights is not None] for parts in same_kind]
+    skin = matched.skin(weights, {name: body.shapes[name] for name in shapes})
+    extras = with_nearest_values(others, skin, same_kind, result.point_map.target, influences)
+    taken = {*taken, *(part.name for part in (body, *to_carry))}
+    extras = [replace(part, name=f"{part.name} (own)") if part.name in taken else part for part in extras]
+    body = with_shape_normals(body, [name for name in source_body.shape_normals if name not in target_body.shapes])
     rig, animations = None, source.animations  # without a skeleton, those of blend shapes
     if source.rig is not None:
         stages("skeleton and animations")
@@ -134,91 +134,17 @@ def carry_character(
     return CarriedCharacter(character, result, (matched.rows(0), matched.rows(1)), tuple(to_carry), tuple(notes))
 
 
-@dataclass(frozen=True, eq=False)
-class Bodies:
-    """Two bodies as given and as repaired for the match, and the map."""
-
-    given: tuple[Part, Part]
-    ready: tuple[RepairedMesh, RepairedMesh]
-    result: MatchResult
-    notes: tuple[str, ...] = ()  # on landmarks that are not on the matched pieces
-
-    def rows(self, side: int) -> IndexArray:
-        """For every vertex of a matched mesh (0: target, 1: source), a vertex of the given mesh."""
-        vertex_of = self.ready[side].vertex_of
-        given = np.flatnonzero(vertex_of >= 0)[::-1]  # reversed, so that the first of several is kept
-        rows = np.zeros(self.ready[side].mesh.n_vertices, dtype=np.int64)
-        rows[vertex_of[given]] = given
-        return rows
-
-    def on_target(self, values: FloatArray) -> FloatArray:
-        """Values at the given target's vertices; vertices that were set aside copy the nearest matched vertex."""
-        vertex_of, places = self.ready[0].vertex_of, self.given[0].mesh.positions
-        known = vertex_of >= 0
-        rows = np.where(known, vertex_of, 0)
-        if not known.all():
-            rows[~known] = vertex_of[known][nearest_rows(places[known], places[~known])]
-        return np.asarray(values[rows])
-
-
-def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stages) -> Bodies:
-    """Match the meshes of two parts, after repairs if they need any; refuse a part of which a fragment is matched."""
-    ready = _ready_body(target), _ready_body(source)
-    kept = landmarks.renumbered(*(mesh.vertex_of.__getitem__ for mesh in ready))
-    stages("prepare")
-    levels = choose_level(ready[0].mesh, BODY_VERTICES), choose_level(ready[1].mesh, BODY_VERTICES)
-    surfaces = prepare_surfaces(ready[0].mesh, ready[1].mesh, levels)
-    result = match(*surfaces, kept, progress=stages)
-    return Bodies((target, source), ready, result, tuple(lost_landmark_notes(landmarks, kept)))
-
-
-def _ready_body(part: Part) -> RepairedMesh:
-    ready = ready_mesh(part.mesh)
-    with_faces = part.mesh.positions[used_vertices(part.mesh)]
-    extents = [box_diagonal(points) for points in (ready.mesh.positions, with_faces)]
-    if ready.repairs.pieces_share > _MAX_OTHER_PIECES and extents[0] < MIN_BODY_EXTENT * extents[1]:
-        raise ParameterError(
-            f"{part.mesh.name}: expected a surface in one piece, but {part.name} has {ready.repairs.pieces + 1} "
-            f"pieces, and the one that is matched spans only {extents[0] / extents[1]:.0%} of it. If faces under the "
-            "clothes were deleted, export the whole body; or choose another part (rig: --body-part, --like-part; "
-            "face: --part)."
-        )
-    return ready
-
-
-def _body_weights(bodies: Bodies, counterparts: _Counterparts, influences: int | None) -> sparse.csr_array | None:
+def _body_weights(
+    bodies: Bodies, counterparts: _Counterparts, rigid: Sequence[IndexArray], influences: int | None
+) -> sparse.csr_array | None:
     weights = bodies.given[1].weights
     if weights is None:
         return None
     carried = carry_weights(bodies.result, weights[bodies.rows(1)].toarray(), influences=influences)
-    table = average_rows(bodies.on_target(carried), rigid_pieces(bodies), influences)
+    table = average_rows(bodies.on_target(carried), rigid, influences)
     if counterparts.weights is not None:
         table[counterparts.vertices] = limit_influences(counterparts.weights.toarray(), influences)
     return sparse.csr_array(table)
-
-
-def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
-    """Blend shapes of the source as offsets of the given target's vertices, by name."""
-    shapes = bodies.given[1].shapes
-    if not shapes:
-        return {}
-    rows = bodies.rows(1)
-    carried = carry_shapes(bodies.result, {name: offsets[rows] for name, offsets in shapes.items()})
-    assert isinstance(carried, dict)
-    made = {name: bodies.on_target(offsets) for name, offsets in carried.items()}
-    for piece in rigid_pieces(bodies):
-        for offsets in made.values():
-            offsets[piece] = offsets[piece].mean(axis=0)
-    return made
-
-
-def rigid_pieces(bodies: Bodies, config: PieceConfig = EYES) -> list[IndexArray]:
-    """Vertices of each unmatched piece of the target's mesh that keeps its shape, such as an eyeball."""
-    mesh, unmatched = bodies.given[0].mesh, bodies.ready[0].vertex_of < 0
-    if not unmatched.any():
-        return []
-    groups = rigid_groups(mesh, bodies.result.point_map.target, config)
-    return [vertices for vertices in groups if unmatched[vertices].all()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,14 +216,14 @@ def _values_of_pairs(
     )
 
 
-def _doubled_passengers(bodies: Bodies, carried: Iterable[tuple[Part, CarriedPassenger]]) -> list[str]:
+def _doubled_passengers(bodies: Bodies, dressed: Sequence[Part]) -> list[str]:
     """A note on carried parts at whose place the mesh of the target's body has pieces."""
     own = _set_aside(bodies.given[0], bodies.ready[0])
     if own is None:
         return []
     doubled = []
-    for part, place in carried:
-        pairs = doubled_pieces(part.mesh.with_positions(place.positions), own.mesh)
+    for part in dressed:
+        pairs = doubled_pieces(part.mesh, own.mesh)
         doubled += [part.name] if sum(len(faces) for faces, _ in pairs) == part.mesh.n_faces else []
     text = "has pieces where they are carried to: --passengers without them leaves them out"
     return [f"{', '.join(doubled)}: the mesh of {bodies.given[0].mesh.name} {text}"] if doubled else []
@@ -359,8 +285,12 @@ def _select_passengers(
         return [part for part in candidates if part.name in names], []
     roles = {passenger_word(part.name) for part in target.parts if part is not target_body} - {""}
     declined = [part.name for part in candidates if passenger_word(part.name) in roles]
-    notes = [f"{', '.join(declined)}: the body has its own and keeps them; name them as passengers to carry them"]
-    return [part for part in candidates if part.name not in declined], notes if declined else []
+    return [part for part in candidates if part.name not in declined], _declined_note(declined)
+
+
+def _declined_note(names: Sequence[str]) -> list[str]:
+    note = "the body has its own and keeps them; name them as passengers to carry them"
+    return [f"{', '.join(names)}: {note}"] if names else []
 
 
 def _require_passengers(names: Iterable[str], known: Sequence[str], declined: Collection[str]) -> None:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from cagemap.character.body_frames import BodyFrames
 from cagemap.character.bones import humanoid_joints
-from cagemap.character.passenger_pieces import EYES
+from cagemap.character.own_parts import HAIRS, with_nearest_values
+from cagemap.character.passenger_pieces import PIECES
 from cagemap.character.self_collision import move_apart
 from cagemap.character.values import Character, Part, Rig
 from cagemap.errors import ParameterError
@@ -21,12 +22,14 @@ from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import read_whole
 from cagemap.mesh.cage_points import CagePoints, on_cage
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import extract_faces, numbers_on_part
+from cagemap.mesh.parts import extract_faces, numbers_on_part, passenger_word
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.camera import View, frame
 from cagemap.pictures.render import Image, Model, Skin, render
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.carry_character import Bodies, body_shapes, match_bodies, rigid_pieces, with_part
+from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies, rigid_pieces
+from cagemap.tasks.carry_character import with_part
+from cagemap.tasks.face_parts import Mouth
 from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.face import FaceRequest
@@ -43,7 +46,7 @@ from cagemap.tasks.rig_character import (
 # Least trusted share of a head's area: heads have 0.98 and more, a whole body 0.5.
 _LEAST_TRUSTED_SHARE = 0.8
 # Radius of eyeballs in units of sqrt(area) of the head; MakeHuman's have 0.04, drawn characters' are larger.
-_EYES = replace(EYES, max_radius=0.1)
+_EYES = replace(PIECES, max_radius=0.1)
 _AROUND_EYES = ("eye", "brow", "cheekSquint")  # beginnings of names of shapes
 _COLUMNS, _PIXELS = 9, 200
 _VIEW = View("face", 15.0, 3.0)
@@ -70,8 +73,12 @@ def run_face(request: FaceRequest, stages: Stages) -> SummaryAndWarnings:
             "--landmarks."
         )
     stages("shapes")
-    shapes = _on_body(face_shapes(bodies, [name for name in asked.shapes if name not in kept]), head, body)
+    on_head = face_shapes(bodies, [name for name in asked.shapes if name not in kept])
+    shapes = _on_body(on_head, head, body)
+    others = _other_parts(file_character, body, bodies, on_head)
     character = with_part(file_character, body, replace(body, shapes={**body.shapes, **shapes}))
+    for part, with_shapes in others:
+        character = with_part(character, part, with_shapes)
     notes += [*bodies.notes, *body_warnings(bodies.result)]
     notes += [f"{', '.join(kept)}: {request.head.name} has its own and keeps them"] if kept else []
     stages.record({"part": body.name, "shapes": list(shapes), "trusted_area": trusted})
@@ -81,11 +88,10 @@ def run_face(request: FaceRequest, stages: Stages) -> SummaryAndWarnings:
         notes += write_character(request.output, character, made, [request.head], force=request.force)
         if request.sheet is not None:
             turn = BodyFrames(bodies.result.point_map).rotation
-            write_image(
-                request.sheet, contact_sheet(character, body.name, list(shapes), head, turn), force=request.force
-            )
+            write_image(request.sheet, contact_sheet(character, list(shapes), head, turn), force=request.force)
     absent = f"; there is no {ABSENT}" if request.only is None else ""
-    return f"wrote {request.output}: {len(shapes)} face shapes on {body.name}{absent}", notes
+    along = f", moving along: {', '.join(part.name for part, _ in others)}" if others else ""
+    return f"wrote {request.output}: {len(shapes)} face shapes on {body.name}{along}{absent}", notes
 
 
 def _require_paths(request: FaceRequest) -> None:
@@ -145,15 +151,17 @@ def _landmarks(request: FaceRequest, head: Part, character: Character) -> tuple[
 
 
 def face_shapes(bodies: Bodies, names: Sequence[str]) -> dict[str, FloatArray]:
-    """Shapes of the built-in face on the head, by name, without new collisions. Eyeballs in its mesh stay.
+    """Shapes of the built-in face on the head, by name, without new collisions.
 
-    Eyeballs are rigid pieces that shapes around the eyes, of all in the kit, move furthest; teeth follow the jaw.
+    Eyeballs in its mesh stay: rigid pieces that shapes around the eyes, of all in the kit, move furthest. Upper teeth
+    in its mesh stay too, lower ones follow the jaw.
     mouthClose corrects jawOpen: its collisions are those of both, and without jawOpen it stays as carried.
     """
     rows, mesh = bodies.rows(0), bodies.ready[0].mesh
     triangles = fan_triangles(mesh.face_offsets, mesh.face_indices)[0]
     forward = BodyFrames(bodies.result.point_map).rotation[2]
-    carried = body_shapes(bodies)
+    rigid = rigid_pieces(bodies, _EYES)
+    carried = body_shapes(bodies, rigid)
     shapes = {name: carried[name][rows] for name in names}
     for name in shapes.keys() - {"mouthClose"}:
         shapes[name] = move_apart(mesh.positions, mesh.positions + shapes[name], triangles, forward) - mesh.positions
@@ -161,12 +169,29 @@ def face_shapes(bodies: Bodies, names: Sequence[str]) -> dict[str, FloatArray]:
         opened = mesh.positions + shapes["jawOpen"]
         shapes["mouthClose"] = move_apart(mesh.positions, opened + shapes["mouthClose"], triangles, forward) - opened
     shapes = {name: bodies.on_target(offsets) for name, offsets in shapes.items()}
-    for piece in rigid_pieces(bodies, _EYES):
+    for piece in rigid:
         shifts = {name: np.linalg.norm(offsets[piece], axis=1).max() for name, offsets in carried.items()}
         if max(shifts, key=shifts.__getitem__).startswith(_AROUND_EYES):
             for offsets in shapes.values():
                 offsets[piece] = 0.0
-    return shapes
+    in_mouth, of_mouth = Mouth.of(bodies).shapes(bodies.given[0].mesh, names)
+    return {name: np.where(in_mouth[:, None], of_mouth.get(name, 0.0), offsets) for name, offsets in shapes.items()}
+
+
+def _other_parts(
+    character: Character, body: Part, bodies: Bodies, shapes: Mapping[str, FloatArray]
+) -> list[tuple[Part, Part]]:
+    """Lashes, brows, beards and what is in the mouth, as given and with the head's ``shapes`` that move them."""
+    others = [part for part in character.parts if part is not body]
+    hairs = [part for part in others if passenger_word(part.name) in HAIRS]
+    surface, skin = bodies.result.point_map.target, bodies.skin(None, shapes)
+    made = dict(zip(hairs, with_nearest_values(hairs, skin, [[] for _ in hairs], surface, None), strict=True))
+    mouth = Mouth.of(bodies)
+    for part in others:
+        if part not in made:
+            moved = {name: offsets for name, offsets in mouth.shapes(part.mesh, shapes)[1].items() if offsets.any()}
+            made[part] = replace(part, shapes={**moved, **part.shapes})
+    return [(part, made[part]) for part in others if made[part].shapes.keys() > part.shapes.keys()]
 
 
 def _on_body(shapes: dict[str, FloatArray], head: Part, body: Part) -> dict[str, FloatArray]:
@@ -177,8 +202,8 @@ def _on_body(shapes: dict[str, FloatArray], head: Part, body: Part) -> dict[str,
     return {name: np.where((number >= 0)[:, None], offsets[number], 0.0) for name, offsets in shapes.items()}
 
 
-def contact_sheet(character: Character, name: str, shapes: Sequence[str], head: Part, turn: FloatArray) -> Image:
-    """Pictures of shapes of the part ``name``, in rows, after a picture of the face at rest.
+def contact_sheet(character: Character, shapes: Sequence[str], head: Part, turn: FloatArray) -> Image:
+    """Pictures of shapes, in rows, after a picture of the face at rest.
 
     mouthClose corrects jawOpen and is shown with it.
 
@@ -191,15 +216,14 @@ def contact_sheet(character: Character, name: str, shapes: Sequence[str], head: 
         [fan_triangles(m.face_offsets, m.face_indices)[0] + start for m, start in zip(meshes, starts, strict=False)]
     )
     rest = np.concatenate([mesh.positions for mesh in meshes])
-    number = next(k for k, part in enumerate(character.parts) if part.name == name)
-    part_shapes = character.parts[number].shapes
     camera = frame(head.mesh.positions @ turn.T, _VIEW, aspect=1.0)
     cells = []
     for shape in (None, *shapes):
         places = rest.copy()
         if shape is not None:
-            along = part_shapes.get("jawOpen", 0.0) if shape == "mouthClose" else 0.0
-            places[starts[number] : starts[number + 1]] += part_shapes[shape] + along
+            names = ("jawOpen", shape) if shape == "mouthClose" else (shape,)
+            for start, end, part in zip(starts, starts[1:], character.parts, strict=False):
+                places[start:end] += sum(part.shapes.get(name, 0.0) for name in names)
         model = Model(places @ turn.T, triangles)
         cells.append(render(model, Skin(), camera, width=_PIXELS, height=_PIXELS, floor=False))
     blank = np.full_like(cells[0], 255)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -52,6 +53,8 @@ from cagemap.tasks.rig_materials import (
     with_own_materials,
     with_uvs_in_unit_square,
 )
+
+_log = logging.getLogger(__name__)
 
 _DOUBT = "the bodies may be matched wrongly: look at the result, and give --landmarks where it is wrong"
 
@@ -169,7 +172,9 @@ def read_body(path: Path) -> tuple[Document | None, Character]:
         document = read_document(path)
         return document, character_of(document)
     mesh = read_mesh(path)
-    if check_mesh(mesh).problems:  # a plain mesh is repaired
+    if problems := check_mesh(mesh).problems:  # a plain mesh is repaired
+        kinds = ", ".join(problem.kind for problem in problems)
+        _log.warning("%s: matched as a plain mesh, since it is no control mesh: %s (cagemap check)", path, kinds)
         mesh = replace(mesh, scheme=Plain())
     part = Part(path.stem, mesh)
     return _document_of_images(path, part), Character((part,))

@@ -15,7 +15,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
 from cagemap.surface.alignment import fit_similarity
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.tasks.carry_character import Bodies
+from cagemap.tasks.bodies import Bodies
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import map_surface
 from cagemap.transfer.textured_surface import TexturedSurface

@@ -160,6 +160,7 @@ def test_joints_move_and_join() -> None:
         local=np.concatenate([lifted, tip[None]]),
         bind=bind,
     )
+    document.json["animations"][0]["channels"].pop()  # of the strip, which has no skin then
     parts = tuple(replace(part, weights=None) for part in character.parts)
     again = character_of(character_glb(replace(character, rig=grown, parts=parts), document))
     assert again.rig.names == ("upper", "lower", "tip")

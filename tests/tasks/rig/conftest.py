@@ -11,7 +11,7 @@ from cagemap.character.values import Character, Part
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.tasks.carry_character import Bodies, match_bodies
+from cagemap.tasks.bodies import Bodies, match_bodies
 from cagemap.tasks.progress import Stages
 
 from example_character import bare_body, character, write_character

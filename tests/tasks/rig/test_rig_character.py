@@ -30,7 +30,8 @@ from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.subdivision import with_options
-from cagemap.tasks.carry_character import _set_aside, carry_character, match_bodies
+from cagemap.tasks.bodies import match_bodies
+from cagemap.tasks.carry_character import _set_aside, carry_character
 from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
@@ -89,6 +90,34 @@ def test_a_body_moved_and_scaled_moves_like_the_character(run: Run, files: Chara
         # The map is found, not given: a thousandth of the size.
         size = float(np.ptp(body.positions, axis=0).max())
         np.testing.assert_allclose(skinned_positions(found, made.rig, poses[1])[rows], expected, atol=2e-3 * size)
+
+
+def test_a_prop_with_a_motion_of_its_own_moves_at_the_place_and_size_of_the_body(
+    run: Run, files: Character, body: ControlMesh
+) -> None:
+    """A moon beside no joint, which turns and orbits: on a body that is scaled by 2, turned and shifted."""
+    place, turn = body.positions.max(axis=0), Rotation.from_rotvec([0.0, 0.4, 0.0]).as_matrix()
+    moon, count = ball("moon", np.array([0.02, 0.0, 0.0]), 0.1), ball("moon", place, 0.1).n_vertices
+    document = character_glb(replace(files, parts=(files.parts[0], Part("moon", moon))))
+    binary = Binary(document)
+    (node,) = (number for number, one in enumerate(document.json["nodes"]) if one["name"] == "moon")
+    document.json["nodes"][node]["translation"] = place.tolist()
+    times = binary.accessor(np.array([0.0, 1.0], "<f4"), min=[0.0], max=[1.0])
+    (animation,) = document.json["animations"]
+    quarter = [0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)]
+    for path, keys in (("translation", [place, place * [-1, 1, 1]]), ("rotation", [[0, 0, 0, 1], quarter])):
+        animation["samplers"].append({"input": times, "output": binary.accessor(np.array(keys, "<f4"))})
+        sampler = len(animation["samplers"]) - 1
+        animation["channels"].append({"sampler": sampler, "target": {"node": node, "path": path}})
+    write_document("C.glb", binary.document(document.json), force=True)
+    write_mesh("B.glb", body.with_positions(2 * body.positions @ turn + [0.1, 0.2, 0.3]), force=True)
+    made = rig_done(run)
+    posed = skinned_positions(part_named(made, "moon"), made.rig, pose_at(made.rig, made.animations[0], 1.0))
+    rotation = Rotation.from_quat(quarter).as_matrix().T
+    expected = 2 * (moon.positions @ rotation + place * [-1, 1, 1]) @ turn + [0.1, 0.2, 0.3]
+    size = float(np.ptp(body.positions, axis=0).max())
+    assert posed.shape == (count, 3)
+    np.testing.assert_allclose(np.sort(posed, axis=0), np.sort(expected, axis=0), atol=5e-3 * size)
 
 
 def test_animated_shapes_need_no_skeleton(run: Run, files: Character) -> None:
@@ -330,27 +359,52 @@ def test_a_piece_that_stays_moves_as_that_of_the_character(body: ControlMesh, in
         np.testing.assert_allclose(made.shapes[name], 2.0 * offsets, atol=1e-3)
 
 
-@pytest.mark.parametrize("has_eyes", [False, True])
-def test_an_own_eyeball_moves_as_a_whole(body: ControlMesh, has_eyes: bool) -> None:
+@pytest.mark.parametrize(("has_eyes", "in_one_part"), [(False, True), (True, True), (True, False)])
+def test_an_own_eyeball_moves_as_a_whole(body: ControlMesh, has_eyes: bool, in_one_part: bool) -> None:
     """It follows the character's eye joint, or the skin around it on average; so do its iris and a ball in the mesh."""
     top = body.positions[np.argmax(body.positions[:, 1])]
     eye, button = ball("eye", top - [0, 0.4, 0], 0.2), ball("button", top - [0, 2.4, 0], 0.2)
     meshes = [replace(one, face_objects=None, object_names=()) for one in (body, button)]
     iris = ball("iris", np.zeros(3), 0.1)
     iris = iris.with_positions(iris.positions * [1.0, 1.0, 0.1] + top - [0, 0.4, 0.2])
-    own_eye = Part("My eyes", replace(join_meshes([eye, iris]), face_objects=None, object_names=()))
-    own = Part("body", replace(with_options(join_meshes(meshes), "none"), name="B.glb")), own_eye
+    eyes = [Part("My eyes", eye), Part("Iris", iris)]
+    if in_one_part:
+        eyes = [Part("My eyes", replace(join_meshes([eye, iris]), face_objects=None, object_names=()))]
+    own = Part("body", replace(with_options(join_meshes(meshes), "none"), name="B.glb")), *eyes
     height = body.positions[:, 1] - body.positions[:, 1].min()
     share = height / height.max()
     weights = sparse.csr_array(np.column_stack([1 - share, share, np.zeros(len(share))]))
     of_eye = sparse.csr_array(np.tile([[0.0, 0.0, 1.0]], (eye.n_vertices, 1)))
     parts = Part("body", replace(body, name="C.glb"), weights), *([Part("eye", eye, of_eye)] if has_eyes else [])
     rig = Rig(("root", "head", "look"), np.array([-1, 0, 1]), *2 * [np.tile(np.eye(4), (3, 1, 1))])
-    made, made_eye = carry_character(Character(own), Character(parts, rig)).character.parts
-    for found in (made_eye.weights.toarray(), made.weights.toarray()[body.n_vertices :]):
+    made, *made_eyes = carry_character(Character(own), Character(parts, rig)).character.parts
+    of_eyes = np.concatenate([part.weights.toarray() for part in made_eyes])
+    for found in (of_eyes, made.weights.toarray()[body.n_vertices :]):
         np.testing.assert_allclose(np.ptp(found, axis=0), 0.0, atol=1e-12)
         np.testing.assert_allclose(found.sum(axis=1), 1.0)
-    np.testing.assert_allclose(made_eye.weights.toarray()[0, 2], float(has_eyes))
+    np.testing.assert_allclose(of_eyes[0, 2], float(has_eyes))
+
+
+def test_own_lashes_and_teeth_get_shapes(body: ControlMesh) -> None:
+    """Lashes those of the skin at their roots, as a whole; a hat those of the skin below; teeth the character's."""
+    top = body.positions[np.argmax(body.positions[:, 1])]
+    lash = ball("lash", np.zeros(3), 1.0)
+    lash = lash.with_positions(lash.positions * [0.1, 0.5, 0.1] + top + [0.0, 0.5, 0.0])
+    teeth, hat = ball("teeth", top - [0, 2, 0], 0.2), ball("hat", top - [0, -2, 0], 0.2)
+    shapes = {"lift": np.where(body.positions[:, 1:] > top[1] - 0.5, 1.0, 0.0)[:, [0]] * [0.0, 0.5, 0.0]}
+    bite = {"bite": np.tile([0.0, 0.0, 0.2], (teeth.n_vertices, 1))}
+    own = Part("Eyelashes", lash, shapes={"mine": lash.positions}), Part("My teeth", teeth), Part("hat", hat)
+    source = Part("body", replace(body, name="C.glb"), shapes=shapes), Part("teeth", teeth, shapes=bite)
+    target = Part("body", replace(body, name="B.glb")), *own
+    made = {part.name: part for part in carry_character(Character(target), Character(source)).character.parts}
+    assert {name: list(part.shapes) for name, part in made.items()} == {
+        "body": ["lift"],
+        "Eyelashes": ["mine", "lift"],
+        "My teeth": ["bite"],
+        "hat": ["lift"],
+    }
+    np.testing.assert_allclose(made["Eyelashes"].shapes["lift"], np.tile([0.0, 0.5, 0.0], (42, 1)), atol=1e-3)
+    np.testing.assert_allclose(made["My teeth"].shapes["bite"], bite["bite"], atol=1e-3)
 
 
 def test_a_part_where_the_mesh_of_the_body_has_a_piece_is_named(body: ControlMesh) -> None:
@@ -400,6 +454,7 @@ def test_a_scan_as_ply_is_repaired(run: Run, files: Character, body: ControlMesh
     faces = scan.face_indices.reshape(-1, 3)
     write_mesh("SCAN.ply", ControlMesh.from_faces(scan.positions, faces))
     outcome = run.done("rig SCAN.ply --like C.glb -o OUT.glb")
+    assert "SCAN.ply: matched as a plain mesh, since it is no control mesh: " in outcome.err
     assert "SCAN.ply: 1 vertex split where parts only touch" in outcome.err
     assert part_named(read_character("OUT.glb"), "body").mesh.n_vertices == scan.n_vertices
 
@@ -454,8 +509,8 @@ def test_landmarks_that_are_left_out_and_warnings_of_the_map_are_said(body, monk
     check = {"suspects": [{"message": "nose: left out"}], "notes": []}
     manifest = {"landmark_check": check, "quality": {"warnings": ["5 % is folded"]}}
     result = SimpleNamespace(manifest=manifest)
-    monkeypatch.setattr("cagemap.tasks.carry_character.prepare_surfaces", lambda *given: (None, None))
-    monkeypatch.setattr("cagemap.tasks.carry_character.match", lambda *given, progress: result)
+    monkeypatch.setattr("cagemap.tasks.bodies.prepare_surfaces", lambda *given: (None, None))
+    monkeypatch.setattr("cagemap.tasks.bodies.match", lambda *given, progress: result)
     spots = np.array([3, whole.n_vertices - 1])
     bodies = match_bodies(part, part, Landmarks(("nose", "button"), spots, spots, "a", "b"), Stages())
     lost = "1 of 2 landmarks lie on pieces that are set aside and are left out"

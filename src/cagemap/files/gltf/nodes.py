@@ -208,14 +208,15 @@ def snap_to_exact(matrix: FloatArray, exact: FloatArray, frame: FloatArray) -> F
 
 
 def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> Joints | None:
-    """Joints of all skins as one rig; None without skins.
+    """Joints of all skins as one rig; None without any.
 
-    A node above a joint becomes a joint if it is animated or its transform is no similarity. Transforms of other nodes
-    are applied to the joints below them. A joint that a later skin in use binds otherwise gets a child.
+    An animated node of a mesh without skin becomes a joint. So does a node above a joint if it is animated or its
+    transform is no similarity. Transforms of other nodes are applied to the joints below them. A joint that a later
+    skin in use binds otherwise gets a child.
     """
-    if not skins:
-        return None
     chosen = _joint_nodes(document, nodes, skins)
+    if not chosen:
+        return None
     count = len(nodes.names)
     joint_of = np.full(count, -1, dtype=np.int64)
     joint_of[chosen] = np.arange(len(chosen))
@@ -297,16 +298,15 @@ def moved_nodes(document: Document) -> set[int]:
 
 
 def _moved_props(document: Document, nodes: Nodes, joints: set[int], moved: set[int]) -> set[int]:
-    """Animated nodes between a joint and a mesh without skin, and such meshes' own nodes."""
+    """Animated nodes of meshes without skin, and those above them up to a joint."""
     found: set[int] = set()
     for node in nodes.in_scene:
-        entry, above = document.entry("nodes", node), list[int]()
+        entry = document.entry("nodes", node)
         if entry.get("mesh") is None or entry.get("skin") is not None or not is_invertible(nodes.world[[node]])[0]:
             continue
         while node >= 0 and node not in joints:
-            above.append(node)
+            found |= moved & {node}
             node = int(nodes.parents[node])
-        found |= moved.intersection(above) if node >= 0 else set()
     return found
 
 

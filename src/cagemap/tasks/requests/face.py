@@ -14,8 +14,8 @@ class FaceRequest:
     """Give a head the face shapes of ARKit.
 
     51 of the 52, from ICT-FaceKit (MIT): tongueOut is not among them. The head keeps its vertices, materials, rig and
-    own shapes. Teeth, tongue and eyes that are parts of their own stay, and so do eyeballs in its mesh. Of a body with
-    a skeleton the head and neck are taken.
+    own shapes. Its lashes, brows, beard, lower teeth and tongue move along; its upper teeth and eyeballs stay. Of a
+    body with a skeleton the head and neck are taken.
     """
 
     head: Annotated[Path, Argument("Head, or rigged body: .glb, .vrm, .fbx, .obj, .ply or USD.", metavar="HEAD")]

@@ -1,0 +1,125 @@
+"""The matched bodies of two characters, and blend shapes along their map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from cagemap.character.own_parts import rigid_groups, root_vertices, vertex_pieces
+from cagemap.character.passenger_pieces import PIECES, PieceConfig
+from cagemap.character.values import Part
+from cagemap.errors import ParameterError
+from cagemap.maps.result import MatchResult
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import MIN_BODY_EXTENT
+from cagemap.mesh.repairs import RepairedMesh
+from cagemap.mesh.topology import used_vertices
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
+from cagemap.pipeline import choose_level, match, prepare_surfaces
+from cagemap.tasks.carry_arrays import carry_shapes
+from cagemap.tasks.match_parts import lost_landmark_notes, ready_mesh
+from cagemap.tasks.progress import Stages
+
+# Least number of finest vertices of a body that is subdivided; plain meshes are not.
+BODY_VERTICES = 100_000
+# A part is refused as a body if the piece that is matched spans less than `MIN_BODY_EXTENT` of it, and the other pieces
+# have more than this share of the area.
+_MAX_OTHER_PIECES = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """Two bodies as given and as repaired for the match, and the map."""
+
+    given: tuple[Part, Part]
+    ready: tuple[RepairedMesh, RepairedMesh]
+    result: MatchResult
+    notes: tuple[str, ...] = ()  # on landmarks that are not on the matched pieces
+
+    def rows(self, side: int) -> IndexArray:
+        """For every vertex of a matched mesh (0: target, 1: source), a vertex of the given mesh."""
+        vertex_of = self.ready[side].vertex_of
+        given = np.flatnonzero(vertex_of >= 0)[::-1]  # reversed, so that the first of several is kept
+        rows = np.zeros(self.ready[side].mesh.n_vertices, dtype=np.int64)
+        rows[vertex_of[given]] = given
+        return rows
+
+    def skin(self, weights: sparse.csr_array | None, shapes: Mapping[str, FloatArray]) -> Part:
+        """The matched piece of the target's body, with values of all its vertices as given."""
+        rows = self.rows(0)
+        of_rows = {name: offsets[rows] for name, offsets in shapes.items()}
+        return Part(self.given[0].name, self.ready[0].mesh, None if weights is None else weights[rows], of_rows)
+
+    def on_target(self, values: FloatArray) -> FloatArray:
+        """Values at the given target's vertices; pieces that were set aside copy matched vertices at their roots."""
+        vertex_of, mesh = self.ready[0].vertex_of, self.given[0].mesh
+        known = vertex_of >= 0
+        rows = np.where(known, vertex_of, 0)
+        if not known.all():
+            places = mesh.positions[~known]
+            distances, nearest = map(np.asarray, cKDTree(mesh.positions[known]).query(places))
+            roots = root_vertices(places, vertex_pieces(mesh)[~known], distances)
+            rows[~known] = vertex_of[known][nearest[roots]]
+        return np.asarray(values[rows])
+
+
+def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stages) -> Bodies:
+    """Match the meshes of two parts, after repairs if they need any.
+
+    Raises
+    ------
+    ParameterError
+        If the piece of a part that is matched is only a fragment of it.
+    """
+    ready = _ready_body(target), _ready_body(source)
+    kept = landmarks.renumbered(*(mesh.vertex_of.__getitem__ for mesh in ready))
+    stages("prepare")
+    levels = choose_level(ready[0].mesh, BODY_VERTICES), choose_level(ready[1].mesh, BODY_VERTICES)
+    surfaces = prepare_surfaces(ready[0].mesh, ready[1].mesh, levels)
+    result = match(*surfaces, kept, progress=stages)
+    return Bodies((target, source), ready, result, tuple(lost_landmark_notes(landmarks, kept)))
+
+
+def _ready_body(part: Part) -> RepairedMesh:
+    ready = ready_mesh(part.mesh)
+    with_faces = part.mesh.positions[used_vertices(part.mesh)]
+    extents = [box_diagonal(points) for points in (ready.mesh.positions, with_faces)]
+    if ready.repairs.pieces_share > _MAX_OTHER_PIECES and extents[0] < MIN_BODY_EXTENT * extents[1]:
+        raise ParameterError(
+            f"{part.mesh.name}: expected a surface in one piece, but {part.name} has {ready.repairs.pieces + 1} "
+            f"pieces, and the one that is matched spans only {extents[0] / extents[1]:.0%} of it. If faces under the "
+            "clothes were deleted, export the whole body; or choose another part (rig: --body-part, --like-part; "
+            "face: --part)."
+        )
+    return ready
+
+
+def body_shapes(bodies: Bodies, rigid: Sequence[IndexArray] = ()) -> dict[str, FloatArray]:
+    """Blend shapes of the source as offsets of the given target's vertices, by name.
+
+    ``rigid``: vertices of pieces that move as a whole.
+    """
+    shapes = bodies.given[1].shapes
+    if not shapes:
+        return {}
+    rows = bodies.rows(1)
+    carried = carry_shapes(bodies.result, {name: offsets[rows] for name, offsets in shapes.items()})
+    assert isinstance(carried, dict)
+    made = {name: bodies.on_target(offsets) for name, offsets in carried.items()}
+    for piece in rigid:
+        for offsets in made.values():
+            offsets[piece] = offsets[piece].mean(axis=0)
+    return made
+
+
+def rigid_pieces(bodies: Bodies, config: PieceConfig = PIECES) -> list[IndexArray]:
+    """Vertices of each unmatched piece of the target's mesh that keeps its shape, such as an eyeball."""
+    mesh, unmatched = bodies.given[0].mesh, bodies.ready[0].vertex_of < 0
+    if not unmatched.any():
+        return []
+    groups = rigid_groups(mesh, bodies.result.point_map.target, config)
+    return [vertices for vertices in groups if unmatched[vertices].all()]
