@@ -27,8 +27,8 @@ from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.subdivision import refine
 from cagemap.tasks import bake_tiles
-from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.bodies import Bodies, match_bodies
+from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.match_summary import next_commands
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.report import run_report
