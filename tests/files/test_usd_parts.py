@@ -356,6 +356,16 @@ def test_materials_are_those_that_usd_resolves(tmp_path: Path) -> None:
     }
 
 
+def test_a_constant_colour_of_the_material_s_own_inputs_is_read(tmp_path: Path) -> None:
+    with stage_at(tmp_path / "cube.usda") as stage:
+        mesh, (material, surface) = usd_mesh(stage, "/cube", cube()), define_material(stage, "/skin")
+        stated = material.CreateInput("baseColor", Sdf.ValueTypeNames.Color3f)
+        stated.Set((0.125, 0.25, 0.5))
+        surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(stated)
+        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    np.testing.assert_array_equal(read_usd(tmp_path / "cube.usda").material_colors, [[0.125, 0.25, 0.5]])
+
+
 def test_curves_copies_and_values_of_as_many_faces_as_vertices_are_left_out_aloud(tmp_path, caplog):
     ring = torus()
     assert ring.n_faces == ring.n_vertices
