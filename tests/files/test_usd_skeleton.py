@@ -11,7 +11,7 @@ import trimesh
 from examples.shapes import triangulated
 
 from cagemap.character.joints import Skeleton
-from cagemap.errors import FormatError
+from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import read_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
@@ -40,6 +40,7 @@ from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import StageSpace, between_spaces, to_standard, unit_notes
 from cagemap.files.usd.transforms import local_to_world
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
+from cagemap.files.usd.write_mesh import write_primvar
 
 from refusals import refuses
 from usd_scenes import complaints, skinned_points, stage_at, usd_mesh
@@ -231,6 +232,23 @@ def test_weights_arrive_with_their_skeleton(folder: Path) -> None:
     carried = read_usd_meshes(folder / "shaped.usda")[0].attributes["blendShape:smile"]
     np.testing.assert_allclose(carried[2], [0, 0, 2], atol=1e-5)
     assert complaints(folder / "shaped.usda") == []
+
+
+def test_values_of_a_rigged_file_are_its_primvars(folder: Path) -> None:
+    """Weights and shapes as plain values would be in the source's units, and replace those of `--blend-shapes`."""
+    source, layer = folder / "small.usda", folder / "rig.usda"
+    shapes = TransferRequest(folder / "RESULT", folder / "shapes.npz", blend_shapes=(source,), usd=layer)
+    values = TransferRequest(folder / "RESULT", folder / "values.npz", attribute=source, usd=layer)
+    run_transfer(shapes, Stages())
+    refuses(ParameterError, "give the file to --weights and --blend-shapes", run_transfer, values, Stages())
+    with stage_at(source) as stage:
+        write_primvar(stage.GetPrimAtPath("/Asset/mesh"), textured_cube("small", 1.0), "fur", np.arange(8.0))
+    summary, notes = run_transfer(values, Stages())
+    assert "fur (8,)" in summary
+    assert ["left out skel:jointWeights, blendShape:smile" in note for note in notes] == [True]
+    found = read_usd_meshes(layer)[0].attributes
+    np.testing.assert_array_equal(found["fur"], np.arange(8.0))
+    np.testing.assert_allclose(found["blendShape:smile"][2], [0, 0, 2], atol=1e-5)
 
 
 def test_rigs_of_a_file_in_other_units_and_axes_are_converted(folder: Path) -> None:

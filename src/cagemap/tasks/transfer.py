@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from cagemap.character.passengers import carry_passenger, far_passenger, unit_factor
 from cagemap.errors import ParameterError
+from cagemap.files import VALUE_SUFFIXES
 from cagemap.files.atomic import (
     all_or_nothing,
     check_outputs,
@@ -20,13 +22,15 @@ from cagemap.files.atomic import (
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
+from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd.space import from_mesh_space, states_units, transform_mesh
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults, check_usd_path
-from cagemap.files.values.attributes import check_attribute_path, read_attributes, write_attributes
-from cagemap.files.values.part_numbering import file_rows, other_rows
+from cagemap.files.values.attributes import Attributes, check_attribute_path, read_attributes, write_attributes
+from cagemap.files.values.part_numbering import FileRows, file_rows, other_rows
 from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import place_of_rows
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray
@@ -164,8 +168,8 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
     check_attribute_path(request.output)
     require_replaceable(request.output, force=request.force)
     rows = file_rows(request.result, result, "source")
-    values = read_attributes(request.attribute, result.source.control, rows)
     source = result.source.control
+    values, notes = _read_values(request.attribute, source, rows)
     stages("carry values")
     try:
         carried = carry_values(result, values)
@@ -180,9 +184,9 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
     ambiguous = source.n_vertices == source.n_faces or given.n_vertices == given.n_faces
     ambiguous &= request.attribute.suffix.lower() in (".npy", ".npz", ".csv")  # others say where values are
     assumed = [name for name, place in places.items() if place == "vertices" and ambiguous]
-    warnings = [f"{first_few(assumed)}: {ASSUMED_AT_VERTICES}"] if assumed else []
+    notes += [f"{first_few(assumed)}: {ASSUMED_AT_VERTICES}"] if assumed else []
     target_rows = file_rows(request.result, result, "target")
-    carried, notes = keep_base(request, result, carried, target_rows, places)
+    carried, base_notes = keep_base(request, result, carried, target_rows, places)
     whole = to_file_values(request, carried, target_rows, places)
     lines = []
     with all_or_nothing():
@@ -193,7 +197,19 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
     note_transfer(request.result, {"kind": "attribute", "file": request.attribute, "output": request.output})
     stages.record({name: list(array.shape) for name, array in whole.items()}, of="arrays")
     shapes = ", ".join(f"{name} {array.shape}" for name, array in whole.items())
-    return "\n".join([f"wrote {request.output}: {shapes}", *lines]), warnings + notes
+    return "\n".join([f"wrote {request.output}: {shapes}", *lines]), notes + base_notes
+
+
+def _read_values(file: Path, control: ControlMesh, rows: FileRows | None) -> tuple[Attributes, list[str]]:
+    """Arrays of a file, and a note; weights and blend shapes of a scene are left out: their transfer adapts them."""
+    values = read_attributes(file, control, rows)
+    of_rig = [name for name in values if name == JOINT_WEIGHTS or name.startswith(BLEND_SHAPE)]
+    if file.suffix.lower() in VALUE_SUFFIXES or (values and not of_rig):
+        return values, []
+    note = f"{file}: left out {first_few(of_rig)}: give the file to --weights and --blend-shapes" if of_rig else ""
+    if len(values) == len(of_rig):
+        raise ParameterError(note or f"{file}: expected primvars with a value for each vertex, face or corner, got none")
+    return {name: array for name, array in values.items() if name not in of_rig}, [note]
 
 
 def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
