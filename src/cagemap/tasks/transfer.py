@@ -19,6 +19,7 @@ from cagemap.files.atomic import (
     require_replaceable,
     require_writable_folder,
 )
+from cagemap.files.images.image import check_image_name
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
@@ -28,6 +29,7 @@ from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults, check_usd_path
 from cagemap.files.values.attributes import Attributes, check_attribute_path, read_attributes, write_attributes
 from cagemap.files.values.part_numbering import FileRows, file_rows, other_rows
+from cagemap.files.values.rigs import check_skeleton_path
 from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
@@ -80,6 +82,13 @@ _READ_BY = {
     "target_mask": _MASKED,
     "source_mask": _MASKED,
 }
+# Checks of the output's name, by the data that it will contain.
+_NAME_CHECKS: dict[str, Callable[[Path], None]] = {
+    **dict.fromkeys(("texture", "maps", *_PICTURES), check_image_name),
+    **dict.fromkeys(("attribute", "weights"), check_attribute_path),
+    **dict.fromkeys(("source_uvs", "passenger"), check_mesh_path),
+    "joints": check_skeleton_path,
+}
 
 
 def run_transfer(request: TransferRequest, stages: Stages) -> SummaryAndWarnings:
@@ -99,7 +108,6 @@ def carry_one(request: TransferRequest, stages: Stages) -> SummaryAndWarnings:
     result = read_result(request.result)
     require_no_input(outputs, read_files(request.result, result.manifest))
     if request.usd is not None:
-        check_usd_path(request.usd)
         texture_reference(request.output, request.usd)
         require_replaceable(request.usd, force=request.force)
     result = result if request.level is None else result.at_level(request.level)
@@ -115,8 +123,13 @@ def carry_one(request: TransferRequest, stages: Stages) -> SummaryAndWarnings:
 
 
 def check_transfer(request: TransferRequest) -> Carrier:
-    """Refuse options that contradict each other; returns the function that carries the requested data."""
+    """Refuse options that contradict each other and names of outputs; returns the function that carries the data."""
     carry = _carrier(request)
+    if request.usd is not None:
+        check_usd_path(request.usd)
+    check = next((check for kind, check in _NAME_CHECKS.items() if getattr(request, kind)), None)
+    if check is not None:
+        check(request.output)
     require_map_names(request.maps)
     named = [base for base in request.bases if base[0]]
     require_map_names(named if len(request.bases) - len(named) < 2 else request.bases, "--base")
@@ -165,7 +178,6 @@ def _carrier(request: TransferRequest) -> Carrier:
 def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry values at control vertices, control faces, face corners or refined vertices."""
     assert request.attribute is not None
-    check_attribute_path(request.output)
     require_replaceable(request.output, force=request.force)
     rows = file_rows(request.result, result, "source")
     source = result.source.control
@@ -217,7 +229,6 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     sides = result.target.refinement, result.source.refinement
     original, control = input_file(request.result, result.manifest, "target"), result.target.control
     like = None if original is not None and original.suffix.lower() == ".obj" else original  # its images do not fit
-    check_mesh_path(request.output)
     check_outputs(mesh_files(request.output, control, like), [], force=request.force)
     stages("prepare")
     transfer = transfer_of(result)
@@ -247,7 +258,6 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
 def transfer_passenger(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry clothes, eyes, hair or a prop; UVs and materials do not change."""
     assert request.passenger is not None
-    check_mesh_path(request.output)
     mesh = read_mesh(request.passenger)
     check_outputs(mesh_files(request.output, mesh, request.passenger), [request.passenger], force=request.force)
     stages("passenger")
