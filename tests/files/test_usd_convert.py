@@ -353,11 +353,13 @@ def test_images_that_gltf_reads_otherwise_are_named(painted_path, caplog, shader
     assert f"body: the image of its {shader} is taken as it is" in said
 
 
-def test_several_skeletons_are_refused(painted_path: Path) -> None:
+def test_several_skeletons_are_refused(painted_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with stage_at(painted_path) as stage:
         other = UsdSkel.Skeleton.Define(stage, "/Asset/other")
         UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/hat")).GetSkeletonRel().SetTargets([other.GetPath()])
     refuses(FormatError, "expected one skeleton, got /Asset/skeleton, /Asset/other", usd_document, painted_path)
+    run_check(CheckRequest((painted_path,)), Stages())
+    assert "no character for `cagemap rig`" in caplog.text
 
 
 @pytest.mark.parametrize("rate", [23.976, 24000 / 1001, 29.97, 48.0, 50.0])

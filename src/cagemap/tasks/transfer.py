@@ -53,7 +53,7 @@ from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import refuse_unread
 from cagemap.tasks.requests.transfer import TransferRequest, require_map_names
 from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
-from cagemap.tasks.usd_output import missing_file_warnings, texture_reference, write_usd_results
+from cagemap.tasks.usd_output import left_out_warnings, texture_reference, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 
 Carrier = Callable[[TransferRequest, MatchResult, Stages], SummaryAndWarnings]
@@ -242,7 +242,7 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     crossed = carried.crossed if rows is None else rows.faces[carried.crossed]
     stages.record({"uvs": len(carried.uvs), "crossed_faces": crossed.tolist()})
     count, others = len(crossed), laid_out.n_faces - control.n_faces
-    warnings = missing_file_warnings(original, control.name, request.output)
+    warnings = left_out_warnings(original, control.name, request.output)
     if count:
         warnings.append(
             f"seams of the source cross {count} of {control.n_faces} faces, which get no fitting texture "
@@ -278,7 +278,8 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     figures = {"vertices": mesh.n_vertices, "distance": carried.distance, "unit_factor": factor}
     stages.record(figures)
     doubt = far_passenger(str(request.passenger), result.source.control.name, carried.distance, factor)
-    warnings = [f"{doubt}: check that both have the same units and place"] if doubt else []
+    warnings = left_out_warnings(request.passenger, mesh.name, request.output)
+    warnings += [f"{doubt}: check that both have the same units and place"] if doubt else []
     return f"wrote {request.output}: {mesh.n_vertices} vertices on {result.target.control.name}", warnings
 
 

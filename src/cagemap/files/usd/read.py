@@ -28,7 +28,7 @@ from cagemap.files.usd.prims import (
     transform_points,
     uv_primvars,
 )
-from cagemap.files.usd.stages import damage_as_error, open_stage, usd_modules
+from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, usd_modules
 from cagemap.files.usd.transforms import drop_flattened, is_mirrored, is_similarity, local_to_world
 from cagemap.mesh import ControlMesh, Scheme
 from cagemap.mesh.control_mesh import UvSet
@@ -177,6 +177,15 @@ def join_usd_meshes(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool 
             f"{', '.join(words.values())}). Match the one that is meant (`find_part` NAME)."
         )
     return whole
+
+
+def values_beside_mesh(path: str | Path) -> list[str]:
+    """What `read_usd` takes no notice of: primvars, weights, blend shapes, and images of materials."""
+    shader = usd_modules().UsdShade.Shader
+    with open_each_once():
+        names = {name for mesh in read_usd_meshes(path) for name in mesh.attributes} - {"displayColor"}
+        ids = {shader(prim).GetIdAttr().Get() for prim in prims_of(open_stage(path), shader)}
+    return [*sorted(names), *(["images of materials"] if "UsdUVTexture" in ids else [])]
 
 
 def upright_rotation(linear: FloatArray) -> FloatArray:
