@@ -188,10 +188,17 @@ def test_mirrored_and_left_handed_prims_face_outwards_and_layers_fit_them(tmp_pa
         np.testing.assert_allclose(again, where, atol=1e-5)
 
 
-def test_instances_are_meshes_that_a_layer_can_reach(tmp_path: Path) -> None:
+@pytest.mark.parametrize("inner", ["", "/Box/in"])
+def test_instances_are_meshes_that_a_layer_can_reach(inner: str, tmp_path: Path) -> None:
+    """Also those of an instance inside of another."""
+    with stage_at(tmp_path / "inner.usda") as innermost:
+        innermost.SetDefaultPrim(UsdGeom.Xform.Define(innermost, "/In").GetPrim())
+        usd_mesh(innermost, "/In/m", cube())
     with stage_at(tmp_path / "box.usda") as prototype:
         prototype.SetDefaultPrim(UsdGeom.Xform.Define(prototype, "/Box").GetPrim())
-        usd_mesh(prototype, "/Box/m", cube())
+        nested = UsdGeom.Xform.Define(prototype, inner or "/Box").GetPrim()
+        nested.GetReferences().AddReference("./inner.usda")
+        nested.SetInstanceable(bool(inner))
     with stage_at(tmp_path / "scene.usda", ("Y", 1)) as stage:
         stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
         for number in range(2):
@@ -199,11 +206,12 @@ def test_instances_are_meshes_that_a_layer_can_reach(tmp_path: Path) -> None:
             placed.GetPrim().GetReferences().AddReference("./box.usda")
             placed.GetPrim().SetInstanceable(True)
             placed.AddTranslateOp().Set((9.0 * number, 0, 0))
-    assert [mesh.path for mesh in read_usd_meshes(tmp_path / "scene.usda")] == ["/World/box0/m", "/World/box1/m"]
+    paths = [f"/World/box{number}{inner.removeprefix('/Box')}/m" for number in range(2)]
+    assert [mesh.path for mesh in read_usd_meshes(tmp_path / "scene.usda")] == paths
     whole = read_usd(tmp_path / "scene.usda")
-    part = extract_faces(whole, find_part(whole, "/World/box1/m").faces)
+    part = extract_faces(whole, find_part(whole, paths[1]).faces)
     points = UsdResults(points=part.positions + 1)
-    write_usd_over(tmp_path / "over.usda", tmp_path / "scene.usda", ["/World/box1/m"], part, points, world=True)
+    write_usd_over(tmp_path / "over.usda", tmp_path / "scene.usda", paths[1:], part, points, world=True)
     first, second = read_usd_meshes(tmp_path / "over.usda")
     np.testing.assert_allclose(first.control.positions, cube().positions, atol=1e-6)
     np.testing.assert_allclose(second.control.positions, cube().positions + 1, atol=1e-6)
