@@ -220,7 +220,9 @@ def _read_values(file: Path, control: ControlMesh, rows: FileRows | None) -> tup
         return values, []
     note = f"{file}: left out {first_few(of_rig)}: give the file to --weights and --blend-shapes" if of_rig else ""
     if len(values) == len(of_rig):
-        raise ParameterError(note or f"{file}: expected primvars with a value for each vertex, face or corner, got none")
+        raise ParameterError(
+            note or f"{file}: expected primvars with a value for each vertex, face or corner, got none"
+        )
     return {name: array for name, array in values.items() if name not in of_rig}, [note]
 
 
