@@ -216,14 +216,11 @@ def _read_values(file: Path, control: ControlMesh, rows: FileRows | None) -> tup
     """Arrays of a file, and a note; weights and blend shapes of a scene are left out: their transfer adapts them."""
     values = read_attributes(file, control, rows)
     of_rig = [name for name in values if name == JOINT_WEIGHTS or name.startswith(BLEND_SHAPE)]
-    if file.suffix.lower() in VALUE_SUFFIXES or (values and not of_rig):
-        return values, []
-    note = f"{file}: left out {first_few(of_rig)}: give the file to --weights and --blend-shapes" if of_rig else ""
+    of_rig = [] if file.suffix.lower() in VALUE_SUFFIXES else of_rig
+    notes = [f"{file}: left out {first_few(of_rig)}: give the file to --weights and --blend-shapes"] if of_rig else []
     if len(values) == len(of_rig):
-        raise ParameterError(
-            note or f"{file}: expected primvars with a value for each vertex, face or corner, got none"
-        )
-    return {name: array for name, array in values.items() if name not in of_rig}, [note]
+        raise ParameterError([*notes, f"{file}: expected primvars of vertices, faces or face corners, got none"][0])
+    return {name: array for name, array in values.items() if name not in of_rig}, notes
 
 
 def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:

@@ -303,11 +303,9 @@ def _scheme(where: str, mesh: Any) -> Scheme:
 def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
     """Creases, corners and holes as fields of a control mesh."""
     result: dict[str, Any] = {}
-    chain, lengths = (
-        index_array(read_value(mesh.GetCreaseIndicesAttr())),
-        index_array(read_value(mesh.GetCreaseLengthsAttr())),
-    )
-    values = _floats(read_value(mesh.GetCreaseSharpnessesAttr()))
+    chain = index_array(read_value(mesh.GetCreaseIndicesAttr()))
+    lengths = index_array(read_value(mesh.GetCreaseLengthsAttr()))
+    values = np.array(read_value(mesh.GetCreaseSharpnessesAttr()) or [], dtype=np.float64)
     if len(chain):
         n_edges = lengths - 1
         if (
@@ -326,7 +324,7 @@ def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
         per_edge = values if len(values) == n_edges.sum() else np.repeat(values, n_edges)
         result["crease_sharpness"] = np.clip(per_edge, 0.0, None)
     corners = index_array(read_value(mesh.GetCornerIndicesAttr()))
-    sharpness = _floats(read_value(mesh.GetCornerSharpnessesAttr()))
+    sharpness = np.array(read_value(mesh.GetCornerSharpnessesAttr()) or [], dtype=np.float64)
     if len(corners) != len(sharpness):
         raise FormatError(
             f"{where}: expected one sharpness a corner, got {len(corners)} corners and {len(sharpness)} sharpnesses. "
@@ -352,7 +350,3 @@ def _reverse_orientation(mesh: UsdMesh) -> UsdMesh:
         attributes = {name: rows[mirrored] if len(rows) == len(mirrored) else rows for name, rows in attributes.items()}
     colors = None if mesh.colors is None else mesh.colors[mirrored]
     return replace(mesh, control=turned, attributes=attributes, colors=colors)
-
-
-def _floats(values: Any) -> FloatArray:
-    return np.array([] if values is None else values, dtype=np.float64)

@@ -186,7 +186,7 @@ class _Materials:
         if len(images) == 1 and image is None:
             stated = [str(setting_of(texture, "file", "")).strip("@") for texture in pairs.values()]
             is_set = any(UDIM_MARK in one for one in stated)
-            reason = "a set of tiles, as only `transfer --texture` reads" if is_set else "not found or cannot be read"
+            reason = "a set of tiles (transfer them by this name)" if is_set else "not found or cannot be read"
             text = "%s: %s: the image of its %s (%s) is %s, and is left out"
             _log.warning(text, self._file, material, "/".join(outputs), first_few(dict.fromkeys(stated)), reason)
         elif not fits or image is None:
