@@ -84,6 +84,24 @@ def test_options_that_contradict_each_other_are_refused_before_any_task(folder: 
     assert not (folder / "night").exists()
 
 
+@pytest.mark.parametrize(
+    ("entries", "said"),
+    [
+        ({"texture": "{source.color}", "output": "skin.psd"}, "expected an image name ending in .png"),
+        ({"bake": ["normal"], "detail": "{source.color}", "output": "skin"}, "expected an image name ending in .png"),
+        ({"texture": "{source.color}", "output": "s.png", "usd": "s.usdz"}, "expected a name ending in .usda"),
+        ({"weights": "{source.color}", "output": "skin.xls"}, "expected a name ending in .npy"),
+        ({"joints": "{source.color}", "output": "rig.fbx"}, "expected a name ending in .json"),
+        ({"passenger": "{source.color}", "output": "hat.fbx"}, "expected a mesh file ending in .obj"),
+    ],
+)
+def test_names_of_outputs_are_checked_before_any_task(folder: Path, entries: dict[str, Any], said: str) -> None:
+    (folder / "job.toml").write_text(JOB + table("outputs", command="transfer", **entries))
+    done = CliRunner().invoke(app, ["run", str(folder / "job.toml"), "--dry-run"])
+    assert said in str(done.exception)
+    assert "nothing was started" in str(done.exception)
+
+
 def test_workers_of_a_scheduler_are_its_own(folder: Path) -> None:
     words = ["run", str(folder / "job.toml"), "--scheduler", "tcp://127.0.0.1:9", "--workers", "4"]
     with pytest.raises(ParameterError, match="--scheduler: expected none of --workers beside it"):

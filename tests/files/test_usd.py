@@ -211,8 +211,8 @@ def test_uv_sets_of_any_name_are_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["TexCoord2fArray", "Float2Array"])
-@pytest.mark.parametrize("on_faces", [False, True])
-def test_the_first_uv_set_is_that_of_the_material_s_colour(kind: str, on_faces: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("on_faces", "purpose"), [(False, ""), (True, ""), (False, "preview"), (True, "full")])
+def test_the_first_uv_set_is_that_of_the_material_s_colour(kind, on_faces, purpose, tmp_path):
     """`lightmap` comes before `map1` by name; pairs of floats without a role count where the material reads them."""
     corners = np.random.default_rng(0).random((2, 24, 2)).astype(np.float32)
     with stage_at(tmp_path / "cube.usda") as stage:
@@ -225,7 +225,7 @@ def test_the_first_uv_set_is_that_of_the_material_s_colour(kind: str, on_faces: 
         bound = mesh.GetPrim()
         if on_faces:
             bound = UsdGeom.Subset.CreateGeomSubset(mesh, "half", "face", [0, 1, 2], "materialBind").GetPrim()
-        UsdShade.MaterialBindingAPI.Apply(bound).Bind(material)
+        UsdShade.MaterialBindingAPI.Apply(bound).Bind(material, materialPurpose=purpose)
     found = read_usd(tmp_path / "cube.usda")
     assert found.uv_name == "map1"
     np.testing.assert_allclose(found.uvs[found.uv_indices], corners[1])

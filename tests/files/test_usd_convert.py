@@ -22,7 +22,7 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from cagemap.files.usd.character import write_usd_character
-from cagemap.files.usd.convert import read_usd_character, usd_document
+from cagemap.files.usd.convert import document_and_character, read_usd_character, usd_document
 from cagemap.files.usd.read import place_in_world, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.mesh.faces import reversed_corners
@@ -179,11 +179,47 @@ def test_an_uneven_scale_of_a_skeleton_is_said(tmp_path: Path, caplog: pytest.Lo
         assert caplog.text.count("/Asset/skeleton: its transform scales unevenly") == said
 
 
-def test_several_skeletons_are_refused(painted_path: Path) -> None:
+def test_several_skeletons_are_refused(painted_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with stage_at(painted_path) as stage:
         other = UsdSkel.Skeleton.Define(stage, "/Asset/other")
         UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/hat")).GetSkeletonRel().SetTargets([other.GetPath()])
     refuses(FormatError, "expected one skeleton, got /Asset/skeleton, /Asset/other", usd_document, painted_path)
+    run_check(CheckRequest((painted_path,)), Stages())
+    assert "no character for `cagemap rig`" in caplog.text
+
+
+@pytest.mark.parametrize("rate", [23.976, 24000 / 1001, 29.97, 48.0, 50.0])
+def test_frames_of_film_and_television_come_back(painted_path: Path, tmp_path: Path, rate: float) -> None:
+    stage, frames = Usd.Stage.Open(str(painted_path)), [1001.0, 1002.0, 1040.0]
+    stage.RemovePrim("/Asset/animations")
+    stage.SetTimeCodesPerSecond(rate)
+    walk = UsdSkel.Animation.Define(stage, "/Asset/walk")
+    walk.CreateJointsAttr(UsdSkel.Skeleton(stage.GetPrimAtPath("/Asset/skeleton")).GetJointsAttr().Get()[:1])
+    for frame in frames:
+        walk.CreateTranslationsAttr().Set([(0.0, frame, 0.0)], frame)
+    stage.GetRootLayer().Save()
+    document, character = document_and_character(painted_path)
+    write_usd_character(tmp_path / "again.usda", character, read_scene(document))
+    again = Usd.Stage.Open(str(tmp_path / "again.usda"))
+    assert again.GetTimeCodesPerSecond() == pytest.approx(rate, rel=1e-4)
+    (walk,) = (UsdSkel.Animation(prim) for prim in again.Traverse() if prim.IsA(UsdSkel.Animation))
+    assert walk.GetTranslationsAttr().GetTimeSamples() == frames
+
+
+@pytest.mark.parametrize("what", ["points", "visibility", "above", "skeleton"])
+def test_motion_that_is_no_joint_s_is_named(painted_path: Path, caplog: pytest.LogCaptureFixture, what: str) -> None:
+    with stage_at(painted_path) as stage:
+        hat = UsdGeom.Mesh(stage.GetPrimAtPath("/Asset/hat"))
+        moves = {"points": hat.GetPointsAttr(), "visibility": hat.CreateVisibilityAttr()}
+        above = {"above": "/Asset", "skeleton": "/Asset/skeleton"}
+        if what in above:
+            moves[what] = UsdGeom.Xformable(stage.GetPrimAtPath(above[what])).AddTranslateOp().GetAttr()
+        values = {"points": hat.GetPointsAttr().Get(), "visibility": "inherited"}
+        for frame in (0.0, 5.0):
+            moves[what].Set(values.get(what, (frame, 0.0, 0.0)), frame)
+    usd_document(painted_path)
+    named = {"above": "/Asset/body, /Asset/hat", "skeleton": "/Asset/skeleton"}.get(what, "/Asset/hat")
+    assert f"the motion of {named}" in caplog.text
 
 
 @pytest.mark.parametrize("rate", [0.0, -24.0, np.inf])

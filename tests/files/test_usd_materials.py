@@ -205,6 +205,26 @@ def test_display_colors_beside_an_image_are_named(tmp_path, caplog, with_image):
     assert ("glTF multiplies both" in caplog.text) == with_image
 
 
+@pytest.mark.parametrize(
+    ("kind", "image", "said"),
+    [
+        ("ND_standard_surface_surfaceshader", "./skin.png", "skin: has no UsdPreviewSurface"),
+        ("UsdPreviewSurface", "./skin.<UDIM>.png", "(./skin.<UDIM>.png) is a set of tiles"),
+    ],
+)
+def test_materials_that_gltf_cannot_show_are_named(tmp_path, caplog, kind, image, said):
+    with stage_at(tmp_path / "cube.usda", ("Y", 1.0)) as stage:
+        prim, (material, surface) = usd_mesh(stage, "/cube", cube()), define_material(stage, "/skin")
+        connect_texture(stage, surface, "diffuseColor", image, uv_reader(stage, "/skin/uvs", "st"))
+        surface.CreateIdAttr(kind)
+        if kind != "UsdPreviewSurface":  # of another renderer
+            material.GetPrim().RemoveProperty("outputs:surface")
+            material.CreateSurfaceOutput("mtlx").ConnectToSource(surface.ConnectableAPI(), "surface")
+        UsdShade.MaterialBindingAPI.Apply(prim.GetPrim()).Bind(material)
+    usd_document(tmp_path / "cube.usda")
+    assert [said in record.getMessage() for record in caplog.records] == [True]
+
+
 @pytest.mark.parametrize("only", [("roughness",), ("metallic", "roughness")])
 def test_grey_images_of_roughness_and_metalness_become_one(painted_path: Path, only: tuple[str, ...]) -> None:
     """Of any sizes; an input without an image keeps its value."""

@@ -28,10 +28,11 @@ from cagemap.tasks.wrap import run_wrap
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
-from pxr import Gf, Sdf, Usd, UsdGeom
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
 from cagemap.files.meshes.arrays import control_from_arrays, control_to_arrays
 from cagemap.files.usd.read import read_usd, read_usd_meshes
+from cagemap.files.usd.results import define_material
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 
 from example_result import identity_result
@@ -184,10 +185,17 @@ def test_mirrored_and_left_handed_prims_face_outwards_and_layers_fit_them(tmp_pa
         np.testing.assert_allclose(again, where, atol=1e-5)
 
 
-def test_instances_are_meshes_that_a_layer_can_reach(tmp_path: Path) -> None:
+@pytest.mark.parametrize("inner", ["", "/Box/in"])
+def test_instances_are_meshes_that_a_layer_can_reach(inner: str, tmp_path: Path) -> None:
+    """Also those of an instance inside of another."""
+    with stage_at(tmp_path / "inner.usda") as innermost:
+        innermost.SetDefaultPrim(UsdGeom.Xform.Define(innermost, "/In").GetPrim())
+        usd_mesh(innermost, "/In/m", cube())
     with stage_at(tmp_path / "box.usda") as prototype:
         prototype.SetDefaultPrim(UsdGeom.Xform.Define(prototype, "/Box").GetPrim())
-        usd_mesh(prototype, "/Box/m", cube())
+        nested = UsdGeom.Xform.Define(prototype, inner or "/Box").GetPrim()
+        nested.GetReferences().AddReference("./inner.usda")
+        nested.SetInstanceable(bool(inner))
     with stage_at(tmp_path / "scene.usda", ("Y", 1)) as stage:
         stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
         for number in range(2):
@@ -195,11 +203,12 @@ def test_instances_are_meshes_that_a_layer_can_reach(tmp_path: Path) -> None:
             placed.GetPrim().GetReferences().AddReference("./box.usda")
             placed.GetPrim().SetInstanceable(True)
             placed.AddTranslateOp().Set((9.0 * number, 0, 0))
-    assert [mesh.path for mesh in read_usd_meshes(tmp_path / "scene.usda")] == ["/World/box0/m", "/World/box1/m"]
+    paths = [f"/World/box{number}{inner.removeprefix('/Box')}/m" for number in range(2)]
+    assert [mesh.path for mesh in read_usd_meshes(tmp_path / "scene.usda")] == paths
     whole = read_usd(tmp_path / "scene.usda")
-    part = extract_faces(whole, find_part(whole, "/World/box1/m").faces)
+    part = extract_faces(whole, find_part(whole, paths[1]).faces)
     points = UsdResults(points=part.positions + 1)
-    write_usd_over(tmp_path / "over.usda", tmp_path / "scene.usda", ["/World/box1/m"], part, points, world=True)
+    write_usd_over(tmp_path / "over.usda", tmp_path / "scene.usda", paths[1:], part, points, world=True)
     first, second = read_usd_meshes(tmp_path / "over.usda")
     np.testing.assert_allclose(first.control.positions, cube().positions, atol=1e-6)
     np.testing.assert_allclose(second.control.positions, cube().positions + 1, atol=1e-6)
@@ -276,6 +285,16 @@ def test_values_under_a_changed_name_take_no_other_primvars_place(tmp_path, capf
     np.testing.assert_array_equal(read.attributes["fur_length"], np.arange(8))
     np.testing.assert_array_equal(read.attributes["fur_length_2"], -np.arange(8))
     np.testing.assert_allclose(read.control.uvs[read.control.uv_indices], mesh.uvs[mesh.uv_indices])  # type: ignore[index]
+
+
+def test_a_constant_colour_of_the_material_s_own_inputs_is_read(tmp_path: Path) -> None:
+    with stage_at(tmp_path / "cube.usda") as stage:
+        mesh, (material, surface) = usd_mesh(stage, "/cube", cube()), define_material(stage, "/skin")
+        stated = material.CreateInput("baseColor", Sdf.ValueTypeNames.Color3f)
+        stated.Set((0.125, 0.25, 0.5))
+        surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(stated)
+        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    np.testing.assert_array_equal(read_usd(tmp_path / "cube.usda").material_colors, [[0.125, 0.25, 0.5]])
 
 
 def test_curves_copies_and_values_of_as_many_faces_as_vertices_are_left_out_aloud(tmp_path, caplog):

@@ -11,7 +11,7 @@ import trimesh
 from examples.shapes import triangulated
 
 from cagemap.character.joints import Skeleton
-from cagemap.errors import FormatError
+from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import read_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
@@ -23,7 +23,9 @@ from cagemap.mesh.parts import extract_faces
 from cagemap.mesh.plain import turn_faces
 from cagemap.subdivision import refine
 from cagemap.surface.alignment import Z_UP
+from cagemap.tasks.mesh_commands import run_refine
 from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.mesh_commands import RefineRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import WrapRequest, run_wrap
@@ -36,10 +38,12 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 from cagemap.files.usd.prims import transform_points
 from cagemap.files.usd.read import UsdMesh, read_usd_meshes
+from cagemap.files.usd.results import bind_textures
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import StageSpace, between_spaces, to_standard, unit_notes
 from cagemap.files.usd.transforms import local_to_world
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
+from cagemap.files.usd.write_mesh import write_primvar
 
 from refusals import refuses
 from usd_scenes import complaints, skinned_points, stage_at, usd_mesh
@@ -231,6 +235,38 @@ def test_weights_arrive_with_their_skeleton(folder: Path) -> None:
     carried = read_usd_meshes(folder / "shaped.usda")[0].attributes["blendShape:smile"]
     np.testing.assert_allclose(carried[2], [0, 0, 2], atol=1e-5)
     assert complaints(folder / "shaped.usda") == []
+
+
+def test_values_of_a_rigged_file_are_its_primvars(folder: Path) -> None:
+    """Weights and shapes as plain values would be in the source's units, and replace those of `--blend-shapes`."""
+    source, layer = folder / "small.usda", folder / "rig.usda"
+    shapes = TransferRequest(folder / "RESULT", folder / "shapes.npz", blend_shapes=(source,), usd=layer)
+    values = TransferRequest(folder / "RESULT", folder / "values.npz", attribute=source, usd=layer)
+    run_transfer(shapes, Stages())
+    refuses(ParameterError, "give the file to --weights and --blend-shapes", run_transfer, values, Stages())
+    with stage_at(source) as stage:
+        write_primvar(stage.GetPrimAtPath("/Asset/mesh"), textured_cube("small", 1.0), "fur", np.arange(8.0))
+    summary, notes = run_transfer(values, Stages())
+    assert "fur (8,)" in summary
+    assert ["left out skel:jointWeights, blendShape:smile" in note for note in notes] == [True]
+    found = read_usd_meshes(layer)[0].attributes
+    np.testing.assert_array_equal(found["fur"], np.arange(8.0))
+    np.testing.assert_allclose(found["blendShape:smile"][2], [0, 0, 2], atol=1e-5)
+
+
+@pytest.mark.parametrize(("level", "output"), [(0, "cube.usda"), (1, "cube.usda"), (0, "cube.glb")])
+def test_what_a_refined_mesh_lacks_of_its_file_is_named(tmp_path: Path, level: int, output: str) -> None:
+    file = tmp_path / "small.usda"
+    _write(file, "small.usda")
+    with stage_at(file) as stage:
+        prim = stage.GetPrimAtPath("/Asset/mesh")
+        write_primvar(prim, textured_cube("small", 1.0), "fur", np.arange(8.0))
+        bind_textures(stage, prim, {"color": "./skin.png"}, "st")
+    notes = run_refine(RefineRequest(mesh=file, output=tmp_path / output, level=level, scheme="bilinear"), Stages())[1]
+    held = "blendShape:smile, fur, skel:jointWeights, images of materials"
+    assert notes == [f"{output}: left out of small.usda: {held}"]
+    again = RefineRequest(mesh=tmp_path / "cube.usda", output=tmp_path / "again.usda", level=1, scheme="bilinear")
+    assert output == "cube.glb" or run_refine(again, Stages())[1] == []
 
 
 def test_rigs_of_a_file_in_other_units_and_axes_are_converted(folder: Path) -> None:

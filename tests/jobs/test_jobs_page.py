@@ -2,12 +2,14 @@
 
 import csv
 import errno
+import logging
 import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -16,7 +18,7 @@ from cagemap.files import atomic
 from cagemap.jobs.page import PairRow, build_library_page, build_table, pair_rows, write_library
 from cagemap.jobs.plan import Plan, Task
 from cagemap.jobs.run import TaskOutcome
-from cagemap.tasks.run_job import summary
+from cagemap.tasks.run_job import run_task, summary
 
 from refusals import refuses
 
@@ -175,14 +177,27 @@ def test_the_picture_of_an_earlier_map_is_not_shown_for_a_pair_that_failed(tmp_p
 def test_a_row_has_the_warnings_and_notes_of_all_tasks_of_its_pair(tmp_path: Path) -> None:
     pair = ("a", "b")
     tasks = tuple(Task(kind, f"{kind} a -> b", "k", (), {}, (), pair) for kind in ("match", "transfer"))
-    figures = {"quality": QUALITY, "warnings": [], "notes": ["b.obj: 3 vertices are welded"]}
+    logged = {"logged": ["/b.obj: colours are left out"]}  # by each task that reads the file
+    figures = {"quality": QUALITY, "warnings": [], "notes": ["b.obj: 3 vertices are welded"], **logged}
     outcomes = {
         tasks[0].name: TaskOutcome(tasks[0].name, "done", "", 2.0, figures),
-        tasks[1].name: TaskOutcome(tasks[1].name, "kept", "", 1.0, {"warnings": ["b.obj: UVs overlap"]}),
+        tasks[1].name: TaskOutcome(tasks[1].name, "kept", "", 1.0, {"warnings": ["b.obj: UVs overlap"], **logged}),
     }
     plan = Plan(tmp_path, tasks, (pair,))
     (row,) = pair_rows(plan, outcomes)
-    assert row.messages == ("b.obj: 3 vertices are welded", "transfer a -> b: b.obj: UVs overlap")
+    said = ["b.obj: 3 vertices are welded", *logged["logged"], "transfer a -> b: b.obj: UVs overlap"]
+    assert row.messages == tuple(said)
     assert row.verdict == "good"
     text = summary(plan, outcomes, [], None, 1.0)
-    assert "\n  match a -> b: b.obj: 3 vertices are welded\n  transfer a -> b: b.obj: UVs overlap" in text
+    assert "\n".join(["", f"  match a -> b: {said[0]}", f"  {said[1]}", f"  {said[2]}"]) in text
+    assert text.count(said[1]) == 1
+
+
+def test_warnings_that_a_task_logs_are_among_its_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def prepare(task: Task) -> dict[str, Any]:
+        logging.getLogger("cagemap.files").warning("%s: curves are left out", tmp_path / "jobs" / ".." / "b.usda")
+        return {"level": 1}
+
+    monkeypatch.setattr("cagemap.tasks.run_job._prepare", prepare)
+    found = run_task(Task("prepare", "prepare b", "k", (), {}, ()))
+    assert found == {"level": 1, "logged": [f"{tmp_path / 'b.usda'}: curves are left out"]}

@@ -84,7 +84,7 @@ def pair_rows(
                 pair[0],
                 pair[1],
                 verdict,
-                (*failures, *([] if match is None else remarks_of(match)), *remarks),
+                (*failures, *dict.fromkeys([*([] if match is None else remarks_of(match)), *remarks])),
                 sum(o.seconds for _, o in tasks_of_pair if o is not None),
                 quality,
                 None if cycle_errors is None else cycle_errors.get((pair[1], pair[0])),
@@ -97,9 +97,10 @@ def pair_rows(
 
 
 def remarks_of(outcome: TaskOutcome, name: str = "") -> list[str]:
-    """Warnings and notes of a task, after its ``name``."""
+    """Warnings and notes of a task, after its ``name``, and logged warnings, which name a file."""
     texts = [str(text) for entry in ("warnings", "notes") for text in outcome.figures.get(entry, [])]
-    return [f"{name}: {text}" if name else text for text in dict.fromkeys(texts)]
+    logged = map(str, outcome.figures.get("logged", []))
+    return list(dict.fromkeys([*(f"{name}: {text}" if name else text for text in texts), *logged]))
 
 
 def build_library_page(title: str, rows: Sequence[PairRow], notes: Sequence[str] = ()) -> str:

@@ -42,9 +42,10 @@ from cagemap.studio.recorded_match import number_duplicates
 from cagemap.studio.shape import refined_shape
 from cagemap.studio.skins import PreviewMap, align_facing, source_skin, target_skin
 from cagemap.studio.state import MapState
-from cagemap.studio.worker import logged_warnings, without_folders
+from cagemap.studio.worker import without_folders
 from cagemap.subdivision import refine
 from cagemap.tasks.match import ComputedMatch
+from cagemap.tasks.progress import logged_warnings
 from cagemap.tasks.suggest import suggested_vertices
 
 Progress = Callable[[str], None]

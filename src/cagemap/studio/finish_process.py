@@ -20,9 +20,9 @@ from cagemap.errors import explain_error, use_option_names
 from cagemap.files.atomic import files_written
 from cagemap.numerics.process import set_up_process
 from cagemap.studio.finish import Command
-from cagemap.studio.worker import END_TIMEOUT, RESULT, STAGE, logged_warnings
+from cagemap.studio.worker import END_TIMEOUT, RESULT, STAGE
 from cagemap.tasks import runner_of
-from cagemap.tasks.progress import Stages
+from cagemap.tasks.progress import Stages, logged_warnings
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import multiprocessing
 import os
 import re
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -40,28 +39,6 @@ class Failure:
 
 class _CancelledError(Exception):
     """The task was cancelled."""
-
-
-class _WarningCollector(logging.Handler):
-    """Collects the texts of logged warnings."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.texts: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.texts.append(record.getMessage())
-
-
-@contextlib.contextmanager
-def logged_warnings() -> Iterator[list[str]]:
-    """A list to which every warning is added that is logged while the block runs."""
-    collector, log = _WarningCollector(), logging.getLogger("cagemap")
-    log.addHandler(collector)
-    try:
-        yield collector.texts
-    finally:
-        log.removeHandler(collector)
 
 
 def without_folders(texts: Iterable[str], folders: Iterable[Path]) -> tuple[str, ...]:

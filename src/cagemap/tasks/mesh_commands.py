@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, replace
 from itertools import takewhile
 from pathlib import Path
@@ -34,6 +34,9 @@ from cagemap.subdivision.refinement import vertex_counts
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.mesh_commands import CheckRequest, RefineRequest
 from cagemap.tasks.subdivision import SubdivisionRequest, weld_asked
+from cagemap.tasks.usd_output import left_out_warnings
+
+_log = logging.getLogger(__name__)
 
 MOST_REFINED = 20_000_000
 MOST_PARTS = 40
@@ -103,13 +106,15 @@ def _check_file(
 
 
 def _rigged_scene(path: Path, meshes: Sequence[UsdMesh]) -> Scene | None:
-    """Scene of a USD file with a skeleton, from its meshes; None without one or if it cannot be read."""
+    """Scene of a USD file with a skeleton, from its meshes; None without one, and with a warning if it is refused."""
     from cagemap.files.usd.convert import usd_document
 
-    with suppress(CagemapError):
+    try:
         scene = read_scene(usd_document(path, meshes))
-        return None if scene.joints is None else scene
-    return None
+    except CagemapError as error:
+        _log.warning("no character for `cagemap rig`: %s", error)
+        return None
+    return None if scene.joints is None else scene
 
 
 def _report(read: ControlMesh, subdivision: SubdivisionRequest, weld: str | None, *, pieces: bool = True) -> MeshReport:
@@ -169,7 +174,7 @@ def run_refine(request: RefineRequest, stages: Stages) -> SummaryAndWarnings:
     check_outputs(mesh_files(output, control, path), [path], force=request.force)
     if level == 0 and isinstance(control.scheme, Plain) and not structure_problems(control):
         write_mesh(output, control, like=path, force=request.force)
-        return "\n".join([*notes, f"wrote {output}"]), []
+        return "\n".join([*notes, f"wrote {output}"]), left_out_warnings(path, mesh.name, output)
     require_valid(control, allowed=UNREFINED, plain=False)
     require_size(control, level)
     refinement = refine_mesh(control, level)
@@ -179,7 +184,8 @@ def run_refine(request: RefineRequest, stages: Stages) -> SummaryAndWarnings:
     write_mesh(output, finest, like=path, force=request.force)
     tolerance = weld_tolerance(control)
     seams = "" if tolerance is None else f"note: {control.name} is split at seams, --weld {tolerance:g} joins them"
-    return "\n".join(filter(None, [*notes, str(refinement), seams, f"wrote {output}"])), []
+    text = "\n".join(filter(None, [*notes, str(refinement), seams, f"wrote {output}"]))
+    return text, left_out_warnings(path, mesh.name, output)
 
 
 def _with_quads(mesh: ControlMesh, notes: tuple[str, ...]) -> tuple[ControlMesh, tuple[str, ...]]:

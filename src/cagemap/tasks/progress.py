@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
 
@@ -70,3 +71,25 @@ class Stages:
 
     def _finished(self, stage: str, seconds: float) -> None:
         """Show a finished stage; nothing by default."""
+
+
+class _WarningCollector(logging.Handler):
+    """Collects the texts of logged warnings."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.texts: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.texts.append(record.getMessage())
+
+
+@contextmanager
+def logged_warnings() -> Iterator[list[str]]:
+    """A list to which every warning is added that is logged while the block runs."""
+    collector, log = _WarningCollector(), logging.getLogger("cagemap")
+    log.addHandler(collector)
+    try:
+        yield collector.texts
+    finally:
+        log.removeHandler(collector)

@@ -19,11 +19,10 @@ from cagemap.files.result.maps import write_map
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd.space import between_spaces
 from cagemap.files.usd.write import UsdResults
-from cagemap.files.values.attributes import Attributes, check_attribute_path, read_attributes, write_attributes
+from cagemap.files.values.attributes import Attributes, read_attributes, write_attributes
 from cagemap.files.values.part_numbering import FileRows, file_rows, other_rows, to_file
 from cagemap.files.values.rigs import (
     check_shapes,
-    check_skeleton_path,
     read_shapes,
     read_skeleton,
     scene_skeleton,
@@ -62,7 +61,6 @@ _MAX_SIZE_RATIO = 35.0
 def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry skinning weights: a column or array for each joint, or one array of all joints."""
     assert request.weights is not None
-    check_attribute_path(request.output)
     check_outputs([request.output], [request.weights], force=request.force)
     rows = file_rows(request.result, result, "source")
     arrays = read_weights(request.weights, result.source.control, rows)
@@ -223,7 +221,6 @@ def _carry_skeleton(skeleton: Skeleton, point_map: PointMap) -> Skeleton:
 def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry heads and tails of joints."""
     assert request.joints is not None
-    check_skeleton_path(request.output)
     check_outputs([request.output], [request.joints], force=request.force)
     skeleton = _read_joints(request.joints, request, result)
     assert skeleton is not None

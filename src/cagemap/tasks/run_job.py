@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -31,7 +32,7 @@ from cagemap.tasks.dry_run import dry_run
 from cagemap.tasks.match import check_match, read_control
 from cagemap.tasks.match_parts import ready_mesh
 from cagemap.tasks.method import SIDES, require_levels, side_bases, side_levels
-from cagemap.tasks.progress import Stages
+from cagemap.tasks.progress import Stages, logged_warnings
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
@@ -239,7 +240,7 @@ def summary(plan: Plan, outcomes: dict[str, TaskOutcome], notes: list[str], page
         [
             f"{count_noun(len(plan.pairs), 'pair')}, tasks: {ended}, in {seconds:.1f} s",
             *failures,
-            *(f"  {text}" for name, outcome in outcomes.items() for text in remarks_of(outcome, name)),
+            *dict.fromkeys(f"  {text}" for name, one in outcomes.items() for text in remarks_of(one, name)),
             *(f"  {note}" for note in notes),
             *([] if page is None else [f"Open {page} in a browser."]),
         ]
@@ -247,7 +248,15 @@ def summary(plan: Plan, outcomes: dict[str, TaskOutcome], notes: list[str], page
 
 
 def run_task(task: Task) -> dict[str, Any]:
-    """Run one task of a plan, here or on a worker; returns its figures and notes."""
+    """Run one task of a plan, here or on a worker; returns its figures, notes and logged warnings."""
+    with logged_warnings() as texts:
+        figures = _figures_of(task)
+    parts = (text.partition(": ") for text in texts)  # most begin with a file; one has one name in all tasks
+    return {**figures, "logged": [f"{os.path.normpath(file)}{colon}{rest}" for file, colon, rest in parts]}
+
+
+def _figures_of(task: Task) -> dict[str, Any]:
+    """Run one task of a plan; returns its figures and notes."""
     stages = Stages()
     if task.kind == "prepare":
         return _prepare(task)

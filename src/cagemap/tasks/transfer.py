@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from cagemap.character.passengers import carry_passenger, far_passenger, unit_factor
 from cagemap.errors import ParameterError
+from cagemap.files import VALUE_SUFFIXES
 from cagemap.files.atomic import (
     all_or_nothing,
     check_outputs,
@@ -17,16 +19,20 @@ from cagemap.files.atomic import (
     require_replaceable,
     require_writable_folder,
 )
+from cagemap.files.images.image import check_image_name
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
+from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd.space import from_mesh_space, states_units, transform_mesh
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults, check_usd_path
-from cagemap.files.values.attributes import check_attribute_path, read_attributes, write_attributes
-from cagemap.files.values.part_numbering import file_rows, other_rows
+from cagemap.files.values.attributes import Attributes, check_attribute_path, read_attributes, write_attributes
+from cagemap.files.values.part_numbering import FileRows, file_rows, other_rows
+from cagemap.files.values.rigs import check_skeleton_path
 from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import place_of_rows
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray
@@ -45,12 +51,19 @@ from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import ASSUMED_AT_VERTICES, keep_base, to_file_values, with_masks
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import refuse_unread
-from cagemap.tasks.requests.transfer import READ_BY, TransferRequest, require_map_names
+from cagemap.tasks.requests.transfer import PICTURES, READ_BY, TransferRequest, require_map_names
 from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
-from cagemap.tasks.usd_output import missing_file_warnings, texture_reference, write_usd_results
+from cagemap.tasks.usd_output import left_out_warnings, texture_reference, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 
 Carrier = Callable[[TransferRequest, MatchResult, Stages], SummaryAndWarnings]
+# Checks of the output's name, by the data that it will contain.
+_NAME_CHECKS: dict[str, Callable[[Path], None]] = {
+    **dict.fromkeys(("texture", "maps", *PICTURES), check_image_name),
+    **dict.fromkeys(("attribute", "weights"), check_attribute_path),
+    **dict.fromkeys(("source_uvs", "passenger"), check_mesh_path),
+    "joints": check_skeleton_path,
+}
 
 
 def run_transfer(request: TransferRequest, stages: Stages) -> SummaryAndWarnings:
@@ -70,7 +83,6 @@ def carry_one(request: TransferRequest, stages: Stages) -> SummaryAndWarnings:
     result = read_result(request.result)
     require_no_input(outputs, read_files(request.result, result.manifest))
     if request.usd is not None:
-        check_usd_path(request.usd)
         texture_reference(request.output, request.usd)
         require_replaceable(request.usd, force=request.force)
     result = result if request.level is None else result.at_level(request.level)
@@ -86,8 +98,13 @@ def carry_one(request: TransferRequest, stages: Stages) -> SummaryAndWarnings:
 
 
 def check_transfer(request: TransferRequest) -> Carrier:
-    """Refuse options that contradict each other; returns the function that carries the requested data."""
+    """Refuse options that contradict each other and names of outputs; returns the function that carries the data."""
     carry = _carrier(request)
+    if request.usd is not None:
+        check_usd_path(request.usd)
+    check = next((check for kind, check in _NAME_CHECKS.items() if getattr(request, kind)), None)
+    if check is not None:
+        check(request.output)
     require_map_names(request.maps)
     named = [base for base in request.bases if base[0]]
     require_map_names(named if len(request.bases) - len(named) < 2 else request.bases, "--base")
@@ -136,11 +153,10 @@ def _carrier(request: TransferRequest) -> Carrier:
 def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry values at control vertices, control faces, face corners or refined vertices."""
     assert request.attribute is not None
-    check_attribute_path(request.output)
     require_replaceable(request.output, force=request.force)
     rows = file_rows(request.result, result, "source")
-    values = read_attributes(request.attribute, result.source.control, rows)
     source = result.source.control
+    values, notes = _read_values(request.attribute, source, rows)
     stages("carry values")
     try:
         carried = carry_values(result, values)
@@ -155,9 +171,9 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
     ambiguous = source.n_vertices == source.n_faces or given.n_vertices == given.n_faces
     ambiguous &= request.attribute.suffix.lower() in (".npy", ".npz", ".csv")  # others say where values are
     assumed = [name for name, place in places.items() if place == "vertices" and ambiguous]
-    warnings = [f"{first_few(assumed)}: {ASSUMED_AT_VERTICES}"] if assumed else []
+    notes += [f"{first_few(assumed)}: {ASSUMED_AT_VERTICES}"] if assumed else []
     target_rows = file_rows(request.result, result, "target")
-    carried, notes = keep_base(request, result, carried, target_rows, places)
+    carried, base_notes = keep_base(request, result, carried, target_rows, places)
     whole = to_file_values(request, carried, target_rows, places)
     lines = []
     with all_or_nothing():
@@ -168,7 +184,18 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
     note_transfer(request.result, {"kind": "attribute", "file": request.attribute, "output": request.output})
     stages.record({name: list(array.shape) for name, array in whole.items()}, of="arrays")
     shapes = ", ".join(f"{name} {array.shape}" for name, array in whole.items())
-    return "\n".join([f"wrote {request.output}: {shapes}", *lines]), warnings + notes
+    return "\n".join([f"wrote {request.output}: {shapes}", *lines]), notes + base_notes
+
+
+def _read_values(file: Path, control: ControlMesh, rows: FileRows | None) -> tuple[Attributes, list[str]]:
+    """Arrays of a file, and a note; weights and blend shapes of a scene are left out: their transfer adapts them."""
+    values = read_attributes(file, control, rows)
+    of_rig = [name for name in values if name == JOINT_WEIGHTS or name.startswith(BLEND_SHAPE)]
+    of_rig = [] if file.suffix.lower() in VALUE_SUFFIXES else of_rig
+    notes = [f"{file}: left out {first_few(of_rig)}: give the file to --weights and --blend-shapes"] if of_rig else []
+    if len(values) == len(of_rig):
+        raise ParameterError([*notes, f"{file}: expected primvars of vertices, faces or face corners, got none"][0])
+    return {name: array for name, array in values.items() if name not in of_rig}, notes
 
 
 def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
@@ -176,7 +203,6 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     sides = result.target.refinement, result.source.refinement
     original, control = input_file(request.result, result.manifest, "target"), result.target.control
     like = None if original is not None and original.suffix.lower() == ".obj" else original  # its images do not fit
-    check_mesh_path(request.output)
     check_outputs(mesh_files(request.output, control, like), [], force=request.force)
     stages("prepare")
     transfer = transfer_of(result)
@@ -190,7 +216,7 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     crossed = carried.crossed if rows is None else rows.faces[carried.crossed]
     stages.record({"uvs": len(carried.uvs), "crossed_faces": crossed.tolist()})
     count, others = len(crossed), laid_out.n_faces - control.n_faces
-    warnings = missing_file_warnings(original, control.name, request.output)
+    warnings = left_out_warnings(original, control.name, request.output)
     if count:
         warnings.append(
             f"seams of the source cross {count} of {control.n_faces} faces, which get no fitting texture "
@@ -206,7 +232,6 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
 def transfer_passenger(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry clothes, eyes, hair or a prop; UVs and materials do not change."""
     assert request.passenger is not None
-    check_mesh_path(request.output)
     mesh = read_mesh(request.passenger)
     check_outputs(mesh_files(request.output, mesh, request.passenger), [request.passenger], force=request.force)
     stages("passenger")
@@ -227,7 +252,8 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     figures = {"vertices": mesh.n_vertices, "distance": carried.distance, "unit_factor": factor}
     stages.record(figures)
     doubt = far_passenger(str(request.passenger), result.source.control.name, carried.distance, factor)
-    warnings = [f"{doubt}: check that both have the same units and place"] if doubt else []
+    warnings = left_out_warnings(request.passenger, mesh.name, request.output)
+    warnings += [f"{doubt}: check that both have the same units and place"] if doubt else []
     return f"wrote {request.output}: {mesh.n_vertices} vertices on {result.target.control.name}", warnings
 
 

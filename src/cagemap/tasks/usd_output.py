@@ -9,11 +9,12 @@ from pathlib import Path
 from cagemap.errors import ParameterError
 from cagemap.files.images.image import UDIM_MARK
 from cagemap.files.result.manifest import input_file
-from cagemap.files.usd.read import objects_of, read_usd_meshes
+from cagemap.files.usd.read import objects_of, read_usd_meshes, values_beside_mesh
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 from cagemap.files.values.part_numbering import FileRows, file_rows, to_file
 from cagemap.maps.result import MatchResult
+from cagemap.mesh.mesh_report import first_few
 
 # Message if the target's file is missing.
 NO_UNITS = (
@@ -27,10 +28,11 @@ NO_GROUPS = (
 _KEPT = ", and what earlier commands wrote there"
 
 
-def missing_file_warnings(original: Path | None, name: str, output: Path) -> list[str]:
-    """Warnings that a mesh was written without the target's file, which holds more than cagemap keeps."""
+def left_out_warnings(original: Path | None, name: str, output: Path) -> list[str]:
+    """Warnings of what a written mesh lacks of its file, which holds more than cagemap keeps, or is gone."""
     if original is not None:
-        return []
+        lost = values_beside_mesh(original) if is_usd(original) else []
+        return [f"{output.name}: left out of {original.name}: {first_few(lost)}"] if lost else []
     suffix = output.suffix.lower()
     if {suffix, Path(name).suffix.lower()} <= set(USD_SUFFIXES):
         return [f"{name}: {NO_UNITS}"]

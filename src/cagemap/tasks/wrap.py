@@ -42,7 +42,7 @@ from cagemap.tasks.requests.options import field_values
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.transfer import carry_one
-from cagemap.tasks.usd_output import missing_file_warnings, write_usd_results
+from cagemap.tasks.usd_output import left_out_warnings, write_usd_results
 from cagemap.tasks.wrap_checks import (
     check_files,
     check_wrap,
@@ -226,7 +226,7 @@ def _write(
     check_outputs(mesh_files(output, mesh, original), [], force=request.force)
     write_mesh(output, mesh, like=original, force=request.force)
     if not (wrapped.level and output.suffix.lower() == ".obj"):  # a refined cage has no groups of the file
-        warnings += missing_file_warnings(original, control.name, output)
+        warnings += left_out_warnings(original, control.name, output)
     return mesh.n_vertices, warnings
 
 

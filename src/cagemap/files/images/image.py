@@ -284,16 +284,21 @@ def _premultiply_pixels(pixels: Pixels) -> Pixels:
     return np.concatenate([colors.astype(pixels.dtype), alpha], axis=2)
 
 
+def check_image_name(file: Path) -> None:
+    """Refuse a name without a suffix of an image format, or one that is not UTF-8."""
+    text_name(file.absolute())
+    if file.suffix.lower() not in _FORMATS:
+        raise FormatError(
+            f"{file}: expected an image name ending in {', '.join(_FORMATS)}, got {file.suffix.lower() or 'no suffix'}"
+            ". Give another name."
+        )
+
+
 def check_writable(path: str | Path, dtype: np.dtype[Any], channels: int) -> None:
     """Refuse, before any work is done, an image that its format cannot store."""
     file = Path(path)
-    text_name(file.absolute())
+    check_image_name(file)
     suffix = file.suffix.lower()
-    if suffix not in _FORMATS:
-        raise FormatError(
-            f"{file}: expected an image name ending in {', '.join(_FORMATS)}, got {suffix or 'no suffix'}. "
-            "Give another name."
-        )
     if channels not in _CHANNELS:
         raise FormatError(f"{file}: expected 1 to {_LARGEST_CHANNELS} channels, got {channels}")
     if suffix in _JPEG and channels in (2, 4):

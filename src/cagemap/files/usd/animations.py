@@ -18,7 +18,7 @@ from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray
 
 # Whole frames at one of these rates, if all keys are; otherwise at the last one.
-_RATES = (24, 25, 30, 60)
+_RATES = (24, 25, 30, 24000 / 1001, 23.976, 30000 / 1001, 29.97, 48, 50, 60)
 # Frames: times that differ less from a frame are rounded to it, since glTF stores them in single precision.
 _FRAME_ROUNDING = 2e-4
 # Frames before the next key at which a stepped value is written once more, since USD interpolates.
@@ -105,7 +105,7 @@ def remove_scale(rig: Rig, animations: Sequence[Animation]) -> tuple[Rig, tuple[
     )
 
 
-def _frames(times: FloatArray, rate: int) -> FloatArray:
+def _frames(times: FloatArray, rate: float) -> FloatArray:
     """Time codes of seconds."""
     frames = times * rate
     return np.where(np.abs(frames - np.rint(frames)) < _FRAME_ROUNDING, np.rint(frames), frames)
@@ -118,7 +118,7 @@ def _write_animation(
     paths: Sequence[str],
     tracks: Sequence[Track],
     weights: Mapping[str, ShapeKeys],
-    rate: int,
+    rate: float,
 ) -> Any:
     """Write a `SkelAnimation` of the joints that tracks move, and of blend shapes."""
     pxr = usd_modules()
@@ -143,7 +143,7 @@ def _write_animation(
     return animation.GetPrim()
 
 
-def _samples(rows: Sequence[ShapeKeys], rate: int, *, quaternions: bool = False) -> Iterator[tuple[Any, FloatArray]]:
+def _samples(rows: Sequence[ShapeKeys], rate: float, *, quaternions: bool = False) -> Iterator[tuple[Any, FloatArray]]:
     """Time codes of the keys of all rows, and values (rows, q) at each; without later keys, one default value."""
     timed = [_sample_times(times, interpolation, rate) for times, _, interpolation in rows if len(times) > 1]
     times = np.unique(np.concatenate(timed)) if timed else np.zeros(1)
@@ -152,7 +152,7 @@ def _samples(rows: Sequence[ShapeKeys], rate: int, *, quaternions: bool = False)
         yield frame if timed else usd_modules().Usd.TimeCode.Default(), np.array([of[place] for of in values])
 
 
-def _sample_times(times: FloatArray, interpolation: str, rate: int) -> FloatArray:
+def _sample_times(times: FloatArray, interpolation: str, rate: float) -> FloatArray:
     """Times at which a row is written, so that linear interpolation between them follows it."""
     if interpolation == "STEP":
         return np.concatenate([times, times[1:] - np.minimum(_STEP / rate, np.diff(times) / 2)])

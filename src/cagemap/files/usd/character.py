@@ -16,7 +16,6 @@ from cagemap.character.values import Character, Part, Rig, Track
 from cagemap.files.atomic import atomic_path, write_whole
 from cagemap.files.gltf.binary import NGONS
 from cagemap.files.gltf.character import to_rig_space
-from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import uv_sets_in_order
 from cagemap.files.gltf.nodes import moved_nodes
 from cagemap.files.gltf.parts import Scene, transform_normals
@@ -87,12 +86,13 @@ def write_usd_character(
         notes.append("normals of blend shapes are left out; programs compute them")
     if rig is not None:
         notes += write_rig(stage, rig, character.animations, scene)
-    sizes = {}
+    sizes, numbers = {}, material_names(scene.document)
     labels = identifiers((part.name for part in character.parts), ("skeleton", "animations", "materials"))
     for label, part in zip(labels, character.parts, strict=True):
         prim = _write_part(stage, f"/Asset/{label}", part, surfaces.materials, skinned=character.rig is not None)
         prim.GetPrim().SetDisplayName(part.name)
-        prim.CreateDoubleSidedAttr(any(_is_double_sided(scene.document, name) for name in _materials(part)))
+        entries = (scene.document.entry("materials", numbers.index(name)) for name in _materials(part))
+        prim.CreateDoubleSidedAttr(any(entry.get("doubleSided") for entry in entries))
         sizes[prim.GetPath().pathString] = part.mesh.n_vertices
     _save(stage.GetRootLayer(), file, surfaces.images, sizes, force=force)
     return notes
@@ -161,10 +161,6 @@ def _write_part(stage: Any, path: str, part: Part, materials: Mapping[str, Any],
 def _materials(part: Part) -> list[str]:
     """Names of a part's materials that have faces."""
     return [name for name, _, color in faces_by_name(part.mesh) if color is not None]
-
-
-def _is_double_sided(document: Document, material: str) -> bool:
-    return bool(document.entry("materials", material_names(document).index(material)).get("doubleSided"))
 
 
 def _left_out(scene: Scene) -> list[str]:

@@ -103,6 +103,10 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
         if animations and not is_similarity(rig_to_world):
             text = "%s: %s: its transform scales unevenly, so that joints move otherwise than in USD; apply its scale"
             _log.warning(text, file, skeleton.GetPath())
+    moved = [str(one.GetPath()) for one in (*prims, *(one.GetPrim() for one in skeletons.values())) if _is_moved(one)]
+    if moved:
+        text = "%s: the motion of %s is left out: only that of joints and weights of blend shapes is kept"
+        _log.warning(text, file, first_few(moved))
     joints = () if rig is None else rig.names
     names = make_distinct([*joints, *(prim.GetDisplayName() or prim.GetName() for prim in prims)])[len(joints) :]
     parts = []
@@ -143,6 +147,13 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
     if rig is not None:
         rig, animations = remove_scale(rig, animations)
     return Character(tuple(parts), rig, animations), weights
+
+
+def _is_moved(prim: Any) -> bool:
+    """Whether the points, visibility or transform of a prim, or of one above it, have several time samples."""
+    prims = map(prim.GetStage().GetPrimAtPath, prim.GetPath().GetPrefixes())
+    attributes = [attribute for one in prims for attribute in one.GetAttributes() if attribute.GetNumTimeSamples() > 1]
+    return any(one.GetName() in ("points", "visibility") or one.GetNamespace() == "xformOp" for one in attributes)
 
 
 def _normals(where: str, prim: Any, control: ControlMesh, matrix: FloatArray) -> FloatArray | None:

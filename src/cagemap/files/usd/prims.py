@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
-from cagemap.files.usd.shader_inputs import color_uv_name
+from cagemap.files.usd.shader_inputs import bound_material, color_uv_name, setting_of
 from cagemap.files.usd.stages import usd_modules
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import merged_corners, place_counts
@@ -283,7 +283,7 @@ def face_sets(where: str, prim: Any, n_faces: int, labels: Mapping[str, str]) ->
             colors.append(_diffuse_color(material))
         return names.index(name)
 
-    bound = _bound_material(prim)
+    bound = bound_material(prim)
     if bound:
         materials[:] = number(bound)
     for subset in pxr.UsdGeom.Subset.GetAllGeomSubsets(pxr.UsdGeom.Imageable(prim)):
@@ -294,7 +294,7 @@ def face_sets(where: str, prim: Any, n_faces: int, labels: Mapping[str, str]) ->
             text = "%s: subset %s is left out: expected faces from 0 to %d, got %d to %d; export the mesh again"
             logger.warning(text, where, subset.GetPrim().GetName(), n_faces - 1, faces.min(), faces.max())
             continue
-        material_of_subset = _bound_material(subset.GetPrim())
+        material_of_subset = bound_material(subset.GetPrim())
         if material_of_subset and (not bound or material_of_subset.GetPath() != bound.GetPath()):
             materials[faces] = number(material_of_subset)
         elif subset.GetFamilyNameAttr().Get() != "materialBind":
@@ -310,12 +310,6 @@ def face_sets(where: str, prim: Any, n_faces: int, labels: Mapping[str, str]) ->
     if groups:
         result |= _make_groups_disjoint(groups, n_faces)
     return result
-
-
-def _bound_material(prim: Any) -> Any:
-    """The material of a prim in previews, else in final renderings; also one of a prim above it or of a collection."""
-    api = usd_modules().UsdShade.MaterialBindingAPI(prim)
-    return api.ComputeBoundMaterial("preview")[0] or api.ComputeBoundMaterial("full")[0]
 
 
 def _group_name(subset: Any) -> str:
@@ -340,8 +334,7 @@ def _make_groups_disjoint(groups: list[tuple[str, IndexArray]], n_faces: int) ->
 def _diffuse_color(material: Any) -> FloatArray:
     """Constant diffuse colour of a UsdPreviewSurface; NaN without one."""
     surface = material.ComputeSurfaceSource()[0]
-    color = surface.GetInput("diffuseColor") if surface else None
-    value = color.Get() if color and not color.HasConnectedSource() else None
+    value = setting_of(surface, "diffuseColor", None) if surface else None
     return np.full(3, np.nan) if value is None else np.array(value, dtype=np.float64)
 
 

@@ -28,7 +28,7 @@ from cagemap.files.usd.prims import (
     transform_points,
     uv_primvars,
 )
-from cagemap.files.usd.stages import damage_as_error, open_stage, usd_modules
+from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, usd_modules
 from cagemap.files.usd.transforms import drop_flattened, is_mirrored, is_similarity, local_to_world
 from cagemap.mesh import ControlMesh, Scheme
 from cagemap.mesh.control_mesh import UvSet
@@ -179,6 +179,15 @@ def join_usd_meshes(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool 
     return whole
 
 
+def values_beside_mesh(path: str | Path) -> list[str]:
+    """What `read_usd` takes no notice of: primvars, weights, blend shapes, and images of materials."""
+    shader = usd_modules().UsdShade.Shader
+    with open_each_once():
+        names = {name for mesh in read_usd_meshes(path) for name in mesh.attributes} - {"displayColor"}
+        ids = {shader(prim).GetIdAttr().Get() for prim in prims_of(open_stage(path), shader)}
+    return [*sorted(names), *(["images of materials"] if "UsdUVTexture" in ids else [])]
+
+
 def upright_rotation(linear: FloatArray) -> FloatArray:
     """The rotation (3, 3) nearest to a linear map of rows; of a map that mirrors, left and right are exchanged."""
     left, _, right = np.linalg.svd(linear)
@@ -294,11 +303,9 @@ def _scheme(where: str, mesh: Any) -> Scheme:
 def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
     """Creases, corners and holes as fields of a control mesh."""
     result: dict[str, Any] = {}
-    chain, lengths = (
-        index_array(read_value(mesh.GetCreaseIndicesAttr())),
-        index_array(read_value(mesh.GetCreaseLengthsAttr())),
-    )
-    values = _floats(read_value(mesh.GetCreaseSharpnessesAttr()))
+    chain = index_array(read_value(mesh.GetCreaseIndicesAttr()))
+    lengths = index_array(read_value(mesh.GetCreaseLengthsAttr()))
+    values = np.array(read_value(mesh.GetCreaseSharpnessesAttr()) or [], dtype=np.float64)
     if len(chain):
         n_edges = lengths - 1
         if (
@@ -317,7 +324,7 @@ def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
         per_edge = values if len(values) == n_edges.sum() else np.repeat(values, n_edges)
         result["crease_sharpness"] = np.clip(per_edge, 0.0, None)
     corners = index_array(read_value(mesh.GetCornerIndicesAttr()))
-    sharpness = _floats(read_value(mesh.GetCornerSharpnessesAttr()))
+    sharpness = np.array(read_value(mesh.GetCornerSharpnessesAttr()) or [], dtype=np.float64)
     if len(corners) != len(sharpness):
         raise FormatError(
             f"{where}: expected one sharpness a corner, got {len(corners)} corners and {len(sharpness)} sharpnesses. "
@@ -343,7 +350,3 @@ def _reverse_orientation(mesh: UsdMesh) -> UsdMesh:
         attributes = {name: rows[mirrored] if len(rows) == len(mirrored) else rows for name, rows in attributes.items()}
     colors = None if mesh.colors is None else mesh.colors[mirrored]
     return replace(mesh, control=turned, attributes=attributes, colors=colors)
-
-
-def _floats(values: Any) -> FloatArray:
-    return np.array([] if values is None else values, dtype=np.float64)

@@ -40,14 +40,19 @@ def uv_name(texture: Any) -> str:
     return str(setting_of(reader, "varname", "")) if reader else ""
 
 
+def bound_material(prim: Any) -> Any:
+    """The material of a prim in previews, else in final renderings; also one of a prim above it or of a collection."""
+    api = usd_modules().UsdShade.MaterialBindingAPI(prim)
+    return api.ComputeBoundMaterial("preview")[0] or api.ComputeBoundMaterial("full")[0]
+
+
 def color_uv_name(prim: Any) -> str:
     """Name of the UV set of the colour image of a mesh's material, else of that of a child prim (a subset of faces).
 
     '' if no material has such an image, or if none states its UV set.
     """
-    shade = usd_modules().UsdShade
     for bound in (prim, *prim.GetChildren()):
-        material = shade.MaterialBindingAPI(bound).ComputeBoundMaterial()[0]
+        material = bound_material(bound)
         surface = material.ComputeSurfaceSource()[0] if material else None
         texture = shader_of(surface, "diffuseColor", "UsdUVTexture") if surface else None
         if texture and (name := uv_name(texture)):

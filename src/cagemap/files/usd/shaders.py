@@ -19,7 +19,7 @@ from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import png_bytes
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import REPEAT, WITHOUT_IMAGE, AddedTextures, png_or_jpeg
-from cagemap.files.images.image import Image, Pixels, image_of_bytes
+from cagemap.files.images.image import UDIM_MARK, Image, Pixels, image_of_bytes
 from cagemap.files.usd.materials import STRENGTH, WRAP_WORDS
 from cagemap.files.usd.read import material_labels
 from cagemap.files.usd.shader_inputs import setting_of, shader_of, source_of, uv_name, uv_transform
@@ -58,9 +58,13 @@ def with_materials(document: Document, stage: Any, users: Mapping[str, Sequence[
     made = _Materials(document)
     for entry, name in zip(made.top.get("materials", []), material_names(document), strict=True):
         entry |= {"doubleSided": True} if users[name][0].double_sided else {}
-        surface = shade.Material(named[name]).ComputeSurfaceSource()[0] if name in named else None
+        material = shade.Material(named[name]) if name in named else None
+        surface = material.ComputeSurfaceSource()[0] if material else None
         if surface and surface.GetIdAttr().Get() == "UsdPreviewSurface":
             made.fill(entry, surface, [user.uv_sets for user in users[name]])
+        elif material and material.GetSurfaceOutputs():
+            text = "%s: %s: has no UsdPreviewSurface: its colours and images are left out; add one to keep them"
+            _log.warning(text, document.file, name)
     return replace(made.binary.document(made.top), uv_names=made.color_uv_names)
 
 
@@ -181,8 +185,10 @@ class _Materials:
         image, wraps = next(iter(images))
         if len(images) == 1 and image is None:
             stated = [str(setting_of(texture, "file", "")).strip("@") for texture in pairs.values()]
-            text = "%s: %s: the image of its %s (%s) is not found or cannot be read, and is left out"
-            _log.warning(text, self._file, material, "/".join(outputs), first_few(dict.fromkeys(stated)))
+            is_set = any(UDIM_MARK in one for one in stated)
+            reason = "a set of tiles (transfer them by this name)" if is_set else "not found or cannot be read"
+            text = "%s: %s: the image of its %s (%s) is %s, and is left out"
+            _log.warning(text, self._file, material, "/".join(outputs), first_few(dict.fromkeys(stated)), reason)
         elif not fits or image is None:
             text = "%s: %s: the image of its %s is left out; give one PNG or JPEG with the channels of glTF"
             _log.warning(text, self._file, material, "/".join(outputs))

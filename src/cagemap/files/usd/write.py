@@ -170,7 +170,7 @@ def write_usd_over(
         else:
             stage.OverridePrim(top).SetTypeName("SkelRoot")
     for prim, prim_path in zip(prims, prim_paths, strict=True):
-        for above in _ancestors(prim):
+        for above in reversed(_ancestors(prim)):
             if above.IsInstance():  # prims below an instance cannot be overridden
                 stage.OverridePrim(above.GetPath()).SetInstanceable(False)
         to_world = local_to_world(prim)

@@ -27,14 +27,14 @@ from cagemap.tasks.requests.options import (
 
 BakeKind = Literal["normal", "displacement", "vector-displacement", "ao", "colors", "texture"]
 # Kinds of data whose transfer reads an option; with other kinds the option is refused.
-_PICTURES = ("texture", "displacement", "normal_map", "vector_displacement", "bake", "material_colors")
-_MASKED = (*_PICTURES, "attribute", "weights", "blend_shapes")
+PICTURES = ("texture", "displacement", "normal_map", "vector_displacement", "bake", "material_colors")
+_MASKED = (*PICTURES, "attribute", "weights", "blend_shapes")
 READ_BY = {
     "usd": ("texture", "attribute", "weights", "blend_shapes"),
     "space": ("normal_map", "vector_displacement", "bake"),
     "green": ("texture", "normal_map", "bake"),
     "as_color": ("texture",),
-    "filter": _PICTURES,
+    "filter": PICTURES,
     "detail": ("bake",),
     "detail_texture": ("bake",),
     "rays": ("bake",),
@@ -42,12 +42,12 @@ READ_BY = {
     "only": ("weights",),
     "mirror": ("weights",),
     "kind": ("passenger",),
-    "size": _PICTURES,
-    "bits": _PICTURES,
+    "size": PICTURES,
+    "bits": PICTURES,
     "scale": ("displacement", "vector_displacement"),
     "midlevel": ("displacement", "vector_displacement"),
-    "unwrap": _PICTURES,
-    "bases": (*_PICTURES, "attribute", "weights"),
+    "unwrap": PICTURES,
+    "bases": (*PICTURES, "attribute", "weights"),
     "target_mask": _MASKED,
     "source_mask": _MASKED,
 }
