@@ -23,7 +23,9 @@ from cagemap.files.images.image import (
     texture_pixels,
     udim_path,
 )
-from cagemap.files.meshes.formats import read_mesh
+from cagemap.files.inner_texture import require_color_texture
+from cagemap.files.meshes.formats import MESH_SUFFIXES, read_mesh
+from cagemap.files.meshes.ply import ply_image
 from cagemap.files.result.manifest import input_file
 from cagemap.files.usd.space import between_spaces, transform_mesh
 from cagemap.maps.result import MatchResult
@@ -308,6 +310,8 @@ def require_wrappable(request: WrapRequest, target: ControlMesh, source: Control
         require_layout(target)
     if request.texture is not None:
         require_source_uvs(source)
+        if request.texture.suffix.lower() in MESH_SUFFIXES and ply_image(request.texture) == request.texture:
+            require_color_texture(request.texture, None, source, of_any=True)
     if "colors" in images and request.detail is None:
         vertex_colors(source)
     if request.detail is None:
