@@ -22,6 +22,7 @@ from cagemap.cli.console import set_verbosity
 from cagemap.cli.progress import ConsoleStages
 from cagemap.files.images.image import read_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.parts import join_meshes
 
 from command_line import Run
@@ -74,6 +75,15 @@ def test_check_offers_to_take_a_scan_with_floating_pieces_as_it_is(run: Run, tmp
     )
     assert "note: Or use --scheme none" in run("check scan.obj").out
     assert "Or use" not in run("check scan.obj --scheme none").out
+
+
+def test_check_lists_pieces_and_not_uv_islands(run: Run, tmp_path: Path) -> None:
+    two = join_meshes([icosahedron(), icosahedron().with_positions(icosahedron().positions + 9)])
+    write_mesh(tmp_path / "two.obj", two)
+    assert "component:1" in run("check two.obj --scheme none").out
+    split = ControlMesh.from_faces(two.positions[two.face_indices], np.arange(120).reshape(40, 3))
+    write_mesh(tmp_path / "split.obj", split)
+    assert "component:" not in run("check split.obj --scheme none").out
 
 
 def test_check_reports_and_judges(run: Run, tmp_path: Path) -> None:

@@ -57,8 +57,9 @@ def run_check(request: CheckRequest, stages: Stages) -> tuple[str, bool]:
         sound &= report.is_valid
         parts = _parts(mesh)
         if not request.for_scripts:
-            connected = not structure_problems(mesh) and count_pieces(mesh, coincident_vertices(mesh)) == 1
-            listed = _part_lines(parts, pieces=holds is None and not connected)
+            components = sum(part.kind == "component" for part in parts)  # which may be UV islands of a file with seams
+            split = not structure_problems(mesh) and count_pieces(mesh, coincident_vertices(mesh)) < components
+            listed = _part_lines(parts, pieces=holds is None and not split)
             texts.append("\n".join(filter(None, [str(report), "" if holds is None else str(holds)])) + listed)
         sizes = [{"name": part.title, "faces": len(part.faces)} for part in parts]
         held = {} if holds is None else {"contents": asdict(holds)}
