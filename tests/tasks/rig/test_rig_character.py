@@ -360,7 +360,8 @@ def test_a_part_where_the_mesh_of_the_body_has_a_piece_is_named(body: ControlMes
     meshes = [replace(one, face_objects=None, object_names=()) for one in (body, eye)]
     target = Character((Part("body", replace(with_options(join_meshes(meshes), "none"), name="B.glb")),))
     source = Character((Part("body", replace(body, name="C.glb")), Part("eye", eye), Part("hat", hat)))
-    said = "eye: the mesh of B.glb has pieces where they are carried to: --passengers without them leaves them out"
+    said = "eye: the mesh of B.glb has own pieces at the same place. To leave out the character's, name the others by"
+    said += " --passengers"
     assert said in carry_character(target, source).notes
     assert said not in carry_character(target, source, passengers=["eye"]).notes
 
