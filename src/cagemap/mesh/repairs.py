@@ -56,11 +56,11 @@ class Repairs(Brief):
         return tuple(sentence for sentence, count in count_of.items() if count)
 
     def sentences_of_body(self) -> tuple[str, ...]:
-        """`sentences` for `cagemap rig`, which moves other pieces along with the body."""
-        if not self.pieces:
-            return self.sentences()
+        """`sentences` for `cagemap rig`, which keeps the file's mesh and moves other pieces along with the body."""
         pieces = f"{count_noun(self.pieces, 'other piece')} ({count_noun(self.pieces_vertices, 'vertex')})"
-        return (f"{pieces} not matched, but moved along with the body", *replace(self, pieces=0).sentences())
+        changes = replace(self, pieces=0, slivers=0, openings=0).sentences()
+        others = [f"for the match alone: {sentence}" for sentence in changes]
+        return *[f"{pieces} not matched, but moved along with the body"][: self.pieces], *others
 
     def summary(self) -> dict[str, float]:
         """Numbers other than zero by name, for a manifest."""

@@ -295,12 +295,6 @@ def outputs_beside(request: WrapRequest) -> list[Path]:
     return [path for name in WRITTEN["wrap"] if (path := getattr(request, name)) is not None]
 
 
-def textures_read(request: WrapRequest) -> list[Path]:
-    """Image files to read, one per tile."""
-    given = (path for path in (request.texture, request.detail_texture) if path is not None)
-    return [file for path in given for file in texture_files(path)]
-
-
 def require_wrappable(request: WrapRequest, target: ControlMesh, source: ControlMesh) -> ControlMesh | None:
     """Refuse a plain target, and images that cannot be baked; returns the detailed mesh, if any."""
     if isinstance(default_scheme(target), Plain):
@@ -349,7 +343,8 @@ def bake_wrapped(
         warnings = [*warnings, *notes]
     tiles, outside = layout_tiles(transfer)
     images = [udim_path(path, tile) for path in bakes.images.values() for tile in tiles]
-    check_outputs(images, textures_read(request), force=request.force)
+    textures = [path for path in (request.texture, request.detail_texture) if path is not None]
+    check_outputs(images, [file for path in textures for file in texture_files(path)], force=request.force)
     lines = bake_detail(bakes, transfer, detail, colors, tiles, stages, "the source's")
     control = result.target.control
     return lines, [*warnings, *outside, *missing_uv_warnings(control), *target_overlap_warnings(control)]

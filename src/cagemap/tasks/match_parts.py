@@ -94,7 +94,11 @@ def _select_all_parts(
         np.column_stack([landmarks.target_points.heaviest_corners, landmarks.source_points.heaviest_corners]),
         (target_pieces, source_pieces),
     )
-    left = {side: _part_list(parts) for side, parts in zip(("target", "source"), unpaired, strict=True) if parts}
+    left = {
+        side: first_few(f"{part.kind} {part.name} ({len(part.faces)} faces)" for part in parts)
+        for side, parts in zip(("target", "source"), unpaired, strict=True)
+        if parts
+    }
     if not pairs:
         word = next(word for word in words if word in (EACH, MATERIAL))
         listed = ", ".join(f"in the {side} {names}" for side, names in left.items())
@@ -171,10 +175,6 @@ def _pieces(mesh: ControlMesh, word: str) -> tuple[Part, ...]:
     if word == EACH:
         return connected_parts(mesh)
     return material_pieces(mesh) if word == MATERIAL else connected_pieces(mesh, find_part(mesh, word))
-
-
-def _part_list(parts: Sequence[Part]) -> str:
-    return first_few(f"{part.kind} {part.name} ({len(part.faces)} faces)" for part in parts)
 
 
 def _part_inputs(
