@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.errors import ParameterError
 from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
@@ -59,20 +58,6 @@ def color_texture(document: Document | None, control: ControlMesh, *, of_any: bo
     images = (color_image(document, name) for name in names if name in material_names(document))
     found = next((image for image in images if image is not None), None)
     return found if found is not None and is_of_set_in_use(found, document, control) else None
-
-
-def require_color_texture(
-    path: Path, document: Document | None, control: ControlMesh, *, of_any: bool = False
-) -> tuple[Document, MaterialImage]:
-    """The `material_document` of a file, read if not given, and the mesh's `color_texture`; refuses files without."""
-    document = document or material_document(path, control)
-    found = color_texture(document, control, of_any=of_any)
-    if document is None or found is None:
-        raise ParameterError(
-            f"{path}: expected a colour image on most of {control.name} for its UV set in use, found none. Match with "
-            "another --source-uv-set, give an image made for these UVs, or bake --material-colors."
-        )
-    return document, found
 
 
 def is_of_set_in_use(image: MaterialImage, document: Document, control: ControlMesh) -> bool:

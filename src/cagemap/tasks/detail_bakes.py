@@ -23,7 +23,6 @@ from cagemap.files.images.image import (
     texture_pixels,
     udim_path,
 )
-from cagemap.files.inner_texture import require_color_texture
 from cagemap.files.meshes.formats import MESH_SUFFIXES, read_mesh
 from cagemap.files.meshes.ply import ply_image
 from cagemap.files.result.manifest import input_file
@@ -42,6 +41,7 @@ from cagemap.tasks.bake_tiles import (
     colors_remedy,
     layout_tiles,
     missing_uv_warnings,
+    require_color_texture,
     require_layout,
     require_source_uvs,
     target_overlap_warnings,
