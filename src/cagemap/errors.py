@@ -93,7 +93,7 @@ OPTION_NAMES = {
     "`Landmarks.reversed()`": "--exchange-landmarks",
     "`answer=1`": "--answer 1",
     "`find_part`": "--part",
-    "`plain_mesh`": "--scheme none",
+    "`plain_mesh`": "--scheme none (of a source alone: --source-scheme none)",
     "`unwrap`": "--unwrap",
     "`ControlMesh.scheme`": "--target-scheme",
 }

@@ -27,6 +27,7 @@ from cagemap.cli.progress import ConsoleStages
 from cagemap.cli.request_command import command_of
 from cagemap.files.images.image import read_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.parts import join_meshes
 from cagemap.tasks.requests.options import Argument, Option, PythonOnly
 from cagemap.tasks.requests.wrap import WrapRequest
@@ -69,11 +70,28 @@ def test_only_commands_that_repair_offer_it(run: Run, tmp_path: Path) -> None:
     bad = replace(bad, face_indices=np.concatenate([bad.face_indices[:4][::-1], bad.face_indices[4:]]))
     write_mesh(tmp_path / "bad.obj", bad)
     np.save(tmp_path / "p2p.npy", np.arange(8))
-    offer = "Or use --scheme none, which repairs"
+    offer = "Or use --scheme none (of a source alone: --source-scheme none), which repairs"
     run.refused("match -t bad.obj -s bad.obj -o R", says=offer)
     others = "refine bad.obj --level 1 -o f.obj", "functions bad.obj -o f.npz", "map p2p.npy -t bad.obj -s bad.obj -o R"
     for words in others:
         assert offer not in run.refused(words, says="orientation").err
+
+
+def test_check_offers_to_take_a_scan_with_floating_pieces_as_it_is(run: Run, tmp_path: Path) -> None:
+    write_mesh(
+        tmp_path / "scan.obj", join_meshes([icosahedron(), icosahedron().with_positions(icosahedron().positions + 9)])
+    )
+    assert "note: Or use --scheme none" in run("check scan.obj").out
+    assert "Or use" not in run("check scan.obj --scheme none").out
+
+
+def test_check_lists_pieces_and_not_uv_islands(run: Run, tmp_path: Path) -> None:
+    two = join_meshes([icosahedron(), icosahedron().with_positions(icosahedron().positions + 9)])
+    write_mesh(tmp_path / "two.obj", two)
+    assert "component:1" in run("check two.obj --scheme none").out
+    split = ControlMesh.from_faces(two.positions[two.face_indices], np.arange(120).reshape(40, 3))
+    write_mesh(tmp_path / "split.obj", split)
+    assert "component:" not in run("check split.obj --scheme none").out
 
 
 def test_check_reports_and_judges(run: Run, tmp_path: Path) -> None:

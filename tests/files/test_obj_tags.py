@@ -15,7 +15,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.gltf.material_images import material_images, read_material_image
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.obj import read_obj
-from cagemap.files.meshes.obj_materials import obj_document
+from cagemap.files.meshes.obj_materials import obj_document, obj_images
 from cagemap.files.meshes.obj_write import write_obj
 from cagemap.files.result.folder import write_result
 from cagemap.files.text import find_image
@@ -291,6 +291,18 @@ def test_an_obj_file_without_images_is_refused(tmp_path: Path) -> None:
     (tmp_path / "box.mtl").unlink()
     with pytest.raises(ParameterError, match=r"box.obj: expected a colour image .* --material-colors"):
         run_transfer(TransferRequest(tmp_path / "RESULT", tmp_path / "out.png", texture=path), Stages())
+
+
+def test_a_material_file_in_a_folder_names_images_of_another_folder_of_the_model(tmp_path: Path) -> None:
+    folder = tmp_path / "scan"
+    (folder / "mats").mkdir(parents=True)
+    path = write_obj_with_images(folder, skin="../maps/my skin.png", head="../../head.png")
+    (folder / "box.mtl").rename(folder / "mats" / "box.mtl")
+    path.write_text(path.read_text().replace("box.mtl", "mats/box.mtl"))
+    (folder / "maps").mkdir()
+    (folder / "skin.png").rename(folder / "maps" / "my skin.png")
+    (folder / "head.png").rename(tmp_path / "head.png")  # outside of the model's folder
+    assert obj_images(path) == [folder / "maps" / "my skin.png"]
 
 
 def test_images_that_are_links_to_other_folders_are_found_and_names_outside_are_not(tmp_path: Path) -> None:

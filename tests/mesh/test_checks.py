@@ -14,6 +14,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, require_valid
 from cagemap.mesh.faces import keep_faces, with_openings_closed
 from cagemap.mesh.mesh_report import MeshReport, place_text
+from cagemap.mesh.parts import join_meshes
 from cagemap.mesh.topology import boundary_loops, corner_fans, handle_count, mesh_topology
 
 from mesh_faults import SHAPES, elements, faces_of, flip, kinds, moebius_strip, with_faces
@@ -191,6 +192,14 @@ def test_slits_are_noted_and_openings_are_not() -> None:
     assert "note: the boundary has a slit" in str(check_mesh(replace(hole, positions=positions)))
 
 
+def test_many_slits_are_one_note() -> None:
+    sliver = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-4, 0]])
+    points = np.concatenate([sliver + np.array([0, 0, i]) for i in range(11)])
+    (note,) = check_mesh(ControlMesh.from_faces(points, np.arange(33).reshape(11, 3))).notes
+    assert note.startswith("the boundary has 11 slits of 3 edges at vertices ")
+    assert "(3 more)" in note
+
+
 def test_vertices_where_two_pieces_touch_are_named() -> None:
     two = ControlMesh.from_faces(
         [*tetrahedron().positions, [2, 2, 2], [3, 1, 1], [1, 3, 1]],
@@ -332,6 +341,10 @@ def test_every_vertex_list_is_plain_python() -> None:
 
 def test_a_refusal_names_the_way_round_where_there_is_one() -> None:
     refuses(InvalidMeshError, r"Or use `plain_mesh`, which repairs the mesh", require_valid, flip(cube(), 1))
+    pieces = join_meshes([tetrahedron(), tetrahedron()])  # a scan with a floating piece, and a cage with its eyes
+    refuses(InvalidMeshError, r"Or use `plain_mesh`, which repairs the mesh", require_valid, pieces)
+    with pytest.raises(InvalidMeshError, match=r"pieces not wanted\.[^`]*$"):
+        require_valid(join_meshes([cube(), cube()]))
     flat = cube().with_positions(cube().positions * [1.0, 1.0, 0.0])
     with pytest.raises(InvalidMeshError) as refused:
         require_valid(flat)

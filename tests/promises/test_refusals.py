@@ -85,6 +85,7 @@ REFUSED: dict[str | tuple[str, ...], str] = {
     f"{WRAP} --detail-texture t.png --baked b.png": "--detail-texture: expected --detail, and no --texture",
     f"{WRAP} --landmarks pairs.json": "expected RESULT folders, or --target and --source together",
     f"{WRAP} --mask-edge 0.1": "--mask-edge: expected with --target-mask or --source-mask only",
+    f"{WRAP} --texture plain.gltf --baked b.png": "expected a colour image on most of",
     "wrap -t box.obj -s box.obj --map five.npy --landmarks pairs.json -o n.obj": "since nothing is matched",
     "transfer R --bake colors -o o.png": "expected colours at its vertices to bake",
     "transfer R --bake normal -o o.png": "expected --detail, a detailed mesh that lies on the source",

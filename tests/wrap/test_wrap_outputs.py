@@ -74,3 +74,16 @@ def test_the_image_inside_a_model_file_is_baked(run: Run, result_folder: Path) -
     np.testing.assert_array_equal(baked[4, 4], [200, 30, 10])
     run.refused("wrap R -o other.obj --texture box.gltf --baked baked.txt", says="expected an image name ending in")
     assert not (place / "other.obj").exists()
+
+
+def test_shapes_of_a_source_in_another_unit_are_warned_about(tmp_path: Path) -> None:
+    """A cage in centimetres and a generated body of size 1: what is between them has no use as a shape."""
+    for size, is_warned in ((1.5, False), (0.01, True)):
+        write_result(tmp_path / "R", identity_result(1, (textured_cube("large.obj"), textured_cube("s.obj", size))))
+        for request in (
+            WrapRequest((tmp_path / "R",), tmp_path / "half.obj", amount=0.5),
+            WrapRequest((tmp_path / "R",), tmp_path / "shapes", blend_shapes=True),
+        ):
+            outcome = run(request)
+            assert any("times as large as the target" in text for text in outcome.warnings) == is_warned
+            assert ("distances of --amount 1 in %" in outcome.summary) == (request.amount == 0.5)

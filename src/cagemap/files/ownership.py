@@ -48,7 +48,8 @@ def seal(path: Path) -> None:
             stream.seek(-_PNG_END, os.SEEK_END)
             end = stream.read()
             stream.seek(-_PNG_END, os.SEEK_END)
-            stream.write(_png_chunk() + end)
+            body = b"tEXtComment\0" + mark().encode()
+            stream.write(struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body)) + end)
             stream.flush()
         with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             place = _find(data)
@@ -121,8 +122,3 @@ def _zip_directory(data: mmap.mmap | bytes) -> int:
     if end < 0 or end + _ZIP_END.size > len(data):
         return 0
     return int(max(0, end - _ZIP_END.unpack_from(data, end)[5]))
-
-
-def _png_chunk() -> bytes:
-    body = b"tEXtComment\0" + mark().encode()
-    return struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))

@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.faces import (
+    TINY_EDGE,
     degenerate_faces,
     duplicate_faces,
     face_areas,
     face_centres,
     face_extents,
+    is_slit,
     keep_faces,
     signed_volume,
     with_openings_closed,
@@ -55,10 +57,7 @@ SEVERAL = "several components"
 # Problems that do not prevent subdivision, which needs only oriented manifold connectivity.
 UNREFINED = frozenset({SEVERAL, "no size", "size", "no area", "faces without area", "no volume", "inside out"})
 
-# An edge shorter than this share of the longest edges of its faces joins two vertices that should be one.
-TINY_EDGE = 0.01
-# A boundary loop of few edges that encloses less than this share of its length squared is a slit; a square has 1/16.
-SLIT_AREA = 0.004
+# Boundary loops of more edges are openings.
 MAX_SLIT_EDGES = 8
 # Number of components that are compared with each other: comparing more costs too much.
 MAX_COMPARED = 16
@@ -75,6 +74,7 @@ OPEN_ROUNDNESS = 0.02
 
 
 @arrays_accepted
+@np.errstate(over="ignore", invalid="ignore")  # positions may be of any size
 def check_mesh(mesh: MeshLike) -> MeshReport:
     """Count the elements of a control mesh and list everything that prevents matching.
 
@@ -153,11 +153,10 @@ def _with_places(problem: MeshProblem, mesh: ControlMesh) -> MeshProblem:
     listed = np.array(problem.elements[:LISTED], dtype=np.int64)
     if not len(listed) or problem.kind == "broken data":  # whose elements may be UVs
         return problem
-    with np.errstate(over="ignore", invalid="ignore"):  # positions may be of any size
-        if listed.ndim == 2:
-            places = mesh.positions[listed].mean(axis=1)
-        else:
-            places = (mesh.positions if problem.of_vertices else face_centres(mesh))[listed]
+    if listed.ndim == 2:
+        places = mesh.positions[listed].mean(axis=1)
+    else:
+        places = (mesh.positions if problem.of_vertices else face_centres(mesh))[listed]
     numbers = mesh.file_numbers[int(listed.ndim == 1 and not problem.of_vertices)][np.array(problem.elements)]
     elements = [tuple(row) for row in numbers.tolist()] if listed.ndim == 2 else numbers.tolist()
     return replace(problem, elements=tuple(elements), places=tuple(map(place_text, places)))
@@ -169,12 +168,19 @@ def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = (), plain: bo
     if problems:
         count = count_noun(len(problems), "problem")
         one_piece = "" if SEVERAL in allowed else " of one piece"
-        offered = plain and not isinstance(mesh.scheme, Plain) and any(one.kind in REPAIRED for one in problems)
-        remedy = "\nOr use `plain_mesh`, which repairs the mesh and takes it without subdivision." if offered else ""
+        remedy = plain_remedy(mesh, problems) if plain else ""
         raise InvalidMeshError(
             f"{mesh.name}: expected a manifold, consistently oriented mesh{one_piece}, got {count}:"
-            f"{list_problems(problems)}{remedy}"
+            f"{list_problems(problems)}\n{remedy}".rstrip()
         )
+
+
+def plain_remedy(mesh: ControlMesh, problems: Sequence[MeshProblem]) -> str:
+    """Sentence that offers `plain_mesh`; empty for problems that it does not repair."""
+    offered = not isinstance(mesh.scheme, Plain) and any(
+        one.kind in REPAIRED or (one.kind == SEVERAL and np.all(mesh.face_sizes == 3)) for one in problems
+    )
+    return "Or use `plain_mesh`, which repairs the mesh and takes it without subdivision." if offered else ""
 
 
 def _counts(
@@ -186,6 +192,14 @@ def _counts(
     numbers = mesh.file_numbers[0]
     euler = int(used.sum()) - topology.n_edges + mesh.n_faces
     islands = uv_islands(mesh)
+    ends = mesh.positions[topology.edge_vertices]
+    usual = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
+    slits = [
+        f"of {len(loop)} edges at vertices {first_few(numbers[loop].tolist())}, the first at "
+        f"{place_text(mesh.positions[loop[0]])}"
+        for loop in loops or ()
+        if len(loop) <= MAX_SLIT_EDGES and is_slit(mesh.positions[loop], usual)
+    ]
     # V - E + F = 2 - 2 g - b for every component. Where one vertex joins two fans there is no genus.
     handles, odd = divmod(2 * len(components) - euler - len(loops or ()), 2)
     is_surface = loops is not None and two_sided and not odd and handles >= 0
@@ -196,13 +210,10 @@ def _counts(
         genus=handles if is_surface else None,
         boundary_edges=len(topology.boundary_corners),
         boundary_loops=None if loops is None else tuple(tuple(numbers[loop].tolist()) for loop in loops),
-        notes=tuple(
-            f"the boundary has a slit of {len(loop)} edges at vertices {first_few(numbers[loop].tolist())}, "
-            f"the first at {place_text(mesh.positions[loop[0]])}. If it is not meant, "
-            "merge its vertices by distance or fill it."
-            for loop in loops or ()
-            if len(loop) <= MAX_SLIT_EDGES and _is_slit(mesh, loop)
-        ),
+        notes=(
+            f"the boundary has {'a slit' if len(slits) == 1 else f'{len(slits)} slits'} {first_few(slits)}. "
+            "If not meant, merge their vertices by distance or fill them.",
+        )[: len(slits)],
         component_sizes=tuple(components.tolist()),
         valence_range=(int(valences.min()), int(valences.max())),
         uv_islands=None if islands is None else int(islands.max()) + 1,
@@ -254,13 +265,12 @@ def _counts_of(topology: Topology, faces: NDArray[np.bool_]) -> IndexArray:
 
 def _tiny_edges(mesh: ControlMesh, topology: Topology) -> NDArray[np.bool_]:
     """(e,) edges much shorter than the longest edges of their faces."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        ends = mesh.positions[topology.edge_vertices]
-        lengths: FloatArray = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        longest = np.maximum.reduceat(lengths[topology.edges], mesh.face_offsets[:-1])
-        around = np.zeros(len(lengths))
-        np.maximum.at(around, topology.edges, longest[mesh.corner_faces])
-        return lengths <= TINY_EDGE * around
+    ends = mesh.positions[topology.edge_vertices]
+    lengths: FloatArray = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    longest = np.maximum.reduceat(lengths[topology.edges], mesh.face_offsets[:-1])
+    around = np.zeros(len(lengths))
+    np.maximum.at(around, topology.edges, longest[mesh.corner_faces])
+    return lengths <= TINY_EDGE * around
 
 
 def _orientation_problem(turned: NDArray[np.bool_] | None, numbers: IndexArray) -> MeshProblem | None:
@@ -305,18 +315,6 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> MeshProblem | 
         f"not wanted.{' One is a copy of another in the same place.' if copied else ''}",
         tuple(first_faces.tolist()),
     )
-
-
-def _is_slit(mesh: ControlMesh, loop: IndexArray) -> bool:
-    """Whether a boundary loop is an error of modelling: a thin slit, or a hole much smaller than the faces."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        points = mesh.positions[loop] - mesh.positions[loop].mean(axis=0)
-        following = np.roll(points, -1, axis=0)
-        length = np.linalg.norm(following - points, axis=1).sum()
-        area = np.linalg.norm(np.cross(points, following).sum(axis=0)) / 2
-        tails, heads = mesh.positions[mesh.face_indices], mesh.positions[mesh.face_indices[mesh.next_corners]]
-        usual = len(loop) * np.median(np.linalg.norm(heads - tails, axis=1))
-        return bool(area <= SLIT_AREA * length**2 or length <= TINY_EDGE * usual)
 
 
 def extent_problem(mesh: ControlMesh) -> MeshProblem | None:

@@ -13,6 +13,11 @@ from cagemap.mesh.control_mesh import ControlMesh, UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray, joined_runs, pair_keys
 from cagemap.surface.triangles import fan_triangles, row_lengths
 
+# An edge shorter than this share of the longest edges of its faces joins two vertices that should be one.
+TINY_EDGE = 0.01
+# A boundary loop that encloses less than this share of its length squared is a slit; a square has 1/16.
+SLIT_AREA = 0.004
+
 
 def place_counts(mesh: ControlMesh) -> dict[str, int]:
     """Numbers of control vertices, control faces and face corners, which values can have one row each for."""
@@ -146,6 +151,15 @@ def signed_volume(mesh: ControlMesh) -> float:
     triangles, _ = cage_triangles(mesh)
     a, b, c = (mesh.positions[triangles[:, i]] for i in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def is_slit(loop: FloatArray, usual: float) -> bool:
+    """Whether a boundary loop (k, 3) is an error of modelling: thin, or much smaller than the usual edge."""
+    points = loop - loop.mean(axis=0)
+    following = np.roll(points, -1, axis=0)
+    length = np.linalg.norm(following - points, axis=1).sum()
+    area = np.linalg.norm(np.cross(points, following).sum(axis=0)) / 2
+    return bool(area <= SLIT_AREA * length**2 or length <= TINY_EDGE * len(points) * usual)
 
 
 def with_openings_closed(mesh: ControlMesh, loops: Sequence[IndexArray]) -> ControlMesh:

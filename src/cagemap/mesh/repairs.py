@@ -35,9 +35,7 @@ class Repairs(Brief):
 
     def sentences(self) -> tuple[str, ...]:
         """One sentence for the user about every kind of repair made."""
-        remedy = "`find_part` each matches every piece with its counterpart"
-        if self.pieces_weld:
-            remedy = f"`weld_mesh(mesh, {self.pieces_weld:g})` joins pieces that lie against each other"
+        joined = f"`weld_mesh(mesh, {self.pieces_weld:g})` joins pieces that lie against each other"
         count_of = {
             f"{count_noun(self.joined_vertices, 'vertex')} joined with others at the same place": self.joined_vertices,
             f"colours of {self.averaged_colors} joined vertices differ and are averaged": self.averaged_colors,
@@ -50,7 +48,7 @@ class Repairs(Brief):
             f"{count_noun(self.turned_faces, 'face')} turned round": self.turned_faces,
             f"{count_noun(self.pieces, 'other piece')} set aside ({count_noun(self.pieces_vertices, 'vertex')}, "
             f"{100 * self.pieces_share:.1f} % of the area): nothing is matched or transferred there. "
-            f"{remedy}": self.pieces,
+            f"{joined if self.pieces_weld else '`find_part` selects another'}": self.pieces,
             f"{count_noun(self.loose_vertices, 'vertex')} of no face set aside": self.loose_vertices,
             f"{count_noun(self.slivers, 'face')} without area kept": self.slivers,
             f"{count_noun(self.openings, 'opening')} left open": self.openings,
@@ -58,11 +56,11 @@ class Repairs(Brief):
         return tuple(sentence for sentence, count in count_of.items() if count)
 
     def sentences_of_body(self) -> tuple[str, ...]:
-        """`sentences` for `cagemap rig`, which moves other pieces along with the body."""
-        if not self.pieces:
-            return self.sentences()
+        """`sentences` for `cagemap rig`, which keeps the file's mesh and moves other pieces along with the body."""
         pieces = f"{count_noun(self.pieces, 'other piece')} ({count_noun(self.pieces_vertices, 'vertex')})"
-        return (f"{pieces} not matched, but moved along with the body", *replace(self, pieces=0).sentences())
+        changes = replace(self, pieces=0, slivers=0, openings=0).sentences()
+        others = [f"for the match alone: {sentence}" for sentence in changes]
+        return *[f"{pieces} not matched, but moved along with the body"][: self.pieces], *others
 
     def summary(self) -> dict[str, float]:
         """Numbers other than zero by name, for a manifest."""

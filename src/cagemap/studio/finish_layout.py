@@ -214,11 +214,11 @@ def sections(options: Options) -> tuple[Section, ...]:
 _CHOOSE_PART = "press Open… and choose it under Part"
 # What to press on the page in place of options in messages; longer texts first.
 PAGE_WORDS = {
-    "--part each matches every piece with its counterpart": f"To open another piece, {_CHOOSE_PART}",
+    "--part selects another": f"To open another piece, {_CHOOSE_PART}",
     "--part NAME, largest, or each; the check lists them": _CHOOSE_PART,
     "--part NAME": _CHOOSE_PART,
     "--part": "Open…, Part",
-    "--scheme none": "Do not subdivide (Open…, Options)",
+    "--scheme none (of a source alone: --source-scheme none)": "Do not subdivide (Open…, Options)",
     "--target-scheme": "Open…, Options, Subdivide target",
     "--trust-landmarks": "Bake, Match, Trust landmarks",
     "--texture:": "Bake, More images, Maps:",

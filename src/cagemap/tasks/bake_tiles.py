@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
+from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.material_images import MaterialImage
 from cagemap.files.images.image import (
     UDIM_MARK,
     Image,
@@ -29,6 +31,7 @@ from cagemap.files.images.image import (
     with_udim_mark,
     write_image,
 )
+from cagemap.files.inner_texture import color_texture, material_document
 from cagemap.files.meshes.formats import referred_files
 from cagemap.files.meshes.obj_write import write_obj, write_obj_layout
 from cagemap.files.result.folder import ARRAYS
@@ -112,6 +115,20 @@ def read_source_image(
         check_writable(request.output, dtype, written_channels(request, result, channels))
         require_base(request, result, size, (channels,), name)
     return SourceImage(texture_pixels(texture), first, dtype, size)
+
+
+def require_color_texture(
+    path: Path, document: Document | None, control: ControlMesh, *, of_any: bool = False
+) -> tuple[Document, MaterialImage]:
+    """The `material_document` of a file, read if not given, and the mesh's `color_texture`; refuses files without."""
+    document = document or material_document(path, control)
+    found = color_texture(document, control, of_any=of_any)
+    if document is None or found is None:
+        raise ParameterError(
+            f"{path}: expected a colour image on most of {control.name} for its UV set in use, found none. Match with "
+            "another --source-uv-set, give an image made for these UVs, or bake --material-colors."
+        )
+    return document, found
 
 
 def require_source_uvs(source: ControlMesh) -> None:

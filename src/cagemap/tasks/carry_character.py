@@ -225,7 +225,7 @@ def _doubled_passengers(bodies: Bodies, dressed: Sequence[Part]) -> list[str]:
     for part in dressed:
         pairs = doubled_pieces(part.mesh, own.mesh)
         doubled += [part.name] if sum(len(faces) for faces, _ in pairs) == part.mesh.n_faces else []
-    text = "has pieces where they are carried to: --passengers without them leaves them out"
+    text = "has own pieces at the same place. To leave out the character's, name the others by --passengers"
     return [f"{', '.join(doubled)}: the mesh of {bodies.given[0].mesh.name} {text}"] if doubled else []
 
 

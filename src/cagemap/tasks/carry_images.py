@@ -14,7 +14,7 @@ from cagemap.files.gltf.document import GLTF_SUFFIXES
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.material_images import MaterialImage, png_bytes, write_numbered
 from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern, udim_path
-from cagemap.files.inner_texture import color_texture, material_document, tinted_materials, write_texture
+from cagemap.files.inner_texture import material_document, tinted_materials, write_texture
 from cagemap.files.meshes.formats import MESH_SUFFIXES, read_mesh
 from cagemap.files.meshes.ply import ply_image
 from cagemap.files.result.manifest import note_transfer
@@ -32,6 +32,7 @@ from cagemap.tasks.bake_tiles import (
     prepare_bake,
     read_source_image,
     record_bake,
+    require_color_texture,
     require_source_uvs,
 )
 from cagemap.tasks.base_images import base_scale_warnings, base_size, mask_function, require_base, written_channels
@@ -137,13 +138,7 @@ def _image_file(
     require_source_uvs(result.source.control)
     if (image_file := ply_image(path)) != path:
         return image_file, None
-    document = document or material_document(path, result.source.control)
-    found = color_texture(document, result.source.control)
-    if document is None or found is None:
-        raise ParameterError(
-            f"{path}: expected a colour image on most of {result.source.control.name} for its UV set in use, found "
-            "none. Match with another --source-uv-set, give an image made for these UVs, or bake --material-colors."
-        )
+    document, found = require_color_texture(path, document, result.source.control)
     return write_texture(path, document, found, request.result), found
 
 

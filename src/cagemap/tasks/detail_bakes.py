@@ -23,7 +23,8 @@ from cagemap.files.images.image import (
     texture_pixels,
     udim_path,
 )
-from cagemap.files.meshes.formats import read_mesh
+from cagemap.files.meshes.formats import MESH_SUFFIXES, read_mesh
+from cagemap.files.meshes.ply import ply_image
 from cagemap.files.result.manifest import input_file
 from cagemap.files.usd.space import between_spaces, transform_mesh
 from cagemap.maps.result import MatchResult
@@ -40,6 +41,7 @@ from cagemap.tasks.bake_tiles import (
     colors_remedy,
     layout_tiles,
     missing_uv_warnings,
+    require_color_texture,
     require_layout,
     require_source_uvs,
     target_overlap_warnings,
@@ -293,12 +295,6 @@ def outputs_beside(request: WrapRequest) -> list[Path]:
     return [path for name in WRITTEN["wrap"] if (path := getattr(request, name)) is not None]
 
 
-def textures_read(request: WrapRequest) -> list[Path]:
-    """Image files to read, one per tile."""
-    given = (path for path in (request.texture, request.detail_texture) if path is not None)
-    return [file for path in given for file in texture_files(path)]
-
-
 def require_wrappable(request: WrapRequest, target: ControlMesh, source: ControlMesh) -> ControlMesh | None:
     """Refuse a plain target, and images that cannot be baked; returns the detailed mesh, if any."""
     if isinstance(default_scheme(target), Plain):
@@ -308,6 +304,8 @@ def require_wrappable(request: WrapRequest, target: ControlMesh, source: Control
         require_layout(target)
     if request.texture is not None:
         require_source_uvs(source)
+        if request.texture.suffix.lower() in MESH_SUFFIXES and ply_image(request.texture) == request.texture:
+            require_color_texture(request.texture, None, source, of_any=True)
     if "colors" in images and request.detail is None:
         vertex_colors(source)
     if request.detail is None:
@@ -345,7 +343,8 @@ def bake_wrapped(
         warnings = [*warnings, *notes]
     tiles, outside = layout_tiles(transfer)
     images = [udim_path(path, tile) for path in bakes.images.values() for tile in tiles]
-    check_outputs(images, textures_read(request), force=request.force)
+    textures = [path for path in (request.texture, request.detail_texture) if path is not None]
+    check_outputs(images, [file for path in textures for file in texture_files(path)], force=request.force)
     lines = bake_detail(bakes, transfer, detail, colors, tiles, stages, "the source's")
     control = result.target.control
     return lines, [*warnings, *outside, *missing_uv_warnings(control), *target_overlap_warnings(control)]

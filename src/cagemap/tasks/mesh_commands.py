@@ -19,7 +19,7 @@ from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh,
 from cagemap.files.usd.read import UsdMesh, join_usd_meshes, read_usd_meshes
 from cagemap.files.usd.stages import is_usd, open_each_once
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.checks import UNREFINED, check_mesh, require_valid
+from cagemap.mesh.checks import UNREFINED, check_mesh, plain_remedy, require_valid
 from cagemap.mesh.mesh_report import MeshProblem, MeshReport, count_noun
 from cagemap.mesh.parts import Part, list_parts
 from cagemap.mesh.plain import plain_mesh
@@ -60,8 +60,9 @@ def run_check(request: CheckRequest, stages: Stages) -> tuple[str, bool]:
         sound &= report.is_valid
         parts = _parts(mesh)
         if not request.for_scripts:
-            connected = not structure_problems(mesh) and count_pieces(mesh, coincident_vertices(mesh)) == 1
-            listed = _part_lines(parts, pieces=holds is None and not connected)
+            components = sum(part.kind == "component" for part in parts)  # which may be UV islands of a file with seams
+            split = not structure_problems(mesh) and count_pieces(mesh, coincident_vertices(mesh)) < components
+            listed = _part_lines(parts, pieces=holds is None and not split)
             texts.append("\n".join(filter(None, [str(report), "" if holds is None else str(holds)])) + listed)
         sizes = [{"name": part.title, "faces": len(part.faces)} for part in parts]
         held = {} if holds is None else {"contents": asdict(holds)}
@@ -132,9 +133,10 @@ def _report(read: ControlMesh, subdivision: SubdivisionRequest, weld: str | None
         report = check_mesh(mesh)
         problem = MeshProblem("scheme none", str(error).removeprefix(f"{mesh.name}: "), "")
         report = replace(report, problems=(*report.problems, problem))
-    notes = [note.removeprefix(f"{mesh.name}: ") for note in welded.notes]
+    notes = [plain_remedy(mesh, report.problems), *report.notes]
+    notes += [note.removeprefix(f"{mesh.name}: ") for note in welded.notes]
     notes += [f"taken as it is (scheme none): {sentence}" for sentence in repairs]
-    return replace(report, notes=(*report.notes, *notes))
+    return replace(report, notes=tuple(filter(None, notes)))
 
 
 def _parts(mesh: ControlMesh) -> tuple[Part, ...]:

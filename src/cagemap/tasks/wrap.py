@@ -52,7 +52,7 @@ from cagemap.tasks.wrap_checks import (
     shape_files,
     side_options,
 )
-from cagemap.tasks.wrap_figures import distances_text, fold_warnings, wrap_figures
+from cagemap.tasks.wrap_figures import distances_text, fold_warnings, size_warnings, wrap_figures
 from cagemap.wrap import WrapConfig, Wrapped, level_mesh, wrap
 from cagemap.wrap.wrapping import finest_follow
 
@@ -166,7 +166,10 @@ def _run(request: WrapRequest, stages: Stages) -> SummaryAndWarnings:
     note_transfer(folder, {"kind": "wrap", "output": output, "amount": request.amount, **figures})
     note_output("wrap", folder, request)
     among = f", {cage.n_vertices} of them wrapped" if written != cage.n_vertices else ""
-    lines = [f"wrote {output}: {written} vertices{among} (level {wrapped.level})", distances_text(figures)]
+    lines = [
+        f"wrote {output}: {written} vertices{among} (level {wrapped.level})",
+        distances_text(figures, request.amount),
+    ]
     if request.mhclo is not None:
         lines.append(f"wrote {request.mhclo}: the mesh follows {result.source.control.name}")
     if more:
@@ -203,23 +206,25 @@ def _write(
 ) -> tuple[int, list[str]]:
     """Write the target's file with the wrapped vertices; returns its number of vertices, and warnings."""
     rest, control, mesh = level_mesh(result.target.refinement, wrapped.level), result.target.control, wrapped.mesh
+    is_blended = request.blend_shapes or request.amount < 1.0
+    warnings = size_warnings(rest.positions, mesh.positions) if is_blended else []
     if request.amount < 1.0:
         mesh = mesh.with_positions((1 - request.amount) * rest.positions + request.amount * mesh.positions)
     if wrapped.level == 0 and original is not None and is_usd(output) and is_usd(original):
         check_outputs(mesh_files(output, mesh, original), [], force=request.force)
         points = UsdResults(points=mesh.positions)
         write_usd_results(output, request.results[0], result, points, force=request.force)
-        return mesh.n_vertices, []
-    rows, warnings = rows_of(original, control), list[str]()
+        return mesh.n_vertices, warnings
+    rows = rows_of(original, control)
     if rows is not None and wrapped.level:
         left = rows.whole.n_faces - control.n_faces
-        warnings = [f"{control.name}: {left} faces that were not matched are not written. Give --fit-level 0"] * (
-            left > 0
-        )
+        if left > 0:
+            warnings.append(f"{control.name}: {left} faces that were not matched are not written. Give --fit-level 0")
     elif rows is not None:
         mesh = rows.whole.with_positions(rows.placed(mesh.positions))
         left = mesh.n_vertices - len(np.unique([*rows.vertices, *rows.copies[:, 1]]))
-        warnings = [f"{control.name}: {left} vertices that were not matched stay where they are"] if left else []
+        if left:
+            warnings.append(f"{control.name}: {left} vertices that were not matched stay where they are")
     if wrapped.level == 0 and original is not None and {output.suffix.lower(), original.suffix.lower()} == {".obj"}:
         write_obj_positions(output, original, mesh, force=request.force)
         return mesh.n_vertices, warnings
@@ -261,7 +266,7 @@ def _write_shapes(
             figures = wrap_figures(wrapped)
             stages.record(figures, of=name)
             entries.append({"kind": "wrap", "output": file, "amount": request.amount, **figures})
-            lines.append(f"wrote {file}\n{distances_text(figures)}")
+            lines.append(f"wrote {file}\n{distances_text(figures, request.amount)}")
             warnings += [f"{name}: {message}" for message in fold_warnings(figures)]
     for folder, entry in zip(request.results, entries, strict=True):
         note_transfer(folder, entry)

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from cagemap.mesh.mesh_report import place_text
 from cagemap.numerics.arrays import FloatArray
 from cagemap.wrap import Residual, Wrapped
 
 # Least share of the target's area without a counterpart that is reported; less is single triangles.
 _MIN_LEFT_OUT = 5e-4
+# Largest ratio of lengths of bodies in one unit, of a child and a giant; between units it is 10 or more.
+MAX_SIZE_RATIO = 3.0
 
 
 def wrap_figures(wrapped: Wrapped) -> dict[str, Any]:
@@ -36,11 +40,11 @@ def _figures(residual: Residual, positions: FloatArray) -> dict[str, Any]:
     }
 
 
-def distances_text(figures: Mapping[str, Any]) -> str:
+def distances_text(figures: Mapping[str, Any], amount: float) -> str:
     """Lines about the distances of `wrap_figures`, for the terminal."""
     left_out = figures["residual"]["without_counterpart"]
     lines = [
-        "  distances in % of sqrt(area), over all vertices:",
+        f"  distances{' of --amount 1' * (amount < 1.0)} in % of sqrt(area), over all vertices:",
         f"  of the wrap to the source: {_distance_text(figures['residual'])}",
         f"  of the source to the wrap: {_distance_text(figures['residual_from_source'])}",
     ]
@@ -57,6 +61,14 @@ def _distance_text(residual: Mapping[str, Any]) -> str:
         f"mean {100 * residual['mean']:.4f}, 99 % within {100 * residual['p99']:.3f}, largest "
         f"{100 * residual['max']:.3f} at {place_text(residual['place'])}"
     )
+
+
+def size_warnings(rest: FloatArray, wrapped: FloatArray) -> list[str]:
+    """A warning of positions (n, 3) of very different extents, which no blend shape is meant to have."""
+    ratio = float(np.ptp(wrapped, axis=0).max() / np.ptp(rest, axis=0).max())
+    if 1.0 / MAX_SIZE_RATIO <= ratio <= MAX_SIZE_RATIO:
+        return []
+    return [f"the source is {ratio:.3g} times as large as the target, and so are the shapes: scale one of them first"]
 
 
 def fold_warnings(figures: Mapping[str, Any]) -> list[str]:

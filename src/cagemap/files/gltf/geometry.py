@@ -43,7 +43,9 @@ def mesh_entry(
     sets = uv_sets_in_order(mesh)
     hard = [] if normals is None else [normal_groups(mesh, normals)]
     hard += [
-        equal_rows(of_corners) for of_corners in (colors, *(shape_normals or {}).values()) if of_corners is not None
+        np.unique(of_corners, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+        for of_corners in (colors, *(shape_normals or {}).values())
+        if of_corners is not None
     ]
     first, numbers = _split([mesh.face_indices, *(uv_set.uv_indices for uv_set in sets), *hard])
     numbers_of = np.zeros(mesh.n_faces, dtype=np.int64) if mesh.face_materials is None else mesh.face_materials
@@ -123,11 +125,6 @@ Z_TO_Y = np.block([[Z_UP, np.zeros((3, 1))], [np.zeros((1, 3)), np.eye(1)]])
 def is_z_up(mesh: ControlMesh) -> bool:
     """Whether +Z is the axis of a mesh nearest to its file's up axis."""
     return mesh.upright is not None and np.array_equal(nearest_axis_rotation(mesh.upright), Z_UP)
-
-
-def equal_rows(values: FloatArray) -> IndexArray:
-    """(c,) number of each row's value among the distinct rows."""
-    return np.unique(values, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
 
 def _split(indices: Sequence[IndexArray]) -> tuple[IndexArray, IndexArray]:

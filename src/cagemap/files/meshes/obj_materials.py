@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +27,8 @@ _OPTIONS = {"-o": 3, "-s": 3, "-t": 3, "-mm": 2} | dict.fromkeys(
 
 def obj_images(path: Path) -> list[Path]:
     """Existing images (``map_Kd``) that the ``.mtl`` files of an OBJ file name."""
-    images = (_image_file(library, image_options(statement)[1]) for library, _, statement in _color_statements(path))
+    statements = _color_statements(path)
+    images = (_image_file(path, library, image_options(statement)[1]) for library, _, statement in statements)
     return [image for image in images if image is not None]
 
 
@@ -60,7 +62,7 @@ def _texture(
 ) -> dict[str, Any] | None:
     """The texture of an image statement of a material file; None, with a warning, if its image cannot be read."""
     options, name = image_options(statement)
-    file = _image_file(library, name)
+    file = _image_file(path, library, name)
     image = None if file is None else textures.image(file.read_bytes(), file.suffix)
     if image is None:
         problem = "is not found; put it beside the .mtl" if file is None else "cannot be read as an image"
@@ -75,10 +77,11 @@ def _texture(
     return textures.texture(image, (wrap, wrap), transform if moved else None)
 
 
-def _image_file(library: Path, name: str) -> Path | None:
-    """The image of a name; if it is missing, of the name without comments."""
+def _image_file(path: Path, library: Path, name: str) -> Path | None:
+    """The image of a name in the folder of a material file or of its OBJ file; else of the name without comments."""
     shorter, sign, _ = name.rpartition(" #")
-    return find_image(library, name) or (_image_file(library, shorter.rstrip()) if sign else None)
+    found = find_image(library, name) or find_image(path, os.path.join(library.parent.absolute(), name))
+    return found or (_image_file(path, library, shorter.rstrip()) if sign else None)
 
 
 def image_options(rest: str) -> tuple[dict[str, list[str]], str]:

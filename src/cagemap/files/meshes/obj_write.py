@@ -201,17 +201,12 @@ def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMe
     known = read_obj(kept)
     if known.face_indices.tolist() != moved.face_indices.tolist() or len(known.positions) != len(moved.positions):
         raise FormatError(f"{kept}: expected the vertices and faces of {moved.name}, found others. Match again.")
-    text = _text_for(file, kept)
+    text = _OLD_MARK.sub("", read_text(kept, "an OBJ file"))
+    text = MATERIAL_FILE_LINE.sub(lambda found: _libraries(found[0], kept, file.parent) or found[0], text)
     positions = iter(moved.positions.tolist())
     text = _POSITION_LINE.sub(lambda found: f"v {' '.join(map(repr, next(positions)))}{found[1]}", text)
     text = _FACE.sub(lambda found: _WITH_NORMAL.sub(r"\1\2", found[0]), _NORMAL_LINE.sub("", text))
     write_whole(file, f"# {mark()}\n{text}", force=force)
-
-
-def _text_for(file: Path, original: Path) -> str:
-    """The text of an OBJ file for a copy in another folder, without cagemap's mark."""
-    text = _OLD_MARK.sub("", read_text(original, "an OBJ file"))
-    return MATERIAL_FILE_LINE.sub(lambda found: _libraries(found[0], original, file.parent) or found[0], text)
 
 
 def _libraries(text: str, original: Path, folder: Path) -> str:
