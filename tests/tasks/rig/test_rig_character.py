@@ -389,7 +389,7 @@ def test_own_lashes_and_teeth_get_shapes(body: ControlMesh) -> None:
     top = body.positions[np.argmax(body.positions[:, 1])]
     lash = ball("lash", np.zeros(3), 1.0)
     lash = lash.with_positions(lash.positions * [0.1, 0.5, 0.1] + top + [0.0, 0.5, 0.0])
-    teeth, hat = ball("teeth", top - [0, 2, 0], 0.2), ball("hat", top + [0, 2, 0], 0.2)
+    teeth, hat = ball("teeth", top - [0, 2, 0], 0.2), ball("hat", top - [0, -2, 0], 0.2)
     shapes = {"lift": np.where(body.positions[:, 1:] > top[1] - 0.5, 1.0, 0.0)[:, [0]] * [0.0, 0.5, 0.0]}
     bite = {"bite": np.tile([0.0, 0.0, 0.2], (teeth.n_vertices, 1))}
     own = Part("Eyelashes", lash, shapes={"mine": lash.positions}), Part("My teeth", teeth), Part("hat", hat)
