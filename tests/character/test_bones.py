@@ -156,6 +156,9 @@ def test_joints_of_the_other_side() -> None:
         ("Shorts_02", "short"),
         ("cap01", "cap"),
         ("LeftEye", "eye"),
+        ("Eyelashes", "lash"),
+        ("Eye_Brows", "brow"),
+        ("Eye_Brown", "eye"),
         ("CoatMesh", "coat"),
     ],
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
@@ -21,9 +20,9 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, label_
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.skin import normalise_rows, prune_rows
 
-# Parts that move with the skin at their roots, and parts in the mouth. Eyelashes are no eyes.
-_HAIRS = re.compile("lash|brow|beard|moustache", re.IGNORECASE)
-_IN_MOUTH = re.compile("teeth|tooth|tongue|gum", re.IGNORECASE)
+# Words of parts that move with the skin at their roots, and of parts in the mouth.
+_HAIRS = ("lash", "brow", "beard", "moustache")
+_IN_MOUTH = ("teeth", "tooth", "tongue", "gum")
 # A root's distance from the skin counts this much more than its distance from the vertex (docs/lab/characters.md).
 _ROOT_WEIGHT = 5.0
 # Of a part's size: shapes that move it by less are left out.
@@ -91,9 +90,9 @@ def own_parts_with_shapes(
     """
     made = []
     for part in own:
-        word = _mouth_word(part.name)
-        twin = next((one for one in left_out if word and one.shapes and _mouth_word(one.name) == word), None)
-        if twin is not None:
+        word = passenger_word(part.name)
+        twin = next((one for one in left_out if one.shapes and passenger_word(one.name) == word), None)
+        if twin is not None and word in _IN_MOUTH:
             (carried,) = carry_passengers(point_map, [twin.mesh])
             rows = nearest_rows(carried.positions, part.mesh.positions)
             made.append(_with_shapes(part, rows, {n: carried.carry_offsets(one) for n, one in twin.shapes.items()}))
@@ -104,7 +103,7 @@ def own_parts_with_shapes(
 
 def with_shapes_of_skin(part: Part, skin: FloatArray, shapes: Mapping[str, FloatArray]) -> Part:
     """Lashes, brows or a beard with the shapes of a skin (m, 3) that move their roots; other parts unchanged."""
-    if not _HAIRS.search(part.name):
+    if passenger_word(part.name) not in _HAIRS:
         return part
     return _with_shapes(part, root_rows(part.mesh.positions, vertex_pieces(part.mesh), skin), shapes)
 
@@ -115,12 +114,6 @@ def _with_shapes(part: Part, rows: IndexArray, shapes: Mapping[str, FloatArray])
     moved = {name: offsets[rows] for name, offsets in shapes.items() if name not in part.shapes}
     kept = {name: offsets for name, offsets in moved.items() if np.linalg.norm(offsets, axis=1).max() > least}
     return replace(part, shapes={**part.shapes, **kept})
-
-
-def _mouth_word(name: str) -> str:
-    """The word in a part's name that says what it is in the mouth, in lower case; '' without one."""
-    match = _IN_MOUTH.search(name)
-    return "" if match is None else match[0].lower()
 
 
 def root_rows(places: FloatArray, pieces: IndexArray, skin: FloatArray) -> IndexArray:

@@ -28,8 +28,8 @@ MIN_BODY_EXTENT = 0.5
 # Words in the names of passengers: parts that are moved with the body. Those of the last line
 # count only at the end of a word or before a plural s: "panther" and "hatchling" name no passengers.
 _PASSENGER_WORDS = re.compile(
-    r"eye|lash|brow(?!(?-i:n))|teeth|tooth|tongue|hair|beard|moustache|helmet|glasses|shirt|jacket|suit|dress|skirt|trouser|cloth|"
-    r"outfit|garment|shoe|boot|sock|glove|belt|scarf|armor|armour|weapon|sword|accessor|"
+    r"eye(?![\W_]?(?:lash|brow(?!(?-i:n))))|lash|brow(?!(?-i:n))|teeth|tooth|tongue|hair|beard|moustache|helmet|glasses|shirt|jacket|suit|dress|skirt|"
+    r"trouser|cloth|outfit|garment|shoe|boot|sock|glove|belt|scarf|armor|armour|weapon|sword|accessor|"
     r"(?:gum|hat|cap|top|coat|pant|jean|short|bag|cape)(?=s?(?-i:(?![a-z])))",
     re.IGNORECASE,
 )
