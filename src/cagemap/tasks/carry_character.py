@@ -17,8 +17,6 @@ from cagemap.character.own_parts import (
     own_parts_with_shapes,
     own_parts_with_weights,
     rigid_groups,
-    root_rows,
-    vertex_pieces,
 )
 from cagemap.character.passenger_pieces import PIECES, PassengerKind, PieceConfig
 from cagemap.character.passengers import CarriedPassenger, carry_passengers, hidden_passenger
@@ -161,13 +159,12 @@ class Bodies:
         return rows
 
     def on_target(self, values: FloatArray) -> FloatArray:
-        """Values at the given target's vertices; pieces that were set aside copy matched vertices at their roots."""
-        vertex_of, mesh = self.ready[0].vertex_of, self.given[0].mesh
+        """Values at the given target's vertices; vertices that were set aside copy the nearest matched vertex."""
+        vertex_of, places = self.ready[0].vertex_of, self.given[0].mesh.positions
         known = vertex_of >= 0
         rows = np.where(known, vertex_of, 0)
         if not known.all():
-            places, pieces = mesh.positions[~known], vertex_pieces(mesh)[~known]
-            rows[~known] = vertex_of[known][root_rows(places, pieces, mesh.positions[known])]
+            rows[~known] = vertex_of[known][nearest_rows(places[known], places[~known])]
         return np.asarray(values[rows])
 
 
