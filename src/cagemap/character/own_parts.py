@@ -25,6 +25,7 @@ _HAIRS = ("lash", "brow", "beard", "moustache")
 _IN_MOUTH = ("teeth", "tooth", "tongue", "gum")
 # A root's distance from the skin counts this much more than its distance from the vertex (docs/lab/characters.md).
 _ROOT_WEIGHT = 5.0
+_ROOTS = 8  # of a vertex, so that a strip of lashes does not tear
 # Of a part's size: shapes that move it by less are left out.
 _MIN_SHIFT = 1e-3
 
@@ -95,7 +96,7 @@ def own_parts_with_shapes(
         if twin is not None and word in _IN_MOUTH:
             (carried,) = carry_passengers(point_map, [twin.mesh])
             rows = nearest_rows(carried.positions, part.mesh.positions)
-            made.append(_with_shapes(part, rows, {n: carried.carry_offsets(one) for n, one in twin.shapes.items()}))
+            made.append(_with_shapes(part, {n: carried.carry_offsets(one)[rows] for n, one in twin.shapes.items()}))
         else:
             made.append(with_shapes_of_skin(part, skin, shapes))
     return made
@@ -105,28 +106,35 @@ def with_shapes_of_skin(part: Part, skin: FloatArray, shapes: Mapping[str, Float
     """Lashes, brows or a beard with the shapes of a skin (m, 3) that move their roots; other parts unchanged."""
     if passenger_word(part.name) not in _HAIRS:
         return part
-    return _with_shapes(part, root_rows(part.mesh.positions, vertex_pieces(part.mesh), skin), shapes)
+    means = root_means(part.mesh.positions, vertex_pieces(part.mesh), skin)
+    return _with_shapes(part, {name: means @ offsets for name, offsets in shapes.items()})
 
 
-def _with_shapes(part: Part, rows: IndexArray, shapes: Mapping[str, FloatArray]) -> Part:
-    """A part with rows (n,) of offsets (m, 3) of those shapes that move it and that it does not have."""
+def _with_shapes(part: Part, shapes: Mapping[str, FloatArray]) -> Part:
+    """A part with offsets (n, 3) of those shapes that move it and that it does not have."""
     least = _MIN_SHIFT * box_diagonal(part.mesh.positions)
-    moved = {name: offsets[rows] for name, offsets in shapes.items() if name not in part.shapes}
-    kept = {name: offsets for name, offsets in moved.items() if np.linalg.norm(offsets, axis=1).max() > least}
-    return replace(part, shapes={**part.shapes, **kept})
+    moved = {name: offsets for name, offsets in shapes.items() if np.linalg.norm(offsets, axis=1).max() > least}
+    return replace(part, shapes={**part.shapes, **moved, **part.shapes})
 
 
-def root_rows(places: FloatArray, pieces: IndexArray, skin: FloatArray) -> IndexArray:
-    """(n,) row of ``skin`` (m, 3) at the root of each vertex, so that lashes and hairs move as a whole.
+def root_means(places: FloatArray, pieces: IndexArray, skin: FloatArray) -> sparse.csr_array:
+    """(n, m) means over the skin (m, 3) at the roots of vertices (n, 3): lashes and hairs move as a whole.
 
-    The root is a vertex of the same piece, near the vertex and nearer to the skin.
-
-    ``places``: (n, 3) vertices, and ``pieces`` (n,) their connected pieces.
+    Roots are vertices of the same piece, near the vertex and nearer to the skin. ``pieces``: (n,) of the vertices.
     """
     distances, nearest = cKDTree(skin).query(places)
-    apart = 10.0 * (box_diagonal(places) + _ROOT_WEIGHT * float(np.max(distances))) * pieces
+    heights = np.full(int(pieces.max()) + 1, np.finfo(np.float64).tiny)
+    np.maximum.at(heights, pieces, distances)
+    apart = 10.0 * (box_diagonal(places) + _ROOT_WEIGHT * float(heights.max())) * pieces
     roots = np.column_stack([places, _ROOT_WEIGHT * distances, apart])
-    return np.asarray(nearest, dtype=np.int64)[nearest_rows(roots, roots * [1.0, 1.0, 1.0, 0.0, 1.0])]
+    found = cKDTree(roots).query(roots * [1.0, 1.0, 1.0, 0.0, 1.0], k=np.arange(1, min(_ROOTS, len(places)) + 1))
+    away, rows = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
+    weights = np.exp(-((2.0 * (away - away[:, :1]) / heights[pieces, None]) ** 2)) * (pieces[rows] == pieces[:, None])
+    weights /= weights.sum(axis=1, keepdims=True)
+    starts = np.arange(0, rows.size + 1, rows.shape[1])
+    return sparse.csr_array(
+        (weights.ravel(), np.asarray(nearest)[rows].ravel(), starts), shape=(len(places), len(skin))
+    )
 
 
 def vertex_pieces(mesh: ControlMesh) -> IndexArray:

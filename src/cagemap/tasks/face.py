@@ -9,7 +9,7 @@ import numpy as np
 
 from cagemap.character.body_frames import BodyFrames
 from cagemap.character.bones import humanoid_joints
-from cagemap.character.own_parts import root_rows, vertex_pieces, with_shapes_of_skin
+from cagemap.character.own_parts import root_means, vertex_pieces, with_shapes_of_skin
 from cagemap.character.passenger_pieces import PIECES
 from cagemap.character.self_collision import move_apart
 from cagemap.character.values import Character, Part, Rig
@@ -169,9 +169,9 @@ def face_shapes(bodies: Bodies, names: Sequence[str]) -> dict[str, FloatArray]:
     shapes = {name: bodies.on_target(offsets) for name, offsets in shapes.items()}
     places, loose = bodies.given[0].mesh.positions, bodies.ready[0].vertex_of < 0
     if loose.any():
-        rows = root_rows(places[loose], vertex_pieces(bodies.given[0].mesh)[loose], places[~loose])
+        means = root_means(places[loose], vertex_pieces(bodies.given[0].mesh)[loose], places[~loose])
         for offsets in shapes.values():
-            offsets[loose] = offsets[~loose][rows]
+            offsets[loose] = means @ offsets[~loose]
     for piece in rigid_pieces(bodies, _EYES):
         shifts = {name: np.linalg.norm(offsets[piece], axis=1).max() for name, offsets in carried.items()}
         if max(shifts, key=shifts.__getitem__).startswith(_AROUND_EYES):
