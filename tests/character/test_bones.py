@@ -160,6 +160,7 @@ def test_joints_of_the_other_side() -> None:
         ("LeftEye", "eye"),
         ("EyeLashes", "lash"),
         ("eye_brows", "brow"),
+        ("Eye_Brown", "eye"),
         ("eyeglasses", "glasses"),
         ("CoatMesh", "jacket"),
     ],

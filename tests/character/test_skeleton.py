@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from examples.shapes import cube
+from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from cagemap.character.poses import parent_transforms, pose_at, world_transforms
 from cagemap.character.retarget import retarget
-from cagemap.character.skeleton import carry_rig
-from cagemap.character.values import Rig
+from cagemap.character.skeleton import carry_rig, prop_joints
+from cagemap.character.values import Part, Rig
 
 from example_rigs import body_moved, dance, person
 
@@ -100,3 +102,21 @@ def test_a_rest_pose_has_the_directions_of_the_source_s_on_a_body_in_another_pos
     assert arm(rig.bind) @ arm(carried.bind) < np.cos(np.radians(25.0))
     at_rest = [arm(world_transforms(one.local, one.parents)) for one in (rig, carried)]
     np.testing.assert_allclose(at_rest[1], at_rest[0], atol=1e-8)
+
+
+@pytest.mark.parametrize(("head", "is_inside"), [((1.0, 0.5, 0.2), True), ((9.0, 0.5, 0.2), False)])
+def test_the_joint_of_a_rigid_prop_stays_at_its_place_in_the_prop(head: tuple[float, ...], is_inside: bool) -> None:
+    prop = cube()
+    prop = prop.with_positions(prop.positions - [-1.0, -0.5, 0.0])
+    turn = 2.0 * Rotation.from_rotvec((0.4, -1.1, 0.7)).as_matrix()
+    carried = Part("prop", prop.with_positions(prop.positions @ turn + 3.0))
+    bind = np.tile(np.eye(4), (2, 1, 1))
+    bind[1, 3, :3] = head
+    rig = Rig(("root", "prop"), np.array([-1, -1]), bind, bind)
+    weights = sparse.csr_array(np.tile([0.0, 1.0], (prop.n_vertices, 1)))
+    props = (Part("prop", prop, weights), carried), (Part("other", prop), carried)
+    places = prop_joints(rig, props)
+    assert list(places) == [1] * is_inside
+    if is_inside:
+        np.testing.assert_allclose(places[1], np.array(head) @ turn + 3.0)
+        np.testing.assert_allclose(carry_rig(body_moved(*STILL), rig, places).heads[1], places[1])

@@ -85,6 +85,31 @@ def test_static_weights_of_a_clip_stay_in_it(tmp_path: Path) -> None:
     assert keys[steps.name] == read_shape_keys(read_scene(found), None) == {}
 
 
+@pytest.mark.parametrize("is_animated", [False, True])
+def test_weights_at_rest_that_all_clips_have_come_back(tmp_path: Path, is_animated: bool) -> None:
+    """One shape is at 0.5 throughout; a clip moves the other one, or none does."""
+    made = lively()
+    walk = made.animations[0].name
+    document = character_glb(made)
+    if is_animated:
+        document = with_shape_weights(document, walk, np.array([[0.5, 0.0], [0.5, 1.0], [0.5, 0.0]]))
+    (mesh,) = (document.json["meshes"][one["mesh"]] for one in document.json["nodes"] if one.get("name") == "body")
+    mesh["weights"] = [0.5, 0.0]
+    write_usd_character(tmp_path / "C.usda", made, read_scene(document))
+    found = usd_document(tmp_path / "C.usda")
+    assert animation_names(found) == animation_names(document)
+    for number in (None, *range(len(made.animations))):
+        keys = read_shape_keys(read_scene(found), number)
+        assert set(np.ravel(keys["body", "raise"][1])) == {0.5}
+        assert (("body", "wide") in keys) == (is_animated and number == 0)
+    moving = [
+        one["name"]
+        for one in found.json["animations"]
+        if any(c["target"]["path"] == "weights" for c in one["channels"])
+    ]
+    assert moving == ([walk] if is_animated else [])
+
+
 @pytest.mark.parametrize("left_handed", [False, True])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_hard_edges_of_reversed_faces_stay(painted_path: Path, left_handed: bool, sign: float) -> None:

@@ -32,6 +32,7 @@ _INSIDE = ("eye", "teeth", "tongue")
 HAIRS = ("lash", "brow", "beard")
 # A root's distance from the skin counts this much more than its distance from the vertex (docs/lab/characters.md).
 _ROOT_WEIGHT = 5.0
+_ROOTS = 8  # of a vertex, so that a strip of lashes does not tear
 
 
 def parts_of_one_kind(candidates: Sequence[Part], others: Sequence[Part]) -> list[list[Part]]:
@@ -116,15 +117,15 @@ def _nearest_points(
     points = part.mesh.positions
     found = [SurfacePoints.nearest(surfaces[number], points) for number in numbers]
     distances = np.array([np.linalg.norm(points - one.positions, axis=1) for one in found])
+    matrices = [one.matrix() for one in found]
     if passenger_word(part.name) in HAIRS:
-        found[0] = found[0].at(root_vertices(points, vertex_pieces(part.mesh), distances[0]))
+        matrices[0] = root_means(points, vertex_pieces(part.mesh), distances[0]) @ matrices[0]
     distances[0] = np.maximum(distances[0], _COUNTERPART_DISTANCE * box_diagonal(points))
-    chosen, every = distances.argmin(axis=0), np.arange(len(points))
-    starts = offsets_of([surface.n for surface in surfaces])
-    corners = np.array([one.corners + starts[number] for one, number in zip(found, numbers, strict=True)])
-    weights = np.array([one.barycentric for one in found])
-    table = weights[chosen, every].ravel(), corners[chosen, every].ravel(), 3 * np.arange(len(points) + 1)
-    return sparse.csr_array(table, shape=(len(points), int(starts[-1]))), chosen > 0
+    chosen = distances.argmin(axis=0)
+    blocks = [sparse.csr_array((len(points), surface.n)) for surface in surfaces]
+    for row, (number, matrix) in enumerate(zip(numbers, matrices, strict=True)):
+        blocks[number] = matrix.multiply((chosen == row)[:, None]).tocsr()
+    return sparse.hstack(blocks, format="csr"), chosen > 0
 
 
 def _means(members: Sequence[IndexArray], count: int) -> sparse.csr_array:
@@ -134,14 +135,22 @@ def _means(members: Sequence[IndexArray], count: int) -> sparse.csr_array:
     return sparse.csr_array((np.repeat(1.0 / sizes, sizes), columns, offsets_of(sizes)), shape=(len(members), count))
 
 
-def root_vertices(places: FloatArray, pieces: IndexArray, distances: FloatArray) -> IndexArray:
-    """(n,) vertex at the root of each vertex (n, 3): of the same piece, near it and nearer to the skin.
+def root_means(places: FloatArray, pieces: IndexArray, distances: FloatArray) -> sparse.csr_array:
+    """(n, n) means over the roots of vertices (n, 3), so that lashes and hairs move as a whole.
 
-    ``pieces``: (n,) connected piece of each vertex, and ``distances`` (n,) from the skin.
+    Roots are vertices of the same piece, near the vertex and nearer to the skin. ``pieces`` (n,) are the connected
+    pieces of the vertices, ``distances`` (n,) theirs from the skin.
     """
-    apart = 10.0 * (box_diagonal(places) + _ROOT_WEIGHT * float(np.max(distances))) * pieces
+    heights = np.full(int(pieces.max()) + 1, np.finfo(np.float64).tiny)
+    np.maximum.at(heights, pieces, distances)
+    apart = 10.0 * (box_diagonal(places) + _ROOT_WEIGHT * float(heights.max())) * pieces
     roots = np.column_stack([places, _ROOT_WEIGHT * distances, apart])
-    return nearest_rows(roots, roots * [1.0, 1.0, 1.0, 0.0, 1.0])
+    found = cKDTree(roots).query(roots * [1.0, 1.0, 1.0, 0.0, 1.0], k=np.arange(1, min(_ROOTS, len(places)) + 1))
+    away, rows = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
+    weights = np.exp(-((2.0 * (away - away[:, :1]) / heights[pieces, None]) ** 2)) * (pieces[rows] == pieces[:, None])
+    weights /= weights.sum(axis=1, keepdims=True)
+    starts = np.arange(0, rows.size + 1, rows.shape[1])
+    return sparse.csr_array((weights.ravel(), rows.ravel(), starts), shape=(len(places), len(places)))
 
 
 def vertex_pieces(mesh: ControlMesh) -> IndexArray:

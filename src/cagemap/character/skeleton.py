@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -15,9 +16,10 @@ from cagemap.character.poses import (
     rotations_of,
 )
 from cagemap.character.retarget import retarget_all
-from cagemap.character.values import Animation, Rig
+from cagemap.character.values import Animation, Part, Rig
 from cagemap.maps.point_map import PointMap
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, box_diagonal
+from cagemap.surface.alignment import fit_similarity
 from cagemap.transfer.skin import carry_joints
 
 # Of the direction to a child with an axis of its joint, where the joint's bone ends at that child.
@@ -26,7 +28,7 @@ MIN_BONE_COSINE = 0.99
 AXES_TOLERANCE = 1e-6
 
 
-def carry_rig(point_map: PointMap, rig: Rig) -> Rig:
+def carry_rig(point_map: PointMap, rig: Rig, places: Mapping[int, FloatArray] | None = None) -> Rig:
     """The rig of the source's body, placed in the target's body.
 
     Joints move with the surface around them. An axis that points to a joint's child still does. Names, parents and
@@ -38,6 +40,8 @@ def carry_rig(point_map: PointMap, rig: Rig) -> Rig:
         Of the target's body to the source's, both in the bind pose.
     rig : Rig
         In the source's file units.
+    places : mapping of int to (3,) float64, optional
+        Known places of joints, see `prop_joints`.
 
     Returns
     -------
@@ -45,6 +49,8 @@ def carry_rig(point_map: PointMap, rig: Rig) -> Rig:
         In the target's file units.
     """
     heads, turns = carry_joints(point_map, rig.heads)
+    for joint, place in (places or {}).items():
+        heads[joint] = place
     bind = rig.bind.copy()
     bind[:, 3, :3] = heads
     bind[:, :3, :3] = rig.bind[:, :3, :3] @ _align_bones(rig, heads, turns)
@@ -57,6 +63,25 @@ def carry_rig(point_map: PointMap, rig: Rig) -> Rig:
         return target_rig
     (retargeted,), _ = retarget_all([rest_pose], rig, target_rig)
     return replace(target_rig, local=parent_transforms(pose_at(target_rig, retargeted, 0.0), rig.parents))
+
+
+def prop_joints(rig: Rig, props: Iterable[tuple[Part, Part]]) -> dict[int, FloatArray]:
+    """Places on the target of joints inside a rigid passenger that they move, so that it turns about the same point.
+
+    ``props``: passengers on the source and on the target.
+    """
+    places = {}
+    for part, carried in props:
+        joints = set() if part.weights is None else set(part.weights.indices.tolist())
+        points, images = part.mesh.positions, carried.mesh.positions
+        if len(joints) != 1:
+            continue
+        (joint,), (rotation, scale, shift) = joints, fit_similarity(points, images)
+        head, misfit = rig.heads[joint], np.abs(scale * points @ rotation.T + shift - images).max()
+        is_inside = (points.min(axis=0) <= head).all() and (head <= points.max(axis=0)).all()
+        if is_inside and misfit < AXES_TOLERANCE * box_diagonal(images):
+            places[joint] = scale * rotation @ head + shift
+    return places
 
 
 def _rest_pose(rig: Rig) -> Animation:

@@ -32,7 +32,7 @@ _PASSENGER_WORDS = re.compile(
     "|".join(
         f"(?P<{word}>{pattern})"
         for word, pattern in {
-            "eye": "eye(?!.?(?:lash|brow|glass|patch))",
+            "eye": r"eye(?![\W_]?(?:lash|brow(?!(?-i:n))|glass|patch))",
             "lash": "lash",
             "brow": "brow(?!(?-i:n))",
             "teeth": f"teeth|tooth|gum{_END}",

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.spatial import cKDTree
 
-from cagemap.character.own_parts import rigid_groups, root_vertices, vertex_pieces
+from cagemap.character.own_parts import nearest_rows, rigid_groups
 from cagemap.character.passenger_pieces import PIECES, PieceConfig
 from cagemap.character.values import Part
 from cagemap.errors import ParameterError
@@ -55,15 +54,12 @@ class Bodies:
         return Part(self.given[0].name, self.ready[0].mesh, None if weights is None else weights[rows], of_rows)
 
     def on_target(self, values: FloatArray) -> FloatArray:
-        """Values at the given target's vertices; pieces that were set aside copy matched vertices at their roots."""
-        vertex_of, mesh = self.ready[0].vertex_of, self.given[0].mesh
+        """Values at the given target's vertices; vertices that were set aside copy the nearest matched vertex."""
+        vertex_of, places = self.ready[0].vertex_of, self.given[0].mesh.positions
         known = vertex_of >= 0
         rows = np.where(known, vertex_of, 0)
         if not known.all():
-            places = mesh.positions[~known]
-            distances, nearest = map(np.asarray, cKDTree(mesh.positions[known]).query(places))
-            roots = root_vertices(places, vertex_pieces(mesh)[~known], distances)
-            rows[~known] = vertex_of[known][nearest[roots]]
+            rows[~known] = vertex_of[known][nearest_rows(places[known], places[~known])]
         return np.asarray(values[rows])
 
 

@@ -22,7 +22,7 @@ from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.passengers import CarriedPassenger, carried_parts, carry_passengers, hidden_passenger
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body
-from cagemap.character.skeleton import carry_rig
+from cagemap.character.skeleton import carry_rig, prop_joints
 from cagemap.character.values import Character, Part
 from cagemap.errors import ParameterError
 from cagemap.maps.result import MatchResult
@@ -124,7 +124,9 @@ def carry_character(
                 f"{source_body.name} has no weights, so the body does not move with the skeleton: export the character "
                 "with the weights of its body, or choose a part that has weights as the body (rig: --like-part)"
             )
-        rig = carry_rig(result.point_map, source.rig)
+        places = prop_joints(source.rig, zip(to_carry, dressed, strict=True))
+        of_body = np.zeros(0) if source_body.weights is None else source_body.weights.indices
+        rig = carry_rig(result.point_map, source.rig, {j: place for j, place in places.items() if j not in of_body})
         animations, posed_otherwise = retarget_all(source.animations, source.rig, rig)
         if posed_otherwise:
             notes.append(

@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from cagemap.character.body_frames import BodyFrames
 from cagemap.character.bones import humanoid_joints
-from cagemap.character.own_parts import HAIRS, with_nearest_values
+from cagemap.character.own_parts import HAIRS, root_means, vertex_pieces, with_nearest_values
 from cagemap.character.passenger_pieces import PIECES
 from cagemap.character.self_collision import move_apart
 from cagemap.character.values import Character, Part, Rig
@@ -160,8 +161,7 @@ def face_shapes(bodies: Bodies, names: Sequence[str]) -> dict[str, FloatArray]:
     rows, mesh = bodies.rows(0), bodies.ready[0].mesh
     triangles = fan_triangles(mesh.face_offsets, mesh.face_indices)[0]
     forward = BodyFrames(bodies.result.point_map).rotation[2]
-    rigid = rigid_pieces(bodies, _EYES)
-    carried = body_shapes(bodies, rigid)
+    carried = body_shapes(bodies)
     shapes = {name: carried[name][rows] for name in names}
     for name in shapes.keys() - {"mouthClose"}:
         shapes[name] = move_apart(mesh.positions, mesh.positions + shapes[name], triangles, forward) - mesh.positions
@@ -169,7 +169,13 @@ def face_shapes(bodies: Bodies, names: Sequence[str]) -> dict[str, FloatArray]:
         opened = mesh.positions + shapes["jawOpen"]
         shapes["mouthClose"] = move_apart(mesh.positions, opened + shapes["mouthClose"], triangles, forward) - opened
     shapes = {name: bodies.on_target(offsets) for name, offsets in shapes.items()}
-    for piece in rigid:
+    places, loose = bodies.given[0].mesh.positions, bodies.ready[0].vertex_of < 0
+    if loose.any():
+        distances = np.asarray(cKDTree(places[~loose]).query(places[loose])[0])
+        means = root_means(places[loose], vertex_pieces(bodies.given[0].mesh)[loose], distances)
+        for offsets in shapes.values():
+            offsets[loose] = means @ offsets[loose]
+    for piece in rigid_pieces(bodies, _EYES):
         shifts = {name: np.linalg.norm(offsets[piece], axis=1).max() for name, offsets in carried.items()}
         if max(shifts, key=shifts.__getitem__).startswith(_AROUND_EYES):
             for offsets in shapes.values():

@@ -104,6 +104,9 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     stages("write")
     images = {slot: png_bytes(image) for slot, (_, image) in baked.items()}
     pieces_of = {part.name: of.name for part in carried.passengers if part not in source.parts}
+    for part in dressed.parts[1 : len(dressed.parts) - len(carried.passengers)]:  # lashes and teeth that got shapes
+        if givers := [one.name for one in (of, *source.parts) if one.shapes.keys() & part.shapes.keys()]:
+            pieces_of[part.name] = givers[0]
     rigged_document = character_glb(dressed, document, images, pieces_of)
     if request.report is not None:
         stages("report")

@@ -338,6 +338,17 @@ def test_pieces_that_are_carried_keep_the_weights_of_their_body(run: Run, files:
     assert list(keys) == [("body", "blink"), ("body pieces", "blink")]
 
 
+def test_own_lashes_keep_the_weights_of_the_shapes_of_their_skin(run: Run, files: Character, body: ControlMesh) -> None:
+    skin = replace(files.parts[0], shapes={"blink": np.ones((body.n_vertices, 3))})
+    document = character_glb(replace(files, parts=(skin,)))
+    write_document("C.glb", with_shape_weights(document, "nod", np.array([[0.0], [1.0]])), force=True)
+    lash = Part("lash", ball("lash", body.positions[np.argmax(body.positions[:, 2])], 0.1))
+    write_document("B.glb", character_glb(Character((Part("body", body), lash))), force=True)
+    rig_done(run)
+    keys = read_shape_keys(read_scene(read_document("OUT.glb")), 0)
+    assert list(keys) == [("body", "blink"), ("lash", "blink")]
+
+
 @pytest.mark.parametrize("influences", [1, None])
 def test_a_piece_that_stays_moves_as_that_of_the_character(body: ControlMesh, influences: int | None) -> None:
     """Eyes in the mesh of both bodies: those of the character follow joints of their own, and not the lids."""

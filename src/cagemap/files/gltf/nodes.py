@@ -208,15 +208,15 @@ def snap_to_exact(matrix: FloatArray, exact: FloatArray, frame: FloatArray) -> F
 
 
 def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> Joints | None:
-    """Joints of all skins as one rig; None without any.
+    """Joints of all skins as one rig; None without skins.
 
     An animated node of a mesh without skin becomes a joint. So does a node above a joint if it is animated or its
     transform is no similarity. Transforms of other nodes are applied to the joints below them. A joint that a later
     skin in use binds otherwise gets a child.
     """
-    chosen = _joint_nodes(document, nodes, skins)
-    if not chosen:
+    if not skins:
         return None
+    chosen = _joint_nodes(document, nodes, skins)
     count = len(nodes.names)
     joint_of = np.full(count, -1, dtype=np.int64)
     joint_of[chosen] = np.arange(len(chosen))

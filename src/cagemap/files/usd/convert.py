@@ -225,12 +225,22 @@ def _animations(
                     tracks.append(Track(joints.index(joint), channel, times[kept], keys[kept]))
         shapes = [str(shape) for shape in animation.GetBlendShapesAttr().Get() or []]
         times, values = _samples(animation.GetBlendShapeWeightsAttr(), len(shapes), start, rate)
-        if len(times):  # of one bound animation, those without time samples are at rest
-            is_rest = len(times) == 1 and [one.GetPrim() for one in prims] == [bound]
-            weights["" if is_rest else name] = times, dict(zip(shapes, values.T, strict=True))
-        if tracks or name in weights:
-            found.append(Animation(name, tuple(tracks)))
-    return tuple(found), weights
+        if len(times):
+            weights[name] = times, dict(zip(shapes, values.T, strict=True))
+        found.append(Animation(name, tuple(tracks)))
+    if len(prims) > 1 or bound:
+        weights = _with_rest(weights, len(prims))
+    return tuple(one for one in found if one.tracks or one.name in weights), weights
+
+
+def _with_rest(weights: _ShapeWeights, count: int) -> _ShapeWeights:
+    """Weights of ``count`` clips; those that are constant, and equal in all clips, are at rest, named ''."""
+    clips = [values for _, values in weights.values()]
+    constant = [{name: row[0] for name, row in values.items() if not np.ptp(row)} for values in clips]
+    common = set.intersection(*(set(values.items()) for values in constant)) if len(clips) == count else set()
+    rest = {name: np.array([value]) for name, value in common}
+    kept = {name: clip for name, clip in weights.items() if clip[1].keys() - rest.keys()}
+    return kept | ({"": (np.zeros(1), rest)} if rest else {})
 
 
 def _channels(animation: Any) -> dict[Channel, Any]:
