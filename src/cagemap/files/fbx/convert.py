@@ -189,7 +189,7 @@ class _Scene:
             self._note(f"{get(node, 'name')} is hidden and left out")
             return entry
         instance = _instance(node)
-        uv_sets = [one.name for one in uv_sets_in_order(mesh.control)]
+        uv_sets = [one.name for one in uv_sets_in_order(mesh.part.mesh)]
         materials = tuple(self._materials.number(material, uv_sets) for material in list_attribute(node, "materials"))
         if (instance, materials) not in self._mesh_of:
             self._mesh_of[instance, materials] = len(self._meshes)
@@ -244,18 +244,9 @@ class _Scene:
         return self._read[instance]
 
     def _mesh_entry(self, mesh: FbxMesh, materials: tuple[int, ...]) -> dict[str, Any]:
-        numbers = [
-            materials[slot] if slot < len(materials) else None for slot in range(len(mesh.control.material_names))
-        ]
-        entry = mesh_entry(
-            self._binary,
-            mesh.control,
-            numbers,
-            weights=mesh.weights,
-            shapes=mesh.shapes,
-            normals=mesh.normals,
-            colors=mesh.colors,
-        )
+        slots = range(len(mesh.part.mesh.material_names))
+        numbers = [materials[slot] if slot < len(materials) else None for slot in slots]
+        entry = mesh_entry(self._binary, mesh.part, numbers)
         return entry | ({"weights": mesh.amounts} if any(mesh.amounts) else {})
 
     def _skin_entry(self, mesh: FbxMesh) -> dict[str, Any]:

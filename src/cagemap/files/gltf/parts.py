@@ -26,7 +26,7 @@ from cagemap.files.gltf.primitives import VertexArrays, read_vertex_arrays
 from cagemap.files.text import make_distinct
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
-from cagemap.mesh.faces import merged_corners
+from cagemap.mesh.faces import merged_corners, reversed_corners
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.parts import extract_faces
 from cagemap.mesh.plain import turn_faces
@@ -196,6 +196,23 @@ def _vertices_in_world(
     if np.linalg.det(to_world[:3, :3]) < 0.0:
         control = turn_faces(control, np.ones(control.n_faces, dtype=bool))
     return replace(arrays, control=control, shapes=shapes, normals=normals, shape_normals=shape_normals)
+
+
+def transform_part(part: Part, matrix: FloatArray) -> Part:
+    """The part transformed by a (4, 4) matrix for points as rows; its faces are reversed if this mirrors it."""
+    linear = matrix[:3, :3]
+    mesh, normals, colors = part.mesh.with_positions(part.mesh.positions @ linear + matrix[3, :3]), None, part.colors
+    shape_normals = part.shape_normals
+    if part.normals is not None:
+        normals = transform_normals(part.normals, linear)
+        shape_normals = {n: transform_offsets(one, part.normals, linear) for n, one in shape_normals.items()}
+    if np.linalg.det(linear) < 0.0:
+        corners = reversed_corners(mesh.face_offsets)
+        mesh = turn_faces(mesh, np.ones(mesh.n_faces, dtype=bool))
+        normals, colors = (None if one is None else one[corners] for one in (normals, colors))
+        shape_normals = {name: offsets[corners] for name, offsets in shape_normals.items()}
+    shapes = {name: offsets @ linear for name, offsets in part.shapes.items()}
+    return Part(part.name, mesh, part.weights, shapes, normals, shape_normals, colors)
 
 
 def transform_normals(normals: FloatArray, linear: FloatArray) -> FloatArray:

@@ -23,15 +23,14 @@ from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.expressions import ReplacedMesh, renumber_expressions
 from cagemap.files.gltf.geometry import Z_TO_Y, is_z_up, mesh_entry
 from cagemap.files.gltf.nodes import decompose_transform, scale_signs
-from cagemap.files.gltf.parts import Scene, read_scene, transform_normals, transform_offsets
+from cagemap.files.gltf.parts import Scene, read_scene, transform_part
 from cagemap.files.gltf.primitives import material_names, mesh_shapes
 from cagemap.files.gltf.textures import with_images
 from cagemap.files.text import whole_characters
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV, UvSet
-from cagemap.mesh.faces import merged_corners, reversed_corners
+from cagemap.mesh.faces import merged_corners
 from cagemap.mesh.mesh_report import first_few
-from cagemap.mesh.plain import turn_faces
 from cagemap.numerics.arrays import FloatArray
 
 _log = logging.getLogger(__name__)
@@ -56,7 +55,7 @@ def write_glb(path: str | Path, mesh: ControlMesh, *, to_metres: FloatArray | No
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": mesh.name} | placed],
-        "meshes": [mesh_entry(binary, mesh, range(count))],
+        "meshes": [mesh_entry(binary, Part(mesh.name, mesh), range(count))],
     }
     if count:
         top["materials"] = [material_entry(mesh, number) for number in range(count)]
@@ -160,34 +159,12 @@ class _Made:
             if part.name in self._pieces_of:
                 given = self._node_of_part[self._pieces_of[part.name]]
                 self._given_node[node], self._mesh_of_node[node] = given, self._mesh_of_node[given]
-        mesh, shapes, normals, colors = part.mesh, part.shapes, part.normals, part.colors
-        shape_normals = part.shape_normals
         skinned = part.weights is not None and rig is not None
-        if not skinned and self._scene is not None and node < len(self._scene.nodes.names):
-            to_node = np.linalg.inv(self._scene.nodes.world[node])
-            mesh = mesh.with_positions(mesh.positions @ to_node[:3, :3] + to_node[3, :3])
-            shapes = {name: offsets @ to_node[:3, :3] for name, offsets in shapes.items()}
-            if normals is not None:
-                shape_normals = {
-                    name: transform_offsets(offsets, normals, to_node[:3, :3])
-                    for name, offsets in shape_normals.items()
-                }
-                normals = transform_normals(normals, to_node[:3, :3])
-            if np.linalg.det(to_node[:3, :3]) < 0.0:
-                corners = reversed_corners(mesh.face_offsets)
-                normals, colors = (None if one is None else one[corners] for one in (normals, colors))
-                shape_normals = {name: offsets[corners] for name, offsets in shape_normals.items()}
-                mesh = turn_faces(mesh, np.ones(mesh.n_faces, dtype=bool))
-        mesh_data = mesh_entry(
-            self._binary,
-            mesh,
-            self._materials(part),
-            weights=part.weights if skinned else None,
-            shapes=shapes,
-            normals=normals,
-            shape_normals=shape_normals,
-            colors=colors,
-        )
+        if not skinned:
+            part = replace(part, weights=None)
+            if self._scene is not None and node < len(self._scene.nodes.names):
+                part = transform_part(part, np.asarray(np.linalg.inv(self._scene.nodes.world[node])))
+        mesh_data = mesh_entry(self._binary, part, self._materials(part))
         if node in self._mesh_of_node:
             self._copy_variants(part.name, self._mesh_of_node[node], mesh_data)
         entry = self._nodes[node]

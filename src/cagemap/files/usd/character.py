@@ -19,12 +19,12 @@ from cagemap.files.gltf.character import to_rig_space
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import uv_sets_in_order
 from cagemap.files.gltf.nodes import moved_nodes
-from cagemap.files.gltf.parts import Scene, transform_normals
+from cagemap.files.gltf.parts import Scene, transform_part
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.ownership import mark
 from cagemap.files.usd.animations import SKELETON, write_rig
 from cagemap.files.usd.materials import WRITTEN, uv_primvar, write_materials
-from cagemap.files.usd.prims import faces_by_name, transform_points
+from cagemap.files.usd.prims import faces_by_name
 from cagemap.files.usd.space import StageSpace, to_metres
 from cagemap.files.usd.stages import identifiers, open_stage, usd_modules
 from cagemap.files.usd.write import check_usd_path, export_layer, new_stage
@@ -101,16 +101,6 @@ def write_usd_character(
 def _to_space(character: Character, space: StageSpace) -> Character:
     """A character in metres with Y up as one in a space, by a similarity without a mirror."""
     matrix = np.asarray(np.linalg.inv(to_metres(space)), dtype=np.float64)
-    turn = matrix[:3, :3]
-    parts = [
-        replace(
-            part,
-            mesh=part.mesh.with_positions(transform_points(part.mesh.positions, matrix)),
-            shapes={name: offsets @ turn for name, offsets in part.shapes.items()},
-            normals=None if part.normals is None else transform_normals(part.normals, turn),
-        )
-        for part in character.parts
-    ]
     rig, animations = character.rig, character.animations
     if rig is not None:
         roots = rig.parents < 0
@@ -120,7 +110,8 @@ def _to_space(character: Character, space: StageSpace) -> Character:
             replace(one, tracks=tuple(_transform_track(t, matrix) if roots[t.joint] else t for t in one.tracks))
             for one in animations
         )
-    return replace(character, parts=tuple(parts), rig=rig, animations=animations)
+    parts = tuple(transform_part(part, matrix) for part in character.parts)
+    return replace(character, parts=parts, rig=rig, animations=animations)
 
 
 def _transform_track(track: Track, matrix: FloatArray) -> Track:

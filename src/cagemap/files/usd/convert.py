@@ -20,7 +20,7 @@ from cagemap.files.gltf.character import to_rig_space
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import uv_sets_in_order
 from cagemap.files.gltf.nodes import is_invertible
-from cagemap.files.gltf.parts import transform_normals, transform_offsets
+from cagemap.files.gltf.parts import transform_part
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.text import make_distinct
 from cagemap.files.usd.animations import remove_scale
@@ -32,13 +32,13 @@ from cagemap.files.usd.prims import (
     primvar_values,
     read_value,
 )
-from cagemap.files.usd.read import UsdMesh, place_in_world, prims_of, read_usd_meshes
+from cagemap.files.usd.read import UsdMesh, prims_of, read_usd_meshes
 from cagemap.files.usd.shader_inputs import color_uv_name
 from cagemap.files.usd.shaders import MaterialUser, with_materials
 from cagemap.files.usd.skeleton import joint_names, joint_parents, joints_of
 from cagemap.files.usd.space import stage_units, to_metres
 from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, usd_modules
-from cagemap.files.usd.transforms import is_mirrored, is_similarity, local_to_world
+from cagemap.files.usd.transforms import is_similarity, local_to_world
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.faces import reversed_corners
 from cagemap.mesh.mesh_report import first_few
@@ -121,35 +121,27 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
             table = np.maximum(table, 0.0)
             table[~table.any(axis=1), 0] = 1.0
             table = sparse.csr_array(table / table.sum(axis=1, keepdims=True))
-        placed = place_in_world(replace(mesh, to_world=mesh_to_world))
-        control = replace(placed.control, name=name, upright=Y_UP, face_objects=None, object_names=())
+        control = replace(mesh.control, name=name, upright=Y_UP)
         shapes = {
             label.removeprefix(BLEND_SHAPE): offsets
-            for label, offsets in placed.attributes.items()
+            for label, offsets in mesh.attributes.items()
             if label.startswith(BLEND_SHAPE)
         }
-        normals, shape_normals = _normals(f"{file}: {mesh.path}", prim, control, mesh_to_world), {}
+        normals, shape_normals = _normals(f"{file}: {mesh.path}", prim, control), {}
         if normals is not None:
-            turn = mesh_to_world[:3, :3]
-            shape_normals = {
-                label: transform_offsets(offsets[control.face_indices], normals, turn)
-                for label, offsets in mesh.shape_normals.items()
-            }
-            normals = transform_normals(normals, turn)
+            shape_normals = {label: offsets[control.face_indices] for label, offsets in mesh.shape_normals.items()}
         if control.vertex_colors is not None and color_uv_name(prim):
             text = "%s: %s: USD shows the image of its material without the display colours, glTF multiplies both"
             _log.warning(text, file, mesh.path)
-        parts.append(Part(name, control, table, shapes, normals, shape_normals, placed.colors))
+        part = Part(name, control, table, shapes, normals, shape_normals, mesh.colors)
+        parts.append(transform_part(part, mesh_to_world))
     if rig is not None:
         rig, animations = remove_scale(rig, animations)
     return Character(tuple(parts), rig, animations), weights
 
 
-def _normals(where: str, prim: Any, control: ControlMesh, matrix: FloatArray) -> FloatArray | None:
-    """Normals (c, 3), as stored, of the corners of a plain mesh in world space; None for other meshes and without any.
-
-    ``matrix``: to world space, which has reversed the faces if it mirrors.
-    """
+def _normals(where: str, prim: Any, control: ControlMesh) -> FloatArray | None:
+    """Normals (c, 3), as stored, of the corners of a plain mesh; None for other meshes and without any."""
     geometry, primvar = usd_modules().UsdGeom.Mesh(prim), usd_modules().UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar.HasValue():
         values, numbers, kind = primvar_values(where, primvar)
@@ -159,7 +151,7 @@ def _normals(where: str, prim: Any, control: ControlMesh, matrix: FloatArray) ->
     if not len(values) or not isinstance(control.scheme, Plain):
         return None
     rows = corner_rows(control, kind)
-    if kind == "faceVarying" and (geometry.GetOrientationAttr().Get() == "leftHanded") != is_mirrored(matrix):
+    if kind == "faceVarying" and geometry.GetOrientationAttr().Get() == "leftHanded":
         rows = reversed_corners(control.face_offsets)
     if rows is None or len(numbers) <= rows.max() or values.shape[1:] != (3,) or not np.isfinite(values).all():
         text = "%s: its normals are left out, others are computed: expected finite ones, got %d of interpolation %s"
