@@ -121,10 +121,7 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
     if loose := control.n_vertices - len(np.unique(control.face_indices)):
         vertices = count_noun(loose, "vertex")
         note(f"{name}: {vertices} of no face left out; later vertices have other numbers than in the file")
-    sets = [_uv_set(one, corners, name) for one in list_attribute(mesh, "uv_sets")]
-    if sets:
-        control = replace(control, uvs=sets[0].uvs, uv_indices=sets[0].uv_indices, uv_name=sets[0].name)
-        control = replace(control, uv_sets=tuple(sets[1:]))
+    control = control.with_uv_sets([_uv_set(one, corners, name) for one in list_attribute(mesh, "uv_sets")])
     creased = [get(mesh, "edge_crease"), get(mesh, "vertex_crease", "values")]
     if any(np.any(np.array(one, dtype=np.float64) > 0.0) for one in creased if len(one)):
         note(f"{name}: creases are left out; OBJ and USD files keep them")

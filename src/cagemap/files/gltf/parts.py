@@ -266,26 +266,16 @@ def _weld_part(arrays: VertexArrays, weights: sparse.csr_array | None, node: int
 def _with_stored_vertices(mesh: ControlMesh) -> ControlMesh:
     """The mesh with an added UV set that holds each corner's stored vertex, since welding keeps UVs."""
     numbers = np.column_stack([np.arange(mesh.n_vertices), np.zeros(mesh.n_vertices)]).astype(np.float64)
-    if mesh.uvs is None:
-        return replace(mesh, uvs=numbers, uv_indices=mesh.face_indices)
-    return replace(mesh, uv_sets=(*mesh.uv_sets, UvSet("", numbers, mesh.face_indices)))
+    return mesh.with_uv_sets((*mesh.all_uv_sets, UvSet("", numbers, mesh.face_indices)))
 
 
 def _take_stored_vertices(mesh: ControlMesh) -> tuple[ControlMesh, IndexArray]:
     """The mesh without the UV set of `_with_stored_vertices`, and the stored vertex (c,) of every corner from it."""
-    if mesh.uv_sets:
-        *others, last = mesh.uv_sets
-        return replace(mesh, uv_sets=tuple(others)), last.uvs[last.uv_indices, 0].astype(np.int64)
-    assert mesh.uvs is not None
-    return replace(mesh, uvs=None, uv_indices=None), mesh.uvs[mesh.uv_indices, 0].astype(np.int64)
+    *others, last = mesh.all_uv_sets
+    return mesh.with_uv_sets(others), last.uvs[last.uv_indices, 0].astype(np.int64)
 
 
 def _with_merged_uvs(mesh: ControlMesh) -> ControlMesh:
     """The mesh with equal texture coordinates of a vertex merged, so that a hard edge alone makes no UV seam."""
-    if mesh.uvs is None or mesh.uv_indices is None:
-        return mesh
-    first, *others = (
-        UvSet(uv_set.name, *merged_corners(mesh.face_indices, uv_set.uvs[uv_set.uv_indices]))
-        for uv_set in mesh.all_uv_sets
-    )
-    return replace(mesh, uvs=first.uvs, uv_indices=first.uv_indices, uv_sets=tuple(others))
+    merged = ((one.name, merged_corners(mesh.face_indices, one.uvs[one.uv_indices])) for one in mesh.all_uv_sets)
+    return mesh.with_uv_sets([UvSet(name, *uvs) for name, uvs in merged])

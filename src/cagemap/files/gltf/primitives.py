@@ -144,14 +144,11 @@ def _group(document: Document, where: str, number: int, group: list[dict[str, An
     control = ControlMesh(positions, offsets, np.concatenate(corners), scheme=Plain(), name=name)
     counts = [len(primitive_sizes) for primitive_sizes in sizes]
     control = _with_materials(document, where, control, [primitive.get("material") for primitive in group], counts)
-    sets = [attribute for attribute in attributes if attribute.startswith("TEXCOORD_")]
-    for attribute in sorted(sets, reverse=True):
-        # glTF counts v from the top.
-        uvs = read(attribute, "VEC2") * [1.0, -1.0] + [0.0, 1.0]
-        earlier = () if control.uvs is None else (UvSet(control.uv_name, control.uvs, control.face_indices),)
-        control = replace(
-            control.with_uvs(uvs, control.face_indices), uv_name=attribute, uv_sets=(*earlier, *control.uv_sets)
-        )
+    sets = sorted(attribute for attribute in attributes if attribute.startswith("TEXCOORD_"))
+    # glTF counts v from the top.
+    uvs = (read(attribute, "VEC2") * [1.0, -1.0] + [0.0, 1.0] for attribute in sets)
+    indices = control.face_indices
+    control = control.with_uv_sets([UvSet(name, one, indices) for name, one in zip(sets, uvs, strict=True)])
     colors = read("COLOR_0", "VEC3", "VEC4") if "COLOR_0" in attributes else None
     if colors is not None:
         control = replace(control, vertex_colors=encode_srgb(colors[:, :3]))

@@ -365,6 +365,4 @@ def _with_uvs(part: Part, name: str, uvs: FloatArray) -> Part:
     mesh = part.mesh
     sets = {uv_set.name: uv_set for uv_set in mesh.all_uv_sets}
     sets[name] = UvSet(name, *merged_corners(mesh.face_indices, uvs))
-    first, *others = sets.values()
-    mesh = replace(mesh, uvs=first.uvs, uv_indices=first.uv_indices, uv_name=first.name, uv_sets=tuple(others))
-    return replace(part, mesh=mesh)
+    return replace(part, mesh=mesh.with_uv_sets([*sets.values()]))

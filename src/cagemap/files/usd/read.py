@@ -248,9 +248,7 @@ def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
     control = replace(control, **_sharpness(where, mesh))
     primvars = uv_primvars(where, prim)
     sets = [UvSet(primvar.GetPrimvarName(), *corner_values(where, control, primvar)) for primvar in primvars]
-    if sets:
-        first, *further = sets
-        control = replace(control.with_uvs(first.uvs, first.uv_indices), uv_name=first.name, uv_sets=tuple(further))
+    control = control.with_uv_sets(sets)
     control = replace(control, **face_sets(where, prim, control.n_faces, labels))
     shapes, shape_normals = blend_shapes(where, control, prim)
     attributes = primvar_arrays(where, control, prim)

@@ -104,7 +104,7 @@ def write_usd(
     if mesh.uvs is not None:
         names = identifiers((uv_set.name or "st" for uv_set in mesh.all_uv_sets), ("displayColor", "normals"))
         sets = [replace(uv_set, name=name) for uv_set, name in zip(mesh.all_uv_sets, names, strict=True)]
-        mesh = replace(mesh, uv_name=names[0], uv_sets=tuple(sets[1:]))
+        mesh = mesh.with_uv_sets(sets)
         for uv_set in sets:
             write_uvs(prim, uv_set.name, uv_set.uvs, uv_set.uv_indices)
     write_subsets(stage, prim, mesh)
