@@ -28,22 +28,9 @@ def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces:
     its triangles' values. Integers (materials, groups), or rows of them, are labels: the one with the largest area is
     taken.
 
-    Parameters
-    ----------
-    transfer : Transfer
-    values : (m2,) or (m2, q) array
-        At the source's control faces.
-    n_target_faces : int, optional
-        Default: number of control faces of the target's level.
-
-    Returns
-    -------
-    (m1,) or (m1, q) array of the same kind
-
-    Raises
-    ------
-    ParameterError
-        If there is not one row a source face.
+    ``values`` (m2,) or (m2, q) are at the source's control faces; a ParameterError refuses other numbers of rows.
+    ``n_target_faces`` is by default the number of control faces of the target's level. Returns (m1,) or (m1, q), of the
+    same kind.
     """
     values = np.asarray(values)
     _require_rows(values, transfer)
@@ -98,20 +85,9 @@ def bake_face_colors(
     Texels that a boundary between two colours may cross take 4 x 4 samples, averaged in linear light. With the filter
     "nearest" all texels take one, so that colours are not mixed.
 
-    Parameters
-    ----------
-    transfer : Transfer
-    colors : (m2, 3) float64
-        Linear RGB of the source's control faces.
-    size : int or (height, width)
-    dtype : optional
-        Integers are encoded as sRGB; floats stay linear.
-    options : BakeOptions, optional
-
-    Raises
-    ------
-    ParameterError
-        If there is not one row a source face, or the target has no texture coordinates.
+    ``colors`` (m2, 3) are linear RGB of the source's control faces. Integers of ``dtype`` are encoded as sRGB, floats
+    stay linear. ``size`` and ``options`` are as in `bake_texture`. ParameterError if there is not one row a source
+    face, or the target has no texture coordinates.
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
     table = np.asarray(colors, dtype=np.float64)

@@ -269,7 +269,8 @@ class Bake:
     options: BakeOptions
     dtype: np.dtype[Any]  # integers are rounded and clipped
     counts: NDArray[np.int32]  # (t1, 2) samples along x and y in every raster cell of a target triangle
-    crisp: NDArray[np.bool_] | None = None  # as of `Lookups`
+    # (t1,) whether a texel spans at most one texel of the source: its centre alone is sampled
+    crisp: NDArray[np.bool_] | None = None
 
     def run(self, shade: Shade, channels: int, encode: Callable[[FloatArray], FloatArray] = np.asarray) -> Pixels:
         """Rasterise, locate and shade band by band, then fill the background.
@@ -333,8 +334,8 @@ def bake_of_texture(
     """The bake of a texture of the source, and the texture's mip maps; ``exact`` is as of `MipMaps.build`."""
     options = options or BakeOptions()
     layout = make_layout(transfer, size, options)
-    lookups = plan_lookups(transfer.mapped, layout, laid, exact=exact, kind=options.filter)
-    return Bake(transfer, layout, options, dtype, lookups.counts, lookups.crisp), lookups.mips
+    mips, counts, crisp = plan_lookups(transfer.mapped, layout, laid, exact=exact, kind=options.filter)
+    return Bake(transfer, layout, options, dtype, counts, crisp), mips
 
 
 def single_samples(transfer: Transfer) -> NDArray[np.int32]:

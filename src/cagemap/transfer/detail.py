@@ -67,19 +67,9 @@ class Detail:
 
 
 def detail_over(source: TriangleSurface, positions: FloatArray, triangles: IndexArray) -> Detail:
-    """`Detail` of a mesh in the source's file units.
+    """`Detail` over the source of a map, of positions (n, 3) in the source's file units and triangles (t, 3).
 
-    Parameters
-    ----------
-    source : TriangleSurface
-        Source of the map.
-    positions : (n, 3) float64
-    triangles : (t, 3) int64
-
-    Raises
-    ------
-    ParameterError
-        If less than half of the source has detail near it: the mesh has another position or unit.
+    ParameterError if less than half of the source has detail near it: the mesh has another position or unit.
     """
     detail = Detail(TriangleSurface(source.scale * positions, triangles, source.scale))
     share = detailed_share(detail, source)
@@ -241,11 +231,7 @@ def bake_detail_texture(
     ``texture`` (h, w, c), or such arrays by UDIM number, has the coordinates ``uvs`` (p, 2) at the corners
     ``uv_triangles`` (t, 3) of the detail's triangles. ``smooth``: `smooth_tiles` of the texture, made once for several
     tiles of the target. ``dtype`` is by default the texture's; other parameters are as in `bake_detail_normals`.
-
-    Raises
-    ------
-    ParameterError
-        If the number of rows of ``uv_triangles`` is not that of triangles, or as `bake_texture`.
+    ParameterError if the number of rows of ``uv_triangles`` is not that of triangles, or as `bake_texture`.
     """
     options = options or BakeOptions()
     if uv_triangles.shape != detail.surface.triangles.shape:

@@ -44,24 +44,11 @@ def bake_normal_map(
 ) -> Pixels:
     """Bake the source's normal map into the target's layout, in the target's own frames.
 
-    Parameters
-    ----------
-    transfer : Transfer
-    texture : (h, w, 3) array, or such arrays by UDIM number
-        Directions n, stored as (n + 1) / 2; floats with values below -0.05 hold n itself. Alpha is left out.
-    size : int or (height, width)
-    space : "tangent" or "object"
-        Tangent space is MikkTSpace's, of both refined surfaces.
-    green : "up" or "down"
-        In tangent space: whether the green channel increases with v (OpenGL, Blender) or decreases (DirectX), in both
-        images.
-    dtype, options
-        As in `bake_texture`.
-
-    Raises
-    ------
-    ParameterError
-        If the image has fewer than three channels, or as `bake_texture`.
+    ``texture`` (h, w, 3), or such arrays by UDIM number, holds directions n as (n + 1) / 2; floats with values below
+    -0.05 hold n itself. Alpha is left out. Tangent space is MikkTSpace's, of both refined surfaces. ``green``, in
+    tangent space: whether the green channel increases with v (OpenGL, Blender) or decreases (DirectX), in both images.
+    ``size``, ``dtype`` and ``options`` are as in `bake_texture`. ParameterError if the image has fewer than three
+    channels, or as `bake_texture`.
     """
     laid = lay_texture(each_tile(texture, _first_three_channels), *transfer.source.layout())
     kept = output_dtype(dtype, laid.dtype)
