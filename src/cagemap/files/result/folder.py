@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,6 @@ from cagemap.files.result.manifest import (
     stored_basis,
     stored_check,
     stored_confidence,
-    stored_landmarks,
     stored_quality,
     version_entries,
 )
@@ -43,7 +42,7 @@ from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult, SpectralMap
 from cagemap.mesh import ControlMesh, Scheme
-from cagemap.mesh.landmarks import CagePoints
+from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads
@@ -52,6 +51,7 @@ from cagemap.subdivision import refine
 from cagemap.subdivision.refinement import vertex_counts
 
 ARRAYS = "map.npz"
+_Value = TypeVar("_Value")
 
 _SPECS = {
     "source_triangles": ArraySpec(("t2", 3), below="n2"),
@@ -173,9 +173,9 @@ def read_result(folder: str | Path) -> MatchResult:
     point_map = PointMap.from_arrays(*finest, arrays["triangle"], arrays["barycentric"])
     counts = target.control.n_vertices, source.control.n_vertices
     curves = curves_from_arrays(root / ARRAYS, stored, [curve.name for curve in record.curves], counts, REMEDY)
-    landmarks = stored_landmarks(
-        record.landmark_names, (sides[0].points, sides[1].points), (sides[0].name, sides[1].name), curves
-    )
+    names = tuple(record.landmark_names) or tuple(f"point {i}" for i in range(len(sides[0].points)))
+    meshes = target.control.name, source.control.name
+    landmarks = Landmarks.of_points(names, sides[0].points, sides[1].points, *meshes, curves)
     check = stored_check(record.landmark_check, arrays["landmark_errors"])
     other_answers = arrays.get("runner_up_images", np.zeros((0, 0, 3)))
     functional_map = arrays.get("functional_map")
@@ -190,25 +190,15 @@ def read_result(folder: str | Path) -> MatchResult:
         read_level_maps(root / ARRAYS, stored, record.level_maps, (target, source), point_map, functional_map, REMEDY),
         stored_confidence(record.confidence, point_map, counts[0], other_answers),
         masks=Masks(sides[0].mask, sides[1].mask),
-        shared=_shared(arrays),
-        known_spectral=_spectral(functional_map, *(side.eigenvalues for side in sides)),
+        shared=_if_complete(Masks, arrays.get("target_shared"), arrays.get("source_shared")),
+        known_spectral=_if_complete(SpectralMap, functional_map, *(side.eigenvalues for side in sides)),
         provenance={name: value for name, value in manifest.items() if name not in _TYPED},
     )
 
 
-def _shared(arrays: dict[str, Any]) -> Masks | None:
-    """The stored shared area; None if the match did not compute it."""
-    target, source = arrays.get("target_shared"), arrays.get("source_shared")
-    return None if target is None or source is None else Masks(target, source)
-
-
-def _spectral(
-    functional_map: FloatArray | None, target: FloatArray | None, source: FloatArray | None
-) -> SpectralMap | None:
-    """The stored functional map; None if a part of it is missing."""
-    if functional_map is None or target is None or source is None:
-        return None
-    return SpectralMap(functional_map, target, source)
+def _if_complete(kind: type[_Value], *arrays: FloatArray | None) -> _Value | None:
+    """The value that stored arrays make; None if one of them is missing."""
+    return None if any(array is None for array in arrays) else kind(*arrays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,10 +214,6 @@ class _Side:
     eigenvalues: FloatArray | None
     points: CagePoints
     mask: FloatArray | None
-
-    @property
-    def name(self) -> str:
-        return self.control.name
 
     def surface(self, path: Path, record: ResultRecord) -> Surface:
         """The surface, refined again; refuses stored vertices and faces that differ from it."""

@@ -14,23 +14,13 @@ _PERCENT = "{:.2f} %"
 
 @dataclass(frozen=True)
 class Rating:
-    """One quality figure with its verdict.
+    """One quality figure with its verdict."""
 
-    Attributes
-    ----------
-    label, value, meaning : str
-        Name, number with unit, and how to read it.
-    severity : float
-        Up to 1 the figure is good, up to 2 fair.
-    finding : str
-        The figure as the end of a sentence.
-    """
-
-    label: str
-    value: str
-    meaning: str
-    severity: float
-    finding: str
+    label: str  # its name
+    value: str  # number with unit
+    meaning: str  # how to read it
+    severity: float  # up to 1 the figure is good, up to 2 fair
+    finding: str  # the figure as the end of a sentence
 
     @property
     def verdict(self) -> str:
