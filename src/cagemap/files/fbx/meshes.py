@@ -22,8 +22,9 @@ from cagemap.files.gltf.parts import transform_normals
 from cagemap.files.text import make_distinct
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.faces import reversed_corners
 from cagemap.mesh.mesh_report import count_noun
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, joined_runs
 from cagemap.numerics.srgb import decode_srgb
 
 _EVERYTHING: list[Any] = []
@@ -102,11 +103,9 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
     if not kept.any():
         return None
     begins, sizes = faces[kept].T
-    offsets = np.concatenate([[0], np.cumsum(sizes)])
-    place = np.arange(offsets[-1]) - np.repeat(offsets[:-1], sizes)
+    offsets, corners = joined_runs(begins, sizes)
     if np.linalg.det(placed[:3, :3]) < 0.0:
-        place = -place % np.repeat(sizes, sizes)
-    corners = np.repeat(begins, sizes) + place
+        corners = corners[reversed_corners(offsets)]
     points = index_attribute(mesh, "vertex_indices")
     control = ControlMesh(
         finite_array(

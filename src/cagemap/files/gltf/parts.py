@@ -174,7 +174,7 @@ def _vertices_in_world(
     # `snap_to_exact` returns ``to_world`` itself if both matrices give the same points up to rounding.
     one_transform = joint_to_world is None or all(
         snap_to_exact(transform, to_world, points) is to_world
-        for transform in _used_joint_transforms(weights, joint_to_world)
+        for transform in (joint_to_world if weights is None else joint_to_world[np.unique(weights.indices)])
     )
     if one_transform and np.array_equal(to_world, np.eye(4)):
         return arrays
@@ -232,11 +232,6 @@ def _multiply_by_cofactors(vectors: FloatArray, linear: FloatArray) -> FloatArra
     signs = np.sign(np.linalg.det(linear))[..., None, None]
     rows = "na,ab->nb" if linear.ndim == 2 else "na,nab->nb"
     return np.asarray(np.einsum(rows, vectors, signs * cofactors))
-
-
-def _used_joint_transforms(weights: sparse.csr_array | None, changes: FloatArray) -> FloatArray:
-    """Transforms of the joints with weights."""
-    return changes if weights is None else changes[np.unique(weights.indices)]
 
 
 def _weld_part(arrays: VertexArrays, weights: sparse.csr_array | None, node: int) -> ReadPart:

@@ -22,7 +22,7 @@ from cagemap.files.gltf.document import glb_bytes, read_document, write_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.expressions import ReplacedMesh, renumber_expressions
 from cagemap.files.gltf.geometry import Z_TO_Y, is_z_up, mesh_entry
-from cagemap.files.gltf.nodes import decompose_transform, scale_signs
+from cagemap.files.gltf.nodes import REST, decompose_transform, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene, transform_part
 from cagemap.files.gltf.primitives import material_names, mesh_shapes
 from cagemap.files.gltf.textures import with_images
@@ -317,7 +317,7 @@ class _Made:
             if same_signs and np.abs(local - nodes.local[node]).max() <= _SAME_LOCAL * np.abs(local).max():
                 return
         entry = self._nodes[node]
-        for name in ("matrix", "translation", "rotation", "scale"):
+        for name in ("matrix", *REST):
             entry.pop(name, None)
         entry |= decompose_transform(local)
 

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.character.values import Character, Part, Rig, Track
+from cagemap.character.values import Character, Part, Rig
 from cagemap.files.atomic import atomic_path, write_whole
 from cagemap.files.gltf.binary import NGONS
-from cagemap.files.gltf.character import to_rig_space
+from cagemap.files.gltf.character import transform_track
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import uv_sets_in_order
 from cagemap.files.gltf.nodes import moved_nodes
@@ -38,7 +38,6 @@ from cagemap.files.usd.write_mesh import (
 )
 from cagemap.mesh import Plain
 from cagemap.mesh.faces import cage_triangles
-from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.triangles import vertex_normals
 
 # Extensions of glTF that are written or hold nothing of the character; contents of others.
@@ -107,17 +106,11 @@ def _to_space(character: Character, space: StageSpace) -> Character:
         local = np.where(roots[:, None, None], rig.local @ matrix, rig.local)
         rig = replace(rig, local=local, bind=rig.bind @ matrix)
         animations = tuple(
-            replace(one, tracks=tuple(_transform_track(t, matrix) if roots[t.joint] else t for t in one.tracks))
+            replace(one, tracks=tuple(transform_track(t, matrix) if roots[t.joint] else t for t in one.tracks))
             for one in animations
         )
     parts = tuple(transform_part(part, matrix) for part in character.parts)
     return replace(character, parts=parts, rig=rig, animations=animations)
-
-
-def _transform_track(track: Track, matrix: FloatArray) -> Track:
-    """A root's track after a similarity of the whole character."""
-    tangents = track.interpolation == "CUBICSPLINE"
-    return replace(track, values=to_rig_space(track.values, track.channel, matrix, tangents=tangents))
 
 
 def _write_part(stage: Any, path: str, part: Part, materials: Mapping[str, Any], *, skinned: bool) -> Any:

@@ -15,7 +15,7 @@ from scipy import sparse
 from cagemap.character.poses import parent_transforms
 from cagemap.character.values import Animation, Channel, Character, Part, Rig, Track
 from cagemap.errors import FormatError
-from cagemap.files.gltf.binary import Binary
+from cagemap.files.gltf.binary import Binary, add_channel
 from cagemap.files.gltf.character import to_rig_space
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import uv_sets_in_order
@@ -59,7 +59,10 @@ def usd_document(path: str | Path, meshes: Sequence[UsdMesh] | None = None) -> D
 
 
 def document_and_character(path: str | Path, meshes: Sequence[UsdMesh] | None = None) -> tuple[Document, Character]:
-    """A USD file as by `usd_document` and `read_usd_character`; names are the same in both."""
+    """A USD file as by `usd_document`, and as a character whose parts have the vertices of its meshes in their order.
+
+    Names are the same in both.
+    """
     file = Path(path)
     with damage_as_error(file), open_each_once():
         stage, meshes = open_stage(file), read_usd_meshes(file) if meshes is None else meshes
@@ -74,12 +77,6 @@ def document_and_character(path: str | Path, meshes: Sequence[UsdMesh] | None = 
                 users.setdefault(name, []).append(user)
         document = with_materials(_with_shape_weights(plain, character, weights), stage, users)
     return document, character
-
-
-def read_usd_character(path: str | Path) -> Character:
-    """Read a USD file as a character: meshes as parts, with the vertices of `cagemap.files.usd.read.read_usd`."""
-    with damage_as_error(path), open_each_once():
-        return _read(Path(path), open_stage(path), read_usd_meshes(path))[0]
 
 
 # Times in seconds, and weights (k, shapes) of named blend shapes, by animation; with the name "" those at rest.
@@ -201,7 +198,7 @@ def _animations(
                 if joint in joints and len(times):
                     keys = values[:, column]
                     if rig.parents[joints.index(joint)] < 0:
-                        keys = to_rig_space(keys, channel, rig_to_world, tangents=False)
+                        keys = to_rig_space(keys, channel, rig_to_world)
                     kept = slice(None) if np.ptp(keys, axis=0).any() else slice(1)
                     tracks.append(Track(joints.index(joint), channel, times[kept], keys[kept]))
         shapes = [str(shape) for shape in animation.GetBlendShapesAttr().Get() or []]
@@ -253,14 +250,8 @@ def _with_shape_weights(document: Document, character: Character, weights: _Shap
             if not name:
                 top["meshes"][top["nodes"][nodes[part.name]]["mesh"]]["weights"] = table[0].tolist()
                 continue
-            keys = times.astype("<f4")
-            sampler = {
-                "input": binary.accessor(keys, min=[float(keys.min())], max=[float(keys.max())]),
-                "output": binary.accessor(table.astype("<f4").ravel()),
-            }
-            target = {"node": nodes[part.name], "path": "weights"}
-            entry["samplers"].append(sampler)
-            entry["channels"].append({"sampler": len(entry["samplers"]) - 1, "target": target})
+            sampler = {"input": binary.times(times), "output": binary.accessor(table.astype("<f4").ravel())}
+            add_channel(entry, nodes[part.name], "weights", sampler)
         if not entry["channels"]:
             entries.remove(entry)
     return binary.document({key: value for key, value in top.items() if key != "animations" or value})

@@ -37,7 +37,7 @@ from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.parts import join_meshes
 from cagemap.mesh.schemes import SCHEMES, scheme_name
 from cagemap.mesh.weld import COLOR_STEP
-from cagemap.numerics.arrays import FloatArray, grouped_sums
+from cagemap.numerics.arrays import FloatArray, grouped_sums, offsets_of
 from cagemap.numerics.srgb import encode_srgb
 from cagemap.subdivision import default_scheme
 from cagemap.surface.alignment import Y_UP, Z_UP
@@ -243,7 +243,7 @@ def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
             f"{where}: expected vertex numbers from 0 to {len(positions) - 1}, got {indices.min()} to {indices.max()}. "
             "Export the mesh again."
         )
-    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    offsets = offsets_of(sizes)
     control = ControlMesh(positions, offsets, indices, name=str(prim.GetPath()), scheme=_scheme(where, mesh))
     control = replace(control, **_sharpness(where, mesh))
     primvars = uv_primvars(where, prim)
