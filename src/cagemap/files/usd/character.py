@@ -26,7 +26,7 @@ from cagemap.files.usd.animations import SKELETON, write_rig
 from cagemap.files.usd.materials import WRITTEN, uv_primvar, write_materials
 from cagemap.files.usd.prims import faces_by_name
 from cagemap.files.usd.space import StageSpace, to_metres
-from cagemap.files.usd.stages import identifiers, open_stage, usd_modules
+from cagemap.files.usd.stages import identifiers, open_stage, pxr
 from cagemap.files.usd.write import check_usd_path, export_layer, new_stage
 from cagemap.files.usd.write_mesh import (
     write_blend_shapes,
@@ -114,7 +114,6 @@ def _to_space(character: Character, space: StageSpace) -> Character:
 
 
 def _write_part(stage: Any, path: str, part: Part, materials: Mapping[str, Any], *, skinned: bool) -> Any:
-    pxr = usd_modules()
     mesh, prim = part.mesh, pxr.UsdGeom.Mesh.Define(stage, path)
     write_topology(prim, mesh)
     if part.colors is not None:
@@ -168,7 +167,6 @@ def _left_out(scene: Scene) -> list[str]:
 
 def _save(layer: Any, file: Path, images: Mapping[str, bytes], sizes: Mapping[str, int], *, force: bool) -> None:
     """Write layer and images, verified by the numbers of points of the meshes."""
-    pxr = usd_modules()
 
     def is_whole(temporary: Path) -> bool:
         stage = open_stage(temporary)

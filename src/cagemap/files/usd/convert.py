@@ -37,7 +37,7 @@ from cagemap.files.usd.shader_inputs import color_uv_name
 from cagemap.files.usd.shaders import MaterialUser, with_materials
 from cagemap.files.usd.skeleton import joint_names, joint_parents, joints_of
 from cagemap.files.usd.space import stage_units, to_metres
-from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, usd_modules
+from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, pxr
 from cagemap.files.usd.transforms import is_similarity, local_to_world
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.faces import reversed_corners
@@ -68,10 +68,9 @@ def document_and_character(path: str | Path, meshes: Sequence[UsdMesh] | None = 
         stage, meshes = open_stage(file), read_usd_meshes(file) if meshes is None else meshes
         character, weights = _read(file, stage, meshes)
         plain = replace(character_glb(character), file=file)
-        geometry = usd_modules().UsdGeom
         users = dict[str, list[MaterialUser]]()
         for part, mesh in zip(character.parts, meshes, strict=True):
-            double_sided = bool(geometry.Mesh(stage.GetPrimAtPath(mesh.path)).GetDoubleSidedAttr().Get())
+            double_sided = bool(pxr.UsdGeom.Mesh(stage.GetPrimAtPath(mesh.path)).GetDoubleSidedAttr().Get())
             user = MaterialUser(tuple(one.name for one in uv_sets_in_order(part.mesh)), double_sided)
             for name in part.mesh.material_names:
                 users.setdefault(name, []).append(user)
@@ -84,7 +83,6 @@ _ShapeWeights = dict[str, tuple[FloatArray, dict[str, FloatArray]]]
 
 
 def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character, _ShapeWeights]:
-    pxr = usd_modules()
     prims = [stage.GetPrimAtPath(mesh.path) for mesh in meshes]
     bound = [pxr.UsdSkel.BindingAPI(prim).GetInheritedSkeleton() for prim in prims]
     skeletons = {str(one.GetPath()): one for one in bound if one}
@@ -139,7 +137,7 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
 
 def _normals(where: str, prim: Any, control: ControlMesh) -> FloatArray | None:
     """Normals (c, 3), as stored, of the corners of a plain mesh; None for other meshes and without any."""
-    geometry, primvar = usd_modules().UsdGeom.Mesh(prim), usd_modules().UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
+    geometry, primvar = pxr.UsdGeom.Mesh(prim), pxr.UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar.HasValue():
         values, numbers, kind = primvar_values(where, primvar)
     else:
@@ -177,7 +175,6 @@ def _animations(
     file: Path, stage: Any, skeleton: Any, rig: Rig, rig_to_world: FloatArray
 ) -> tuple[tuple[Animation, ...], _ShapeWeights]:
     """Animations of a skeleton's joints, the bound one first, and their weights of blend shapes."""
-    pxr = usd_modules()
     bound = pxr.UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource()
     prims = [*([bound] if bound else []), *prims_of(stage, pxr.UsdSkel.Animation)]
     prims = [pxr.UsdSkel.Animation(prim) for prim in dict.fromkeys(prims)]
@@ -225,7 +222,7 @@ def _samples(attribute: Any, rows: int, start: float, rate: float) -> tuple[Floa
 
     ``rate``: time codes per second.
     """
-    codes = attribute.GetTimeSamples() or [usd_modules().Usd.TimeCode.Default()]
+    codes = attribute.GetTimeSamples() or [pxr.Usd.TimeCode.Default()]
     values = [attribute.Get(code) for code in codes]
     if not rows or any(value is None or len(value) != rows for value in values):
         return np.zeros(0), np.zeros((0, rows))

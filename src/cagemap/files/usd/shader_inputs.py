@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cagemap.files.usd.stages import usd_modules
+from cagemap.files.usd.stages import pxr
 
 
 def source_of(shader: Any, name: str) -> Any:
@@ -24,7 +24,7 @@ def setting_of(shader: Any, name: str, default: Any) -> Any:
 def shader_of(shader: Any, name: str, kind: str) -> Any:
     """The shader connected to an input if its id is ``kind``, else None."""
     source = source_of(shader, name)
-    found = usd_modules().UsdShade.Shader(source.GetPrim()) if source else None
+    found = pxr.UsdShade.Shader(source.GetPrim()) if source else None
     return found if found and found.GetIdAttr().Get() == kind else None
 
 
@@ -45,9 +45,8 @@ def color_uv_name(prim: Any) -> str:
 
     '' if no material has such an image, or if none states its UV set.
     """
-    shade = usd_modules().UsdShade
     for bound in (prim, *prim.GetChildren()):
-        material = shade.MaterialBindingAPI(bound).ComputeBoundMaterial()[0]
+        material = pxr.UsdShade.MaterialBindingAPI(bound).ComputeBoundMaterial()[0]
         surface = material.ComputeSurfaceSource()[0] if material else None
         texture = shader_of(surface, "diffuseColor", "UsdUVTexture") if surface else None
         if texture and (name := uv_name(texture)):
