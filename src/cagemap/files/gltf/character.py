@@ -187,7 +187,7 @@ def animation_entries(
     nodes: Sequence[int],
     above: Mapping[int, FloatArray],
     before: Sequence[Any],
-    given: Document | None,
+    given: Document,
     shapes: Mapping[int, tuple[Sequence[str], Sequence[str]]],
 ) -> list[dict[str, Any]]:
     """Entries of ``animations``: tracks of joints, and the given document's other channels.
@@ -198,17 +198,13 @@ def animation_entries(
     ``given``: the document of these entries.
     ``shapes``: names of blend shapes by node, in the given document and now; weights of new ones are 0.
     """
-    named = {} if given is None else dict(zip(animation_names(given), before, strict=True))
+    named = dict(zip(animation_names(given), before, strict=True))
     times: dict[bytes, int] = {}
     entries = []
     for animation in animations:
         old = named.pop(animation.name, {})
-        kept = (
-            {"samplers": [], "channels": []}
-            if given is None
-            else _other_channels(binary, old, set(nodes), shapes, given)
-        )
-        entry = {name: value for name, value in old.items() if name not in ("samplers", "channels")} | kept
+        entry = {name: value for name, value in old.items() if name not in ("samplers", "channels")}
+        entry |= _other_channels(binary, old, set(nodes), shapes, given)
         for track in animation.tracks:
             node = nodes[track.joint]
             key = np.asarray(track.times, "<f4").tobytes()
