@@ -172,9 +172,9 @@ def load_surface(path: str | Path, control: ControlMesh | None = None) -> Surfac
 
 def _header(archive: Archive) -> SurfaceRecord:
     path, stored = archive.path, archive.arrays.get("header")
-    if stored is None or stored.dtype != np.uint8:
-        raise FormatError(f"{path}: expected a surface stored by cagemap, got something else. Give another file.")
-    entries = parse_json(stored.tobytes().decode("utf-8", "replace"), path, _REMEDY)
+    entries = None
+    if stored is not None and stored.dtype == np.uint8:
+        entries = parse_json(stored.tobytes().decode("utf-8", "replace"), path, _REMEDY)
     if not isinstance(entries, dict) or entries.get("format") != FORMAT:
         raise FormatError(f"{path}: expected a surface stored by cagemap, got something else. Give another file.")
     if entries.get("format_version") != SURFACE_VERSION:

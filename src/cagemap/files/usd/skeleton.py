@@ -21,6 +21,8 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 def read_usd_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skeleton | None:
     """The skeleton of a mesh in a USD file in its bind pose, in the space of `read_usd`; None without one.
 
+    Tails of joints are at their children.
+
     ``control``: the mesh; needed if the file has several.
     """
     meshes = read_usd_meshes(path)
@@ -37,7 +39,9 @@ def read_usd_skeleton(path: str | Path, control: ControlMesh | None = None) -> S
     if not np.isfinite(bound_at).all() or abs(np.linalg.det(bound_at)) < 1e-12:
         raise FormatError(f"{where}: the mesh's bind transform has no inverse. Export the skeleton again.")
     placed = binds @ np.linalg.inv(bound_at) @ (chosen.to_world if len(meshes) > 1 else np.eye(4))
-    return _named_skeleton(joints, placed)
+    names, parents, heads = joint_names(joints), joint_parents(joints), placed[:, 3, :3]
+    above = tuple(names[parent] if parent >= 0 else "" for parent in parents)
+    return Skeleton(tuple(names), above, heads, tails_of(heads, parents), placed[:, :3, :3])
 
 
 def joints_of(path: str | Path, skeleton: Any) -> tuple[list[str], FloatArray]:
@@ -56,14 +60,6 @@ def joint_names(joints: list[str]) -> list[str]:
     """Names of joints: the last parts of their paths, if these are unique."""
     leaves = [path.rpartition("/")[2] for path in joints]
     return leaves if len(set(leaves)) == len(leaves) else joints
-
-
-def _named_skeleton(joints: list[str], placed: FloatArray) -> Skeleton:
-    """A skeleton of joints by `joint_names`; tails are at the children."""
-    names, parents = joint_names(joints), joint_parents(joints)
-    heads = placed[:, 3, :3]
-    above = tuple(names[parent] if parent >= 0 else "" for parent in parents)
-    return Skeleton(tuple(names), above, heads, tails_of(heads, parents), placed[:, :3, :3])
 
 
 def joint_parents(joints: list[str]) -> IndexArray:
