@@ -25,7 +25,7 @@ from cagemap.mesh.control_mesh import MIN_UV_AREA
 from cagemap.mesh.udim import udim_of, udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, shown
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.numerics.threads import ThreadPool, core_count
+from cagemap.numerics.threads import in_threads
 from cagemap.subdivision import Level
 from cagemap.surface.triangles import triangle_areas, triangle_neighbors
 from cagemap.transfer.locate import (
@@ -281,7 +281,6 @@ class Bake:
         layout, finer = self.layout, self.layout.supersample
         image = np.zeros((layout.height // finer, layout.width // finer, channels), dtype=self.dtype)
         covered = np.zeros(image.shape[:2], dtype=np.bool_)
-        threads = core_count()
         rows = layout.band_rows // finer
 
         def bake_band(band: int) -> None:
@@ -298,10 +297,8 @@ class Bake:
             image[part].reshape(-1, channels)[texels] = to_dtype(encode(values), image.dtype)
             covered[part].reshape(-1)[texels] = True
 
-        with ThreadPool(threads) as pool:
-            for _ in pool.map(bake_band, range(len(layout.band_triangles))):
-                pass
-        dilate(image, covered, distance=self.options.dilation, threads=threads)
+        in_threads(bake_band, range(len(layout.band_triangles)))
+        dilate(image, covered, distance=self.options.dilation)
         return image
 
     def _shade_cells(self, shade: Shade, triangle: NDArray[np.int32], cells: IndexArray, top: int) -> FloatArray:
