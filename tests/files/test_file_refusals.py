@@ -24,7 +24,7 @@ from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.arrays import curves_from_arrays
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.meshes.obj_write import write_obj_layout
-from cagemap.files.npz import write_npz
+from cagemap.files.npz import Archive, write_npz
 from cagemap.files.result.folder import ARRAYS, read_result, write_result
 from cagemap.files.result.manifest import MANIFEST, REMEDY
 from cagemap.files.result.maps import read_images
@@ -235,17 +235,13 @@ REFUSED = {
     ),
     "curves with weights beyond 1": Refusal(
         lambda place: curves_from_arrays(
-            place,
-            CURVE | {"target_curve_weights": np.full((1, 3), 5.0)},
-            ["a"],
-            (8, 8),
-            REMEDY,
+            Archive(place, CURVE | {"target_curve_weights": np.full((1, 3), 5.0)}, REMEDY), ["a"], (8, 8)
         ),
         "target_curve_corners and target_curve_weights are not points of the mesh",
         REMEDY,
     ),
     "curves of one point": Refusal(
-        lambda place: curves_from_arrays(place, CURVE, ["a"], (8, 8), REMEDY),
+        lambda place: curves_from_arrays(Archive(place, CURVE, REMEDY), ["a"], (8, 8)),
         "target_curve_starts leave curves of fewer than two points",
         REMEDY,
     ),

@@ -22,7 +22,7 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from cagemap.files.usd.character import write_usd_character
-from cagemap.files.usd.convert import document_and_character, read_usd_character, usd_document
+from cagemap.files.usd.convert import document_and_character, usd_document
 from cagemap.files.usd.read import place_in_world, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.mesh.faces import reversed_corners
@@ -118,7 +118,7 @@ def test_hard_edges_of_reversed_faces_stay(painted_path: Path, left_handed: bool
         prim = stage.GetPrimAtPath("/Asset/hat")
         UsdGeom.Mesh(prim).CreateOrientationAttr("leftHanded" if left_handed else "rightHanded")
         UsdSkel.BindingAPI(prim).CreateGeomBindTransformAttr().Set(Gf.Matrix4d().SetScale((sign, 1.0, 1.0)))
-    found = next(part for part in read_usd_character(painted_path).parts if part.name == "hat")
+    found = next(part for part in document_and_character(painted_path)[1].parts if part.name == "hat")
     hat = painted()[0].parts[1]
     corners = np.arange(len(hat.normals))
     corners = corners if left_handed == (sign < 0) else reversed_corners(hat.mesh.face_offsets)
@@ -150,7 +150,7 @@ def test_normals_of_every_interpolation_are_read(tmp_path: Path, kind: str, inde
         else:
             prim.CreateNormalsAttr(values.tolist())
             prim.SetNormalsInterpolation(kind)
-    (part,) = read_usd_character(tmp_path / "cube.usda").parts
+    (part,) = document_and_character(tmp_path / "cube.usda")[1].parts
     order = [part.mesh.corner_faces * 8 + part.mesh.face_indices, mesh.corner_faces * 8 + mesh.face_indices]
     found, expected = (np.argsort(keys) for keys in order)
     np.testing.assert_allclose(part.normals[found], values[rows][expected], atol=1e-6)
@@ -162,7 +162,7 @@ def test_normals_that_do_not_fit_are_left_out_aloud(tmp_path, caplog, normals):
         prim = usd_mesh(stage, "/cube", cube())
         prim.CreateSubdivisionSchemeAttr("none")
         prim.CreateNormalsAttr(normals)
-    (part,) = read_usd_character(tmp_path / "cube.usda").parts
+    (part,) = document_and_character(tmp_path / "cube.usda")[1].parts
     assert part.normals is None
     assert "cube.usda: /cube: its normals are left out" in caplog.text
 
@@ -187,7 +187,7 @@ def test_units_axes_and_transforms_become_metres_with_y_up(tmp_path: Path) -> No
         points = skinned_positions(part, found.rig, pose_at(found.rig, found.animations[0], 0.5))
         world = np.column_stack([expected[part.name], np.ones(len(points))]) @ np.array(turn)
         np.testing.assert_allclose(points, 0.01 * world[:, [0, 2, 1]] * [1, 1, -1], atol=1e-6, err_msg=part.name)
-    alone = read_usd_character(path).parts
+    alone = document_and_character(path)[1].parts
     np.testing.assert_allclose(alone[0].mesh.positions, found.parts[0].mesh.positions, atol=1e-6)
 
 
@@ -200,7 +200,7 @@ def test_an_uneven_scale_of_a_skeleton_is_said(tmp_path: Path, caplog: pytest.Lo
     for size, said in (((-2.0, 2.0, 2.0), 0), ((1.0, 2.0, 1.0), 1)):
         scale.Set(size)
         stage.Save()
-        read_usd_character(tmp_path / "C.usda")
+        document_and_character(tmp_path / "C.usda")[1]
         assert caplog.text.count("/Asset/skeleton: its transform scales unevenly") == said
 
 
@@ -263,7 +263,7 @@ def test_a_pose_needs_no_rate(painted_path: Path) -> None:
     pose.CreateTranslationsAttr([(1.0, 2.0, 3.0)])
     stage.GetRootLayer().timeCodesPerSecond = 0.0
     stage.GetRootLayer().Save()
-    (track,) = read_usd_character(painted_path).animations[0].tracks
+    (track,) = document_and_character(painted_path)[1].animations[0].tracks
     np.testing.assert_array_equal(track.times, [0.0])
 
 
@@ -297,7 +297,7 @@ def test_bindings_above_a_mesh_and_with_indices_skin_as_in_usd(tmp_path: Path) -
         indices.Set([1, 0])
         indices.SetIndices([0, 1] * 4)
         own.CreateJointWeightsPrimvar(False, 1).Set([1.0] * 8)
-    found = read_usd_character(path)
+    found = document_and_character(path)[1]
     assert min(track.times[0] for track in found.animations[0].tracks) == 0.0
     for part in found.parts:
         prim = stage.GetPrimAtPath(f"/R/group/{part.name}")
@@ -312,7 +312,7 @@ def test_bindings_above_a_mesh_and_with_indices_skin_as_in_usd(tmp_path: Path) -
 def test_a_character_of_another_program(shared_data: Path) -> None:
     """RiggedFigure: rotated by its prims, quaternions in key frames; posed points as USD computes them."""
     path = shared_data / "characters" / "foreign" / "RiggedFigure.usdz"
-    found = read_usd_character(path)
+    found = document_and_character(path)[1]
     assert len(found.rig.names) == 19
     (animation,) = found.animations
     stage = Usd.Stage.Open(str(path))
@@ -339,7 +339,7 @@ def test_display_colors_and_opacity_of_every_interpolation_are_read(tmp_path, ki
         prim.CreateDisplayColorPrimvar(kind).Set(values[::-1, :3].tolist())
         prim.GetDisplayColorPrimvar().SetIndices(list(range(len(values)))[::-1])
         prim.CreateDisplayOpacityPrimvar(kind).Set(values[:, 3].tolist())
-    (part,) = read_usd_character(tmp_path / "cube.usda").parts
+    (part,) = document_and_character(tmp_path / "cube.usda")[1].parts
     order = [part.mesh.corner_faces * 8 + part.mesh.face_indices, mesh.corner_faces * 8 + mesh.face_indices]
     found, expected = (np.argsort(keys) for keys in order)
     np.testing.assert_allclose(part.colors[found], values[rows][expected], atol=1e-6)
@@ -374,7 +374,7 @@ def test_normals_of_blend_shapes_are_read(tmp_path: Path) -> None:
         binding = UsdSkel.BindingAPI.Apply(prim.GetPrim())
         binding.CreateBlendShapesAttr(["smile"])
         binding.CreateBlendShapeTargetsRel().SetTargets(["/cube/smile"])
-    (part,) = read_usd_character(tmp_path / "cube.usda").parts
+    (part,) = document_and_character(tmp_path / "cube.usda")[1].parts
     expected = np.zeros((8, 3))
     expected[[5, 0, 2]] = turned
     scaled = normals * [1.0, 0.5, 1.0]

@@ -28,7 +28,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 from cagemap.files.images.image import write_image
 from cagemap.files.usd.character import write_usd_character
-from cagemap.files.usd.convert import read_usd_character, usd_document
+from cagemap.files.usd.convert import document_and_character, usd_document
 from cagemap.files.usd.materials import STRENGTH
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.results import connect_texture, define_material, uv_reader
@@ -200,7 +200,7 @@ def test_display_colors_beside_an_image_are_named(tmp_path, caplog, with_image):
         if with_image:
             connect_texture(stage, surface, "diffuseColor", "./skin.png", uv_reader(stage, "/skin/uvs", "st"))
         UsdShade.MaterialBindingAPI.Apply(prim.GetPrim()).Bind(material)
-    (part,) = read_usd_character(tmp_path / "cube.usda").parts
+    (part,) = document_and_character(tmp_path / "cube.usda")[1].parts
     assert part.mesh.vertex_colors is not None
     assert ("glTF multiplies both" in caplog.text) == with_image
 

@@ -31,6 +31,7 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
 from cagemap.files.meshes.arrays import control_from_arrays, control_to_arrays
+from cagemap.files.npz import Archive
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.results import define_material
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
@@ -426,7 +427,7 @@ def test_several_meshes_are_upright_as_their_world(tmp_path: Path) -> None:
         usd_mesh(stage, "/two", cube())
     whole = read_usd(tmp_path / "two.usda")
     arrays = control_to_arrays(extract_faces(whole, np.arange(6)), "")
-    stored = control_from_arrays(tmp_path, arrays, "", (), "one", "")
+    stored = control_from_arrays(Archive(tmp_path, arrays, ""), "", (), "one")
     for mesh in (whole, stored):
         np.testing.assert_array_equal([0, 0, 1] @ mesh.upright, [0, 1, 0])
 

@@ -25,7 +25,7 @@ from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.usd.character import write_usd_character
-from cagemap.files.usd.convert import read_usd_character
+from cagemap.files.usd.convert import document_and_character
 from cagemap.files.usd.space import StageSpace, stage_units
 from cagemap.files.usd.stages import open_stage
 from cagemap.mesh.landmarks import Landmarks
@@ -240,7 +240,7 @@ def test_a_head_in_usd_keeps_what_it_has_and_gets_shapes(tmp_path, run, monkeypa
     assert str(stage_units("F.usdc")) == str(stage_units("H.usda")) == "0.01 m a unit, Z up"
     points = [stage.GetAttributeAtPath("/Asset/head.points").Get() for stage in stages]
     np.testing.assert_array_equal(*points)
-    for found in (read_usd_character("F.usdc"), read_character("F.glb")):
+    for found in (document_and_character("F.usdc")[1], read_character("F.glb")):
         head, eyes = found.parts
         assert (head.name, eyes.name) == ("head", "eyes")
         assert set(head.shapes) == {"jawOpen", "eyeBlinkLeft"}

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cagemap.maps.point_map import PointMap
+from cagemap.numerics.threads import thread_limit
 from cagemap.subdivision import refine
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import triangle_areas, triangle_neighbors
@@ -190,7 +191,8 @@ def test_dilation_takes_the_nearest_texel(share: float) -> None:
     places = np.stack(np.mgrid[0:90, 0:130], axis=2).astype(np.uint16)
     filled = places.copy()
     filled[~covered] = 9999
-    dilate(filled, covered, threads=2)
+    with thread_limit(2):
+        dilate(filled, covered)
     _, distance = reference.dilate_slowly(places, covered)
     # Several texels may be equally near; the distance is what counts.
     offset = filled.astype(float) - places

@@ -166,7 +166,7 @@ def test_no_seam_shows_at_any_mip_level() -> None:
         return np.asarray(samples.mean(np.einsum("sc,scd->sd", samples.barycentric, corners)))
 
     ones = np.ones((len(surface.triangles), 2), dtype=np.int32)
-    image = bake_module.run_bake(transfer, layout, ones, shade, 3, np.float32, BakeOptions())
+    image = bake_module.Bake(transfer, layout, BakeOptions(), np.dtype(np.float32), ones).run(shade, 3)
     corner_uvs = surface.corner_uvs()
     triangle, opposite = np.nonzero(triangle_neighbors(surface.layout()[1]) < 0)
     first, second = (opposite + 1) % 3, (opposite + 2) % 3

@@ -9,9 +9,9 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,73 +99,77 @@ class ArraySpec:
     share: bool = False  # values are from 0 to 1
 
 
-def check_arrays(
-    path: Path, arrays: Mapping[str, NDArray[Any]], specs: Mapping[str, ArraySpec], sizes: dict[str, int], remedy: str
-) -> dict[str, NDArray[Any]]:
-    """Arrays checked by their specs, as read-only int64 or float64; arrays without a spec are left out.
+@dataclass(frozen=True, eq=False)
+class Archive:
+    """Arrays of a file, which are checked when they are taken."""
 
-    ``sizes``: known sizes by name; sizes found in the arrays are added.
-    ``remedy``: last sentence of every message.
-    """
-    missing = [name for name, spec in specs.items() if name not in arrays and not spec.optional]
-    if missing:
-        raise FormatError(f"{path}: lacks {', '.join(map(repr, missing))}. {remedy}")
-    present = {name: spec for name, spec in specs.items() if name in arrays}
-    for name, spec in present.items():
-        _check_shape(path, name, arrays[name], spec, sizes, remedy)
-    return {name: _check_array(path, name, arrays[name], spec, sizes, remedy) for name, spec in present.items()}
+    path: Path
+    arrays: Mapping[str, NDArray[Any]] = field(repr=False)
+    remedy: str  # last sentence of every message
+
+    def refuse(self, problem: str) -> NoReturn:
+        """Raise a FormatError that names the file."""
+        raise FormatError(f"{self.path}: {problem}. {self.remedy}")
+
+    def checked(self, specs: Mapping[str, ArraySpec], sizes: dict[str, int]) -> dict[str, NDArray[Any]]:
+        """Arrays checked by their specs, as read-only int64 or float64; arrays without a spec are left out.
+
+        ``sizes``: known sizes by name; sizes found in the arrays are added.
+        """
+        missing = [name for name, spec in specs.items() if name not in self.arrays and not spec.optional]
+        if missing:
+            self.refuse(f"lacks {', '.join(map(repr, missing))}")
+        present = {name: spec for name, spec in specs.items() if name in self.arrays}
+        for name, spec in present.items():
+            self._check_shape(name, spec, sizes)
+        return {name: self._check_values(name, spec, sizes) for name, spec in present.items()}
+
+    def offsets(self, name: str, offsets: NDArray[Any], count: int) -> None:
+        """Refuse offsets that do not begin with 0, descend, or do not end with ``count``."""
+        if not len(offsets) or offsets[0] != 0 or offsets[-1] != count or np.any(np.diff(offsets) < 0):
+            self.refuse(f"'{name}' does not count from 0 to {count} in ascending order")
+
+    def _check_shape(self, name: str, spec: ArraySpec, sizes: dict[str, int]) -> None:
+        shape = self.arrays[name].shape
+        fits = len(shape) == len(spec.shape)
+        for size, wanted in zip(shape, spec.shape, strict=False):
+            if isinstance(wanted, int):
+                fits &= size == wanted
+            elif "|" in wanted:
+                fits &= str(size) in wanted.split("|")
+            else:
+                base, _, more = wanted.partition("+")
+                fits &= sizes.setdefault(base, size - int(more or 0)) + int(more or 0) == size
+        if not fits:
+            expected = ", ".join(
+                str(sizes.get(size, size)) if isinstance(size, str) and "+" not in size else str(size)
+                for size in spec.shape
+            )
+            self.refuse(f"{name} has shape {shape}, expected ({expected})")
+
+    def _check_values(self, name: str, spec: ArraySpec, sizes: dict[str, int]) -> NDArray[Any]:
+        array = self.arrays[name]
+        if spec.below:
+            base, _, more = spec.below.partition("+")
+            limit = sizes.get(base, 0) + int(more or 0)  # 0 if the array that it indexes is missing
+            if array.dtype.kind not in "iu":
+                self.refuse(f"{name} holds {array.dtype}, expected whole numbers")
+            if array.size and not (0 <= int(array.min()) and int(array.max()) < limit):
+                self.refuse(f"{name} counts past 0 to {limit - 1}")
+            checked: NDArray[Any] = np.ascontiguousarray(array, dtype=np.int64)
+        else:
+            if array.dtype.kind not in "fiu":
+                self.refuse(f"{name} holds {array.dtype}, expected numbers")
+            checked = np.ascontiguousarray(as_float64(array))
+            if not spec.nan and array.size and not max(-float(checked.min()), float(checked.max())) <= _LARGEST:
+                self.refuse(f"{name} holds NaN, infinite or absurdly large numbers")
+            if spec.share and array.size and not (checked.min() >= 0.0 and checked.max() <= 1.0):
+                self.refuse(f"{name} holds numbers outside 0 to 1")
+        checked.flags.writeable = False
+        return checked
 
 
 def lie_in_triangles(barycentric: NDArray[Any]) -> bool:
     """Whether barycentric coordinates (n, 3) are of points inside triangles, up to rounding."""
     sums = barycentric.sum(axis=1)
     return bool(np.all(barycentric >= -_BARYCENTRIC_ROUNDING) and np.all(np.abs(sums - 1) <= _BARYCENTRIC_ROUNDING))
-
-
-def check_offsets(path: Path, name: str, offsets: NDArray[Any], count: int, remedy: str) -> None:
-    """Refuse offsets that do not begin with 0, descend, or do not end with ``count``."""
-    if not len(offsets) or offsets[0] != 0 or offsets[-1] != count or np.any(np.diff(offsets) < 0):
-        raise FormatError(f"{path}: '{name}' does not count from 0 to {count} in ascending order. {remedy}")
-
-
-def _check_shape(
-    path: Path, name: str, array: NDArray[Any], spec: ArraySpec, sizes: dict[str, int], remedy: str
-) -> None:
-    fits = array.ndim == len(spec.shape)
-    for size, wanted in zip(array.shape, spec.shape, strict=False):
-        if isinstance(wanted, int):
-            fits &= size == wanted
-        elif "|" in wanted:
-            fits &= str(size) in wanted.split("|")
-        else:
-            base, _, more = wanted.partition("+")
-            fits &= sizes.setdefault(base, size - int(more or 0)) + int(more or 0) == size
-    if not fits:
-        expected = ", ".join(
-            str(sizes.get(size, size)) if isinstance(size, str) and "+" not in size else str(size)
-            for size in spec.shape
-        )
-        raise FormatError(f"{path}: {name} has shape {array.shape}, expected ({expected}). {remedy}")
-
-
-def _check_array(
-    path: Path, name: str, array: NDArray[Any], spec: ArraySpec, sizes: dict[str, int], remedy: str
-) -> NDArray[Any]:
-    if spec.below:
-        base, _, more = spec.below.partition("+")
-        limit = sizes.get(base, 0) + int(more or 0)  # 0 if the array that it indexes is missing
-        if array.dtype.kind not in "iu":
-            raise FormatError(f"{path}: {name} holds {array.dtype}, expected whole numbers. {remedy}")
-        if array.size and not (0 <= int(array.min()) and int(array.max()) < limit):
-            raise FormatError(f"{path}: {name} counts past 0 to {limit - 1}. {remedy}")
-        checked: NDArray[Any] = np.ascontiguousarray(array, dtype=np.int64)
-    else:
-        if array.dtype.kind not in "fiu":
-            raise FormatError(f"{path}: {name} holds {array.dtype}, expected numbers. {remedy}")
-        checked = np.ascontiguousarray(as_float64(array))
-        if not spec.nan and array.size and not max(-float(checked.min()), float(checked.max())) <= _LARGEST:
-            raise FormatError(f"{path}: {name} holds NaN, infinite or absurdly large numbers. {remedy}")
-        if spec.share and array.size and not (checked.min() >= 0.0 and checked.max() <= 1.0):
-            raise FormatError(f"{path}: {name} holds numbers outside 0 to 1. {remedy}")
-    checked.flags.writeable = False
-    return checked

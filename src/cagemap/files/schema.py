@@ -166,7 +166,7 @@ class SurfaceRecord(Record):
     name: Name
     material_names: list[str]
     scheme: dict[str, Any]
-    level: Annotated[int, Field(ge=0, le=MOST_LEVELS)]
+    level: Level
     vertices: Annotated[int, Field(ge=1)]
     basis: BasisRecord
     bands: Annotated[int, Field(ge=1, le=MOST_LEVELS + 1)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -205,8 +205,14 @@ class ControlMesh:
             raise ParameterError(
                 f"{self.name}: expected a UV set named {name!r}, got {known or 'none at all'}; name one of those"
             )
-        other_sets = tuple(uv_set for uv_set in self.all_uv_sets if uv_set is not chosen)
-        return replace(self, uvs=chosen.uvs, uv_indices=chosen.uv_indices, uv_name=chosen.name, uv_sets=other_sets)
+        return self.with_uv_sets((chosen, *(uv_set for uv_set in self.all_uv_sets if uv_set is not chosen)))
+
+    def with_uv_sets(self, sets: Sequence[UvSet]) -> ControlMesh:
+        """Return the same mesh with other UV sets, the first of them in use."""
+        if not sets:
+            return replace(self, uvs=None, uv_indices=None, uv_name="", uv_sets=())
+        first, *others = sets
+        return replace(self.with_uvs(first.uvs, first.uv_indices), uv_name=first.name, uv_sets=tuple(others))
 
     def with_creases(self, edges: ArrayLike, sharpness: ArrayLike) -> ControlMesh:
         """Return the same mesh with other creases: (k, 2) vertices of edges and (k,) or one sharpness."""

@@ -13,7 +13,7 @@ from cagemap.mesh.control_mesh import UNKNOWN_COLOR
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
 from cagemap.numerics.srgb import encode_srgb
 from cagemap.surface.triangles import triangle_areas
-from cagemap.transfer.baking import BakeOptions, Transfer, make_layout, run_bake, unit
+from cagemap.transfer.baking import Bake, BakeOptions, Transfer, make_layout, single_samples, unit
 from cagemap.transfer.locate import TexelSamples, locate_centers
 from cagemap.transfer.texture import Pixels
 
@@ -28,22 +28,9 @@ def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces:
     its triangles' values. Integers (materials, groups), or rows of them, are labels: the one with the largest area is
     taken.
 
-    Parameters
-    ----------
-    transfer : Transfer
-    values : (m2,) or (m2, q) array
-        At the source's control faces.
-    n_target_faces : int, optional
-        Default: number of control faces of the target's level.
-
-    Returns
-    -------
-    (m1,) or (m1, q) array of the same kind
-
-    Raises
-    ------
-    ParameterError
-        If there is not one row a source face.
+    ``values`` (m2,) or (m2, q) are at the source's control faces; a ParameterError refuses other numbers of rows.
+    ``n_target_faces`` is by default the number of control faces of the target's level. Returns (m1,) or (m1, q), of the
+    same kind.
     """
     values = np.asarray(values)
     _require_rows(values, transfer)
@@ -98,23 +85,11 @@ def bake_face_colors(
     Texels that a boundary between two colours may cross take 4 x 4 samples, averaged in linear light. With the filter
     "nearest" all texels take one, so that colours are not mixed.
 
-    Parameters
-    ----------
-    transfer : Transfer
-    colors : (m2, 3) float64
-        Linear RGB of the source's control faces.
-    size : int or (height, width)
-    dtype : optional
-        Integers are encoded as sRGB; floats stay linear.
-    options : BakeOptions, optional
-
-    Raises
-    ------
-    ParameterError
-        If there is not one row a source face, or the target has no texture coordinates.
+    ``colors`` (m2, 3) are linear RGB of the source's control faces. Integers of ``dtype`` are encoded as sRGB, floats
+    stay linear. ``size`` and ``options`` are as in `bake_texture`. ParameterError if there is not one row a source
+    face, or the target has no texture coordinates.
     """
-    options = options or BakeOptions()
-    kept = np.dtype(dtype)
+    options, kept = options or BakeOptions(), np.dtype(dtype)
     table = np.asarray(colors, dtype=np.float64)
     _require_rows(table, transfer)
     source = transfer.source
@@ -123,7 +98,8 @@ def bake_face_colors(
     layout = make_layout(transfer, size, options)
     mixed = _mixed_triangles(transfer, label_of_face.ravel()[parents])
     edge_samples = 1 if options.filter == "nearest" else max(1, -(-_EDGE_SAMPLES // layout.supersample))
-    counts = np.where(mixed, edge_samples, 1).astype(np.int32)
+    counts = single_samples(transfer)
+    counts[mixed] = edge_samples
 
     def shade(samples: TexelSamples) -> FloatArray:
         return samples.mean(table[parents[samples.triangle]])
@@ -131,8 +107,7 @@ def bake_face_colors(
     def encode(linear: FloatArray) -> FloatArray:
         return encode_srgb(linear) * unit(kept) if kept.kind == "u" else linear
 
-    samples_per_axis = np.column_stack([counts, counts])
-    return run_bake(transfer, layout, samples_per_axis, shade, table.shape[1], kept, options, encode=encode)
+    return Bake(transfer, layout, options, kept, counts).run(shade, table.shape[1], encode)
 
 
 def _mixed_triangles(transfer: Transfer, labels: IndexArray) -> NDArray[np.bool_]:

@@ -25,7 +25,7 @@ from cagemap.mesh.control_mesh import MIN_UV_AREA
 from cagemap.mesh.udim import udim_of, udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, shown
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.numerics.threads import ThreadPool, core_count
+from cagemap.numerics.threads import in_threads
 from cagemap.subdivision import Level
 from cagemap.surface.triangles import triangle_areas, triangle_neighbors
 from cagemap.transfer.locate import (
@@ -35,8 +35,9 @@ from cagemap.transfer.locate import (
     map_surface,
 )
 from cagemap.transfer.lookups import plan_lookups
+from cagemap.transfer.mip_maps import MipMaps
 from cagemap.transfer.texels import GUTTER_RADIUS, LARGEST_SIDE, Layout, TriangleImage, dilate, lay_out, rasterize_band
-from cagemap.transfer.texture import Filter, Pixels, lay_texture, tile_cells
+from cagemap.transfer.texture import Filter, Pixels, Texture, lay_texture, tile_cells
 from cagemap.transfer.textured_surface import TexturedSurface
 
 Shade = Callable[[TexelSamples], FloatArray]
@@ -178,18 +179,16 @@ def bake_texture(
     ParameterError
         If target or source have no texture coordinates, or the image or its size is invalid.
     """
-    options = options or BakeOptions()
     laid = lay_texture(texture, *transfer.source.layout())
     kept = output_dtype(dtype, laid.dtype)
-    layout = make_layout(transfer, size, options)
-    lookups = plan_lookups(transfer.mapped, layout, laid, kind=options.filter)
+    bake, mips = bake_of_texture(transfer, laid, size, kept, options)
     scale = unit(kept) / unit(laid.dtype)
 
     def shade(samples: TexelSamples) -> FloatArray:
-        values = lookups.mips.look_up(samples)
+        values = mips.look_up(samples)
         return values if scale == 1.0 else values * scale
 
-    return run_bake(transfer, layout, lookups.counts, shade, laid.channels, kept, options, lookups.crisp)
+    return bake.run(shade, laid.channels)
 
 
 def make_layout(transfer: Transfer, size: int | tuple[int, int], options: BakeOptions) -> Layout:
@@ -261,77 +260,84 @@ def _require_covered(target: TexturedSurface, corner_uvs: FloatArray, tile: int)
         )
 
 
-def run_bake(
+@dataclass(frozen=True, eq=False)
+class Bake:
+    """An image that is baked: its layout, its samples and its number type."""
+
+    transfer: Transfer
+    layout: Layout
+    options: BakeOptions
+    dtype: np.dtype[Any]  # integers are rounded and clipped
+    counts: NDArray[np.int32]  # (t1, 2) samples along x and y in every raster cell of a target triangle
+    # (t1,) whether a texel spans at most one texel of the source: its centre alone is sampled
+    crisp: NDArray[np.bool_] | None = None
+
+    def run(self, shade: Shade, channels: int, encode: Callable[[FloatArray], FloatArray] = np.asarray) -> Pixels:
+        """Rasterise, locate and shade band by band, then fill the background.
+
+        ``shade``, called from several threads, gives values (k, channels) of the k cells of samples, which are averaged
+        over each texel; ``encode`` stored values of these means.
+        """
+        layout, finer = self.layout, self.layout.supersample
+        image = np.zeros((layout.height // finer, layout.width // finer, channels), dtype=self.dtype)
+        covered = np.zeros(image.shape[:2], dtype=np.bool_)
+        rows = layout.band_rows // finer
+
+        def bake_band(band: int) -> None:
+            cells = rasterize_band(layout, band)
+            if self.crisp is not None and finer % 2 == 1:
+                _keep_centres(cells, finer, self.crisp)
+            part = slice(band * rows, band * rows + cells.shape[0] // finer)
+            texels = np.flatnonzero(cells.ravel() >= 0)
+            if len(texels) == 0:
+                return
+            values = self._shade_cells(shade, cells.ravel()[texels], texels, band * layout.band_rows)
+            if finer > 1:
+                texels, values = _average_cells(texels, values, cells.shape, finer)
+            image[part].reshape(-1, channels)[texels] = to_dtype(encode(values), image.dtype)
+            covered[part].reshape(-1)[texels] = True
+
+        in_threads(bake_band, range(len(layout.band_triangles)))
+        dilate(image, covered, distance=self.options.dilation)
+        return image
+
+    def _shade_cells(self, shade: Shade, triangle: NDArray[np.int32], cells: IndexArray, top: int) -> FloatArray:
+        """(k, c) values of raster cells, given by their flat index in a band that starts at row ``top``."""
+        layout, along = self.layout, self.counts[triangle]
+        most = int((along[:, 0] * along[:, 1]).max())
+        rows = max(1, _SAMPLE_BUDGET // (layout.width * most))
+        starts = np.arange(0, cells[-1] + 1, rows * layout.width)
+        values = []
+        for begin, end in pairwise(np.append(np.searchsorted(cells, starts), len(cells))):
+            if begin == end:
+                continue
+            part = slice(begin, end)
+            samples = locate_samples(
+                self.transfer.mapped, layout.corners, cells[part], layout.width, top, triangle[part], self.counts
+            )
+            values.append(shade(samples))
+        return np.concatenate(values) if len(values) > 1 else values[0]
+
+
+def bake_of_texture(
     transfer: Transfer,
-    layout: Layout,
-    samples_per_axis: NDArray[np.int32],
-    shade: Shade,
-    channels: int,
-    dtype: DTypeLike,
-    options: BakeOptions,
-    crisp: NDArray[np.bool_] | None = None,
-    encode: Callable[[FloatArray], FloatArray] = np.asarray,
-) -> Pixels:
-    """Rasterise, locate and shade band by band, then fill the background.
-
-    ``samples_per_axis`` (t1, 2) are samples along x and y in every raster cell of a target triangle. ``shade``, called
-    from several threads, gives values (k, channels) of the k cells of samples, which are averaged over each texel;
-    ``encode`` stored values of these means. Integers of ``dtype`` are rounded and clipped. ``crisp`` is as of
-    `Lookups`.
-    """
-    finer = layout.supersample
-    image = np.zeros((layout.height // finer, layout.width // finer, channels), dtype=dtype)
-    covered = np.zeros(image.shape[:2], dtype=np.bool_)
-    threads = core_count()
-    rows = layout.band_rows // finer
-
-    def bake_band(band: int) -> None:
-        cells = rasterize_band(layout, band)
-        if crisp is not None and finer % 2 == 1:
-            _keep_centres(cells, finer, crisp)
-        part = slice(band * rows, band * rows + cells.shape[0] // finer)
-        texels = np.flatnonzero(cells.ravel() >= 0)
-        if len(texels) == 0:
-            return
-        top = band * layout.band_rows
-        triangles = cells.ravel()[texels]
-        values = _shade_cells(transfer, layout, samples_per_axis, shade, triangles, texels, top)
-        if finer > 1:
-            texels, values = _average_cells(texels, values, cells.shape, finer)
-        image[part].reshape(-1, channels)[texels] = to_dtype(encode(values), image.dtype)
-        covered[part].reshape(-1)[texels] = True
-
-    with ThreadPool(threads) as pool:
-        for _ in pool.map(bake_band, range(len(layout.band_triangles))):
-            pass
-    dilate(image, covered, distance=options.dilation, threads=threads)
-    return image
+    laid: Texture,
+    size: int | tuple[int, int],
+    dtype: np.dtype[Any],
+    options: BakeOptions | None,
+    *,
+    exact: bool = False,
+) -> tuple[Bake, MipMaps]:
+    """The bake of a texture of the source, and the texture's mip maps; ``exact`` is as of `MipMaps.build`."""
+    options = options or BakeOptions()
+    layout = make_layout(transfer, size, options)
+    mips, counts, crisp = plan_lookups(transfer.mapped, layout, laid, exact=exact, kind=options.filter)
+    return Bake(transfer, layout, options, dtype, counts, crisp), mips
 
 
-def _shade_cells(
-    transfer: Transfer,
-    layout: Layout,
-    samples_per_axis: NDArray[np.int32],
-    shade: Shade,
-    triangle: NDArray[np.int32],
-    cells: IndexArray,
-    top: int,
-) -> FloatArray:
-    """(k, c) values of raster cells, given by their flat index in a band that starts at row ``top``."""
-    along = samples_per_axis[triangle]
-    most = int((along[:, 0] * along[:, 1]).max())
-    rows = max(1, _SAMPLE_BUDGET // (layout.width * most))
-    starts = np.arange(0, cells[-1] + 1, rows * layout.width)
-    values = []
-    for begin, end in pairwise(np.append(np.searchsorted(cells, starts), len(cells))):
-        if begin == end:
-            continue
-        part = slice(begin, end)
-        samples = locate_samples(
-            transfer.mapped, layout.corners, cells[part], layout.width, top, triangle[part], samples_per_axis
-        )
-        values.append(shade(samples))
-    return np.concatenate(values) if len(values) > 1 else values[0]
+def single_samples(transfer: Transfer) -> NDArray[np.int32]:
+    """(t1, 2) one sample in every raster cell."""
+    return np.ones((len(transfer.target.triangles), 2), dtype=np.int32)
 
 
 def _keep_centres(cells: TriangleImage, finer: int, crisp: NDArray[np.bool_]) -> None:

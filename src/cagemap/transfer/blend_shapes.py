@@ -27,7 +27,6 @@ from cagemap.maps.quality import flipped_triangles, weighted_percentiles
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.subdivision import Refinement, level_triangles
-from cagemap.subdivision.face_varying import interpolate_linearly
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangles import (
     corner_sums,
@@ -36,6 +35,7 @@ from cagemap.surface.triangles import (
     triangle_normals,
     vertex_normals,
 )
+from cagemap.transfer.control_values import control_weights
 
 # A shape is sampled on the coarsest level of the target with at least this many vertices.
 _SAMPLES = 25_000
@@ -83,9 +83,6 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
     )
     samples = target.rows(slice(n_samples), target.finest_level, 0)
     stiffness = gradient.T @ sparse.diags_array(np.repeat(areas, 3)) @ gradient
-    n_control = target.control.n_vertices
-    control = source.control
-    linear = interpolate_linearly(control, control.face_indices, control.n_vertices, source.finest_level, source.scheme)
     ridge = sparse.diags_array(_SHAPE_RIDGE * _ANCHOR * (samples.T @ masses))
     matrix = samples.T @ (stiffness + _ANCHOR * sparse.diags_array(masses)) @ samples + ridge
     return ShapeCarrier(
@@ -99,7 +96,7 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
         rotations,
         nearest_rotations(rotation_sums),
         _length_ratio(areas, triangle_areas(images, triangles)),
-        linear.at(point_map.triangle[:n_control], point_map.barycentric[:n_control]),
+        control_weights(point_map, target, source),
         ridge,
         sparse.csc_array(matrix),
         factor(sparse.csc_array(matrix)),

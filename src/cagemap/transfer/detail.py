@@ -25,12 +25,13 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import normalize_rows, triangle_areas
 from cagemap.transfer.baking import (
+    Bake,
     BakeOptions,
     Transfer,
     make_layout,
     output_dtype,
     prepare_transfer,
-    run_bake,
+    single_samples,
     to_dtype,
     unit,
 )
@@ -66,19 +67,9 @@ class Detail:
 
 
 def detail_over(source: TriangleSurface, positions: FloatArray, triangles: IndexArray) -> Detail:
-    """`Detail` of a mesh in the source's file units.
+    """`Detail` over the source of a map, of positions (n, 3) in the source's file units and triangles (t, 3).
 
-    Parameters
-    ----------
-    source : TriangleSurface
-        Source of the map.
-    positions : (n, 3) float64
-    triangles : (t, 3) int64
-
-    Raises
-    ------
-    ParameterError
-        If less than half of the source has detail near it: the mesh has another position or unit.
+    ParameterError if less than half of the source has detail near it: the mesh has another position or unit.
     """
     detail = Detail(TriangleSurface(source.scale * positions, triangles, source.scale))
     share = detailed_share(detail, source)
@@ -124,17 +115,15 @@ def bake_detail_normals(
     ``detail`` lies over the transfer's source; ``size``, ``space``, ``green`` and ``options`` are as in
     `bake_normal_map`. Directions n are stored as (n + 1) / 2.
     """
-    options, kept = options or BakeOptions(), np.dtype(dtype)
+    flip = green_flip(green, space)
+    bake = _detail_bake(transfer, detail, size, dtype, options)
 
     def normals_at(samples: TexelSamples) -> FloatArray:
         hits, weights = _weighted_hits(transfer, detail, samples)
         smooth = normalize_rows(hits.foot.interpolate(detail.surface.vertex_normals))
         return normalize_rows(weights[:, None] * smooth + (1.0 - weights[:, None]) * hits.normals)
 
-    encode = normal_encoder(green_flip(green, space), kept)
-    layout = make_layout(transfer, size, options)
-    counts = _plan(transfer, detail, layout)
-    return bake_vectors(transfer, layout, counts, normals_at, encode, space, kept, options)
+    return bake_vectors(bake, normals_at, normal_encoder(flip, bake.dtype), space)
 
 
 def bake_detail_vectors(
@@ -153,18 +142,16 @@ def bake_detail_vectors(
     ``size`` and ``options`` are as in `bake_detail_normals`; in tangent space the channels are tangent, normal,
     bitangent. ``scale`` is the length of a value of 1, not 0. Integers hold the range from -scale / 2 to scale / 2.
     """
-    options, kept = options or BakeOptions(), np.dtype(dtype)
+    kept = np.dtype(dtype)
     middle, encode = _length_encoder(transfer, detail, scale, kept)
 
     def offsets_at(samples: TexelSamples) -> FloatArray:
         hits, weights = _weighted_hits(transfer, detail, samples)
         return np.asarray(weights[:, None] * (hits.foot.positions - hits.points))
 
-    order, single = displacement_order(space), np.dtype(np.float32)
-    layout = make_layout(transfer, size, options)
-    counts = _plan(transfer, detail, layout)
-    vectors = bake_vectors(transfer, layout, counts, offsets_at, lambda means: means[:, order], space, single, options)
-    uvs, samples, triangle, inside = corner_samples(transfer, options.tile)
+    order, bake = displacement_order(space), _detail_bake(transfer, detail, size, np.float32, options)
+    vectors = bake_vectors(bake, offsets_at, lambda means: means[:, order], space)
+    uvs, samples, triangle, inside = corner_samples(transfer, bake.options.tile)
     hits, weights = _weighted_hits(transfer, detail, samples)
     pull_back = vector_pullback(transfer, space)
     axes = np.broadcast_to(np.eye(3)[:, None], (3, len(uvs), 3))
@@ -173,7 +160,7 @@ def bake_detail_vectors(
     slides = weights >= _FULL_WEIGHT
     targets = surface_targets(detail.surface, hits.points, hits.normals, offsets, slides, coordinates)
     make_lookups_exact(vectors, texel_coordinates(uvs, *vectors.shape[:2]), targets)
-    pixels = vectors if kept == single else np.empty(vectors.shape, dtype=kept)
+    pixels = vectors if kept == vectors.dtype else np.empty(vectors.shape, dtype=kept)
     for rows in row_slices(len(vectors), _ROWS):
         pixels[rows] = to_dtype(encode(vectors[rows]), kept)
     return Displacement(pixels, middle, scale)
@@ -192,16 +179,13 @@ def bake_detail_heights(
 
     The parameters are as in `bake_detail_vectors`.
     """
-    options, kept = options or BakeOptions(), np.dtype(dtype)
-    middle, encode = _length_encoder(transfer, detail, scale, kept)
+    middle, encode = _length_encoder(transfer, detail, scale, np.dtype(dtype))
 
     def shade(samples: TexelSamples) -> FloatArray:
         hits, weights = _weighted_hits(transfer, detail, samples)
         return encode(samples.mean((weights * hits.heights)[:, None]))
 
-    layout = make_layout(transfer, size, options)
-    pixels = run_bake(transfer, layout, _plan(transfer, detail, layout), shade, 1, kept, options)
-    return Displacement(pixels, middle, scale)
+    return Displacement(_detail_bake(transfer, detail, size, dtype, options).run(shade, 1), middle, scale)
 
 
 def bake_detail_values(
@@ -218,17 +202,16 @@ def bake_detail_values(
     ``values`` (n,) or (n, q) are at the detail's vertices; a ParameterError refuses other numbers of rows. Integers of
     ``dtype`` stand for the range 0 to 1. Other parameters are as in `bake_detail_normals`.
     """
-    options, kept = options or BakeOptions(), np.dtype(dtype)
     if len(values) != detail.surface.n:
         raise ParameterError(f"expected {detail.surface.n} rows, one a vertex of the detail, got {len(values)}")
     table = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+    bake = _detail_bake(transfer, detail, size, dtype, options)
 
     def shade(samples: TexelSamples) -> FloatArray:
         foot = _normal_hits(transfer, detail, samples).foot
-        return np.asarray(samples.mean(foot.interpolate(table)) * unit(kept))
+        return np.asarray(samples.mean(foot.interpolate(table)) * unit(bake.dtype))
 
-    layout = make_layout(transfer, size, options)
-    return run_bake(transfer, layout, _plan(transfer, detail, layout), shade, table.shape[1], kept, options)
+    return bake.run(shade, table.shape[1])
 
 
 def bake_detail_texture(
@@ -248,11 +231,7 @@ def bake_detail_texture(
     ``texture`` (h, w, c), or such arrays by UDIM number, has the coordinates ``uvs`` (p, 2) at the corners
     ``uv_triangles`` (t, 3) of the detail's triangles. ``smooth``: `smooth_tiles` of the texture, made once for several
     tiles of the target. ``dtype`` is by default the texture's; other parameters are as in `bake_detail_normals`.
-
-    Raises
-    ------
-    ParameterError
-        If the number of rows of ``uv_triangles`` is not that of triangles, or as `bake_texture`.
+    ParameterError if the number of rows of ``uv_triangles`` is not that of triangles, or as `bake_texture`.
     """
     options = options or BakeOptions()
     if uv_triangles.shape != detail.surface.triangles.shape:
@@ -276,9 +255,8 @@ def bake_detail_texture(
     in_texels = triangle_areas(corners, np.arange(len(corners)).reshape(-1, 3))
     texel = float(np.sqrt(np.median(detail.surface.areas / np.maximum(in_texels, 1e-300)))) / detail.surface.scale
     layout = make_layout(transfer, size, options)
-    single_samples = np.ones((len(transfer.target.triangles), 2), dtype=np.int32)
-    counts = single_samples if nearest else _plan_lengths(transfer, texel, layout)
-    return run_bake(transfer, layout, counts, shade, laid.channels, kept, options)
+    counts = single_samples(transfer) if nearest else _plan_lengths(transfer, texel, layout)
+    return Bake(transfer, layout, options, kept, counts).run(shade, laid.channels)
 
 
 def _length_encoder(
@@ -310,11 +288,15 @@ def _weighted_hits(transfer: Transfer, detail: Detail, samples: TexelSamples) ->
     return hits, hits.near * np.einsum("sc,sc->s", samples.barycentric, detail.follow[corners])
 
 
-def _plan(transfer: Transfer, detail: Detail, layout: Layout) -> NDArray[np.int32]:
-    """(t1, 2) samples in a texel: one for every detail edge that it spans."""
-    surface = detail.surface
+def _detail_bake(
+    transfer: Transfer, detail: Detail, size: int | tuple[int, int], dtype: DTypeLike, options: BakeOptions | None
+) -> Bake:
+    """A bake with a sample for every detail edge that a texel spans."""
+    options, surface = options or BakeOptions(), detail.surface
+    layout = make_layout(transfer, size, options)
     # A typical edge of the detail, in the source's file units: triangles of area a have edges of about sqrt(2 a).
-    return _plan_lengths(transfer, float(np.sqrt(2.0 * np.median(surface.areas))) / surface.scale, layout)
+    edge = float(np.sqrt(2.0 * np.median(surface.areas))) / surface.scale
+    return Bake(transfer, layout, options, np.dtype(dtype), _plan_lengths(transfer, edge, layout))
 
 
 def _plan_lengths(transfer: Transfer, length: float, layout: Layout) -> NDArray[np.int32]:

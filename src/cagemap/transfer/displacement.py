@@ -18,9 +18,8 @@ from cagemap.numerics.arrays import FloatArray, array_of
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import row_slices
 from cagemap.surface.triangles import triangle_areas
-from cagemap.transfer.baking import BakeOptions, Transfer, make_layout, output_dtype, run_bake, unit
+from cagemap.transfer.baking import BakeOptions, Transfer, bake_of_texture, output_dtype, unit
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.texture import Pixels, Texture, channel_range, each_tile, lay_texture
 
 # Largest difference between the channels of a grey image saved in colour, as a share of the range: rounding.
@@ -74,21 +73,18 @@ def bake_displacement(
         If the image is not grey (see `bake_vector_displacement`), if its floats are not from 0 to 1 and ``dtype`` is
         of integers, or as `bake_texture`.
     """
-    options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, to_grey), *transfer.source.layout())
     kept = output_dtype(dtype, laid.dtype)
     middle, factor, out_scale = stored_lengths(transfer, laid, kept, midlevel, scale)
-    layout = make_layout(transfer, size, options)
-    lookups = plan_lookups(transfer.mapped, layout, laid, kind=options.filter)
+    bake, mips = bake_of_texture(transfer, laid, size, kept, options)
 
     def shade(samples: TexelSamples) -> FloatArray:
-        values = lookups.mips.look_up(samples) / unit(laid.dtype)
+        values = mips.look_up(samples) / unit(laid.dtype)
         if factor == 1.0:
             return np.asarray(values * unit(kept))
         return np.asarray((middle + (values - middle) * factor) * unit(kept))
 
-    pixels = run_bake(transfer, layout, lookups.counts, shade, 1, kept, options, lookups.crisp)
-    return Displacement(pixels, middle, out_scale)
+    return Displacement(bake.run(shade, 1), middle, out_scale)
 
 
 def stored_lengths(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.maps.point_map import PointMap
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, joined_runs, offsets_of
 from cagemap.surface.triangles import triangle_centres, triangle_frames, triangle_neighbors
 from cagemap.transfer.texels import EDGE_TOLERANCE
 from cagemap.transfer.textured_surface import TexturedSurface
@@ -107,9 +107,7 @@ class TexelSamples:
 
     def part(self, texels: IndexArray) -> TexelSamples:
         """Samples of some texels, given by their index."""
-        counts = np.diff(self.first)[texels]
-        first = np.concatenate([[0], np.cumsum(counts)])
-        sample_rows = np.repeat(self.first[texels] - first[:-1], counts) + np.arange(first[-1])
+        first, sample_rows = joined_runs(self.first[texels], np.diff(self.first)[texels])
         chosen = replace(self, target_triangle=self.target_triangle[texels], cells=self.cells[texels], first=first)
         return replace(chosen, triangle=self.triangle[sample_rows], barycentric=self.barycentric[sample_rows])
 
@@ -140,7 +138,7 @@ def locate_samples(
     coordinates, ``samples_per_axis`` (t1, 2) counts along x and y in a texel.
     """
     along = samples_per_axis[target_triangle]
-    first = np.concatenate([[0], np.cumsum(along[:, 0] * along[:, 1], dtype=np.int64)])
+    first = offsets_of(along[:, 0].astype(np.int64) * along[:, 1])
     triangle = np.empty(first[-1], dtype=np.int64)
     barycentric = np.empty((first[-1], 3))
     found = first, triangle, barycentric

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,16 +28,6 @@ _PLANNED_AT_ONCE = 1 << 15
 _BAND_TEXELS = 1 << 18
 
 
-@dataclass(frozen=True, eq=False)
-class Lookups:
-    """Mip levels and numbers of samples for target triangles."""
-
-    mips: MipMaps
-    counts: NDArray[np.int32]  # (t1, 2) samples along x and y in a raster cell
-    # (t1,) whether a texel spans at most one texel of the source: its centre alone is sampled
-    crisp: NDArray[np.bool_]
-
-
 def plan_lookups(
     mapped: MappedSurface,
     layout: Layout,
@@ -46,16 +35,17 @@ def plan_lookups(
     *,
     exact: bool = False,
     kind: Filter = "smooth",
-) -> Lookups:
-    """Choose mip levels and samples with which a raster of the target's layout reads a texture.
+) -> tuple[MipMaps, NDArray[np.int32], NDArray[np.bool_]]:
+    """Mip levels and samples with which a raster of the target's layout reads a texture.
 
     ``exact`` is as of `MipMaps.build`; ``kind`` is the interpolation of a texture that is not minified, "nearest" also
-    of one that is.
+    of one that is. Also returns the samples along x and y in a raster cell of target triangles (t1, 2), and whether
+    (t1,) a texel spans at most one texel of the source: its centre alone is sampled.
     """
     centers = locate_centers(mapped)
     if kind == "nearest":
         ones = np.ones((len(centers), 2), dtype=np.int32)
-        return Lookups(MipMaps({0: laid}, np.zeros(len(centers), dtype=np.int64), {}, True), ones, ones[:, 0] > 0)
+        return MipMaps({0: laid}, np.zeros(len(centers), dtype=np.int64), {}, True), ones, ones[:, 0] > 0
     spans = texel_spans(mapped, layout.corners, laid.corner_texels(), centers)
     covering = np.unique(np.concatenate([*layout.band_triangles, *layout.border_triangles]))
     levels = np.zeros(len(spans), dtype=np.int64)
@@ -64,7 +54,7 @@ def plan_lookups(
     tiles = np.unique(laid.triangle_tiles[reached]).tolist() if kind == "smooth" or levels.any() else []
     crisp = np.asarray((spans * layout.supersample <= UNSCALED).all(axis=1))
     mips = MipMaps.build(laid, levels, covered_texels(laid, tiles), exact=exact, smooth=kind == "smooth")
-    return Lookups(mips, samples_for(spans / 2.0 ** levels[:, None]), crisp)
+    return mips, samples_for(spans / 2.0 ** levels[:, None]), crisp
 
 
 def mip_levels(spans: FloatArray) -> NDArray[np.int64]:

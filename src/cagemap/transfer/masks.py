@@ -11,7 +11,7 @@ from cagemap.numerics.arrays import FloatArray, array_of
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import row_slices
 from cagemap.subdivision import Level
-from cagemap.transfer.baking import BakeOptions, Transfer, make_layout, run_bake, to_dtype, unit
+from cagemap.transfer.baking import Bake, BakeOptions, Transfer, make_layout, single_samples, to_dtype, unit
 from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.texture import Pixels, as_pixels, lay_texture, look_up
 from cagemap.transfer.textured_surface import TexturedSurface
@@ -76,8 +76,7 @@ def bake_mask(transfer: Transfer, *, size: int | tuple[int, int], options: BakeO
         source_weight = np.einsum("sc,sc->s", samples.barycentric, source_mask[source.triangles[samples.triangle]])
         return target_weight[:, None] * samples.mean(source_weight[:, None])
 
-    single_samples = np.ones((len(target.triangles), 2), dtype=np.int32)
-    return run_bake(transfer, layout, single_samples, shade, 1, np.float32, options)
+    return Bake(transfer, layout, options, np.dtype(np.float32), single_samples(transfer)).run(shade, 1)
 
 
 def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:

@@ -10,7 +10,6 @@ Roerdink, Hesselink, *A general algorithm for computing distance transforms in l
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise
@@ -21,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import ThreadPool
+from cagemap.numerics.threads import in_threads, row_slices
 
 TriangleImage = NDArray[np.int32]
 
@@ -192,7 +191,7 @@ _NOWHERE = np.int16(-1)
 LARGEST_SIDE = int(np.iinfo(np.int16).max)
 
 
-def dilate(image: NDArray[Any], covered: NDArray[np.bool_], *, distance: int | None = None, threads: int = 1) -> None:
+def dilate(image: NDArray[Any], covered: NDArray[np.bool_], *, distance: int | None = None) -> None:
     """Copy the nearest covered texel, in place, to texels of a contiguous image (h, w, c) that are not covered (h, w).
 
     Sides are up to 32767 texels. ``distance`` is the largest to fill, in texels; default: the whole background.
@@ -204,18 +203,11 @@ def dilate(image: NDArray[Any], covered: NDArray[np.bool_], *, distance: int | N
     texels = image.view(np.uint8).reshape(height, width, -1)
     nearest_row = np.empty((height, width), dtype=np.int16)
 
-    def fill(begin: int, end: int) -> None:
-        _fill_rows(texels, nearest_row, reach, begin, end, *np.empty((2, width), dtype=np.int64))
+    def fill(rows: slice) -> None:
+        _fill_rows(texels, nearest_row, reach, rows.start, rows.stop, *np.empty((2, width), dtype=np.int64))
 
-    with ThreadPool(threads) as pool:
-        _each(pool, lambda begin, end: _nearest_rows(covered, nearest_row, begin, end), width)
-        _each(pool, fill, height)
-
-
-def _each(pool: ThreadPool, work: Callable[[int, int], None], size: int) -> None:
-    starts = range(0, size, _STRIP)
-    for future in [pool.submit(work, start, min(start + _STRIP, size)) for start in starts]:
-        future.result()
+    in_threads(lambda part: _nearest_rows(covered, nearest_row, part.start, part.stop), row_slices(width, _STRIP))
+    in_threads(fill, row_slices(height, _STRIP))
 
 
 @numba.njit(cache=True, nogil=True)

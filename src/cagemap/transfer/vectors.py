@@ -12,17 +12,16 @@ from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangles import normalize_rows, vertex_normals
-from cagemap.transfer.baking import BakeOptions, Transfer, make_layout, output_dtype, run_bake, unit
+from cagemap.transfer.baking import Bake, BakeOptions, Transfer, bake_of_texture, output_dtype, unit
 from cagemap.transfer.displacement import Displacement, stored_lengths
 from cagemap.transfer.locate import TexelSamples, target_barycentric
-from cagemap.transfer.lookups import plan_lookups
-from cagemap.transfer.texels import Layout
-from cagemap.transfer.texture import Pixels, Texture, each_tile, lay_texture
+from cagemap.transfer.mip_maps import MipMaps
+from cagemap.transfer.texture import Pixels, each_tile, lay_texture
 from cagemap.transfer.textured_surface import plane_basis, tangent_frames
 
 Space = Literal["tangent", "object"]
@@ -45,26 +44,12 @@ def bake_normal_map(
 ) -> Pixels:
     """Bake the source's normal map into the target's layout, in the target's own frames.
 
-    Parameters
-    ----------
-    transfer : Transfer
-    texture : (h, w, 3) array, or such arrays by UDIM number
-        Directions n, stored as (n + 1) / 2; floats with values below -0.05 hold n itself. Alpha is left out.
-    size : int or (height, width)
-    space : "tangent" or "object"
-        Tangent space is MikkTSpace's, of both refined surfaces.
-    green : "up" or "down"
-        In tangent space: whether the green channel increases with v (OpenGL, Blender) or decreases (DirectX), in both
-        images.
-    dtype, options
-        As in `bake_texture`.
-
-    Raises
-    ------
-    ParameterError
-        If the image has fewer than three channels, or as `bake_texture`.
+    ``texture`` (h, w, 3), or such arrays by UDIM number, holds directions n as (n + 1) / 2; floats with values below
+    -0.05 hold n itself. Alpha is left out. Tangent space is MikkTSpace's, of both refined surfaces. ``green``, in
+    tangent space: whether the green channel increases with v (OpenGL, Blender) or decreases (DirectX), in both images.
+    ``size``, ``dtype`` and ``options`` are as in `bake_texture`. ParameterError if the image has fewer than three
+    channels, or as `bake_texture`.
     """
-    options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, _first_three_channels), *transfer.source.layout())
     kept = output_dtype(dtype, laid.dtype)
     signed = any(map(holds_signed_directions, laid.tiles.values()))
@@ -74,8 +59,9 @@ def bake_normal_map(
         values = values / unit(laid.dtype)
         return np.asarray(flip * (values if signed else 2.0 * values - 1.0))
 
-    encode = normal_encoder(flip, kept, signed=signed)
-    return _bake_texture_vectors(transfer, laid, decode, encode, size, space, kept, options)
+    # Mean directions are shorter than 1 on rough surfaces: they are not rounded, and normalised once, at the end.
+    bake, mips = bake_of_texture(transfer, laid, size, kept, options, exact=True)
+    return _bake_texture_vectors(bake, mips, decode, normal_encoder(flip, kept, signed=signed), space)
 
 
 def green_flip(green: Green, space: Space) -> FloatArray:
@@ -116,7 +102,6 @@ def bake_vector_displacement(
     floats, ``dtype`` and ``options`` are as in `bake_texture`. As in `bake_displacement`, floats get new values and
     integers a new scale; a warning counts the texels that the rotation moves outside their range.
     """
-    options = options or BakeOptions()
     laid = lay_texture(each_tile(texture, _first_three_channels), *transfer.source.layout())
     kept = output_dtype(dtype, laid.dtype)
     middle, factor, out_scale = stored_lengths(transfer, laid, kept, midlevel, scale)
@@ -132,7 +117,8 @@ def bake_vector_displacement(
             clipped.append(int(np.any((values < -0.5) | (values > unit(kept) + 0.5), axis=1).sum()))
         return values
 
-    pixels = _bake_texture_vectors(transfer, laid, decode, encode, size, space, kept, options)
+    bake, mips = bake_of_texture(transfer, laid, size, kept, options, exact=True)
+    pixels = _bake_texture_vectors(bake, mips, decode, encode, space)
     if sum(clipped):
         _log.warning(
             "vector displacement: %d texels of rotated vectors lie outside 0 to 1 and are clipped. Write floats "
@@ -149,28 +135,22 @@ def displacement_order(space: Space) -> list[int]:
 
 
 def _bake_texture_vectors(
-    transfer: Transfer,
-    laid: Texture,
+    bake: Bake,
+    mips: MipMaps,
     decode: Callable[[FloatArray], FloatArray],
     encode: Callable[[FloatArray], FloatArray],
-    size: int | tuple[int, int],
     space: Space,
-    kept: np.dtype[Any],
-    options: BakeOptions,
 ) -> Pixels:
     """Bake vectors stored in a texture of the source."""
-    layout = make_layout(transfer, size, options)
-    frames = None if space == "object" else tangent_frames(transfer.source)
-    # Mean directions are shorter than 1 on rough surfaces: they are not rounded, and normalised once, at the end.
-    lookups = plan_lookups(transfer.mapped, layout, laid, exact=True, kind=options.filter)
+    frames = None if space == "object" else tangent_frames(bake.transfer.source)
 
     def vectors_at(samples: TexelSamples) -> FloatArray:
-        vectors = decode(lookups.mips.look_up(samples))
+        vectors = decode(mips.look_up(samples))
         if frames is None:
             return vectors
         return np.asarray(np.einsum("sab,sb->sa", frames.at(samples.triangle, samples.barycentric), vectors))
 
-    return bake_vectors(transfer, layout, lookups.counts, vectors_at, encode, space, kept, options, lookups.crisp)
+    return bake_vectors(bake, vectors_at, encode, space)
 
 
 def _check_space(space: str) -> None:
@@ -180,31 +160,25 @@ def _check_space(space: str) -> None:
 
 
 def bake_vectors(
-    transfer: Transfer,
-    layout: Layout,
-    counts: NDArray[np.int32],
+    bake: Bake,
     vectors_at: Callable[[TexelSamples], FloatArray],
     encode: Callable[[FloatArray], FloatArray],
     space: Space,
-    kept: np.dtype[Any],
-    options: BakeOptions,
-    crisp: NDArray[np.bool_] | None = None,
 ) -> Pixels:
     """Bake vectors of the source, rotated to the target per sample and averaged in the target's frame.
 
-    ``counts`` and ``crisp`` are as of `run_bake`. ``vectors_at`` gives source vectors (s, 3) in object space of
-    samples, each a texel of its own. ``encode`` gives values of mean vectors (k, 3): tangent, bitangent and normal, or
-    x, y and z.
+    ``vectors_at`` gives source vectors (s, 3) in object space of samples, each a texel of its own. ``encode`` gives
+    values of mean vectors (k, 3): tangent, bitangent and normal, or x, y and z.
     """
-    pull_back = vector_pullback(transfer, space)
+    pull_back = vector_pullback(bake.transfer, space)
 
     def shade(samples: TexelSamples) -> FloatArray:
         repeats = np.diff(samples.first)
-        inside = np.repeat(target_barycentric(layout.corners, samples), repeats, axis=0)
+        inside = np.repeat(target_barycentric(bake.layout.corners, samples), repeats, axis=0)
         triangle = np.repeat(samples.target_triangle.astype(np.int64), repeats)
         return samples.mean(pull_back(vectors_at(samples.single()), samples, triangle, inside))
 
-    return run_bake(transfer, layout, counts, shade, 3, kept, options, crisp, encode)
+    return bake.run(shade, 3, encode)
 
 
 def vector_pullback(

@@ -9,7 +9,7 @@ import numpy as np
 import ufbx
 
 from cagemap.files.fbx.meshes import finite_array, get, keep_alive, list_attribute
-from cagemap.files.gltf.binary import Binary
+from cagemap.files.gltf.binary import Binary, add_channel
 from cagemap.numerics.arrays import FloatArray
 
 _CHANNELS = {"translation": "translation_keys", "rotation": "rotation_keys", "scale": "scale_keys"}
@@ -64,13 +64,8 @@ def animation_entry(
         note(f"animation {name} begins {-begin:g} s before 0 and is moved to begin at 0")
     entry: dict[str, Any] = {"name": name, "samplers": [], "channels": []}
     for node, path, times, values in tracks:
-        key = (times - min(begin, 0.0)).astype("<f4")
-        sampler = {
-            "input": binary.accessor(key, min=[float(key.min())], max=[float(key.max())]),
-            "output": binary.accessor(values.astype("<f4")),
-        }
-        entry["channels"].append({"sampler": len(entry["samplers"]), "target": {"node": node, "path": path}})
-        entry["samplers"].append(sampler)
+        sampler = {"input": binary.times(times - min(begin, 0.0)), "output": binary.accessor(values.astype("<f4"))}
+        add_channel(entry, node, path, sampler)
     return entry
 
 

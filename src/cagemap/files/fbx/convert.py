@@ -29,7 +29,7 @@ from cagemap.files.fbx.read import REFUSED
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.document import glb_bytes
 from cagemap.files.gltf.geometry import mesh_entry, uv_sets_in_order
-from cagemap.files.gltf.nodes import decompose_transform, is_invertible, transform
+from cagemap.files.gltf.nodes import REST, decompose_transform, is_invertible, transform
 from cagemap.mesh.mesh_report import count_noun
 from cagemap.numerics.arrays import FloatArray
 
@@ -159,7 +159,7 @@ class _Scene:
                 self._note(f"animation {entry['name']} moves nothing and is left out")
         for entry in entries:
             if "skin" in entry and "children" not in entry:  # without effect: the joints place a skinned mesh
-                for name in ("translation", "rotation", "scale"):
+                for name in REST:
                     entry.pop(name)
         lists = {
             "meshes": self._meshes,
@@ -177,7 +177,7 @@ class _Scene:
     def _node(self, node: Any) -> dict[str, Any]:
         name, rest = node_name(node), get(node, "local_transform")
         entry: dict[str, Any] = {"name": name}
-        for part in ("translation", "rotation", "scale"):
+        for part in REST:
             entry[part] = finite_array(list(getattr(rest, part)), f"node {name}: transform").tolist()
         children = [self._number[get(child, "typed_id")] for child in list_attribute(node, "children")]
         if children:
@@ -189,7 +189,7 @@ class _Scene:
             self._note(f"{get(node, 'name')} is hidden and left out")
             return entry
         instance = _instance(node)
-        uv_sets = [one.name for one in uv_sets_in_order(mesh.control)]
+        uv_sets = [one.name for one in uv_sets_in_order(mesh.part.mesh)]
         materials = tuple(self._materials.number(material, uv_sets) for material in list_attribute(node, "materials"))
         if (instance, materials) not in self._mesh_of:
             self._mesh_of[instance, materials] = len(self._meshes)
@@ -214,16 +214,12 @@ class _Scene:
         world: list[FloatArray] = []
         before: dict[int, dict[str, Any]] = {}
         for number, entry in enumerate(entries):
-            local = transform(*(np.array(entry[name]) for name in ("translation", "rotation", "scale")))
+            local = transform(*(np.array(entry[name]) for name in REST))
             parent = self._parent(self._nodes[number])
             above = np.eye(4) if parent is None else world[parent]
             if number in bind and is_invertible(above[None]).all():
                 bound = finite_array(bind[number] @ np.linalg.inv(above), f"node {entry['name']}: transform")
-                pose = {
-                    "translation": [0.0] * 3,
-                    "rotation": [0.0, 0.0, 0.0, 1.0],
-                    "scale": [1.0] * 3,
-                } | decompose_transform(bound)
+                pose = REST | decompose_transform(bound)
                 if "matrix" not in pose and np.abs(bound - local).max() > _MOVED * max(np.abs(local).max(), 1e-30):
                     before[number] = {name: entry[name] for name in pose}
                     entry |= pose
@@ -244,18 +240,9 @@ class _Scene:
         return self._read[instance]
 
     def _mesh_entry(self, mesh: FbxMesh, materials: tuple[int, ...]) -> dict[str, Any]:
-        numbers = [
-            materials[slot] if slot < len(materials) else None for slot in range(len(mesh.control.material_names))
-        ]
-        entry = mesh_entry(
-            self._binary,
-            mesh.control,
-            numbers,
-            weights=mesh.weights,
-            shapes=mesh.shapes,
-            normals=mesh.normals,
-            colors=mesh.colors,
-        )
+        slots = range(len(mesh.part.mesh.material_names))
+        numbers = [materials[slot] if slot < len(materials) else None for slot in slots]
+        entry = mesh_entry(self._binary, mesh.part, numbers)
         return entry | ({"weights": mesh.amounts} if any(mesh.amounts) else {})
 
     def _skin_entry(self, mesh: FbxMesh) -> dict[str, Any]:

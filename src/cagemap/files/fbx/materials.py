@@ -27,13 +27,7 @@ _MATRIX_ROUNDING = 1e-5
 
 
 class Materials:
-    """Materials, textures and images of a glTF document.
-
-    Parameters
-    ----------
-    path : Path
-        The FBX file; textures are searched in its folder and below.
-    """
+    """Materials, textures and images of a glTF document; textures are searched in the folder of an FBX file."""
 
     def __init__(self, binary: Binary, path: Path, note: Callable[[str], None]) -> None:
         self._path, self._note = path, note

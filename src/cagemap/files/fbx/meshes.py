@@ -15,14 +15,16 @@ import ufbx
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from cagemap.character.values import Part
 from cagemap.errors import FormatError
 from cagemap.files.gltf.nodes import is_invertible
 from cagemap.files.gltf.parts import transform_normals
 from cagemap.files.text import make_distinct
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.faces import reversed_corners
 from cagemap.mesh.mesh_report import count_noun
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, joined_runs
 from cagemap.numerics.srgb import decode_srgb
 
 _EVERYTHING: list[Any] = []
@@ -70,21 +72,17 @@ class FbxMesh:
     """A mesh in the space of its node, with skinning weights and blend shapes."""
 
     # vertices are the control points of the file; ``material_names`` has a name for each material slot
-    control: ControlMesh
-    weights: sparse.csr_array | None = field(default=None, repr=False)  # (n, j)
+    part: Part
     bones: tuple[int, ...] = ()  # ``typed_id`` of the node of each joint
     # (j, 4, 4) from the mesh's space to each joint's, for points as rows
     inverse_bind: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 4)), repr=False)
-    shapes: dict[str, FloatArray] = field(default_factory=dict, repr=False)  # offsets (n, 3) by name
     channels: tuple[Any, ...] = ()  # the blend channel of each shape
-    normals: FloatArray | None = field(default=None, repr=False)  # (c, 3) of the face corners
-    colors: FloatArray | None = field(default=None, repr=False)  # (c, 4) of the face corners, linear with opacity
 
     @property
     def amounts(self) -> list[float]:
         """Weight of each shape at rest."""
         weights = [get(channel, "weight") for channel in self.channels]
-        return finite_array(weights, f"mesh {self.control.name}: amounts of shapes").tolist()
+        return finite_array(weights, f"mesh {self.part.name}: amounts of shapes").tolist()
 
 
 def node_name(node: Any) -> str:
@@ -105,11 +103,9 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
     if not kept.any():
         return None
     begins, sizes = faces[kept].T
-    offsets = np.concatenate([[0], np.cumsum(sizes)])
-    place = np.arange(offsets[-1]) - np.repeat(offsets[:-1], sizes)
+    offsets, corners = joined_runs(begins, sizes)
     if np.linalg.det(placed[:3, :3]) < 0.0:
-        place = -place % np.repeat(sizes, sizes)
-    corners = np.repeat(begins, sizes) + place
+        corners = corners[reversed_corners(offsets)]
     points = index_attribute(mesh, "vertex_indices")
     control = ControlMesh(
         finite_array(
@@ -124,10 +120,7 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
     if loose := control.n_vertices - len(np.unique(control.face_indices)):
         vertices = count_noun(loose, "vertex")
         note(f"{name}: {vertices} of no face left out; later vertices have other numbers than in the file")
-    sets = [_uv_set(one, corners, name) for one in list_attribute(mesh, "uv_sets")]
-    if sets:
-        control = replace(control, uvs=sets[0].uvs, uv_indices=sets[0].uv_indices, uv_name=sets[0].name)
-        control = replace(control, uv_sets=tuple(sets[1:]))
+    control = control.with_uv_sets([_uv_set(one, corners, name) for one in list_attribute(mesh, "uv_sets")])
     creased = [get(mesh, "edge_crease"), get(mesh, "vertex_crease", "values")]
     if any(np.any(np.array(one, dtype=np.float64) > 0.0) for one in creased if len(one)):
         note(f"{name}: creases are left out; OBJ and USD files keep them")
@@ -141,14 +134,9 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
     if colors is not None:
         colors = finite_array(colors, f"mesh {name}: colors").clip(0.0, 1.0)
         colors[:, :3] = decode_srgb(colors[:, :3])
-    fbx_mesh = FbxMesh(
-        control,
-        shapes={word: offsets for word, (offsets, _) in shapes.items()},
-        channels=tuple(channel for _, channel in shapes.values()),
-        normals=normals,
-        colors=colors,
-    )
-    return _with_skin(mesh, fbx_mesh, note)
+    offsets_of_shapes = {word: offsets for word, (offsets, _) in shapes.items()}
+    part = Part(name, control, shapes=offsets_of_shapes, normals=normals, colors=colors)
+    return _with_skin(mesh, FbxMesh(part, channels=tuple(channel for _, channel in shapes.values())), note)
 
 
 def _materials(mesh: Any, kept: NDArray[np.bool_]) -> dict[str, Any]:
@@ -202,7 +190,7 @@ def _with_skin(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh
     skins = [skin for skin in list_attribute(mesh, "skin_deformers") if list_attribute(skin, "clusters")]
     if not skins:
         return made
-    name = made.control.name
+    name, control = made.part.name, made.part.mesh
     if len(skins) > 1:
         note(f"{name}: has {len(skins)} skins, the first is used")
     if get(skins[0], "skinning_method") >= ufbx.SkinningMethod.DUAL_QUATERNION:
@@ -218,11 +206,11 @@ def _with_skin(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh
         stated.append(get(bone, "typed_id"))
         matrices[stated[-1]] = matrix
     bones = tuple(dict.fromkeys(stated))
-    vertices = [_vertices(cluster, "vertices", made.control) for cluster in clusters]
+    vertices = [_vertices(cluster, "vertices", control) for cluster in clusters]
     columns = np.repeat([bones.index(bone) for bone in stated], [len(listed) for listed in vertices])
     stated_weights = [get(cluster, "weights") for cluster in clusters]
     values = finite_array(np.concatenate(stated_weights), f"mesh {name}: skinning weights")
-    shape = made.control.n_vertices, len(bones)
+    shape = control.n_vertices, len(bones)
     weights = sparse.csr_array((np.maximum(values, 0.0), (np.concatenate(vertices), columns)), shape=shape)
     weights.sum_duplicates()
     weights.eliminate_zeros()
@@ -235,7 +223,8 @@ def _with_skin(mesh: Any, made: FbxMesh, note: Callable[[str], None]) -> FbxMesh
     if not len(joints):
         return made
     of_joints = tuple(bones[joint] for joint in joints)
-    return replace(made, weights=weights[:, joints], bones=of_joints, inverse_bind=inverse[joints])
+    part = replace(made.part, weights=weights[:, joints])
+    return replace(made, part=part, bones=of_joints, inverse_bind=inverse[joints])
 
 
 def _vertices(value: Any, name: str, control: ControlMesh) -> IndexArray:

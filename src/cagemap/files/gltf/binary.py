@@ -79,6 +79,11 @@ class Binary:
         }
         return self._add(_form(table) | bounds | {"sparse": sparse})
 
+    def times(self, seconds: FloatArray) -> int:
+        """Add times of keys (k,), with the bounds that glTF requires; returns the accessor's number."""
+        table = np.asarray(seconds, "<f4")
+        return self.accessor(table, min=[float(table.min())], max=[float(table.max())])
+
     def indices(self, corners: IndexArray) -> int:
         """Add vertex indices of triangles, (3 t,); returns the accessor's number."""
         return self.accessor(_shrink_indices(corners), INDICES)
@@ -109,6 +114,12 @@ def _form(array: NDArray[Any]) -> dict[str, Any]:
 def _shrink_indices(numbers: IndexArray) -> NDArray[Any]:
     """Numbers in two bytes where they fit; 65535 is reserved for primitive restart."""
     return numbers.astype("<u2" if numbers.max(initial=0) < 65535 else "<u4")
+
+
+def add_channel(entry: dict[str, Any], node: int, path: str, sampler: dict[str, Any]) -> None:
+    """Add a channel of a node, and its sampler, to an entry of ``animations``."""
+    entry["channels"].append({"sampler": len(entry["samplers"]), "target": {"node": node, "path": path}})
+    entry["samplers"].append(sampler)
 
 
 def corners_from(offsets: IndexArray, starts: IndexArray) -> IndexArray:

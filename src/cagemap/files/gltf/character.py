@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast, get_args
 
@@ -13,13 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.character.poses import quaternion_product
 from cagemap.character.values import Animation, Channel, Character, Interpolation, Track
-from cagemap.files.gltf.binary import Binary
+from cagemap.files.gltf.binary import Binary, add_channel
 from cagemap.files.gltf.document import read_document
 from cagemap.files.gltf.entries import Document, read_accessor
 from cagemap.files.gltf.nodes import Joints, read_nodes, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.primitives import mesh_shapes
-from cagemap.files.text import make_distinct
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
 
 _log = logging.getLogger(__name__)
@@ -167,7 +167,7 @@ def _track(
     values = values.astype(np.float64)
     if keys == 3:
         values = values.reshape(len(times), 3, -1)
-    values = to_rig_space(values[last], channel, joints.above[node], tangents=keys == 3)
+    values = to_rig_space(values[last], channel, joints.above[node])
     signs = scale_signs(document, node)
     if channel == "scale":
         values = values * signs
@@ -187,7 +187,7 @@ def animation_entries(
     nodes: Sequence[int],
     above: Mapping[int, FloatArray],
     before: Sequence[Any],
-    given: Document | None,
+    given: Document,
     shapes: Mapping[int, tuple[Sequence[str], Sequence[str]]],
 ) -> list[dict[str, Any]]:
     """Entries of ``animations``: tracks of joints, and the given document's other channels.
@@ -198,31 +198,22 @@ def animation_entries(
     ``given``: the document of these entries.
     ``shapes``: names of blend shapes by node, in the given document and now; weights of new ones are 0.
     """
-    named = {} if given is None else dict(zip(animation_names(given), before, strict=True))
+    named = dict(zip(animation_names(given), before, strict=True))
     times: dict[bytes, int] = {}
     entries = []
     for animation in animations:
         old = named.pop(animation.name, {})
-        kept = (
-            {"samplers": [], "channels": []}
-            if given is None
-            else _other_channels(binary, old, set(nodes), shapes, given)
-        )
-        entry = {name: value for name, value in old.items() if name not in ("samplers", "channels")} | kept
+        entry = {name: value for name, value in old.items() if name not in ("samplers", "channels")}
+        entry |= _other_channels(binary, old, set(nodes), shapes, given)
         for track in animation.tracks:
             node = nodes[track.joint]
-            key = np.asarray(track.times, "<f4")
-            if key.tobytes() not in times:
-                times[key.tobytes()] = binary.accessor(key, min=[float(key.min())], max=[float(key.max())])
-            output = _to_node_space(track, above.get(node, np.eye(4)))
-            sampler = {
-                "input": times[key.tobytes()],
-                "interpolation": track.interpolation,
-                "output": binary.accessor(output.reshape(-1, output.shape[-1]).astype("<f4")),
-            }
-            entry["samplers"].append(sampler)
-            target = {"node": node, "path": track.channel}
-            entry["channels"].append({"sampler": len(entry["samplers"]) - 1, "target": target})
+            key = np.asarray(track.times, "<f4").tobytes()
+            if key not in times:
+                times[key] = binary.times(track.times)
+            output = transform_track(track, np.asarray(np.linalg.inv(above.get(node, np.eye(4))))).values
+            values = binary.accessor(output.reshape(-1, output.shape[-1]).astype("<f4"))
+            sampler = {"input": times[key], "interpolation": track.interpolation, "output": values}
+            add_channel(entry, node, track.channel, sampler)
         if entry["channels"]:
             entries.append({"name": animation.name} | entry)
     return entries
@@ -230,8 +221,7 @@ def animation_entries(
 
 def animation_names(document: Document) -> tuple[str, ...]:
     """Unique names of all animations; unnamed ones are called by their number."""
-    count = len(document.entries("animations"))
-    return make_distinct([document.name("animations", number) or f"animation {number}" for number in range(count)])
+    return document.unique_names("animations", "animation")
 
 
 def animation_lengths(document: Document) -> tuple[float, ...]:
@@ -285,12 +275,16 @@ def reorder_columns(values: FloatArray, before: Sequence[str], now: Sequence[str
     return np.column_stack(columns)
 
 
-def to_rig_space(values: FloatArray, channel: Channel, above: FloatArray, *, tangents: bool) -> FloatArray:
+def transform_track(track: Track, above: FloatArray) -> Track:
+    """A track of a joint whose parent's space is transformed by a similarity (4, 4)."""
+    return replace(track, values=to_rig_space(track.values, track.channel, above))
+
+
+def to_rig_space(values: FloatArray, channel: Channel, above: FloatArray) -> FloatArray:
     """Values of a track, converted from the space of the joint's node to that of its parent in the rig.
 
-    ``values``: (k, q) or (k, 3, q).
+    ``values``: (k, q), or between their tangents (k, 3, q).
     ``above``: (4, 4), a similarity.
-    ``tangents``: whether values are between their tangents, (k, 3, q).
     """
     if np.array_equal(above, np.eye(4)):
         return values
@@ -299,15 +293,9 @@ def to_rig_space(values: FloatArray, channel: Channel, above: FloatArray, *, tan
         return values * size
     if channel == "translation":
         moved = values @ above[:3, :3]
-        if tangents:
+        if values.ndim == 3:
             moved[:, 1] += above[3, :3]
             return moved
         return np.asarray(moved + above[3, :3])
     turn = nearest_rotations(above[None, :3, :3] / size)[0]
     return quaternion_product(Rotation.from_matrix(turn.T).as_quat(), values)
-
-
-def _to_node_space(track: Track, above: FloatArray) -> FloatArray:
-    """Values of a track in the space of the joint's node; the inverse of `to_rig_space`."""
-    tangents = track.interpolation == "CUBICSPLINE"
-    return to_rig_space(track.values, track.channel, np.asarray(np.linalg.inv(above), np.float64), tangents=tangents)

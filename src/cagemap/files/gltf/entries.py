@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
-from cagemap.files.text import file_in, read_bytes, whole_characters
+from cagemap.files.text import file_in, make_distinct, read_bytes, whole_characters
 from cagemap.numerics.arrays import FloatArray, shown
 
 _DATA_URI = re.compile(r"data:([^,;]*)((?:;[^,;]*)*),")
@@ -81,6 +81,11 @@ class Document:
         """The name of an entry, '' without one."""
         stated = self.entry(kind, number).get("name")
         return whole_characters(stated) if isinstance(stated, str) else ""
+
+    def unique_names(self, kind: str, word: str) -> tuple[str, ...]:
+        """Unique names of all entries; unnamed ones are called by a word and their number."""
+        count = len(self.entries(kind))
+        return make_distinct([self.name(kind, number) or f"{word} {number}" for number in range(count)])
 
 
 def resource(document: Document, uri: object, where: str) -> bytes:

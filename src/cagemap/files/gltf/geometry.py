@@ -5,48 +5,35 @@ Seams are those of UVs and of hard edges. Polygons are marked (FB_ngon_encoding)
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from cagemap.character.normals import normal_groups
+from cagemap.character.values import Part
 from cagemap.files.gltf.binary import NGONS, STARTS, VERTICES, Binary, corners_from
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.srgb import decode_srgb
 from cagemap.surface.alignment import Z_UP, nearest_axis_rotation
 from cagemap.surface.triangles import fan_triangles, normalize_rows, vertex_normals
 
 
-def mesh_entry(
-    binary: Binary,
-    mesh: ControlMesh,
-    materials: Sequence[int | None],
-    *,
-    weights: sparse.csr_array | None = None,
-    shapes: Mapping[str, FloatArray] | None = None,
-    normals: FloatArray | None = None,
-    shape_normals: Mapping[str, FloatArray] | None = None,
-    colors: FloatArray | None = None,
-) -> dict[str, Any]:
-    """Entry of ``meshes`` for a control mesh; adds its arrays to ``binary``.
+def mesh_entry(binary: Binary, part: Part, materials: Sequence[int | None]) -> dict[str, Any]:
+    """Entry of ``meshes`` for a part; adds its arrays to ``binary``.
 
-    ``mesh``: creases and colours that are not finite are not written; glTF has no place for them.
+    Creases and colours that are not finite are not written; glTF has no place for them. All influences of joints are
+    written, in sets of four. Without normals of its own, the part gets vertex normals.
+
     ``materials``: number in the document of each material of the mesh.
-    ``weights``: (n, j), for the joints of the node's skin; all influences are written, in sets of four.
-    ``normals``: (c, 3), of the face corners. Default: vertex normals. ``shape_normals``: their offsets, by shape.
-    ``colors``: (c, 4), of the face corners, linear with opacity. Default: the mesh's vertex colours.
     """
+    mesh, normals, colors = part.mesh, part.normals, part.colors
     sets = uv_sets_in_order(mesh)
     hard = [] if normals is None else [normal_groups(mesh, normals)]
-    hard += [
-        np.unique(of_corners, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
-        for of_corners in (colors, *(shape_normals or {}).values())
-        if of_corners is not None
-    ]
+    hard += [_equal_rows(of_corners) for of_corners in (colors, *part.shape_normals.values()) if of_corners is not None]
     first, numbers = _split([mesh.face_indices, *(uv_set.uv_indices for uv_set in sets), *hard])
     numbers_of = np.zeros(mesh.n_faces, dtype=np.int64) if mesh.face_materials is None else mesh.face_materials
     polygons = bool((mesh.face_sizes != 3).any())
@@ -74,14 +61,14 @@ def mesh_entry(
     elif mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
         of_vertices = decode_srgb(np.clip(mesh.vertex_colors[vertices], 0.0, 1.0))
         attributes["COLOR_0"] = binary.accessor(of_vertices.astype("<f4"), VERTICES)
-    if weights is not None:
-        attributes |= _skinning(binary, weights[vertices])
+    if part.weights is not None:
+        attributes |= _skinning(binary, part.weights[vertices])
     common: dict[str, Any] = {"attributes": attributes} | ({"extensions": {NGONS: {}}} if polygons else {})
-    if shapes:
-        common["targets"] = [{"POSITION": binary.offsets(offsets[vertices])} for offsets in shapes.values()]
-        for name, target in zip(shapes, common["targets"], strict=True):
-            if shape_normals and name in shape_normals:
-                target["NORMAL"] = binary.offsets(shape_normals[name][first])
+    if part.shapes:
+        common["targets"] = [{"POSITION": binary.offsets(offsets[vertices])} for offsets in part.shapes.values()]
+        for name, target in zip(part.shapes, common["targets"], strict=True):
+            if name in part.shape_normals:
+                target["NORMAL"] = binary.offsets(part.shape_normals[name][first])
     primitives = []
     for number in np.unique(numbers_of[corner_faces]).tolist():
         chosen = triangles[numbers_of[corner_faces] == number].ravel()
@@ -92,7 +79,7 @@ def mesh_entry(
             primitive["extras"] = {STARTS: np.column_stack([turned, own_starts[turned]]).tolist()}
         material = materials[number] if mesh.face_materials is not None else None
         primitives.append(primitive if material is None else primitive | {"material": material})
-    named = {"extras": {"targetNames": list(shapes)}} if shapes else {}
+    named = {"extras": {"targetNames": list(part.shapes)}} if part.shapes else {}
     return {"primitives": primitives} | named
 
 
@@ -125,6 +112,11 @@ Z_TO_Y = np.block([[Z_UP, np.zeros((3, 1))], [np.zeros((1, 3)), np.eye(1)]])
 def is_z_up(mesh: ControlMesh) -> bool:
     """Whether +Z is the axis of a mesh nearest to its file's up axis."""
     return mesh.upright is not None and np.array_equal(nearest_axis_rotation(mesh.upright), Z_UP)
+
+
+def _equal_rows(values: FloatArray) -> IndexArray:
+    """(c,) number of each row's value among the distinct rows."""
+    return np.unique(values, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
 
 def _split(indices: Sequence[IndexArray]) -> tuple[IndexArray, IndexArray]:

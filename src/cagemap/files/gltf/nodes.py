@@ -16,7 +16,8 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # Relative to the length of a transform's axes.
 _SHEAR, _TRANSFORM_ROUNDING = 1e-4, 1e-9
-_REST = {"translation": [0.0] * 3, "rotation": [0.0, 0.0, 0.0, 1.0], "scale": [1.0] * 3}
+# Transform of a node that states none.
+REST = {"translation": [0.0] * 3, "rotation": [0.0, 0.0, 0.0, 1.0], "scale": [1.0] * 3}
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +56,8 @@ def read_nodes(document: Document) -> Nodes:
                 world[number] = local[number] @ world[parents[number]]
     if not np.isfinite(world).all():
         document.refuse("nodes", "their transforms are too large")
-    names = make_distinct([document.name("nodes", number) or f"node {number}" for number in range(count)])
-    return Nodes(
-        tuple(order), frozenset(_descendants(_roots(document, parents), children)), parents, local, world, names
-    )
+    in_scene = frozenset(_descendants(_roots(document, parents), children))
+    return Nodes(tuple(order), in_scene, parents, local, world, document.unique_names("nodes", "node"))
 
 
 def _descendants(roots: list[int], children: list[list[int]]) -> list[int]:
@@ -88,21 +87,21 @@ def _local(document: Document, number: int) -> FloatArray:
     if entry.get("matrix") is not None:
         # Stored by columns for points as columns, so read by rows it acts on points as rows.
         return document.numbers(entry["matrix"], f"{where}: matrix", 16).reshape(4, 4)
-    stated = {name: rest if entry.get(name) is None else entry[name] for name, rest in _REST.items()}
-    return transform(*(document.numbers(stated[name], f"{where}: {name}", len(rest)) for name, rest in _REST.items()))
+    stated = {name: rest if entry.get(name) is None else entry[name] for name, rest in REST.items()}
+    return transform(*(document.numbers(stated[name], f"{where}: {name}", len(rest)) for name, rest in REST.items()))
 
 
 def scale_signs(document: Document, number: int) -> FloatArray:
     """(3,) signs of a node's scale in the file, times the signs of the scale that `decompose_transform` gives it."""
     stated = document.entry("nodes", number).get("scale")
-    scale = document.numbers(_REST["scale"] if stated is None else stated, f"nodes {number}: scale", 3)
+    scale = document.numbers(REST["scale"] if stated is None else stated, f"nodes {number}: scale", 3)
     signs = np.where(scale < 0.0, -1.0, 1.0)
     return np.asarray(signs * signs.prod())
 
 
 def transform(translation: FloatArray, quaternion: FloatArray, scale: FloatArray) -> FloatArray:
     """(4, 4) matrix for points as rows: scales, rotates, translates. A quaternion of length 0 rotates nothing."""
-    rotation = Rotation.from_quat(quaternion if np.linalg.norm(quaternion) > 0.0 else _REST["rotation"])
+    rotation = Rotation.from_quat(quaternion if np.linalg.norm(quaternion) > 0.0 else REST["rotation"])
     matrix = np.eye(4)
     matrix[:3, :3] = scale[:, None] * rotation.as_matrix().T
     matrix[3, :3] = translation
@@ -116,7 +115,7 @@ def decompose_transform(matrix: FloatArray) -> dict[str, list[float]]:
         return {"matrix": matrix.ravel().tolist()}
     parts = {"translation": translation, "rotation": Rotation.from_matrix(turn.T).as_quat(), "scale": scale}
     return {
-        name: part.tolist() for name, part in parts.items() if np.abs(part - _REST[name]).max() > _TRANSFORM_ROUNDING
+        name: part.tolist() for name, part in parts.items() if np.abs(part - REST[name]).max() > _TRANSFORM_ROUNDING
     }
 
 

@@ -26,7 +26,7 @@ from cagemap.files.gltf.primitives import VertexArrays, read_vertex_arrays
 from cagemap.files.text import make_distinct
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
-from cagemap.mesh.faces import merged_corners
+from cagemap.mesh.faces import merged_corners, reversed_corners
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.parts import extract_faces
 from cagemap.mesh.plain import turn_faces
@@ -198,6 +198,23 @@ def _vertices_in_world(
     return replace(arrays, control=control, shapes=shapes, normals=normals, shape_normals=shape_normals)
 
 
+def transform_part(part: Part, matrix: FloatArray) -> Part:
+    """The part transformed by a (4, 4) matrix for points as rows; its faces are reversed if this mirrors it."""
+    linear = matrix[:3, :3]
+    mesh, normals, colors = part.mesh.with_positions(part.mesh.positions @ linear + matrix[3, :3]), None, part.colors
+    shape_normals = part.shape_normals
+    if part.normals is not None:
+        normals = transform_normals(part.normals, linear)
+        shape_normals = {n: transform_offsets(one, part.normals, linear) for n, one in shape_normals.items()}
+    if np.linalg.det(linear) < 0.0:
+        corners = reversed_corners(mesh.face_offsets)
+        mesh = turn_faces(mesh, np.ones(mesh.n_faces, dtype=bool))
+        normals, colors = (None if one is None else one[corners] for one in (normals, colors))
+        shape_normals = {name: offsets[corners] for name, offsets in shape_normals.items()}
+    shapes = {name: offsets @ linear for name, offsets in part.shapes.items()}
+    return Part(part.name, mesh, part.weights, shapes, normals, shape_normals, colors)
+
+
 def transform_normals(normals: FloatArray, linear: FloatArray) -> FloatArray:
     """Normals (n, 3) of a surface after its points, as rows, are multiplied by (3, 3) or (n, 3, 3)."""
     return normalize_rows(_multiply_by_cofactors(normals, linear))
@@ -244,26 +261,16 @@ def _weld_part(arrays: VertexArrays, weights: sparse.csr_array | None, node: int
 def _with_stored_vertices(mesh: ControlMesh) -> ControlMesh:
     """The mesh with an added UV set that holds each corner's stored vertex, since welding keeps UVs."""
     numbers = np.column_stack([np.arange(mesh.n_vertices), np.zeros(mesh.n_vertices)]).astype(np.float64)
-    if mesh.uvs is None:
-        return replace(mesh, uvs=numbers, uv_indices=mesh.face_indices)
-    return replace(mesh, uv_sets=(*mesh.uv_sets, UvSet("", numbers, mesh.face_indices)))
+    return mesh.with_uv_sets((*mesh.all_uv_sets, UvSet("", numbers, mesh.face_indices)))
 
 
 def _take_stored_vertices(mesh: ControlMesh) -> tuple[ControlMesh, IndexArray]:
     """The mesh without the UV set of `_with_stored_vertices`, and the stored vertex (c,) of every corner from it."""
-    if mesh.uv_sets:
-        *others, last = mesh.uv_sets
-        return replace(mesh, uv_sets=tuple(others)), last.uvs[last.uv_indices, 0].astype(np.int64)
-    assert mesh.uvs is not None
-    return replace(mesh, uvs=None, uv_indices=None), mesh.uvs[mesh.uv_indices, 0].astype(np.int64)
+    *others, last = mesh.all_uv_sets
+    return mesh.with_uv_sets(others), last.uvs[last.uv_indices, 0].astype(np.int64)
 
 
 def _with_merged_uvs(mesh: ControlMesh) -> ControlMesh:
     """The mesh with equal texture coordinates of a vertex merged, so that a hard edge alone makes no UV seam."""
-    if mesh.uvs is None or mesh.uv_indices is None:
-        return mesh
-    first, *others = (
-        UvSet(uv_set.name, *merged_corners(mesh.face_indices, uv_set.uvs[uv_set.uv_indices]))
-        for uv_set in mesh.all_uv_sets
-    )
-    return replace(mesh, uvs=first.uvs, uv_indices=first.uv_indices, uv_sets=tuple(others))
+    merged = ((one.name, merged_corners(mesh.face_indices, one.uvs[one.uv_indices])) for one in mesh.all_uv_sets)
+    return mesh.with_uv_sets([UvSet(name, *uvs) for name, uvs in merged])

@@ -15,7 +15,7 @@ from cagemap.files.text import make_distinct, whole_characters
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.parts import join_meshes
-from cagemap.numerics.arrays import FloatArray, IndexArray, shown
+from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of, shown
 from cagemap.numerics.srgb import encode_srgb
 
 _log = logging.getLogger(__name__)
@@ -42,8 +42,7 @@ class VertexArrays:
 
 def material_names(document: Document) -> tuple[str, ...]:
     """Unique names of all materials; unnamed ones are called by their number."""
-    count = len(document.entries("materials"))
-    return make_distinct([document.name("materials", number) or f"material {number}" for number in range(count)])
+    return document.unique_names("materials", "material")
 
 
 def mesh_shapes(document: Document, number: int) -> tuple[str, ...]:
@@ -140,18 +139,15 @@ def _group(document: Document, where: str, number: int, group: list[dict[str, An
         return read_accessor(document, attributes[attribute], place, shapes, count).astype(np.float64)
 
     sizes, corners = zip(*(_faces(document, where, primitive, count) for primitive in group), strict=True)
-    offsets = np.concatenate([[0], np.cumsum(np.concatenate(sizes))])
+    offsets = offsets_of(np.concatenate(sizes))
     control = ControlMesh(positions, offsets, np.concatenate(corners), scheme=Plain(), name=name)
     counts = [len(primitive_sizes) for primitive_sizes in sizes]
     control = _with_materials(document, where, control, [primitive.get("material") for primitive in group], counts)
-    sets = [attribute for attribute in attributes if attribute.startswith("TEXCOORD_")]
-    for attribute in sorted(sets, reverse=True):
-        # glTF counts v from the top.
-        uvs = read(attribute, "VEC2") * [1.0, -1.0] + [0.0, 1.0]
-        earlier = () if control.uvs is None else (UvSet(control.uv_name, control.uvs, control.face_indices),)
-        control = replace(
-            control.with_uvs(uvs, control.face_indices), uv_name=attribute, uv_sets=(*earlier, *control.uv_sets)
-        )
+    sets = sorted(attribute for attribute in attributes if attribute.startswith("TEXCOORD_"))
+    # glTF counts v from the top.
+    uvs = (read(attribute, "VEC2") * [1.0, -1.0] + [0.0, 1.0] for attribute in sets)
+    indices = control.face_indices
+    control = control.with_uv_sets([UvSet(name, one, indices) for name, one in zip(sets, uvs, strict=True)])
     colors = read("COLOR_0", "VEC3", "VEC4") if "COLOR_0" in attributes else None
     if colors is not None:
         control = replace(control, vertex_colors=encode_srgb(colors[:, :3]))
@@ -190,26 +186,19 @@ def _with_materials(
 ) -> ControlMesh:
     if all(material is None for material in stated):
         return control
-    names = material_names(document)
-    words: dict[str, int] = {}
-    numbers, colors = [], []
-    for material in stated:
-        entry = {} if material is None else document.entry("materials", material, where)
-        word = "" if material is None else names[int(material)]
-        if word not in words:
-            words[word] = len(words)
-            colors.append(_color(document, entry, where))
-        numbers.append(words[word])
+    names, used = material_names(document), list(dict.fromkeys(stated))
     return replace(
         control,
-        face_materials=np.repeat(np.array(numbers, dtype=np.int64), counts),
-        material_names=tuple(words),
-        material_colors=np.array(colors),
+        face_materials=np.repeat([used.index(material) for material in stated], counts),
+        material_names=tuple("" if material is None else names[material] for material in used),
+        material_colors=np.array([_color(document, material, where) for material in used]),
     )
 
 
-def _color(document: Document, material: dict[str, Any], where: str) -> list[float]:
-    factor = document.table(material, "pbrMetallicRoughness", where).get("baseColorFactor")
+def _color(document: Document, material: int | None, where: str) -> list[float]:
+    """Linear colour of a material; NaN if it states none."""
+    entry = {} if material is None else document.entry("materials", material, where)
+    factor = document.table(entry, "pbrMetallicRoughness", where).get("baseColorFactor")
     return [np.nan] * 3 if factor is None else document.numbers(factor, f"{where}: color", 4)[:3].tolist()
 
 
@@ -235,7 +224,7 @@ def _faces(document: Document, where: str, primitive: dict[str, Any], count: int
         document.refuse(where, f"expected faces and their corners as {STARTS}, got {shown(stated)}")
     starts = np.zeros(len(sizes), dtype=np.int64)
     starts[rows[:, 0]] = -rows[:, 1]
-    return sizes, corners[corners_from(np.concatenate([[0], np.cumsum(sizes)]), starts)]
+    return sizes, corners[corners_from(offsets_of(sizes), starts)]
 
 
 def _triangles(document: Document, where: str, primitive: dict[str, Any], count: int) -> IndexArray:

@@ -17,7 +17,7 @@ from cagemap.files.gltf.binary import NGONS
 from cagemap.files.gltf.character import animation_lengths, animation_names, humanoid_bones
 from cagemap.files.gltf.document import GLTF_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
-from cagemap.files.gltf.parts import ReadPart, Scene, read_scene
+from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import image_number, texture_slots
 from cagemap.files.text import whole_characters
@@ -45,14 +45,11 @@ def read_gltf(path: str | Path) -> ControlMesh:
 
 def scene_mesh(scene: Scene) -> ControlMesh:
     """All meshes of a scene joined into one, with an object for each."""
-    parts = scene.parts
-    joined = join_meshes([_object(read_part) for read_part in parts]) if len(parts) > 1 else parts[0].part.mesh
+    parts = [read_part.part for read_part in scene.parts]
+    faces = (np.zeros(part.mesh.n_faces, dtype=np.int64) for part in parts)
+    objects = [replace(p.mesh, face_objects=f, object_names=(p.name,)) for p, f in zip(parts, faces, strict=True)]
+    joined = join_meshes(objects) if len(parts) > 1 else parts[0].mesh
     return replace(joined, name=scene.document.file.name, file_vertices=None, file_faces=None, file_copies=None)
-
-
-def _object(one: ReadPart) -> ControlMesh:
-    mesh = one.part.mesh
-    return replace(mesh, face_objects=np.zeros(mesh.n_faces, dtype=np.int64), object_names=(one.part.name,))
 
 
 def gltf_weights(path: str | Path) -> FloatArray:

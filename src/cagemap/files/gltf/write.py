@@ -22,16 +22,15 @@ from cagemap.files.gltf.document import glb_bytes, read_document, write_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.expressions import ReplacedMesh, renumber_expressions
 from cagemap.files.gltf.geometry import Z_TO_Y, is_z_up, mesh_entry
-from cagemap.files.gltf.nodes import decompose_transform, scale_signs
-from cagemap.files.gltf.parts import Scene, read_scene, transform_normals, transform_offsets
+from cagemap.files.gltf.nodes import REST, decompose_transform, read_nodes, scale_signs
+from cagemap.files.gltf.parts import Scene, read_scene, transform_part
 from cagemap.files.gltf.primitives import material_names, mesh_shapes
 from cagemap.files.gltf.textures import with_images
 from cagemap.files.text import whole_characters
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV, UvSet
-from cagemap.mesh.faces import merged_corners, reversed_corners
+from cagemap.mesh.faces import merged_corners
 from cagemap.mesh.mesh_report import first_few
-from cagemap.mesh.plain import turn_faces
 from cagemap.numerics.arrays import FloatArray
 
 _log = logging.getLogger(__name__)
@@ -56,7 +55,7 @@ def write_glb(path: str | Path, mesh: ControlMesh, *, to_metres: FloatArray | No
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": mesh.name} | placed],
-        "meshes": [mesh_entry(binary, mesh, range(count))],
+        "meshes": [mesh_entry(binary, Part(mesh.name, mesh), range(count))],
     }
     if count:
         top["materials"] = [material_entry(mesh, number) for number in range(count)]
@@ -74,6 +73,13 @@ def material_entry(mesh: ControlMesh, number: int) -> dict[str, Any]:
 _VARIANTS = "KHR_materials_variants"
 # Tangents are not read either: programs compute them.
 _READ_ATTRIBUTES = re.compile(r"POSITION|NORMAL|TANGENT|COLOR_0|TEXCOORD_\d+|(JOINTS|WEIGHTS)_[0-7]")
+_EMPTY: dict[str, Any] = {
+    "asset": {"version": "2.0", "generator": "cagemap"},
+    "nodes": [],
+    "meshes": [],
+    "scene": 0,
+    "scenes": [{"nodes": []}],
+}
 # Relative to the largest number of a transform: with a smaller change the document's transform stays.
 _SAME_LOCAL = 1e-6
 
@@ -95,7 +101,8 @@ def character_glb(
     ``pieces_of``: names of new parts, each with the name of the given part that it is a piece of. They get the weights
         of its blend shapes, VRM's expressions and first-person flags too.
     """
-    scene = None if materials_from is None else read_scene(materials_from)
+    empty = Document(_EMPTY, (), Path("new.glb"))
+    scene = Scene(empty, read_nodes(empty), None, ()) if materials_from is None else read_scene(materials_from)
     writer = _Made(scene, pieces_of or {})
     writer.rig(character.rig)
     for part in character.parts:
@@ -105,29 +112,23 @@ def character_glb(
 
 
 class _Made:
-    """A glTF document to which the rig, parts and animations of a character are added."""
+    """A given glTF document to which the rig, parts and animations of a character are added."""
 
-    def __init__(self, scene: Scene | None, pieces_of: Mapping[str, str]) -> None:
+    def __init__(self, scene: Scene, pieces_of: Mapping[str, str]) -> None:
         self._scene, self._pieces_of = scene, pieces_of
-        given = None if scene is None else scene.document
-        self._binary = Binary(given)
-        self.top: dict[str, Any] = {"asset": {"version": "2.0", "generator": "cagemap"}}
-        if given is not None:
-            self.top = json.loads(json.dumps(given.json))
+        self._binary = Binary(scene.document)
+        self.top: dict[str, Any] = json.loads(json.dumps(scene.document.json))
         self._nodes: list[Any] = self.top.setdefault("nodes", [])
         self._meshes: list[Any] = self.top.setdefault("meshes", [])
-        self._node_of_part: dict[str, int] = {}
-        self._node_of_joint: dict[str, int] = {}
-        self._mesh_of_node: dict[int, int] = {}  # in the given document
+        self._node_of_part = {one.part.name: one.node for one in scene.parts}
+        self._node_of_joint = {name: node for node, name in enumerate(scene.nodes.names)}
+        # in the given document
+        self._mesh_of_node = {node: self._nodes[node].pop("mesh") for node in self._node_of_part.values()}
         self._given_node: dict[int, int] = {}  # of new nodes with pieces of its mesh
         self._roots = self._scene_roots()
-        if scene is not None:
-            self._node_of_part = {one.part.name: one.node for one in scene.parts}
-            self._node_of_joint = {name: node for node, name in enumerate(scene.nodes.names)}
-            for node in self._node_of_part.values():
-                self._mesh_of_node[node] = self._nodes[node].pop("mesh")
-                for name in ("skin", "weights"):
-                    self._nodes[node].pop(name, None)
+        for node in self._mesh_of_node:
+            for name in ("skin", "weights"):
+                self._nodes[node].pop(name, None)
 
     def rig(self, rig: Rig | None) -> None:
         """Set the joints' transforms and the skin that all parts share; nodes without a part keep their skins."""
@@ -160,34 +161,12 @@ class _Made:
             if part.name in self._pieces_of:
                 given = self._node_of_part[self._pieces_of[part.name]]
                 self._given_node[node], self._mesh_of_node[node] = given, self._mesh_of_node[given]
-        mesh, shapes, normals, colors = part.mesh, part.shapes, part.normals, part.colors
-        shape_normals = part.shape_normals
         skinned = part.weights is not None and rig is not None
-        if not skinned and self._scene is not None and node < len(self._scene.nodes.names):
-            to_node = np.linalg.inv(self._scene.nodes.world[node])
-            mesh = mesh.with_positions(mesh.positions @ to_node[:3, :3] + to_node[3, :3])
-            shapes = {name: offsets @ to_node[:3, :3] for name, offsets in shapes.items()}
-            if normals is not None:
-                shape_normals = {
-                    name: transform_offsets(offsets, normals, to_node[:3, :3])
-                    for name, offsets in shape_normals.items()
-                }
-                normals = transform_normals(normals, to_node[:3, :3])
-            if np.linalg.det(to_node[:3, :3]) < 0.0:
-                corners = reversed_corners(mesh.face_offsets)
-                normals, colors = (None if one is None else one[corners] for one in (normals, colors))
-                shape_normals = {name: offsets[corners] for name, offsets in shape_normals.items()}
-                mesh = turn_faces(mesh, np.ones(mesh.n_faces, dtype=bool))
-        mesh_data = mesh_entry(
-            self._binary,
-            mesh,
-            self._materials(part),
-            weights=part.weights if skinned else None,
-            shapes=shapes,
-            normals=normals,
-            shape_normals=shape_normals,
-            colors=colors,
-        )
+        if not skinned:
+            part = replace(part, weights=None)
+            if node < len(self._scene.nodes.names):
+                part = transform_part(part, np.asarray(np.linalg.inv(self._scene.nodes.world[node])))
+        mesh_data = mesh_entry(self._binary, part, self._materials(part))
         if node in self._mesh_of_node:
             self._copy_variants(part.name, self._mesh_of_node[node], mesh_data)
         entry = self._nodes[node]
@@ -197,7 +176,6 @@ class _Made:
 
     def _copy_variants(self, name: str, number: int, made: dict[str, Any]) -> None:
         """Copy material variants of a given mesh to a new one, by material; warn of what its primitives lose."""
-        assert self._scene is not None
         document = self._scene.document
         lost: set[str] = set()
         variants: dict[Any, Any] = {}
@@ -235,7 +213,7 @@ class _Made:
 
     def _materials(self, part: Part) -> list[int | None]:
         """Numbers of a part's materials in the document; missing ones are added."""
-        names = () if self._scene is None else material_names(self._scene.document)
+        names = material_names(self._scene.document)
         known = {name: number for number, name in enumerate(names)}
         entries: list[Any] = self.top.setdefault("materials", [])
         known |= {entry["name"]: number for number, entry in enumerate(entries) if number >= len(names)}
@@ -249,9 +227,8 @@ class _Made:
 
     def animations(self, character: Character) -> None:
         """Replace the tracks of joints."""
-        above = {} if self._scene is None or self._scene.joints is None else dict(enumerate(self._scene.joints.above))
+        above = {} if self._scene.joints is None else dict(enumerate(self._scene.joints.above))
         nodes = [] if character.rig is None else [self._node_of_joint[name] for name in character.rig.names]
-        given = None if self._scene is None else self._scene.document
         before = self.top.get("animations", [])
         for channels in (entry.get("channels", []) for entry in before):
             weights = [one for one in channels if one.get("target", {}).get("path") == "weights"]
@@ -263,6 +240,7 @@ class _Made:
             for node, entry in enumerate(self._nodes)
             if "mesh" in entry
         }
+        given = self._scene.document
         entries = animation_entries(self._binary, character.animations, nodes, above, before, given, shapes)
         self.top.pop("animations", None)
         if entries:
@@ -276,12 +254,12 @@ class _Made:
     def _shapes_before(self, node: int) -> tuple[str, ...]:
         """Names of the blend shapes of a node's mesh in the given document."""
         number = self._mesh_of_node.get(node)
-        return () if number is None or self._scene is None else mesh_shapes(self._scene.document, number)
+        return () if number is None else mesh_shapes(self._scene.document, number)
 
     def _stated_weights(self, node: int, made: dict[str, Any]) -> dict[str, list[float]]:
         """The field ``weights`` of a new mesh, by the names of blend shapes in the given document."""
         names, before = self._shapes(made), self._shapes_before(node)
-        if self._scene is None or not names or not before:
+        if not names or not before:
             return {}
         document = self._scene.document
         mesh = document.entry("meshes", self._mesh_of_node[node])
@@ -309,15 +287,11 @@ class _Made:
             replaced.append(ReplacedMesh(before, number, node, now, self._shapes_before(node), shapes))
         if empty := renumber_expressions(self.top.get("extensions"), replaced):
             text = "%s: expressions that move no shape any more, since their meshes or shapes are not carried: %s"
-            _log.warning(text, self._scene and self._scene.document.file, whole_characters(first_few(empty)))
+            _log.warning(text, self._scene.document.file, whole_characters(first_few(empty)))
 
     def _scene_roots(self) -> list[Any]:
         """Root nodes of the displayed scene."""
-        if self._scene is None:
-            self.top |= {"scene": 0, "scenes": [{"nodes": []}]}
-        scenes = self.top.get("scenes")
-        if not scenes:  # without scenes, all roots are displayed
-            assert self._scene is not None
+        if not self.top.get("scenes"):  # without scenes, all roots are displayed
             roots = [int(node) for node in self._scene.nodes.order if self._scene.nodes.parents[node] < 0]
             self.top |= {"scene": 0, "scenes": [{"nodes": roots}]}
         listed: list[Any] = self.top["scenes"][self.top.get("scene", 0)].setdefault("nodes", [])
@@ -331,7 +305,7 @@ class _Made:
 
     def _place(self, node: int, local: FloatArray) -> None:
         """Set a joint's transform if it differs from that of the document."""
-        if self._scene is not None and node < len(self._scene.nodes.names):
+        if node < len(self._scene.nodes.names):
             joints, nodes = self._scene.joints, self._scene.nodes
             above = np.eye(4) if joints is None else joints.above[node]
             local = local @ np.linalg.inv(above)
@@ -340,7 +314,7 @@ class _Made:
             if same_signs and np.abs(local - nodes.local[node]).max() <= _SAME_LOCAL * np.abs(local).max():
                 return
         entry = self._nodes[node]
-        for name in ("matrix", "translation", "rotation", "scale"):
+        for name in ("matrix", *REST):
             entry.pop(name, None)
         entry |= decompose_transform(local)
 
@@ -388,6 +362,4 @@ def _with_uvs(part: Part, name: str, uvs: FloatArray) -> Part:
     mesh = part.mesh
     sets = {uv_set.name: uv_set for uv_set in mesh.all_uv_sets}
     sets[name] = UvSet(name, *merged_corners(mesh.face_indices, uvs))
-    first, *others = sets.values()
-    mesh = replace(mesh, uvs=first.uvs, uv_indices=first.uv_indices, uv_name=first.name, uv_sets=tuple(others))
-    return replace(part, mesh=mesh)
+    return replace(part, mesh=mesh.with_uv_sets([*sets.values()]))

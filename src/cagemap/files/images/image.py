@@ -44,7 +44,9 @@ _FORMATS: dict[str, tuple[str, ...]] = {
 _OIIO = {"uint8": oiio.UINT8, "uint16": oiio.UINT16, "float16": oiio.HALF, "float32": oiio.FLOAT}
 _CHANNELS = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 _LARGEST_CHANNELS = 4
-_READ_AS = {"float16": "half", "float32": "float"}
+# Number types by OpenImageIO's names.
+_KINDS = {"uint8": "uint8", "uint16": "uint16", "half": "float16", "float": "float32"}
+_READ_AS = {dtype: name for name, dtype in _KINDS.items()}
 _TIFF, _JPEG = (".tif", ".tiff"), (".jpg", ".jpeg")
 _ASSOCIATED_SUFFIXES = (*_TIFF, ".exr")  # formats that can hold colours multiplied by alpha; EXR holds no others
 # Texels of a written image that are read back at a time.
@@ -56,27 +58,13 @@ _NO_RESERVING = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP)
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """Pixels of an image, with its channel names and colour encoding.
+    """Pixels of an image, with its channel names and colour encoding."""
 
-    Attributes
-    ----------
-    pixels : (h, w, c) uint8, uint16, float16 or float32
-        Row 0 at the top.
-    channel_names : tuple of str
-        One name for each channel.
-    color_space : str
-        The file's name for the encoding of colours ("sRGB", "Linear", ...), empty without one.
-    icc_profile : bytes
-        ICC profile of the colours, empty without one.
-    associated : bool
-        Whether colours are multiplied by alpha: always in an EXR with alpha, and if a TIFF states it.
-    """
-
-    pixels: Pixels
-    channel_names: tuple[str, ...] = ()
-    color_space: str = ""
-    icc_profile: bytes = b""
-    associated: bool = False
+    pixels: Pixels  # (h, w, c) uint8, uint16, float16 or float32; row 0 at the top
+    channel_names: tuple[str, ...] = ()  # one for each channel
+    color_space: str = ""  # the file's name for the encoding of colours ("sRGB", "Linear", ...), empty without one
+    icc_profile: bytes = b""  # of the colours, empty without one
+    associated: bool = False  # colours are multiplied by alpha: always in an EXR with alpha, and if a TIFF states it
 
     def __repr__(self) -> str:
         encoding = f", {self.color_space}" if self.color_space else ""
@@ -119,7 +107,7 @@ def _read(file: Path) -> Image:
     opened, kind = _open(file)
     spec = opened.spec()
     try:
-        pixels = opened.read_image(0, 0, 0, spec.nchannels, _READ_AS.get(kind, kind))
+        pixels = opened.read_image(0, 0, 0, spec.nchannels, _READ_AS[kind])
         error = opened.geterror()
         if pixels is None or error:  # of a JPEG that ends early, the library fills the rest with grey
             raise FormatError(f"{file}: the image ends early or is damaged: {_reason(error)} Export it again.")
@@ -154,10 +142,9 @@ def _open(file: Path) -> tuple[Any, str]:
         )
     spec = opened.spec()
     kind = str(spec.format)
-    known = {"uint8": "uint8", "uint16": "uint16", "half": "float16", "float": "float32"}
     if spec.channelformats:
         kind = "float"  # channels of several types: the widest type, without loss
-    if kind not in known or not 1 <= spec.nchannels <= _LARGEST_CHANNELS or spec.depth > 1:
+    if kind not in _KINDS or not 1 <= spec.nchannels <= _LARGEST_CHANNELS or spec.depth > 1:
         opened.close()
         raise FormatError(
             f"{file}: expected a flat image of 1 to {_LARGEST_CHANNELS} channels of uint8, uint16, half or float, "
@@ -169,7 +156,7 @@ def _open(file: Path) -> tuple[Any, str]:
     except FormatError:
         opened.close()
         raise
-    return opened, known[kind]
+    return opened, _KINDS[kind]
 
 
 def read_image_form(path: str | Path) -> tuple[np.dtype[Any], int, tuple[int, int]]:
@@ -239,7 +226,7 @@ def _holds(pixels: Pixels, path: Path) -> bool:
     rows = max(1, _VERIFIED_TEXELS // spec.width)
     for top in range(0, len(pixels) if same else 0, rows):
         expected = pixels[top : top + rows]
-        part = opened.read_scanlines(top, top + len(expected), 0, 0, spec.nchannels, _READ_AS.get(kind, kind))
+        part = opened.read_scanlines(top, top + len(expected), 0, 0, spec.nchannels, _READ_AS[kind])
         same = part is not None and (
             path.suffix.lower() in _JPEG
             or np.array_equal(np.reshape(part, expected.shape), expected, equal_nan=kind.startswith("float"))

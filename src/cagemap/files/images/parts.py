@@ -49,21 +49,13 @@ def require_one_picture(file: Path, opened: Any) -> None:
 
 def fit_to_display_window(pixels: Pixels, spec: Any) -> Pixels:
     """Pixels in the display window of an EXR, 0 outside its data window, which may be smaller or larger."""
-    rows, columns = (
-        (slice(max(lo, full), min(lo + size, full + count)), lo, full, count)
-        for lo, size, full, count in (
-            (spec.y, spec.height, spec.full_y, spec.full_height),
-            (spec.x, spec.width, spec.full_x, spec.full_width),
-        )
-    )
-    if pixels.shape[:2] == (rows[3], columns[3]) and (rows[1], columns[1]) == (rows[2], columns[2]):
+    x, y, size = spec.x - spec.full_x, spec.y - spec.full_y, (spec.full_height, spec.full_width)
+    if pixels.shape[:2] == size and x == y == 0:
         return pixels
-    shown = np.zeros((rows[3], columns[3], pixels.shape[2]), dtype=pixels.dtype)
-    window, data = (
-        tuple(slice(part.start - start, max(part.stop, part.start) - start) for part, start in pairs)
-        for pairs in (((rows[0], rows[2]), (columns[0], columns[2])), ((rows[0], rows[1]), (columns[0], columns[1])))
-    )
-    shown[window] = pixels[data]
+    shown = np.zeros((*size, pixels.shape[2]), dtype=pixels.dtype)
+    top, left = max(y, 0), max(x, 0)
+    bottom, right = max(top, min(y + spec.height, size[0])), max(left, min(x + spec.width, size[1]))
+    shown[top:bottom, left:right] = pixels[top - y : bottom - y, left - x : right - x]
     return shown
 
 

@@ -47,15 +47,9 @@ def read_points(path: str | Path, mesh: ControlMesh | None = None) -> NamedPoint
     file = Path(path)
     name = file.name.lower()
     text = read_text(file, "a file of landmark points")
-    if name.endswith(".pp"):
-        named = _meshlab(file, text)
-    elif name.endswith(".fcsv"):
-        named = _fiducials(file, text)
-    elif name.endswith(".csv"):
-        named = _table(file, text)
-    else:
-        return _json(file, text, mesh)
-    return _points(named, "")
+    readers = {".pp": _meshlab, ".fcsv": _fiducials, ".csv": _table}
+    reader = next((reader for ending, reader in readers.items() if name.endswith(ending)), None)
+    return _json(file, text, mesh) if reader is None else _points(reader(file, text), "")
 
 
 def _points(found: Named, mesh_name: str, curves: tuple[NamedCurve, ...] = ()) -> NamedPoints:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cagemap.errors import FormatError, InvalidMeshError
-from cagemap.files.npz import ArraySpec, check_arrays, check_offsets, lie_in_triangles
+from cagemap.files.npz import Archive, ArraySpec, lie_in_triangles
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import SEVERAL, require_valid
 from cagemap.mesh.control_mesh import UvSet
@@ -66,40 +65,33 @@ def control_to_arrays(control: ControlMesh, prefix: str) -> dict[str, Any]:
 
 
 def control_from_arrays(
-    path: Path,
-    arrays: Mapping[str, Any],
-    prefix: str,
-    material_names: Sequence[str],
-    name: str,
-    remedy: str,
-    scheme: Scheme | None = None,
+    archive: Archive, prefix: str, material_names: Sequence[str], name: str, scheme: Scheme | None = None
 ) -> ControlMesh:
     """A control mesh from the arrays of `control_to_arrays`; ``scheme`` is the one it was refined with."""
+    arrays = archive.arrays
     stored = {key: arrays[f"{prefix}{key}"] for key in CONTROL_ARRAYS if f"{prefix}{key}" in arrays}
-    texts: dict[str, Any] = {
-        key: _texts(path, f"{prefix}{key}", arrays.get(f"{prefix}{key}"), remedy) for key in _NAMES
-    }
+    texts: dict[str, Any] = {key: _texts(archive, f"{prefix}{key}") for key in _NAMES}
     sizes = {"m": len(material_names), "objects": len(texts["object_names"]), "groups": len(texts["group_names"])}
     sizes |= {"file_c": _ANY, "file_f": _ANY}
-    values: dict[str, Any] = check_arrays(path, stored, CONTROL_FORMS, sizes, remedy)
-    check_offsets(path, f"{prefix}face_offsets", values["face_offsets"], sizes["q"], remedy)
+    values: dict[str, Any] = replace(archive, arrays=stored).checked(CONTROL_FORMS, sizes)
+    archive.offsets(f"{prefix}face_offsets", values["face_offsets"], sizes["q"])
     for first, second in (
         ("uvs", "uv_indices"),
         ("crease_edges", "crease_sharpness"),
         ("corner_vertices", "corner_sharpness"),
     ):
         if (first in values) != (second in values):
-            raise FormatError(f"{path}: {prefix}{first} and {prefix}{second} belong together, one is missing. {remedy}")
+            archive.refuse(f"{prefix}{first} and {prefix}{second} belong together, one is missing")
     copies = values.get("file_copies")
     if copies is not None and (copies[:, 0] >= sizes["c"]).any():
-        raise FormatError(f"{path}: {prefix}file_copies name vertices that are not there. {remedy}")
-    texts[_UV_NAME] = "".join(_texts(path, f"{prefix}{_UV_NAME}", arrays.get(f"{prefix}{_UV_NAME}"), remedy))
-    values["uv_sets"] = _uv_sets(path, arrays, prefix, sizes, remedy)
+        archive.refuse(f"{prefix}file_copies name vertices that are not there")
+    texts[_UV_NAME] = "".join(_texts(archive, f"{prefix}{_UV_NAME}"))
+    values["uv_sets"] = _uv_sets(archive, prefix, sizes)
     control = ControlMesh(**values, **texts, material_names=tuple(material_names), name=name, scheme=scheme)
     try:
         require_valid(control, allowed=[SEVERAL])
     except InvalidMeshError as error:
-        raise FormatError(f"{path}: its control mesh is damaged ({error}). {remedy}") from error
+        archive.refuse(f"its control mesh is damaged ({error})")
     return control
 
 
@@ -108,35 +100,34 @@ def _uv_set_arrays(prefix: str, number: int) -> tuple[str, str]:
     return f"{prefix}uv_set_{number}", f"{prefix}uv_set_{number}_indices"
 
 
-def _uv_sets(
-    path: Path, arrays: Mapping[str, Any], prefix: str, sizes: dict[str, int], remedy: str
-) -> tuple[UvSet, ...]:
+def _uv_sets(archive: Archive, prefix: str, sizes: dict[str, int]) -> tuple[UvSet, ...]:
     """The UV sets that are not in use."""
     sets = []
-    for number, name in enumerate(_texts(path, f"{prefix}{_UV_SETS}", arrays.get(f"{prefix}{_UV_SETS}"), remedy)):
+    for number, name in enumerate(_texts(archive, f"{prefix}{_UV_SETS}")):
         values, indices = _uv_set_arrays(prefix, number)
         size = f"t of set {number}"
         specs = {values: ArraySpec((size, 2)), indices: ArraySpec(("q",), below=size)}
-        checked = check_arrays(path, arrays, specs, sizes, remedy)
+        checked = archive.checked(specs, sizes)
         sets.append(UvSet(name, checked[values], checked[indices]))
     return tuple(sets)
 
 
-def _texts(path: Path, name: str, array: NDArray[Any] | None, remedy: str) -> tuple[str, ...]:
+def _texts(archive: Archive, name: str) -> tuple[str, ...]:
+    array = archive.arrays.get(name)
     if array is None:
         return ()
     if array.ndim != 1 or array.dtype.kind != "U":
-        raise FormatError(f"{path}: {name} holds {array.dtype} of shape {array.shape}, expected names. {remedy}")
+        archive.refuse(f"{name} holds {array.dtype} of shape {array.shape}, expected names")
     return tuple(map(str, array.tolist()))
 
 
-def points_from_arrays(path: Path, arrays: Mapping[str, Any], prefix: str, remedy: str) -> CagePoints | None:
+def points_from_arrays(archive: Archive, arrays: Mapping[str, Any], prefix: str) -> CagePoints | None:
     """Points of a control mesh from checked arrays; None if absent."""
     corners, weights = arrays.get(f"{prefix}corners"), arrays.get(f"{prefix}weights")
     if corners is None and weights is None:
         return None
     if corners is None or weights is None or not lie_in_triangles(weights):
-        raise FormatError(f"{path}: {prefix}corners and {prefix}weights are not points of the mesh. {remedy}")
+        archive.refuse(f"{prefix}corners and {prefix}weights are not points of the mesh")
     return CagePoints(corners, weights)
 
 
@@ -153,9 +144,7 @@ def curves_to_arrays(curves: CageCurvePairs) -> dict[str, Any]:
     return arrays
 
 
-def curves_from_arrays(
-    path: Path, arrays: Mapping[str, Any], names: Sequence[str], vertices: tuple[int, int], remedy: str
-) -> CageCurvePairs:
+def curves_from_arrays(archive: Archive, names: Sequence[str], vertices: tuple[int, int]) -> CageCurvePairs:
     """Curves from the arrays of `curves_to_arrays`.
 
     ``vertices``: numbers of control vertices of target and source.
@@ -171,12 +160,12 @@ def curves_from_arrays(
             f"{prefix}starts": ArraySpec(("q+1",), below="p+1"),
             f"{prefix}closed": ArraySpec(("q",), below="two"),
         }
-        checked = check_arrays(path, arrays, specs, {"c": count, "q": len(names), "two": 2}, remedy)
-        points = points_from_arrays(path, checked, prefix, remedy)
+        checked = archive.checked(specs, {"c": count, "q": len(names), "two": 2})
+        points = points_from_arrays(archive, checked, prefix)
         starts = checked[f"{prefix}starts"]
-        check_offsets(path, f"{prefix}starts", starts, len(checked[f"{prefix}corners"]), remedy)
+        archive.offsets(f"{prefix}starts", starts, len(checked[f"{prefix}corners"]))
         if points is None or np.any(np.diff(starts) < 2):
-            raise FormatError(f"{path}: {prefix}starts leave curves of fewer than two points. {remedy}")
+            archive.refuse(f"{prefix}starts leave curves of fewer than two points")
         closed = (checked[f"{prefix}closed"] == 1).tolist()
         rows = map(np.arange, starts[:-1], starts[1:])
         sides.append([Curve(points.at(own), loop) for own, loop in zip(rows, closed, strict=True)])

@@ -20,7 +20,7 @@ from cagemap.files.text import at_line, decode_text, file_in, is_number, read_te
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV
 from cagemap.mesh.mesh_report import count_noun, first_few
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of
 
 _log = logging.getLogger(__name__)
 
@@ -84,7 +84,7 @@ def read_obj(path: str | Path) -> ControlMesh:
     groups, face_groups = _read_names(statements, face_rows, _GROUP)
     return ControlMesh(
         positions=positions,
-        face_offsets=np.concatenate([[0], np.cumsum(corners.sizes)]).astype(np.int64),
+        face_offsets=offsets_of(corners.sizes),
         face_indices=face_indices,
         uvs=uvs,
         uv_indices=uv_indices,

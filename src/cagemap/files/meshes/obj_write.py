@@ -51,7 +51,9 @@ def write_obj(
     is_own = has_materials and not named
     for written in [library, file] if is_own else [file]:
         require_replaceable(written, force=force)
-    parts = [f"# {mark()}\n", f"mtllib {library.name}\n" if is_own else named, *obj_statements(mesh)]
+    uvs = "" if mesh.uvs is None else _format_lines("vt %r %r\n", mesh.uvs)
+    head = [f"# {mark()}\n", f"mtllib {library.name}\n" if is_own else named]
+    parts = [*head, _format_vertices(mesh), uvs, *_format_faces(mesh), format_tags(mesh)]
     with all_or_nothing():
         if is_own:
             statements = color_statements(mesh.material_names, mesh.material_colors)
@@ -77,16 +79,6 @@ def _libraries_of(file: str | Path | None, folder: Path) -> str:
     if file is None or Path(file).suffix.lower() != ".obj" or not Path(file).is_file():
         return ""
     return _libraries(read_text(Path(file), "an OBJ file"), Path(file), folder)
-
-
-def obj_statements(mesh: ControlMesh) -> list[str]:
-    """Vertices, texture vertices, faces with their objects, groups and materials, and subdivision tags."""
-    parts = [_format_vertices(mesh)]
-    if mesh.uvs is not None:
-        parts.append(_format_lines("vt %r %r\n", mesh.uvs))
-    parts.extend(_format_faces(mesh))
-    parts.append(format_tags(mesh))
-    return parts
 
 
 def _format_lines(pattern: str, table: FloatArray) -> str:

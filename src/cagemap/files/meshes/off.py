@@ -13,7 +13,7 @@ from cagemap.files.ownership import mark
 from cagemap.files.text import read_text
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of
 
 # The prefixes mean texture coordinates, colours or normals, which MeshLab writes in its own order; in some files the
 # counts follow without a space.
@@ -48,8 +48,7 @@ def read_off(path: str | Path) -> ControlMesh:
     outside = np.flatnonzero((indices < 0) | (indices >= n))
     if len(outside):
         raise FormatError(f"{file}: expected vertices from 0 to {n - 1}, got {first_few(indices[outside])}.")
-    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-    return ControlMesh(positions, offsets, indices, name=file.name)
+    return ControlMesh(positions, offsets_of(sizes), indices, name=file.name)
 
 
 def write_off(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
@@ -78,7 +77,7 @@ def _faces(file: Path, rows: list[list[str]]) -> tuple[IndexArray, IndexArray]:
         lengths = np.array([len(row) for row in rows])
         if np.any(sizes < 1) or np.any(lengths < sizes + 1):
             raise ValueError
-        starts = np.concatenate([[0], np.cumsum(sizes)])
+        starts = offsets_of(sizes)
         indices = np.empty(int(starts[-1]), dtype=np.int64)
         for size in np.unique(sizes):
             rows_of_size = np.flatnonzero(sizes == size)

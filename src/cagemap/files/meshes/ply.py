@@ -28,7 +28,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV, UNKNOWN_COLOR
 from cagemap.mesh.faces import merged_corners
 from cagemap.mesh.mesh_report import first_few
-from cagemap.numerics.arrays import FloatArray, IndexArray, as_float64
+from cagemap.numerics.arrays import FloatArray, IndexArray, as_float64, offsets_of
 from cagemap.numerics.srgb import decode_srgb, encode_srgb
 
 _log = logging.getLogger(__name__)
@@ -69,7 +69,7 @@ def read_ply(path: str | Path) -> ControlMesh:
             f"{file}: expected faces with a list vertex_indices, found {len(positions)} vertices and no "
             f"polygon.{strips} Export the control mesh with its faces."
         )
-    offsets = np.concatenate([[0], np.cumsum(corners.lengths)]).astype(np.int64)
+    offsets = offsets_of(corners.lengths)
     indices = _indices(file, corners, len(positions))
     uvs, uv_indices = _uvs(file, vertices, faces.get("texcoord"), corners.lengths, indices)
     mesh = ControlMesh(positions, offsets, indices, uvs, uv_indices, name=file.name, vertex_colors=_colors(vertices))

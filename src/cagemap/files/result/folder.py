@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from cagemap.files.meshes.arrays import (
     scheme_from_entry,
     scheme_to_entry,
 )
-from cagemap.files.npz import ArraySpec, check_arrays, lie_in_triangles, read_npz, write_npz
+from cagemap.files.npz import Archive, ArraySpec, lie_in_triangles, read_npz, write_npz
 from cagemap.files.ownership import is_own, seal, stated_checksum
 from cagemap.files.result.manifest import (
     MANIFEST,
@@ -33,7 +33,6 @@ from cagemap.files.result.manifest import (
     stored_basis,
     stored_check,
     stored_confidence,
-    stored_landmarks,
     stored_quality,
     version_entries,
 )
@@ -43,7 +42,7 @@ from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult, SpectralMap
 from cagemap.mesh import ControlMesh, Scheme
-from cagemap.mesh.landmarks import CagePoints
+from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads
@@ -52,6 +51,7 @@ from cagemap.subdivision import refine
 from cagemap.subdivision.refinement import vertex_counts
 
 ARRAYS = "map.npz"
+_Value = TypeVar("_Value")
 
 _SPECS = {
     "source_triangles": ArraySpec(("t2", 3), below="n2"),
@@ -159,23 +159,23 @@ def read_result(folder: str | Path) -> MatchResult:
     root = Path(folder)
     manifest = read_manifest(root)
     record = parse_record(ResultRecord, manifest, root / MANIFEST, REMEDY)
-    stored = _read_arrays(root / ARRAYS, record.files.get(ARRAYS))
+    archive = _read_arrays(root / ARRAYS, record.files.get(ARRAYS))
     sizes: dict[str, int] = {}
     sides = [
-        _read_side(root, prefix, entry, stored, sizes)
+        _read_side(root, prefix, entry, archive, sizes)
         for prefix, entry in (("target", record.target), ("source", record.source))
     ]
-    target, source = in_threads(lambda side: side.surface(root / ARRAYS, record), sides)
+    target, source = in_threads(lambda side: side.surface(archive, record), sides)
     finest = target.finest_triangles, source.finest_triangles
     sizes["t2"] = len(finest[1].triangles)
-    arrays = check_arrays(root / ARRAYS, stored, _SPECS, sizes, REMEDY)
+    arrays = archive.checked(_SPECS, sizes)
     _check_parts(root, arrays, finest[1].triangles, record)
     point_map = PointMap.from_arrays(*finest, arrays["triangle"], arrays["barycentric"])
     counts = target.control.n_vertices, source.control.n_vertices
-    curves = curves_from_arrays(root / ARRAYS, stored, [curve.name for curve in record.curves], counts, REMEDY)
-    landmarks = stored_landmarks(
-        record.landmark_names, (sides[0].points, sides[1].points), (sides[0].name, sides[1].name), curves
-    )
+    curves = curves_from_arrays(archive, [curve.name for curve in record.curves], counts)
+    names = tuple(record.landmark_names) or tuple(f"point {i}" for i in range(len(sides[0].points)))
+    meshes = target.control.name, source.control.name
+    landmarks = Landmarks.of_points(names, sides[0].points, sides[1].points, *meshes, curves)
     check = stored_check(record.landmark_check, arrays["landmark_errors"])
     other_answers = arrays.get("runner_up_images", np.zeros((0, 0, 3)))
     functional_map = arrays.get("functional_map")
@@ -187,28 +187,18 @@ def read_result(folder: str | Path) -> MatchResult:
         stored_quality(record.quality, check, arrays["landmark_errors"], arrays["trust"]),
         {stage: seconds or 0.0 for stage, seconds in record.timings.items()},
         check,
-        read_level_maps(root / ARRAYS, stored, record.level_maps, (target, source), point_map, functional_map, REMEDY),
+        read_level_maps(archive, record.level_maps, (target, source), point_map, functional_map),
         stored_confidence(record.confidence, point_map, counts[0], other_answers),
         masks=Masks(sides[0].mask, sides[1].mask),
-        shared=_shared(arrays),
-        known_spectral=_spectral(functional_map, *(side.eigenvalues for side in sides)),
+        shared=_if_complete(Masks, arrays.get("target_shared"), arrays.get("source_shared")),
+        known_spectral=_if_complete(SpectralMap, functional_map, *(side.eigenvalues for side in sides)),
         provenance={name: value for name, value in manifest.items() if name not in _TYPED},
     )
 
 
-def _shared(arrays: dict[str, Any]) -> Masks | None:
-    """The stored shared area; None if the match did not compute it."""
-    target, source = arrays.get("target_shared"), arrays.get("source_shared")
-    return None if target is None or source is None else Masks(target, source)
-
-
-def _spectral(
-    functional_map: FloatArray | None, target: FloatArray | None, source: FloatArray | None
-) -> SpectralMap | None:
-    """The stored functional map; None if a part of it is missing."""
-    if functional_map is None or target is None or source is None:
-        return None
-    return SpectralMap(functional_map, target, source)
+def _if_complete(kind: type[_Value], *arrays: FloatArray | None) -> _Value | None:
+    """The value that stored arrays make; None if one of them is missing."""
+    return None if any(array is None for array in arrays) else kind(*arrays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,11 +215,7 @@ class _Side:
     points: CagePoints
     mask: FloatArray | None
 
-    @property
-    def name(self) -> str:
-        return self.control.name
-
-    def surface(self, path: Path, record: ResultRecord) -> Surface:
+    def surface(self, archive: Archive, record: ResultRecord) -> Surface:
         """The surface, refined again; refuses stored vertices and faces that differ from it."""
         count = None if self.eigenvalues is None else len(self.eigenvalues)
         refinement = refine(self.control, self.level, self.scheme)
@@ -237,24 +223,22 @@ class _Side:
         size = float(np.ptp(self.control.positions, axis=0).max())
         same_faces = np.array_equal(surface.faces, self.faces)
         if not same_faces or np.abs(surface.vertices - self.vertices).max() > _DRIFT * size:
-            raise FormatError(f"{path}: {self.prefix}_vertices or faces are not those of the control mesh. {REMEDY}")
+            archive.refuse(f"{self.prefix}_vertices or faces are not those of the control mesh")
         return surface
 
 
-def _read_side(root: Path, prefix: str, entry: SideRecord, stored: dict[str, Any], sizes: dict[str, int]) -> _Side:
+def _read_side(root: Path, prefix: str, entry: SideRecord, archive: Archive, sizes: dict[str, int]) -> _Side:
     """A stored surface; adds its sizes to ``sizes``."""
-    path = root / ARRAYS
     scheme = scheme_from_entry(root / MANIFEST, entry.scheme, REMEDY)
-    names = entry.material_names
-    control = control_from_arrays(path, stored, f"{prefix}_control_", names, entry.name, REMEDY, scheme)
+    control = control_from_arrays(archive, f"{prefix}_control_", entry.material_names, entry.name, scheme)
     number = 1 if prefix == "target" else 2
     sizes |= {
         f"c{number}": control.n_vertices,
         f"n{number}": next(islice(vertex_counts(control, scheme), entry.level, None)),
     }
     specs = {f"{prefix}_{name}": spec for name, spec in _side_specs(number).items()}
-    arrays = check_arrays(path, stored, specs, sizes, REMEDY)
-    points = points_from_arrays(path, arrays, f"{prefix}_landmark_", REMEDY)
+    arrays = archive.checked(specs, sizes)
+    points = points_from_arrays(archive, arrays, f"{prefix}_landmark_")
     return _Side(
         prefix,
         control,
@@ -317,10 +301,10 @@ def _manifest(result: MatchResult) -> dict[str, Any]:
     return fixed | {name: value for name, value in result.manifest.items() if name not in {*fixed, "files"}}
 
 
-def _read_arrays(path: Path, checksum: str | None) -> dict[str, Any]:
+def _read_arrays(path: Path, checksum: str | None) -> Archive:
     if not path.is_file():
         raise FormatError(f"{path}: is missing, so the result is incomplete. {REMEDY}")
-    arrays = read_npz(path, REMEDY)
+    archive = Archive(path, read_npz(path, REMEDY), REMEDY)
     if checksum is not None and stated_checksum(path) not in (None, checksum):
-        raise FormatError(f"{path}: belongs to another {MANIFEST} than the one beside it. {REMEDY}")
-    return arrays
+        archive.refuse(f"belongs to another {MANIFEST} than the one beside it")
+    return archive

@@ -40,8 +40,6 @@ from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.curves import CageCurvePairs
-from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.mesh_report import FileVertex
 from cagemap.numerics.arrays import FloatArray
 from cagemap.spectral import BasisConfig
@@ -219,14 +217,6 @@ def stored_basis(record: BasisRecord | None, count: int | None) -> BasisConfig:
     return BasisConfig(
         record.count, schedule, accuracy, record.literal, record.vertices, record.laplacian, record.stabilisation
     )
-
-
-def stored_landmarks(
-    names: list[str], points: tuple[CagePoints, CagePoints], meshes: tuple[str, str], curves: CageCurvePairs
-) -> Landmarks:
-    """Landmarks and curves of a RESULT. Landmarks without names are called ``point 0``, ``point 1``, ..."""
-    titles = tuple(names) or tuple(f"point {i}" for i in range(len(points[0])))
-    return Landmarks.of_points(titles, *points, *meshes, curves)
 
 
 def stored_check(record: LandmarkCheckRecord | None, errors: FloatArray) -> LandmarkCheck:

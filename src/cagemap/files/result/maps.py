@@ -16,7 +16,7 @@ from scipy import sparse
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
-from cagemap.files.npz import ArraySpec, check_arrays, lie_in_triangles, read_npy, read_npz, write_npy, write_npz
+from cagemap.files.npz import Archive, ArraySpec, lie_in_triangles, read_npy, read_npz, write_npy, write_npz
 from cagemap.files.ownership import mark
 from cagemap.files.schema import LevelMapRecord
 from cagemap.files.text import read_text, require_file
@@ -282,13 +282,11 @@ def level_arrays(result: MatchResult) -> dict[str, NDArray[Any]]:
 
 
 def read_level_maps(
-    path: Path,
-    stored: dict[str, NDArray[Any]],
+    archive: Archive,
     entries: list[LevelMapRecord],
     surfaces: tuple[Surface, Surface],
     point_map: PointMap,
     functional_map: FloatArray | None,
-    remedy: str,
 ) -> tuple[LevelMap, ...]:
     """The level maps that `level_arrays` wrote; the last is the result's own map."""
     if functional_map is None or not entries:
@@ -299,7 +297,7 @@ def read_level_maps(
     if levels[-1] != finest or any(
         target_level > finest[0] or source_level > finest[1] for target_level, source_level in levels
     ):
-        raise FormatError(f"{path}: expected levels of maps that end at {finest}, the manifest has {levels}. {remedy}")
+        archive.refuse(f"expected levels of maps that end at {finest}, the manifest has {levels}")
     maps = []
     for i, entry in enumerate(entries):
         last = i == len(entries) - 1
@@ -312,13 +310,13 @@ def read_level_maps(
                 f"level_{i}_barycentric": ArraySpec(("n1", 3)),
             }
         sizes = {"n1": sides[0].n, "n2": sides[1].n, "t2": len(sides[1].triangles)}
-        arrays = check_arrays(path, stored, specs, sizes, remedy)
+        arrays = archive.checked(specs, sizes)
         points, c = point_map, functional_map
         if not last:
             c = arrays[f"level_{i}_functional_map"]
             places = arrays[f"level_{i}_triangle"], arrays[f"level_{i}_barycentric"]
             if not lie_in_triangles(places[1]):
-                raise FormatError(f"{path}: level_{i}_barycentric lie outside their triangles. {remedy}")
+                archive.refuse(f"level_{i}_barycentric lie outside their triangles")
             points = PointMap.from_arrays(*sides, *places)
         maps.append(LevelMap((entry.target, entry.source), c, arrays[f"level_{i}_match"], points))
     return tuple(maps)

@@ -22,7 +22,7 @@ from cagemap import __version__
 from cagemap.errors import CagemapError, FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.meshes.arrays import control_from_arrays, control_to_arrays, scheme_from_entry, scheme_to_entry
-from cagemap.files.npz import ArraySpec, check_arrays, read_npz, write_npz
+from cagemap.files.npz import Archive, ArraySpec, read_npz, write_npz
 from cagemap.files.ownership import is_own
 from cagemap.files.result.manifest import code_version, mesh_hash, stored_basis
 from cagemap.files.schema import SurfaceRecord, parse_json, parse_record
@@ -143,41 +143,38 @@ def load_surface(path: str | Path, control: ControlMesh | None = None) -> Surfac
     """
     path = Path(path)
     require_file(path, "a prepared surface")
-    arrays = read_npz(path, _REMEDY)
-    header = _header(path, arrays)
+    archive = Archive(path, read_npz(path, _REMEDY), _REMEDY)
+    header = _header(archive)
     scheme = scheme_from_entry(path, header.scheme, _REMEDY)
     if control is None:
-        names = header.material_names
-        control = control_from_arrays(path, arrays, "control_", names, header.name, _REMEDY, scheme)
+        control = control_from_arrays(archive, "control_", header.material_names, header.name, scheme)
     level = 0 if isinstance(scheme, Plain) else header.level
     counts = list(islice(vertex_counts(control, scheme), level + 1))  # before memory runs out
     if (header.level, header.vertices) != (level, counts[-1]):
-        raise FormatError(
-            f"{path}: level {header.level} of its mesh has not {header.vertices} vertices, as stated. {_REMEDY}"
-        )
+        archive.refuse(f"level {header.level} of its mesh has not {header.vertices} vertices, as stated")
     try:
         surface = Surface(refine(control, level, scheme), stored_basis(header.basis, None))
         sizes = {f"n{level}": mesh.n_vertices for level, mesh in enumerate(surface.hierarchy.levels)}
         sizes["n_finest"] = surface.operators.mass[-1].shape[0]
         specs = {f"band_{level}": ArraySpec((f"n{level}", f"k{level}")) for level in range(header.bands)}
-        checked = check_arrays(path, arrays, specs | _BASIS_ARRAYS, sizes, _REMEDY)
+        checked = archive.checked(specs | _BASIS_ARRAYS, sizes)
         bands = tuple(checked[name] for name in specs)
         rest = (checked[name] for name in _BASIS_ARRAYS)
         basis = HierarchicalBasis(surface.hierarchy, surface.operators, bands, *rest)
     except FormatError:
         raise
     except (CagemapError, ValueError) as error:
-        raise FormatError(f"{path}: its arrays do not belong to one surface ({error}). {_REMEDY}") from error
+        archive.refuse(f"its arrays do not belong to one surface ({error})")
     if sum(basis.schedule) != basis.count:
-        raise FormatError(f"{path}: its arrays do not belong to one surface. {_REMEDY}")
+        archive.refuse("its arrays do not belong to one surface")
     return Surface.of(surface.hierarchy, surface.operators, basis, surface.config)
 
 
-def _header(path: Path, arrays: dict[str, Any]) -> SurfaceRecord:
-    stored = arrays.get("header")
-    if stored is None or stored.dtype != np.uint8:
-        raise FormatError(f"{path}: expected a surface stored by cagemap, got something else. Give another file.")
-    entries = parse_json(stored.tobytes().decode("utf-8", "replace"), path, _REMEDY)
+def _header(archive: Archive) -> SurfaceRecord:
+    path, stored = archive.path, archive.arrays.get("header")
+    entries = None
+    if stored is not None and stored.dtype == np.uint8:
+        entries = parse_json(stored.tobytes().decode("utf-8", "replace"), path, _REMEDY)
     if not isinstance(entries, dict) or entries.get("format") != FORMAT:
         raise FormatError(f"{path}: expected a surface stored by cagemap, got something else. Give another file.")
     if entries.get("format_version") != SURFACE_VERSION:

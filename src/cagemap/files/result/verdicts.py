@@ -5,32 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from cagemap.files.result.manifest import doubt_message, landmark_messages
-
-_PERCENT = "{:.2f} %"
 
 
 @dataclass(frozen=True)
 class Rating:
-    """One quality figure with its verdict.
+    """One quality figure with its verdict."""
 
-    Attributes
-    ----------
-    label, value, meaning : str
-        Name, number with unit, and how to read it.
-    severity : float
-        Up to 1 the figure is good, up to 2 fair.
-    finding : str
-        The figure as the end of a sentence.
-    """
-
-    label: str
-    value: str
-    meaning: str
-    severity: float
-    finding: str
+    label: str  # its name
+    value: str  # number with unit
+    meaning: str  # how to read it
+    severity: float  # up to 1 the figure is good, up to 2 fair
+    finding: str  # the figure as the end of a sentence
 
     @property
     def verdict(self) -> str:
@@ -41,14 +29,14 @@ class Rating:
 def rate_figures(quality: dict[str, Any]) -> list[Rating]:
     """Rate the known figures of a manifest's ``quality``."""
     ratings = []
-    for names, complement, label, formatted, meaning, good, fair, finding in _FIGURES:
-        stated = _read_figure(quality, *names)
+    for figure in _FIGURES:
+        stated = _read_figure(quality, *figure.names)
         if stated is None:
             continue
-        value = 1.0 - stated if complement else stated
-        severity = math.inf if math.isnan(value) else _severity(abs(value), good, fair)
-        text = "unknown" if math.isnan(value) else formatted(value)
-        ratings.append(Rating(label, text, meaning, severity, finding.format(text)))
+        value = 1.0 - stated if figure.complement else stated
+        severity = math.inf if math.isnan(value) else _severity(abs(value), figure.good, figure.fair)
+        text = "unknown" if math.isnan(value) else figure.formatted(value)
+        ratings.append(Rating(figure.label, text, figure.meaning, severity, figure.finding.format(text)))
     return ratings
 
 
@@ -93,82 +81,86 @@ def _read_figure(quality: dict[str, Any], *names: str) -> float | None:
     return float(value) if isinstance(value, int | float) else None
 
 
-_FigureRow = tuple[tuple[str, ...], bool, str, Callable[[float], str], str, float, float, str]
-# Names of the entry, whether the figure is its complement to 1, label, format, meaning, largest good and largest fair
-# value, finding.
-_FIGURES: list[_FigureRow] = [
-    (
+def _percent(share: float) -> str:
+    return f"{100 * share:.2f} %"
+
+
+class _Figure(NamedTuple):
+    """A quality figure that is rated."""
+
+    names: tuple[str, ...]  # of its entry
+    label: str
+    meaning: str
+    good: float  # largest good value
+    fair: float  # largest fair value
+    finding: str
+    complement: bool = False  # rate 1 minus the value
+    formatted: Callable[[float], str] = _percent
+
+
+_FIGURES = (
+    _Figure(
         ("landmark_error_mean",),
-        False,
         "Landmarks, mean miss",
-        lambda x: _PERCENT.format(100 * x),
         "How far from their partners the landmarks land, as a share of the model's size (the square root of its area). "
         "0 is exact; 1 % of a person is about a finger's width.",
         0.005,
         0.04,
         "landmarks miss by {} of the model's size",
     ),
-    (
+    _Figure(
         ("landmark_error_worst",),
-        False,
         "Landmarks, worst miss",
-        lambda x: _PERCENT.format(100 * x),
         "The same for the landmark that is met worst. Pairs that were left out do not count.",
         0.01,
         0.15,
         "a landmark misses by {} of the model's size",
     ),
-    (
+    _Figure(
         ("flipped_area",),
-        False,
         "Folded area",
-        lambda x: _PERCENT.format(100 * x),
         "Part of the target where the map runs backwards over itself. A texture is mirrored or smeared there.",
         0.005,
         0.08,
         "{} of the target is folded over",
     ),
-    (
+    _Figure(
         ("coverage",),
-        True,
         "Source left out",
-        lambda x: _PERCENT.format(100 * x),
         "Part of the source's area that nothing of the target maps to. What is painted there does not arrive.",
         0.02,
         # A part that the target lacks (an udder, a mouth) does not make the rest of the map worse.
         0.5,
         "{} of the source arrives nowhere",
+        complement=True,
     ),
-    (
+    _Figure(
         ("dirichlet",),
-        False,
         "Stretch",
-        "{:.2f}".format,
         "1 for a map that keeps all lengths; models of different proportions have more. Lower is smoother.",
         2.0,
         10.0,
         "its stretch is {} (1 keeps all lengths)",
+        formatted="{:.2f}".format,
     ),
-    (
+    _Figure(
         ("aspect_ratio_percentiles", "50"),
-        False,
         "Typical distortion",
-        lambda x: f"{x:.2f} : 1",
         "How much longer than wide a small circle becomes, in the middle half of the surface.",
         2.0,
         4.0,
         "its typical distortion is {}",
+        formatted="{:.2f} : 1".format,
     ),
-    (
+    _Figure(
         ("trusted_area",),
-        True,
         "Not to be trusted",
-        lambda x: _PERCENT.format(100 * x),
         "How far the map is from unfolded and little stretched, averaged over the target; the red places of "
         "the view Problems.",
         0.10,
         # Folds have their own verdict; a toy and a real animal differ by this much stretch.
         0.60,
         "{} of the target is folded or stretched",
+        complement=True,
     ),
-]
+)

@@ -13,7 +13,7 @@ from cagemap.character.values import Animation, Rig, Track
 from cagemap.files.gltf.character import ShapeKeys, animation_names, read_shape_keys
 from cagemap.files.gltf.parts import Scene
 from cagemap.files.usd.skeleton import define_skeleton, joint_paths
-from cagemap.files.usd.stages import identifiers, usd_modules
+from cagemap.files.usd.stages import identifiers, pxr
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray
 
@@ -35,7 +35,6 @@ def write_rig(stage: Any, rig: Rig, animations: Sequence[Animation], scene: Scen
 
     ``scene``: the document of the same animations, with the weights of blend shapes.
     """
-    pxr = usd_modules()
     rig, animations = remove_scale(rig, animations)
     paths = joint_paths(rig.names, [rig.names[parent] if parent >= 0 else "" for parent in rig.parents])
     skeleton = define_skeleton(stage, SKELETON, paths, rig.bind, rig.local)
@@ -121,7 +120,6 @@ def _write_animation(
     rate: float,
 ) -> Any:
     """Write a `SkelAnimation` of the joints that tracks move, and of blend shapes."""
-    pxr = usd_modules()
     animation = pxr.UsdSkel.Animation.Define(stage, path)
     joints = sorted({track.joint for track in tracks})
     animation.CreateJointsAttr([paths[joint] for joint in joints])
@@ -149,7 +147,7 @@ def _samples(rows: Sequence[ShapeKeys], rate: float, *, quaternions: bool = Fals
     times = np.unique(np.concatenate(timed)) if timed else np.zeros(1)
     values = [interpolate_keys(*keys, times, quaternions=quaternions) for keys in rows]
     for place, frame in enumerate(_frames(times, rate).tolist() if rows else ()):
-        yield frame if timed else usd_modules().Usd.TimeCode.Default(), np.array([of[place] for of in values])
+        yield frame if timed else pxr.Usd.TimeCode.Default(), np.array([of[place] for of in values])
 
 
 def _sample_times(times: FloatArray, interpolation: str, rate: float) -> FloatArray:

@@ -12,20 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.character.values import Character, Part, Rig, Track
+from cagemap.character.values import Character, Part, Rig
 from cagemap.files.atomic import atomic_path, write_whole
 from cagemap.files.gltf.binary import NGONS
-from cagemap.files.gltf.character import to_rig_space
+from cagemap.files.gltf.character import transform_track
 from cagemap.files.gltf.geometry import uv_sets_in_order
 from cagemap.files.gltf.nodes import moved_nodes
-from cagemap.files.gltf.parts import Scene, transform_normals
+from cagemap.files.gltf.parts import Scene, transform_part
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.ownership import mark
 from cagemap.files.usd.animations import SKELETON, write_rig
 from cagemap.files.usd.materials import WRITTEN, uv_primvar, write_materials
-from cagemap.files.usd.prims import faces_by_name, transform_points
+from cagemap.files.usd.prims import faces_by_name
 from cagemap.files.usd.space import StageSpace, to_metres
-from cagemap.files.usd.stages import identifiers, open_stage, usd_modules
+from cagemap.files.usd.stages import identifiers, open_stage, pxr
 from cagemap.files.usd.write import check_usd_path, export_layer, new_stage
 from cagemap.files.usd.write_mesh import (
     write_blend_shapes,
@@ -37,7 +37,6 @@ from cagemap.files.usd.write_mesh import (
 )
 from cagemap.mesh import Plain
 from cagemap.mesh.faces import cage_triangles
-from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.triangles import vertex_normals
 
 # Extensions of glTF that are written or hold nothing of the character; contents of others.
@@ -101,36 +100,20 @@ def write_usd_character(
 def _to_space(character: Character, space: StageSpace) -> Character:
     """A character in metres with Y up as one in a space, by a similarity without a mirror."""
     matrix = np.asarray(np.linalg.inv(to_metres(space)), dtype=np.float64)
-    turn = matrix[:3, :3]
-    parts = [
-        replace(
-            part,
-            mesh=part.mesh.with_positions(transform_points(part.mesh.positions, matrix)),
-            shapes={name: offsets @ turn for name, offsets in part.shapes.items()},
-            normals=None if part.normals is None else transform_normals(part.normals, turn),
-        )
-        for part in character.parts
-    ]
     rig, animations = character.rig, character.animations
     if rig is not None:
         roots = rig.parents < 0
         local = np.where(roots[:, None, None], rig.local @ matrix, rig.local)
         rig = replace(rig, local=local, bind=rig.bind @ matrix)
         animations = tuple(
-            replace(one, tracks=tuple(_transform_track(t, matrix) if roots[t.joint] else t for t in one.tracks))
+            replace(one, tracks=tuple(transform_track(t, matrix) if roots[t.joint] else t for t in one.tracks))
             for one in animations
         )
-    return replace(character, parts=tuple(parts), rig=rig, animations=animations)
-
-
-def _transform_track(track: Track, matrix: FloatArray) -> Track:
-    """A root's track after a similarity of the whole character."""
-    tangents = track.interpolation == "CUBICSPLINE"
-    return replace(track, values=to_rig_space(track.values, track.channel, matrix, tangents=tangents))
+    parts = tuple(transform_part(part, matrix) for part in character.parts)
+    return replace(character, parts=parts, rig=rig, animations=animations)
 
 
 def _write_part(stage: Any, path: str, part: Part, materials: Mapping[str, Any], *, skinned: bool) -> Any:
-    pxr = usd_modules()
     mesh, prim = part.mesh, pxr.UsdGeom.Mesh.Define(stage, path)
     write_topology(prim, mesh)
     if part.colors is not None:
@@ -180,7 +163,6 @@ def _left_out(scene: Scene) -> list[str]:
 
 def _save(layer: Any, file: Path, images: Mapping[str, bytes], sizes: Mapping[str, int], *, force: bool) -> None:
     """Write layer and images, verified by the numbers of points of the meshes."""
-    pxr = usd_modules()
 
     def is_whole(temporary: Path) -> bool:
         stage = open_stage(temporary)

@@ -15,12 +15,12 @@ from scipy import sparse
 from cagemap.character.poses import parent_transforms
 from cagemap.character.values import Animation, Channel, Character, Part, Rig, Track
 from cagemap.errors import FormatError
-from cagemap.files.gltf.binary import Binary
+from cagemap.files.gltf.binary import Binary, add_channel
 from cagemap.files.gltf.character import to_rig_space
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import uv_sets_in_order
 from cagemap.files.gltf.nodes import is_invertible
-from cagemap.files.gltf.parts import transform_normals, transform_offsets
+from cagemap.files.gltf.parts import transform_part
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.text import make_distinct
 from cagemap.files.usd.animations import remove_scale
@@ -32,13 +32,13 @@ from cagemap.files.usd.prims import (
     primvar_values,
     read_value,
 )
-from cagemap.files.usd.read import UsdMesh, place_in_world, prims_of, read_usd_meshes
+from cagemap.files.usd.read import UsdMesh, prims_of, read_usd_meshes
 from cagemap.files.usd.shader_inputs import color_uv_name
 from cagemap.files.usd.shaders import MaterialUser, with_materials
 from cagemap.files.usd.skeleton import joint_names, joint_parents, joints_of
 from cagemap.files.usd.space import stage_units, to_metres
-from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, usd_modules
-from cagemap.files.usd.transforms import is_mirrored, is_similarity, local_to_world
+from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, pxr
+from cagemap.files.usd.transforms import is_similarity, local_to_world
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.faces import reversed_corners
 from cagemap.mesh.mesh_report import first_few
@@ -59,16 +59,18 @@ def usd_document(path: str | Path, meshes: Sequence[UsdMesh] | None = None) -> D
 
 
 def document_and_character(path: str | Path, meshes: Sequence[UsdMesh] | None = None) -> tuple[Document, Character]:
-    """A USD file as by `usd_document` and `read_usd_character`; names are the same in both."""
+    """A USD file as by `usd_document`, and as a character whose parts have the vertices of its meshes in their order.
+
+    Names are the same in both.
+    """
     file = Path(path)
     with damage_as_error(file), open_each_once():
         stage, meshes = open_stage(file), read_usd_meshes(file) if meshes is None else meshes
         character, weights = _read(file, stage, meshes)
         plain = replace(character_glb(character), file=file)
-        geometry = usd_modules().UsdGeom
         users = dict[str, list[MaterialUser]]()
         for part, mesh in zip(character.parts, meshes, strict=True):
-            double_sided = bool(geometry.Mesh(stage.GetPrimAtPath(mesh.path)).GetDoubleSidedAttr().Get())
+            double_sided = bool(pxr.UsdGeom.Mesh(stage.GetPrimAtPath(mesh.path)).GetDoubleSidedAttr().Get())
             user = MaterialUser(tuple(one.name for one in uv_sets_in_order(part.mesh)), double_sided)
             for name in part.mesh.material_names:
                 users.setdefault(name, []).append(user)
@@ -76,18 +78,11 @@ def document_and_character(path: str | Path, meshes: Sequence[UsdMesh] | None = 
     return document, character
 
 
-def read_usd_character(path: str | Path) -> Character:
-    """Read a USD file as a character: meshes as parts, with the vertices of `cagemap.files.usd.read.read_usd`."""
-    with damage_as_error(path), open_each_once():
-        return _read(Path(path), open_stage(path), read_usd_meshes(path))[0]
-
-
 # Times in seconds, and weights (k, shapes) of named blend shapes, by animation; with the name "" those at rest.
 _ShapeWeights = dict[str, tuple[FloatArray, dict[str, FloatArray]]]
 
 
 def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character, _ShapeWeights]:
-    pxr = usd_modules()
     prims = [stage.GetPrimAtPath(mesh.path) for mesh in meshes]
     bound = [pxr.UsdSkel.BindingAPI(prim).GetInheritedSkeleton() for prim in prims]
     skeletons = {str(one.GetPath()): one for one in bound if one}
@@ -125,25 +120,20 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
             table = np.maximum(table, 0.0)
             table[~table.any(axis=1), 0] = 1.0
             table = sparse.csr_array(table / table.sum(axis=1, keepdims=True))
-        placed = place_in_world(replace(mesh, to_world=mesh_to_world))
-        control = replace(placed.control, name=name, upright=Y_UP, face_objects=None, object_names=())
+        control = replace(mesh.control, name=name, upright=Y_UP)
         shapes = {
             label.removeprefix(BLEND_SHAPE): offsets
-            for label, offsets in placed.attributes.items()
+            for label, offsets in mesh.attributes.items()
             if label.startswith(BLEND_SHAPE)
         }
-        normals, shape_normals = _normals(f"{file}: {mesh.path}", prim, control, mesh_to_world), {}
+        normals, shape_normals = _normals(f"{file}: {mesh.path}", prim, control), {}
         if normals is not None:
-            turn = mesh_to_world[:3, :3]
-            shape_normals = {
-                label: transform_offsets(offsets[control.face_indices], normals, turn)
-                for label, offsets in mesh.shape_normals.items()
-            }
-            normals = transform_normals(normals, turn)
+            shape_normals = {label: offsets[control.face_indices] for label, offsets in mesh.shape_normals.items()}
         if control.vertex_colors is not None and color_uv_name(prim):
             text = "%s: %s: USD shows the image of its material without the display colours, glTF multiplies both"
             _log.warning(text, file, mesh.path)
-        parts.append(Part(name, control, table, shapes, normals, shape_normals, placed.colors))
+        part = Part(name, control, table, shapes, normals, shape_normals, mesh.colors)
+        parts.append(transform_part(part, mesh_to_world))
     if rig is not None:
         rig, animations = remove_scale(rig, animations)
     return Character(tuple(parts), rig, animations), weights
@@ -156,12 +146,9 @@ def _is_moved(prim: Any) -> bool:
     return any(one.GetName() in ("points", "visibility") or one.GetNamespace() == "xformOp" for one in attributes)
 
 
-def _normals(where: str, prim: Any, control: ControlMesh, matrix: FloatArray) -> FloatArray | None:
-    """Normals (c, 3), as stored, of the corners of a plain mesh in world space; None for other meshes and without any.
-
-    ``matrix``: to world space, which has reversed the faces if it mirrors.
-    """
-    geometry, primvar = usd_modules().UsdGeom.Mesh(prim), usd_modules().UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
+def _normals(where: str, prim: Any, control: ControlMesh) -> FloatArray | None:
+    """Normals (c, 3), as stored, of the corners of a plain mesh; None for other meshes and without any."""
+    geometry, primvar = pxr.UsdGeom.Mesh(prim), pxr.UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar.HasValue():
         values, numbers, kind = primvar_values(where, primvar)
     else:
@@ -170,7 +157,7 @@ def _normals(where: str, prim: Any, control: ControlMesh, matrix: FloatArray) ->
     if not len(values) or not isinstance(control.scheme, Plain):
         return None
     rows = corner_rows(control, kind)
-    if kind == "faceVarying" and (geometry.GetOrientationAttr().Get() == "leftHanded") != is_mirrored(matrix):
+    if kind == "faceVarying" and geometry.GetOrientationAttr().Get() == "leftHanded":
         rows = reversed_corners(control.face_offsets)
     if rows is None or len(numbers) <= rows.max() or values.shape[1:] != (3,) or not np.isfinite(values).all():
         text = "%s: its normals are left out, others are computed: expected finite ones, got %d of interpolation %s"
@@ -199,7 +186,6 @@ def _animations(
     file: Path, stage: Any, skeleton: Any, rig: Rig, rig_to_world: FloatArray
 ) -> tuple[tuple[Animation, ...], _ShapeWeights]:
     """Animations of a skeleton's joints, the bound one first, and their weights of blend shapes."""
-    pxr = usd_modules()
     bound = pxr.UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource()
     prims = [*([bound] if bound else []), *prims_of(stage, pxr.UsdSkel.Animation)]
     prims = [pxr.UsdSkel.Animation(prim) for prim in dict.fromkeys(prims)]
@@ -220,7 +206,7 @@ def _animations(
                 if joint in joints and len(times):
                     keys = values[:, column]
                     if rig.parents[joints.index(joint)] < 0:
-                        keys = to_rig_space(keys, channel, rig_to_world, tangents=False)
+                        keys = to_rig_space(keys, channel, rig_to_world)
                     kept = slice(None) if np.ptp(keys, axis=0).any() else slice(1)
                     tracks.append(Track(joints.index(joint), channel, times[kept], keys[kept]))
         shapes = [str(shape) for shape in animation.GetBlendShapesAttr().Get() or []]
@@ -257,7 +243,7 @@ def _samples(attribute: Any, rows: int, start: float, rate: float) -> tuple[Floa
 
     ``rate``: time codes per second.
     """
-    codes = attribute.GetTimeSamples() or [usd_modules().Usd.TimeCode.Default()]
+    codes = attribute.GetTimeSamples() or [pxr.Usd.TimeCode.Default()]
     values = [attribute.Get(code) for code in codes]
     if not rows or any(value is None or len(value) != rows for value in values):
         return np.zeros(0), np.zeros((0, rows))
@@ -282,14 +268,8 @@ def _with_shape_weights(document: Document, character: Character, weights: _Shap
             if not name:
                 top["meshes"][top["nodes"][nodes[part.name]]["mesh"]]["weights"] = table[0].tolist()
                 continue
-            keys = times.astype("<f4")
-            sampler = {
-                "input": binary.accessor(keys, min=[float(keys.min())], max=[float(keys.max())]),
-                "output": binary.accessor(table.astype("<f4").ravel()),
-            }
-            target = {"node": nodes[part.name], "path": "weights"}
-            entry["samplers"].append(sampler)
-            entry["channels"].append({"sampler": len(entry["samplers"]) - 1, "target": target})
+            sampler = {"input": binary.times(times), "output": binary.accessor(table.astype("<f4").ravel())}
+            add_channel(entry, nodes[part.name], "weights", sampler)
         if not entry["channels"]:
             entries.remove(entry)
     return binary.document({key: value for key, value in top.items() if key != "animations" or value})

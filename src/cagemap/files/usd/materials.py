@@ -17,7 +17,7 @@ from cagemap.files.gltf.textures import CLAMP, MIRROR, REPEAT, WITHOUT_IMAGE, sc
 from cagemap.files.images.image import image_of_bytes
 from cagemap.files.ownership import is_own, mark
 from cagemap.files.usd.results import connect_texture, define_material, uv_reader
-from cagemap.files.usd.stages import identifiers, usd_modules
+from cagemap.files.usd.stages import identifiers, pxr
 from cagemap.numerics.arrays import FloatArray
 
 STRENGTH = "KHR_materials_emissive_strength"
@@ -114,7 +114,7 @@ def _inputs(
 
 
 def _set_constant(surface: Any, name: str, value: FloatArray) -> None:
-    types = usd_modules().Sdf.ValueTypeNames
+    types = pxr.Sdf.ValueTypeNames
     if len(value) == 3:
         surface.CreateInput(name, types.Color3f).Set(tuple(value.tolist()))
     else:
@@ -130,7 +130,6 @@ def _scaling(scale: FloatArray, bias: float) -> dict[str, object]:
 
 def _reader(stage: Any, material: Any, image: MaterialImage) -> Any:
     """The shader of an image's texture coordinates, transformed as KHR_texture_transform says."""
-    pxr = usd_modules()
     name = uv_primvar(int(image.uv_set.removeprefix("TEXCOORD_")))
     reader = uv_reader(stage, material.AppendChild(f"uv_{name}"), name)
     matrix = image.transform

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.usd.shader_inputs import bound_material, color_uv_name, setting_of
-from cagemap.files.usd.stages import usd_modules
+from cagemap.files.usd.stages import pxr
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import merged_corners, place_counts
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -30,7 +30,7 @@ _LEFT_OUT = "%s: primvar %s of %s is left out: there are as many vertices; expor
 def read_value(attribute: Any) -> Any:
     """Value of an attribute or primvar: the default one, else that of its first time sample."""
     value = attribute.Get()
-    return attribute.Get(usd_modules().Usd.TimeCode.EarliestTime()) if value is None else value
+    return attribute.Get(pxr.Usd.TimeCode.EarliestTime()) if value is None else value
 
 
 def bind_transform(prim: Any) -> FloatArray:
@@ -61,7 +61,7 @@ def uv_primvars(where: str, prim: Any) -> list[Any]:
     image, else the first as listed.
     """
     color, primvars = color_uv_name(prim), []
-    for primvar in usd_modules().UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
+    for primvar in pxr.UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
         kind, name = str(primvar.GetTypeName()).removesuffix("[]"), primvar.GetPrimvarName()
         plain = kind in ("float2", "double2", "half2") and name in ("st", "uv", "UVMap", color)
         if (kind.startswith("texCoord2") or plain) and primvar.HasValue():
@@ -97,7 +97,7 @@ def _at_corners(where: str, control: ControlMesh, primvar: Any) -> tuple[FloatAr
 
 def display_colors(where: str, control: ControlMesh, prim: Any) -> tuple[str, FloatArray | None]:
     """Interpolation and linear colour and opacity (c, 4) of the face corners; None without, or with one for all."""
-    api = usd_modules().UsdGeom.PrimvarsAPI(prim)
+    api = pxr.UsdGeom.PrimvarsAPI(prim)
     color, opacity = map(api.FindPrimvarWithInheritance, ("displayColor", "displayOpacity"))
     interpolation = str(color.GetInterpolation()) if color.HasValue() and len(read_value(color)) else "constant"
     if interpolation == "constant":
@@ -134,7 +134,7 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
     counts = place_counts(control)
     arrays: dict[str, NDArray[Any]] = {}
     corners = _corners_of_vertices(control)
-    for primvar in usd_modules().UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
+    for primvar in pxr.UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
         name = primvar.GetPrimvarName()
         if name in taken or name.startswith("skel:") or not primvar.HasValue():
             continue
@@ -173,7 +173,7 @@ def primvar_values(where: str, primvar: Any) -> tuple[NDArray[Any], IndexArray, 
         values = values.astype(np.float32)
     numbers = np.arange(len(values))
     if primvar.IsIndexed():
-        numbers = index_array(primvar.GetIndices() or primvar.GetIndices(usd_modules().Usd.TimeCode.EarliestTime()))
+        numbers = index_array(primvar.GetIndices() or primvar.GetIndices(pxr.Usd.TimeCode.EarliestTime()))
         if len(numbers) and (numbers.min() < 0 or numbers.max() >= len(values)):
             _refuse(where, primvar, f"got indices from {numbers.min()} to {numbers.max()} into {len(values)} values")
     return values, numbers, str(primvar.GetInterpolation())
@@ -191,7 +191,7 @@ def _weights(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[A
     stated_by = [_skinning_attribute(prim, f"primvars:skel:{name}") for name in ("jointIndices", "jointWeights")]
     if None in stated_by:
         return {}
-    indices, weights = map(usd_modules().UsdGeom.Primvar, stated_by)
+    indices, weights = map(pxr.UsdGeom.Primvar, stated_by)
     joints, rows, _ = primvar_values(where, indices)
     values, weight_rows, interpolation = primvar_values(where, weights)
     joints, values = joints.reshape(len(joints), -1)[rows], values.reshape(len(values), -1)[weight_rows]
@@ -207,7 +207,7 @@ def _weights(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[A
 
 def _skeleton_joint_numbers(where: str, weights: Any, joints: NDArray[Any], prim: Any) -> tuple[NDArray[Any], int]:
     """Joint numbers in the order of the bound skeleton, and its number of joints."""
-    skeleton = usd_modules().UsdSkel.BindingAPI(prim).GetInheritedSkeleton()
+    skeleton = pxr.UsdSkel.BindingAPI(prim).GetInheritedSkeleton()
     joints_of_skeleton = list(skeleton.GetJointsAttr().Get() or []) if skeleton else []
     order = _skinning_attribute(prim, "skel:joints")
     joints_of_mesh = list((order and order.Get()) or joints_of_skeleton)
@@ -223,7 +223,6 @@ def _skeleton_joint_numbers(where: str, weights: Any, joints: NDArray[Any], prim
 
 def blend_shapes(where: str, control: ControlMesh, prim: Any) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
     """Offsets (n, 3) of all vertices by name of a blend shape, and offsets of normals of shapes that state them."""
-    pxr = usd_modules()
     binding = pxr.UsdSkel.BindingAPI(prim)
     names = binding.GetBlendShapesAttr().Get() or []
     targets = binding.GetBlendShapeTargetsRel().GetTargets() if len(names) else []
@@ -269,7 +268,6 @@ def face_sets(where: str, prim: Any, n_faces: int, labels: Mapping[str, str]) ->
 
     ``labels``: names of materials by path.
     """
-    pxr = usd_modules()
     materials = np.full(n_faces, -1, dtype=np.int64)
     names: list[str] = []
     groups: list[tuple[str, IndexArray]] = []

@@ -28,7 +28,7 @@ from cagemap.files.usd.prims import (
     transform_points,
     uv_primvars,
 )
-from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, usd_modules
+from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, pxr
 from cagemap.files.usd.transforms import drop_flattened, is_mirrored, is_similarity, local_to_world
 from cagemap.mesh import ControlMesh, Scheme
 from cagemap.mesh.control_mesh import UvSet
@@ -37,7 +37,7 @@ from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.parts import join_meshes
 from cagemap.mesh.schemes import SCHEMES, scheme_name
 from cagemap.mesh.weld import COLOR_STEP
-from cagemap.numerics.arrays import FloatArray, grouped_sums
+from cagemap.numerics.arrays import FloatArray, grouped_sums, offsets_of
 from cagemap.numerics.srgb import encode_srgb
 from cagemap.subdivision import default_scheme
 from cagemap.surface.alignment import Y_UP, Z_UP
@@ -77,7 +77,7 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     and meshes that their transform flattens (as animators hide them), with a warning.
     """
     file = Path(path)
-    stage, pxr = open_stage(file), usd_modules()
+    stage = open_stage(file)
     with damage_as_error(file):
         prims = prims_of(stage, pxr.UsdGeom.Mesh)
         others = [*prims_of(stage, pxr.UsdGeom.Gprim), *prims_of(stage, pxr.UsdGeom.PointInstancer)]
@@ -108,19 +108,18 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
 
 def _is_final(prim: Any) -> bool:
     """Whether a prim is visible, not a preview by its purpose, and not a prototype of a point instancer."""
-    geometry = usd_modules().UsdGeom
     above = prim.GetParent()
     while above:
-        if above.IsA(geometry.PointInstancer):
+        if above.IsA(pxr.UsdGeom.PointInstancer):
             return False
         above = above.GetParent()
-    imageable = geometry.Imageable(prim)
+    imageable = pxr.UsdGeom.Imageable(prim)
     return str(imageable.ComputePurpose()) not in _STAND_INS and str(imageable.ComputeVisibility()) != "invisible"
 
 
 def prims_of(stage: Any, kind: Any) -> list[Any]:
     """All active prims of a type, those in instances included."""
-    every = usd_modules().Usd.PrimRange.Stage(stage, usd_modules().Usd.TraverseInstanceProxies())
+    every = pxr.Usd.PrimRange.Stage(stage, pxr.Usd.TraverseInstanceProxies())
     return [prim for prim in every if prim.IsA(kind)]
 
 
@@ -128,7 +127,7 @@ def material_labels(stage: Any) -> dict[str, str]:
     """Names of all materials by path: as displayed, or the path if another material has it; one for all instances."""
     label_of: dict[Any, str] = {}
     labels, taken = dict[str, str](), set[str]()
-    for prim in prims_of(stage, usd_modules().UsdShade.Material):
+    for prim in prims_of(stage, pxr.UsdShade.Material):
         source, path = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim, str(prim.GetPath())
         name = prim.GetDisplayName() or prim.GetName()
         label_of.setdefault(source, path if name in taken else name)
@@ -181,7 +180,7 @@ def join_usd_meshes(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool 
 
 def values_beside_mesh(path: str | Path) -> list[str]:
     """What `read_usd` takes no notice of: primvars, weights, blend shapes, and images of materials."""
-    shader = usd_modules().UsdShade.Shader
+    shader = pxr.UsdShade.Shader
     with open_each_once():
         names = {name for mesh in read_usd_meshes(path) for name in mesh.attributes} - {"displayColor"}
         ids = {shader(prim).GetIdAttr().Get() for prim in prims_of(open_stage(path), shader)}
@@ -231,7 +230,6 @@ def place_in_world(mesh: UsdMesh) -> UsdMesh:
 
 
 def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
-    pxr = usd_modules()
     mesh = pxr.UsdGeom.Mesh(prim)
     where = f"{file}: {prim.GetPath()}"
     positions = np.array(read_value(mesh.GetPointsAttr()), dtype=np.float64).reshape(-1, 3)
@@ -252,14 +250,12 @@ def _read_prim(file: Path, prim: Any, labels: Mapping[str, str]) -> UsdMesh:
             f"{where}: expected vertex numbers from 0 to {len(positions) - 1}, got {indices.min()} to {indices.max()}. "
             "Export the mesh again."
         )
-    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    offsets = offsets_of(sizes)
     control = ControlMesh(positions, offsets, indices, name=str(prim.GetPath()), scheme=_scheme(where, mesh))
     control = replace(control, **_sharpness(where, mesh))
     primvars = uv_primvars(where, prim)
     sets = [UvSet(primvar.GetPrimvarName(), *corner_values(where, control, primvar)) for primvar in primvars]
-    if sets:
-        first, *further = sets
-        control = replace(control.with_uvs(first.uvs, first.uv_indices), uv_name=first.name, uv_sets=tuple(further))
+    control = control.with_uv_sets(sets)
     control = replace(control, **face_sets(where, prim, control.n_faces, labels))
     shapes, shape_normals = blend_shapes(where, control, prim)
     attributes = primvar_arrays(where, control, prim)

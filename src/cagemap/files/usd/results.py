@@ -10,7 +10,7 @@ from typing import Any
 from cagemap.errors import FormatError
 from cagemap.files.ownership import MARKED
 from cagemap.files.text import text_name
-from cagemap.files.usd.stages import usd_modules
+from cagemap.files.usd.stages import pxr
 
 # Inputs of UsdPreviewSurface: type, output of the texture, whether values are display colours, and usual names of maps
 # in small letters without spaces, "_" and "-".
@@ -66,7 +66,6 @@ def bind_textures(stage: Any, prim: Any, textures: Mapping[str, str], uv_name: s
     ``textures``: image by map name; paths relative to the layer, ``<UDIM>`` for a set.
     ``uv_name``: primvar of the texture coordinates.
     """
-    pxr = usd_modules()
     root = prim.GetPath().GetPrefixes()[0]
     material, surface = define_material(stage, root.AppendChild(MATERIAL))
     # Named by its UV set: textures of an earlier transfer may use another one.
@@ -79,7 +78,6 @@ def bind_textures(stage: Any, prim: Any, textures: Mapping[str, str], uv_name: s
 
 def define_material(stage: Any, path: Any) -> tuple[Any, Any]:
     """Define a material with a UsdPreviewSurface; returns both."""
-    pxr = usd_modules()
     material = pxr.UsdShade.Material.Define(stage, path)
     surface = pxr.UsdShade.Shader.Define(stage, material.GetPath().AppendChild("surface"))
     surface.CreateIdAttr("UsdPreviewSurface")
@@ -89,7 +87,6 @@ def define_material(stage: Any, path: Any) -> tuple[Any, Any]:
 
 def uv_reader(stage: Any, path: Any, uv_name: str) -> Any:
     """Define the shader that reads texture coordinates from a primvar."""
-    pxr = usd_modules()
     reader = pxr.UsdShade.Shader.Define(stage, path)
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", pxr.Sdf.ValueTypeNames.String).Set(uv_name)
@@ -113,7 +110,6 @@ def connect_texture(
     ``output``: channels of the image; default: the usual ones of the input.
     ``settings``: of the texture shader, such as ``scale``.
     """
-    pxr = usd_modules()
     types = pxr.Sdf.ValueTypeNames
     kind, usual_output, is_color, _ = _INPUTS[name]
     output = output or usual_output
@@ -140,7 +136,6 @@ def add_earlier(layer: Any, file: Path, prim_paths: Sequence[str], *, force: boo
     ``file``: the layer's output. A file that cagemap did not write adds nothing.
     ``prim_paths``: the meshes of the results. Returns whether earlier results were added.
     """
-    pxr = usd_modules()
     try:
         earlier = pxr.Sdf.Layer.OpenAsAnonymous(text_name(file)) if file.is_file() else None
     except pxr.Tf.ErrorException:  # not USD: replaced with ``force``, otherwise refused
@@ -184,7 +179,7 @@ def _join_shapes(new: Any, old: Any) -> None:
         dict(zip(prim.properties[_SHAPES].default, _targets(prim).explicitItems, strict=False)) for prim in (new, old)
     )
     kept = {name: path for name, path in kept.items() if name in given or path not in given.values()} | given
-    new.properties[_SHAPES].default = usd_modules().Vt.TokenArray(list(kept))
+    new.properties[_SHAPES].default = pxr.Vt.TokenArray(list(kept))
     _targets(new).explicitItems = list(kept.values())
 
 

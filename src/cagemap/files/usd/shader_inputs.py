@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cagemap.files.usd.stages import usd_modules
+from cagemap.files.usd.stages import pxr
 
 
 def source_of(shader: Any, name: str) -> Any:
@@ -24,7 +24,7 @@ def setting_of(shader: Any, name: str, default: Any) -> Any:
 def shader_of(shader: Any, name: str, kind: str) -> Any:
     """The shader connected to an input if its id is ``kind``, else None."""
     source = source_of(shader, name)
-    found = usd_modules().UsdShade.Shader(source.GetPrim()) if source else None
+    found = pxr.UsdShade.Shader(source.GetPrim()) if source else None
     return found if found and found.GetIdAttr().Get() == kind else None
 
 
@@ -42,7 +42,7 @@ def uv_name(texture: Any) -> str:
 
 def bound_material(prim: Any) -> Any:
     """The material of a prim in previews, else in final renderings; also one of a prim above it or of a collection."""
-    api = usd_modules().UsdShade.MaterialBindingAPI(prim)
+    api = pxr.UsdShade.MaterialBindingAPI(prim)
     return api.ComputeBoundMaterial("preview")[0] or api.ComputeBoundMaterial("full")[0]
 
 

@@ -23,7 +23,7 @@ from cagemap.files.images.image import UDIM_MARK, Image, Pixels, image_of_bytes
 from cagemap.files.usd.materials import STRENGTH, WRAP_WORDS
 from cagemap.files.usd.read import material_labels
 from cagemap.files.usd.shader_inputs import setting_of, shader_of, source_of, uv_name, uv_transform
-from cagemap.files.usd.stages import usd_modules
+from cagemap.files.usd.stages import pxr
 from cagemap.mesh.mesh_report import first_few
 
 _log = logging.getLogger(__name__)
@@ -53,12 +53,11 @@ def with_materials(document: Document, stage: Any, users: Mapping[str, Sequence[
 
     ``users``: by name of a material; the first mesh tells whether it is double-sided, and the numbers of UV sets.
     """
-    shade = usd_modules().UsdShade
     named = {label: stage.GetPrimAtPath(path) for path, label in material_labels(stage).items()}
     made = _Materials(document)
     for entry, name in zip(made.top.get("materials", []), material_names(document), strict=True):
         entry |= {"doubleSided": True} if users[name][0].double_sided else {}
-        material = shade.Material(named[name]) if name in named else None
+        material = pxr.UsdShade.Material(named[name]) if name in named else None
         surface = material.ComputeSurfaceSource()[0] if material else None
         if surface and surface.GetIdAttr().Get() == "UsdPreviewSurface":
             made.fill(entry, surface, [user.uv_sets for user in users[name]])

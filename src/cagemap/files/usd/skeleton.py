@@ -13,7 +13,7 @@ from cagemap.character.poses import parent_transforms, rotations_of
 from cagemap.errors import FormatError
 from cagemap.files.usd.prims import bind_transform, index_array, transform_points
 from cagemap.files.usd.read import one_mesh, read_usd_meshes
-from cagemap.files.usd.stages import damage_as_error, identifiers, open_stage, usd_modules
+from cagemap.files.usd.stages import damage_as_error, identifiers, open_stage, pxr
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -21,11 +21,13 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 def read_usd_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skeleton | None:
     """The skeleton of a mesh in a USD file in its bind pose, in the space of `read_usd`; None without one.
 
+    Tails of joints are at their children.
+
     ``control``: the mesh; needed if the file has several.
     """
     meshes = read_usd_meshes(path)
     chosen = one_mesh(path, meshes, control)
-    pxr, stage = usd_modules(), open_stage(path)
+    stage = open_stage(path)
     prim = stage.GetPrimAtPath(chosen.path)
     skeleton = pxr.UsdSkel.BindingAPI(prim).GetInheritedSkeleton()
     if not skeleton:
@@ -37,7 +39,9 @@ def read_usd_skeleton(path: str | Path, control: ControlMesh | None = None) -> S
     if not np.isfinite(bound_at).all() or abs(np.linalg.det(bound_at)) < 1e-12:
         raise FormatError(f"{where}: the mesh's bind transform has no inverse. Export the skeleton again.")
     placed = binds @ np.linalg.inv(bound_at) @ (chosen.to_world if len(meshes) > 1 else np.eye(4))
-    return _named_skeleton(joints, placed)
+    names, parents, heads = joint_names(joints), joint_parents(joints), placed[:, 3, :3]
+    above = tuple(names[parent] if parent >= 0 else "" for parent in parents)
+    return Skeleton(tuple(names), above, heads, tails_of(heads, parents), placed[:, :3, :3])
 
 
 def joints_of(path: str | Path, skeleton: Any) -> tuple[list[str], FloatArray]:
@@ -58,17 +62,9 @@ def joint_names(joints: list[str]) -> list[str]:
     return leaves if len(set(leaves)) == len(leaves) else joints
 
 
-def _named_skeleton(joints: list[str], placed: FloatArray) -> Skeleton:
-    """A skeleton of joints by `joint_names`; tails are at the children."""
-    names, parents = joint_names(joints), joint_parents(joints)
-    heads = placed[:, 3, :3]
-    above = tuple(names[parent] if parent >= 0 else "" for parent in parents)
-    return Skeleton(tuple(names), above, heads, tails_of(heads, parents), placed[:, :3, :3])
-
-
 def joint_parents(joints: list[str]) -> IndexArray:
     """(j,) number of each joint's parent, its nearest listed ancestor in UsdSkel; -1 for a root."""
-    return index_array(usd_modules().UsdSkel.Topology(joints).GetParentIndices())
+    return index_array(pxr.UsdSkel.Topology(joints).GetParentIndices())
 
 
 def write_usd_skeleton(stage: Any, prim: Any, skeleton: Skeleton, to_root: FloatArray) -> None:
@@ -77,7 +73,6 @@ def write_usd_skeleton(stage: Any, prim: Any, skeleton: Skeleton, to_root: Float
     ``skeleton``: in the mesh's local space.
     ``to_root``: (4, 4), from that space to the space of the topmost prim.
     """
-    pxr = usd_modules()
     top = prim.GetPath().GetPrefixes()[0]
     paths = joint_paths(skeleton.names, skeleton.parents)
     order = sorted(range(len(paths)), key=lambda joint: (paths[joint].count("/"), joint))
@@ -98,7 +93,7 @@ def define_skeleton(stage: Any, path: Any, joints: Sequence[str], binds: FloatAr
 
     ``binds``, ``rests``: (j, 4, 4), from a joint's space to the skeleton's, and to its parent's at rest.
     """
-    skeleton = usd_modules().UsdSkel.Skeleton.Define(stage, path)
+    skeleton = pxr.UsdSkel.Skeleton.Define(stage, path)
     skeleton.CreateJointsAttr(joints)
     skeleton.CreateBindTransformsAttr(_matrices(binds))
     skeleton.CreateRestTransformsAttr(_matrices(rests))
@@ -138,5 +133,4 @@ def _binds(skeleton: Skeleton, to_root: FloatArray) -> FloatArray:
 
 
 def _matrices(values: FloatArray) -> Any:
-    pxr = usd_modules()
     return pxr.Vt.Matrix4dArray([pxr.Gf.Matrix4d(*value.ravel().tolist()) for value in values])

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
+from cagemap.character.values import Part
 from cagemap.errors import FormatError
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.geometry import Z_TO_Y, is_z_up
-from cagemap.files.usd.prims import transform_points
+from cagemap.files.gltf.parts import transform_part
 from cagemap.files.usd.read import read_usd_meshes
-from cagemap.files.usd.stages import damage_as_error, is_usd, open_each_once, open_stage, usd_modules
+from cagemap.files.usd.stages import damage_as_error, is_usd, open_each_once, open_stage, pxr
 from cagemap.files.usd.transforms import is_mirrored, is_similarity
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.plain import turn_faces
 from cagemap.numerics.arrays import FloatArray
 
 
@@ -35,7 +35,7 @@ def stage_units(path: str | Path) -> StageSpace:
     """Unit and up axis of a USD file, without the transform of its mesh; glTF and FBX are read in metres, Y up."""
     if Path(path).suffix.lower() in SCENE_SUFFIXES:
         return StageSpace("Y", 1.0)
-    pxr, stage = usd_modules(), open_stage(path)
+    stage = open_stage(path)
     with damage_as_error(path):
         axis, length = str(pxr.UsdGeom.GetStageUpAxis(stage)), float(pxr.UsdGeom.GetStageMetersPerUnit(stage))
     if axis not in ("Y", "Z") or not 0.0 < length < float("inf"):
@@ -110,5 +110,4 @@ def from_mesh_space(target: Path, mesh: ControlMesh, file: Path | None) -> Float
 
 def transform_mesh(mesh: ControlMesh, matrix: FloatArray) -> ControlMesh:
     """The mesh transformed by a (4, 4) matrix for points as rows; its faces are reversed if this mirrors it."""
-    moved = mesh.with_positions(transform_points(mesh.positions, matrix))
-    return turn_faces(moved, np.full(mesh.n_faces, is_mirrored(matrix)))
+    return transform_part(Part(mesh.name, mesh), matrix).mesh

@@ -33,6 +33,16 @@ def is_usd(path: Path) -> bool:
     return path.suffix.lower() in USD_SUFFIXES
 
 
+class _UsdModules:
+    """The package ``pxr``, imported when it is first used."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(usd_modules(), name)
+
+
+pxr: Any = _UsdModules()
+
+
 def usd_modules() -> Any:
     """The ``pxr`` package, with the modules that are used."""
     try:
@@ -53,7 +63,7 @@ def identifiers(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
     """Valid, unique names of prims and primvars: other characters become ``_``, repeated names get numbers."""
     used, unique = set(taken), list[str]()
     for name in names:
-        word = usd_modules().Tf.MakeValidIdentifier(name)
+        word = pxr.Tf.MakeValidIdentifier(name)
         free = itertools.chain([word], (f"{word}_{number}" for number in itertools.count(2)))
         unique.append(next(candidate for candidate in free if candidate not in used))
         used.add(unique[-1])
@@ -70,7 +80,6 @@ def open_stage(path: str | Path) -> Any:
 
 def _open_with_messages(file: Path) -> tuple[Any, list[str]]:
     """The stage of a file, and what USD says of files that it refers to."""
-    pxr = usd_modules()
     check_crate(file)
     # Collects USD's messages, which would name its own source files on the console
     diagnostics = pxr.UsdUtils.CoalescingDiagnosticDelegate()
@@ -88,9 +97,8 @@ def _open_with_messages(file: Path) -> tuple[Any, list[str]]:
 @contextmanager
 def open_each_once() -> Iterator[None]:
     """Have `open_stage` open every file once in the block, so that its warnings are not repeated."""
-    usd = usd_modules().Usd
-    cache = usd.StageCache()
-    with usd.StageCacheContext(cache):
+    cache = pxr.Usd.StageCache()
+    with pxr.Usd.StageCacheContext(cache):
         yield
 
 
@@ -124,7 +132,6 @@ def damage_as_error(file: str | Path) -> Iterator[None]:
 
     NumPy's warnings of signalling NaN are switched off: readers check that values are finite.
     """
-    pxr = usd_modules()
     diagnostics = pxr.UsdUtils.CoalescingDiagnosticDelegate()  # as in `_open_with_messages`
     try:
         with np.errstate(invalid="ignore"):
@@ -148,7 +155,6 @@ def asset_paths(name: str, content: bytes) -> tuple[str, ...]:
 
     ``name``: of the file; its suffix gives the format.
     """
-    pxr = usd_modules()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"layer{Path(name).suffix}"
         file.write_bytes(content)
@@ -167,7 +173,6 @@ def asset_paths(name: str, content: bytes) -> tuple[str, ...]:
 
 def _layer_paths(path: str) -> tuple[str, ...]:
     """All asset paths of a layer; expressions both as written and as evaluated in this layer."""
-    pxr = usd_modules()
     sublayers, references, payloads = pxr.UsdUtils.ExtractExternalReferences(path)
     composed = pxr.Sdf.Layer.FindOrOpen(path).GetCompositionAssetDependencies()
     return tuple(sorted({*sublayers, *references, *payloads, *composed}))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.usd.stages import usd_modules
+from cagemap.files.usd.stages import pxr
 from cagemap.numerics.arrays import FloatArray
 
 _log = logging.getLogger(__name__)
@@ -51,7 +51,6 @@ def drop_flattened(file: Path, prims: list[Any]) -> list[Any]:
 
 
 def _to_world(prim: Any) -> FloatArray:
-    pxr = usd_modules()
     time = pxr.Usd.TimeCode.EarliestTime()
     return np.array(pxr.UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time), dtype=np.float64)
 

@@ -22,7 +22,7 @@ from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, transform_points
 from cagemap.files.usd.results import add_earlier, bind_textures
 from cagemap.files.usd.skeleton import write_usd_skeleton
 from cagemap.files.usd.space import StageSpace
-from cagemap.files.usd.stages import identifiers, open_stage, usd_modules
+from cagemap.files.usd.stages import identifiers, open_stage, pxr
 from cagemap.files.usd.transforms import is_mirrored, local_to_world
 from cagemap.files.usd.write_mesh import (
     CORNERS,
@@ -92,7 +92,6 @@ def write_usd(
     """
     file = Path(path)
     check_usd_path(file)
-    pxr = usd_modules()
     stage = new_stage(
         space or StageSpace("Z" if is_z_up(mesh) else "Y", 1.0), "SkelRoot" if _needs_skeleton(results) else "Xform"
     )
@@ -104,7 +103,7 @@ def write_usd(
     if mesh.uvs is not None:
         names = identifiers((uv_set.name or "st" for uv_set in mesh.all_uv_sets), ("displayColor", "normals"))
         sets = [replace(uv_set, name=name) for uv_set, name in zip(mesh.all_uv_sets, names, strict=True)]
-        mesh = replace(mesh, uv_name=names[0], uv_sets=tuple(sets[1:]))
+        mesh = mesh.with_uv_sets(sets)
         for uv_set in sets:
             write_uvs(prim, uv_set.name, uv_set.uvs, uv_set.uv_indices)
     write_subsets(stage, prim, mesh)
@@ -114,7 +113,6 @@ def write_usd(
 
 def new_stage(space: StageSpace, kind: str) -> Any:
     """A stage in memory with the default prim ``/Asset`` of a type."""
-    pxr = usd_modules()
     stage = pxr.Usd.Stage.CreateInMemory()
     pxr.UsdGeom.SetStageUpAxis(stage, space.up_axis)
     pxr.UsdGeom.SetStageMetersPerUnit(stage, space.meters_per_unit)
@@ -146,7 +144,6 @@ def write_usd_over(
     """
     file = Path(path)
     check_usd_path(file)
-    pxr = usd_modules()
     target_stage = open_stage(target)
     prims = [target_stage.GetPrimAtPath(prim_path) for prim_path in prim_paths]
     for prim, prim_path in zip(prims, prim_paths, strict=True):
@@ -219,7 +216,7 @@ def export_layer(layer: Any, file: Path, temporary: Path) -> None:
     arguments = {"format": "usda"} if file.suffix.lower() == ".usd" else {}
     try:
         written = layer.Export(str(temporary), args=arguments)
-    except usd_modules().Tf.ErrorException:
+    except pxr.Tf.ErrorException:
         written = False
     if not written:
         raise FormatError(f"{file}: cannot be written. Check the folder and the space left on the disk.")
@@ -228,7 +225,6 @@ def export_layer(layer: Any, file: Path, temporary: Path) -> None:
 def _write_results(
     stage: Any, prim: Any, mesh: ControlMesh, results: UsdResults, to_root: FloatArray | None = None
 ) -> None:
-    pxr = usd_modules()
     geometry = pxr.UsdGeom.Mesh(prim)
     if results.points is not None:
         if results.points.shape != (mesh.n_vertices, 3):

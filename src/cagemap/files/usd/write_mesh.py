@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.files.usd.prims import INTERPOLATIONS, faces_by_name
 from cagemap.files.usd.results import define_material
-from cagemap.files.usd.stages import identifiers, usd_modules
+from cagemap.files.usd.stages import identifiers, pxr
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import place_counts, place_of_rows
 from cagemap.mesh.schemes import scheme_name
@@ -25,7 +25,6 @@ CORNERS = "faceVarying"
 
 def write_topology(prim: Any, mesh: ControlMesh) -> None:
     """Write points, faces, subdivision, creases and vertex colours of a mesh."""
-    pxr = usd_modules()
     points = pxr.Vt.Vec3fArray.FromNumpy(mesh.positions.astype(np.float32))
     prim.CreatePointsAttr(points)
     prim.CreateExtentAttr(pxr.UsdGeom.PointBased.ComputeExtent(points))
@@ -54,7 +53,6 @@ def write_topology(prim: Any, mesh: ControlMesh) -> None:
 
 def write_corner_colors(prim: Any, colors: FloatArray) -> None:
     """Write linear colours with opacity (c, 4) of the face corners, in place of those of vertices."""
-    pxr = usd_modules()
     color = prim.CreateDisplayColorPrimvar(CORNERS)
     color.Set(pxr.Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(colors[:, :3], dtype=np.float32)))
     if (colors[:, 3] < 1.0).any():
@@ -69,7 +67,6 @@ def _camel_case(word: str) -> str:
 
 def write_uvs(prim: Any, name: str, uvs: FloatArray, indices: IndexArray) -> None:
     """Write a UV set as a primvar."""
-    pxr = usd_modules()
     api = pxr.UsdGeom.PrimvarsAPI(prim)
     primvar = api.CreatePrimvar(name, pxr.Sdf.ValueTypeNames.TexCoord2fArray, CORNERS)
     primvar.Set(pxr.Vt.Vec2fArray.FromNumpy(uvs.astype(np.float32)))
@@ -82,7 +79,6 @@ def write_subsets(stage: Any, prim: Any, mesh: ControlMesh, materials: Mapping[s
     ``materials``: materials of the stage by name; one on all faces is bound to the mesh, without a subset. Default: new
         materials with the mesh's colours.
     """
-    pxr = usd_modules()
     named = faces_by_name(mesh)
     labels = identifiers(name for name, _, _ in named)
     for label, (name, faces, color) in zip(labels, named, strict=True):
@@ -104,7 +100,6 @@ def write_subsets(stage: Any, prim: Any, mesh: ControlMesh, materials: Mapping[s
 
 
 def _colored_material(stage: Any, path: str, name: str, color: FloatArray) -> Any:
-    pxr = usd_modules()
     material, surface = define_material(stage, path)
     material.GetPrim().SetDisplayName(name)
     if np.isfinite(color).all():
@@ -124,7 +119,6 @@ def interpolation(mesh: ControlMesh, count: int, place: str | None = None) -> st
 
 def write_primvar(prim: Any, mesh: ControlMesh, name: str, values: NDArray[Any], place: str | None = None) -> None:
     """Write values with a row for each vertex, face or face corner, see `interpolation`, as a primvar."""
-    pxr = usd_modules()
     kind_of_rows = interpolation(mesh, len(values), place)
     if kind_of_rows is None:
         raise ParameterError(
@@ -158,7 +152,6 @@ def write_weights(prim: Any, table: FloatArray) -> None:
 
     Without weights they would be skinned to the skeleton's origin.
     """
-    pxr = usd_modules()
     table = np.where(table.any(axis=1, keepdims=True), table, np.eye(1, table.shape[1]))
     kept = int((table > 0).sum(axis=1).max(initial=1))
     joints = np.argsort(-table, axis=1, kind="stable")[:, :kept]
@@ -171,7 +164,6 @@ def write_weights(prim: Any, table: FloatArray) -> None:
 
 def write_blend_shapes(stage: Any, prim: Any, shapes: Mapping[str, FloatArray]) -> None:
     """Define blend shapes as children of a mesh prim; offsets of 0 are left out."""
-    pxr = usd_modules()
     binding = pxr.UsdSkel.BindingAPI.Apply(prim)
     taken = [child.GetName() for child in prim.GetChildren() if not child.IsA(pxr.UsdSkel.BlendShape)]
     paths = [prim.GetPath().AppendChild(label) for label in identifiers(shapes, taken)]
@@ -185,8 +177,8 @@ def write_blend_shapes(stage: Any, prim: Any, shapes: Mapping[str, FloatArray]) 
 
 
 def _ints(values: Any) -> Any:
-    return usd_modules().Vt.IntArray.FromNumpy(np.ascontiguousarray(values, dtype=np.int32))
+    return pxr.Vt.IntArray.FromNumpy(np.ascontiguousarray(values, dtype=np.int32))
 
 
 def _floats(values: Any) -> Any:
-    return usd_modules().Vt.FloatArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))
+    return pxr.Vt.FloatArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))
