@@ -17,6 +17,14 @@ _BOUND = {
     "LAPLACIANDEFORM": "is_bind",
     "CORRECTIVE_SMOOTH": "is_bind",
 }
+# Options of an Armature modifier that change how bones deform.
+_ARMATURE_OPTIONS = (
+    "use_deform_preserve_volume",
+    "use_bone_envelopes",
+    "use_vertex_groups",
+    "vertex_group",
+    "invert_vertex_group",
+)
 
 
 def copy_garment(context, garment, target, source, positions, offsets):
@@ -64,7 +72,7 @@ def fit_modifiers(copies, target, source):
     removed, armatures = [], (armature_of(source), armature_of(target))
     pairs = ((source, target), armatures, (source.data.shape_keys, target.data.shape_keys))
     replacements = {old: new for old, new in pairs if old and new} | copies
-    for copy in copies.values():
+    for garment, copy in copies.items():
         for modifier in list(copy.modifiers):
             bound = modifier.type in _BOUND and getattr(modifier, _BOUND[modifier.type])
             if bound:
@@ -72,9 +80,29 @@ def fit_modifiers(copies, target, source):
             if bound or (modifier.type == "ARMATURE" and armatures[1] is None):
                 copy.modifiers.remove(modifier)
         redirect(copy, replacements)
-        if armatures[1] is not None:
+        _parent_like(copy, garment, replacements.get(garment.parent))
+        if armatures[1] is not None and copy.parent_type != "BONE":
             bind(copy, armatures[1])
     return removed
+
+
+def unweighted(copies, armature):
+    """Names of copies of garments that an armature does not move: neither weights nor a bone as parent."""
+    bones = set(armature.data.bones.keys()) if armature else set()
+    return [
+        copy.name
+        for copy in copies
+        if armature and copy.parent_type != "BONE" and not bones.intersection(copy.vertex_groups.keys())
+    ]
+
+
+def _parent_like(copy, garment, parent):
+    """Parent a copy, where it stands, to what replaces the garment's parent: eyes stay on the head's bone."""
+    if parent is None or garment.parent_type not in ("OBJECT", "BONE"):
+        return
+    matrix = copy.matrix_world.copy()
+    copy.parent, copy.parent_type, copy.parent_bone = parent, garment.parent_type, garment.parent_bone
+    copy.matrix_world = matrix
 
 
 def moved_matrix(object_, target, source):
@@ -105,6 +133,7 @@ def copy_armature(context, armature, target, source, matrices, tails):
     copy = armature.copy()
     copy.data = armature.data.copy()
     copy.name = short_name(f"{armature.name} on {target.name}")
+    copy.parent = None  # what moves the source is not to move the target
     for collection in target.users_collection:
         collection.objects.link(copy)
     copy.matrix_world = moved_matrix(armature, target, source)
@@ -142,6 +171,10 @@ def _editable(context, object_):
 def _place_bones(armature, matrices, heads, ends):
     """Move the bones of a shown armature: axes of matrices (j, 3, 4) in the world, ends (j, 3) in its own space."""
     turn, names = np.linalg.inv(world(armature)[:3, :3]), [bone.name for bone in armature.data.bones]
+    is_mirrored, armature.data.use_mirror_x = (
+        armature.data.use_mirror_x,
+        False,
+    )  # else bones move those of the other side
     bpy.ops.object.mode_set(mode="EDIT")
     bones = armature.data.edit_bones
     connected = [bones[name].use_connect for name in names]
@@ -159,12 +192,15 @@ def _place_bones(armature, matrices, heads, ends):
             bones[name].parent.tail = bones[name].head
             bones[name].use_connect = True
     bpy.ops.object.mode_set(mode="OBJECT")
+    armature.data.use_mirror_x = is_mirrored
 
 
-def bind(object_, armature):
-    """Let an armature deform an object, before all that subdivides it."""
+def bind(object_, armature, like=None):
+    """Let an armature deform an object, before all that subdivides it, with the options of another modifier."""
     modifier = next((m for m in object_.modifiers if m.type == "ARMATURE"), None)
     if modifier is None:
         modifier = object_.modifiers.new("Armature", "ARMATURE")
         object_.modifiers.move(len(object_.modifiers) - 1, 0)
     modifier.object = armature
+    for option in _ARMATURE_OPTIONS if like else ():
+        setattr(modifier, option, getattr(like, option))

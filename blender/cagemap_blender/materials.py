@@ -9,11 +9,13 @@ import numpy as np
 from mathutils import Matrix
 
 from .client import RefusedError
-from .reading import numbers
-from .writing import short_name
+from .reading import numbers, uv_layers
+from .writing import identity, short_name
 
 # Node groups with such nodes are copied: they depend on the UV map.
 _UV_NODES = ("TEX_IMAGE", "NORMAL_MAP")
+# UVs that are so little outside of an image lie on it.
+_UV_TOLERANCE = 1e-4
 
 
 class ImageUse(NamedTuple):
@@ -28,7 +30,7 @@ class ImageUse(NamedTuple):
     @property
     def key(self) -> tuple[Any, ...]:
         """What is baked: equal for nodes that use an image alike."""
-        return self.image.name, self.layer, self.mapping, self.normals
+        return identity(self.image), self.layer, self.mapping, self.normals
 
     def mapped(self, uvs):
         """UVs (c, 2) of the layer after the Mapping nodes."""
@@ -53,8 +55,21 @@ def image_uses(object_, material):
         if normals and (b or c or a <= 0 or d <= 0):
             raise _refusal(material, node, "a normal map cannot be rotated or mirrored by a Mapping node. Apply it.")
         path = tuple(one.name for one in (*groups, node))
-        uses.append(ImageUse(path, node.image, layer, plane, normals))
+        use = ImageUse(path, node.image, layer, plane, normals)
+        if node.extension != "REPEAT" and not _fills_image(object_, material, use):
+            raise _refusal(material, node, "only images that repeat can be baked where UVs leave them. Choose Repeat.")
+        uses.append(use)
     return uses
+
+
+def _fills_image(object_, material, use):
+    """Whether the UVs of all faces with a material lie on an image."""
+    mesh, slots = object_.data, object_.material_slots
+    chosen = [number for number, slot in enumerate(slots) if slot.material == material]
+    faces = np.minimum(numbers(mesh.polygons, "material_index", kind=np.int32), len(slots) - 1)
+    corners = np.repeat(np.isin(faces, chosen), numbers(mesh.polygons, "loop_total", kind=np.int32))
+    uvs = use.mapped(uv_layers(object_)[use.layer])[corners]
+    return use.image.source == "TILED" or bool((np.abs(uvs - 0.5) <= 0.5 + _UV_TOLERANCE).all())
 
 
 def _image_nodes(tree, groups=()):

@@ -79,10 +79,13 @@ class CAGEMAP_OT_rig(Work, bpy.types.Operator):
         own = reading.armature_of(target)
         if own is not None:
             raise RefusedError(f"{target.name} is rigged already, by {own.name}. Remove its Armature modifier first.")
-        name = armature.name
+        key = writing.identity(armature)
         yield from matching(context)
         _, source = sides(context)  # other objects after Undo
-        armature = writing.require_existing(bpy.data.objects, name)
+        armature = writing.require_existing(bpy.data.objects, key)
+        reading.require_no_edit_mode(armature)
+        with reading.enabled(context, armature):
+            pass
         bones, matrix = armature.data.bones, reading.world(armature)
         matrix[:3, 3] -= reading.world(source)[:3, 3]
         number = {bone.name: row for row, bone in enumerate(bones)}
@@ -100,10 +103,10 @@ class CAGEMAP_OT_rig(Work, bpy.types.Operator):
         if transfers.selected_garments(context):
             write_clothes = yield from transfers.transfer_clothes(context)
         target, source = sides(context)
-        armature = writing.require_existing(bpy.data.objects, name)
+        armature = writing.require_existing(bpy.data.objects, key)
         messages = [write_weights(context)]  # may be refused: before the armature is copied
         rig = copies.copy_armature(context, armature, target, source, reply["matrices"], reply["tails"])
-        copies.bind(target, rig)
+        copies.bind(target, rig, like=next(m for m in source.modifiers if m.type == "ARMATURE" and m.object))
         if write_clothes is not None:
             messages.append(write_clothes(context))
         note = ""

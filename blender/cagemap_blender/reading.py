@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import re
+import tempfile
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -45,17 +47,29 @@ def chosen_pair(context):
 
 
 def object_in_edit_mode(context):
-    """The first of target and source that is in Edit Mode, or None."""
-    return next((object_ for object_ in chosen_pair(context) if object_.mode == "EDIT"), None)
+    """The first of target and source whose mesh is in Edit Mode, or None."""
+    return next((object_ for object_ in chosen_pair(context) if object_.data.is_editmode), None)
+
+
+def require_no_edit_mode(object_):
+    """Refuse Edit Mode: there modifiers are not evaluated, and what is edited is not in the object yet."""
+    if object_.mode == "EDIT" or (object_.type == "MESH" and object_.data.is_editmode):
+        raise RefusedError(f"{object_.name} is in Edit Mode. Leave it (Tab), and press the button again.")
 
 
 def sides(context):
-    """Target and source, outside Edit Mode: there modifiers are not evaluated and groups cannot be written."""
-    object_ = object_in_edit_mode(context)
-    if object_ is not None:
-        raise RefusedError(f"{object_.name} is in Edit Mode. Leave it (Tab), and press the button again.")
-    context.view_layer.update()
+    """Target and source, evaluated and outside Edit Mode."""
     target, source = chosen_pair(context)
+    for object_ in (target, source):
+        require_no_edit_mode(object_)
+    if target.library or target.data.library:
+        raise RefusedError(
+            f"{target.name} is linked from another file, where nothing can be written. "
+            "Make it local with its data (Object > Relations > Make Local)."
+        )
+    empties = [child for child in (*target.children, *source.children) if child.type == "EMPTY"]
+    with enabled(context, target, source, *empties):
+        pass  # places of disabled objects are those of now
     for role, object_ in (("target", target), ("source", source)):
         if not object_.data.vertices:
             raise RefusedError(f"{object_.name} has no vertices. Choose another {role}.")
@@ -155,8 +169,32 @@ def cage_modifier(object_):
     return next((m for m in object_.modifiers if m.type in _CAGE_MODIFIERS and m.show_viewport), None)
 
 
+@contextmanager
+def enabled(context, *objects):
+    """Let Blender evaluate objects: it leaves out those that are disabled in viewports, or whose collections are."""
+    context.view_layer.update()
+    everywhere = context.scene.collection.objects
+    disabled = [object_ for object_ in objects if not object_.visible_get()]
+    hidden = [object_.hide_viewport for object_ in disabled]
+    linked = [object_ for object_ in disabled if object_ not in everywhere.values()]
+    for object_ in disabled:
+        object_.hide_viewport = False
+    for object_ in linked:
+        everywhere.link(object_)
+    if disabled:
+        context.view_layer.update()
+    try:
+        yield
+    finally:
+        for object_, was_hidden in zip(disabled, hidden, strict=True):
+            object_.hide_viewport = was_hidden
+        for object_ in linked:
+            everywhere.unlink(object_)
+
+
 def require_control_mesh(context, object_, allowed=()):
     """Refuse an object whose modifiers, but for those of allowed types, make other vertices before the subdivision."""
+    require_no_edit_mode(object_)
     stack = list(object_.modifiers)
     subdivides = cage_modifier(object_)
     before = stack if subdivides is None else stack[: stack.index(subdivides)]
@@ -165,8 +203,9 @@ def require_control_mesh(context, object_, allowed=()):
     try:
         for modifier in stack:
             modifier.show_viewport = modifier in before
-        mesh, own = object_.evaluated_get(context.evaluated_depsgraph_get()).data, object_.data
-        same = (len(mesh.vertices), len(mesh.polygons)) == (len(own.vertices), len(own.polygons))
+        with enabled(context, object_):
+            mesh, own = object_.evaluated_get(context.evaluated_depsgraph_get()).data, object_.data
+            same = (len(mesh.vertices), len(mesh.polygons)) == (len(own.vertices), len(own.polygons))
     finally:
         for modifier, on in zip(stack, shown, strict=True):
             modifier.show_viewport = on
@@ -280,6 +319,16 @@ def shape_offsets(object_):
     }
 
 
+def masked_offsets(object_):
+    """Offsets (n, 3) of shape keys where their vertex groups let them act, by name."""
+    offsets, groups = shape_offsets(object_), vertex_groups(object_)
+    for name, rows in offsets.items():
+        group = object_.data.shape_keys.key_blocks[name].vertex_group
+        if group in groups:
+            rows *= groups[group][:, None]
+    return offsets
+
+
 def uv_layers(object_):
     """UVs (c, 2) of every layer by name."""
     return {layer.name: numbers(layer.uv, "vector", 2).astype(np.float64) for layer in object_.data.uv_layers}
@@ -298,6 +347,8 @@ def pixels_of(image):
     """Pixels (h, w, 4) of an image, row 0 at the top: of 8 bits where it has no more; of tiles by UDIM number."""
     if image.source == "TILED" and len(image.tiles) > 1:
         return {tile.number: _tile_pixels(image, tile.number) for tile in image.tiles}
+    if image.source in ("SEQUENCE", "MOVIE"):
+        raise RefusedError(f"{image.name} is a sequence or movie. Choose a single image.")
     width, height = image.size
     if not width or not height:
         name = Path(image.filepath).name
@@ -311,11 +362,16 @@ def pixels_of(image):
 def _tile_pixels(image, number):
     """Pixels of one tile, from its file: Blender gives those of the first tile only."""
     path = Path(bpy.path.abspath(image.filepath).replace("<UDIM>", str(number)))
-    if not path.is_file() or image.is_dirty:
+    packed = next((one.packed_file for one in image.packed_files if one.tile_number == number), None)
+    if image.is_dirty or not (packed or path.is_file()):
         raise RefusedError(f"{image.name}: the file of tile {number} is missing. Save the image with its tiles first.")
-    tile = bpy.data.images.load(str(path))
-    try:
-        tile.colorspace_settings.name = image.colorspace_settings.name
-        return pixels_of(tile)
-    finally:
-        bpy.data.images.remove(tile)
+    with tempfile.TemporaryDirectory() as folder:
+        if packed:
+            path = Path(folder, path.name)
+            path.write_bytes(packed.data)
+        tile = bpy.data.images.load(str(path))
+        try:
+            tile.colorspace_settings.name = image.colorspace_settings.name
+            return pixels_of(tile)
+        finally:
+            bpy.data.images.remove(tile)

@@ -115,7 +115,7 @@ def _named(kind, read, request, write_reply):
         reply = yield request(given)
 
         def write(context):
-            write_reply(sides(context)[0], reply, given)
+            write_reply(*sides(context), reply, given)
             return count_phrase(given, kind)
 
         return write
@@ -132,23 +132,45 @@ def _color_request(attributes):
     return "values", {"vertices": vertices, "corners": corners}
 
 
-def _set_colors(target, reply, attributes):
-    """Colour attributes with the domains and types of the source's."""
+def _set_colors(target, source, reply, attributes):
+    """Colour attributes with the domains and types of the source's; the one for rendering as well, if there is none."""
     values = reply["vertices"] | reply["corners"]
     writing.set_colors(target, {name: (values[name], *attributes[name][1:]) for name in values})
+    shown, own = (one.data.color_attributes for one in (source, target))
+    rendered = shown[shown.render_color_index].name
+    if rendered in values and own[own.render_color_index].name == reading.MAP_COLORS:
+        own.render_color_index = own.keys().index(rendered)
+
+
+def _set_shapes(target, source, reply, _):
+    """Shape keys with the ranges of the source's."""
+    writing.set_shapes(target, reply["shapes"])
+    made, given = (one.data.shape_keys.key_blocks for one in (target, source))
+    for name in set(reply["shapes"]) & set(given.keys()):
+        made[name].slider_min, made[name].slider_max = given[name].slider_min, given[name].slider_max
+
+
+def _set_uvs(target, source, reply, _):
+    """UV maps; on a target without any the source's map for rendering is that of the target as well."""
+    had_none = not target.data.uv_layers
+    writing.set_uvs(target, reply["corners"])
+    for layer in source.data.uv_layers if had_none else ():
+        if layer.active_render and layer.name in target.data.uv_layers:
+            target.data.uv_layers.active = target.data.uv_layers[layer.name]
+            target.data.uv_layers.active.active_render = True
 
 
 transfer_shapes = _named(
     "shape key",
-    reading.shape_offsets,
+    reading.masked_offsets,
     lambda offsets: ("shapes", {"shapes": offsets}),
-    lambda target, reply, _: writing.set_shapes(target, reply["shapes"]),
+    _set_shapes,
 )
 transfer_uvs = _named(
     "UV map",
     reading.uv_layers,
     lambda layers: ("values", {"vertices": {}, "corners": layers}),
-    lambda target, reply, _: writing.set_uvs(target, reply["corners"]),
+    _set_uvs,
 )
 transfer_colors = _named("colour attribute", reading.color_attributes, _color_request, _set_colors)
 
@@ -159,21 +181,23 @@ def transfer_clothes(context):
     garments = selected_garments(context)
     if not garments:
         raise RefusedError("Select the clothes as well: meshes other than source and target.")
-    names = [garment.name for garment in garments]
+    keys = [writing.identity(garment) for garment in garments]
     meshes = [reading.mesh_arrays(context, garment, of=source) for garment in garments]
     shapes = [reading.shape_offsets(garment) for garment in garments]
     reply = yield "clothes", {"meshes": meshes, "shapes": shapes}
 
     def write(context):
         target, source = sides(context)
-        garments = [writing.require_existing(bpy.data.objects, name) for name in names]
+        garments = [writing.require_existing(bpy.data.objects, key) for key in keys]
         copy_of = {
             garment: copies.copy_garment(context, garment, target, source, *arrays)
             for garment, *arrays in zip(garments, reply["positions"], reply["shapes"], strict=True)
         }
         removed = copies.fit_modifiers(copy_of, target, source)
         notes = [*reply["notes"], *([f"removed, to be bound again: {', '.join(removed)}"] if removed else [])]
-        return count_phrase(names, "garment") + (f" ({'; '.join(notes)})" if notes else "")
+        if still := copies.unweighted(copy_of.values(), reading.armature_of(target)):
+            notes.append(f"without weights, not moved by bones: {', '.join(still)}")
+        return count_phrase(keys, "garment") + (f" ({'; '.join(notes)})" if notes else "")
 
     return write
 

@@ -23,11 +23,16 @@ def short_name(name):
     return name.encode()[:63].decode(errors="ignore")
 
 
-def require_existing(collection, name):
-    """A block of data by name; refused if it was removed or renamed while cagemap computed."""
-    if name not in collection:
-        raise RefusedError(f"{name} was removed while cagemap computed. Press the button again.")
-    return collection[name]
+def identity(block):
+    """Name and library of a block of data, which find it again after Undo."""
+    return block.name, block.library.filepath if block.library else None
+
+
+def require_existing(collection, key):
+    """A block of data by its `identity`; refused if it was removed or renamed while cagemap computed."""
+    if key not in collection:
+        raise RefusedError(f"{key[0]} was removed while cagemap computed. Press the button again.")
+    return collection[key]
 
 
 def require_rows(object_, rows):
@@ -93,7 +98,9 @@ def show_map(object_, colors):
     active = attributes.active_color
     if active is not None and active.name != MAP_COLORS:
         object_["cagemap_active_color"] = active.name
-    layer = attributes.get(MAP_COLORS) or attributes.new(MAP_COLORS, "FLOAT_COLOR", "POINT")
+    layer = object_.data.attributes.get(MAP_COLORS) or attributes.new(MAP_COLORS, "FLOAT_COLOR", "POINT")
+    if (layer.domain, layer.data_type) != ("POINT", "FLOAT_COLOR"):
+        raise RefusedError(f"{object_.name} has an attribute of its own called {MAP_COLORS}. Rename or delete it.")
     values = np.ones((len(colors), 4), dtype=np.float32)
     values[:, :3] = np.clip(colors, 0.0, 1.0)
     layer.data.foreach_set("color", values.ravel())
@@ -121,10 +128,8 @@ def set_groups(object_, groups):
     claim(object_, "vertex group", groups)
     for name, weights in groups.items():
         require_rows(object_, len(weights))
-        known = object_.vertex_groups.get(name)
-        if known is not None:
-            object_.vertex_groups.remove(known)
-        made = object_.vertex_groups.new(name=name)
+        made = object_.vertex_groups.get(name) or object_.vertex_groups.new(name=name)
+        made.remove(range(len(weights)))
         for vertex in np.flatnonzero(weights > _LEAST_WEIGHT).tolist():
             made.add([vertex], float(weights[vertex]), "REPLACE")
 
@@ -142,7 +147,7 @@ def set_positions(object_, shapes):
     keys = object_.data.shape_keys
     claim(object_, "shape key", shapes)
     if keys is None:
-        object_.shape_key_add(name="Basis", from_mix=False)
+        object_.shape_key_add(name="Rest shape" if "Basis" in shapes else "Basis", from_mix=False)
     for name, positions in shapes.items():
         key = object_.data.shape_keys.key_blocks.get(name) or object_.shape_key_add(name=name, from_mix=False)
         key.data.foreach_set("co", positions.astype(np.float32).ravel())
@@ -157,7 +162,8 @@ def set_uvs(object_, layers):
         layer = object_.data.uv_layers.get(name) or object_.data.uv_layers.new(name=name, do_init=False)
         kept = np.zeros(uvs.shape, dtype=np.float32)
         layer.uv.foreach_get("vector", kept.ravel())
-        layer.uv.foreach_set("vector", np.where(np.isnan(uvs), kept, uvs).astype(np.float32).ravel())
+        # Not `layer.uv`: that would write into copies of the mesh and into Undo as well.
+        layer.data.foreach_set("uv", np.where(np.isnan(uvs), kept, uvs).astype(np.float32).ravel())
 
 
 def set_colors(object_, colors):
@@ -195,12 +201,20 @@ def new_image(name, tiles, like):
             image.tiles.new(tile_number=number)
         for tile in [tile for tile in image.tiles if tile.number not in tiles]:
             image.tiles.remove(tile)
-        image.colorspace_settings.name, image.alpha_mode = like.colorspace_settings.name, like.alpha_mode
+        _interpret_like(image, like)
         image.reload()
         image.pack()
     image.filepath_raw = f"//textures/{stem}.<UDIM>.{suffix}"  # where it goes if it is unpacked
     image["cagemap_made"] = name
     return image
+
+
+def _interpret_like(image, like):
+    """Give an image colour space and alpha of another; Blender holds floats of colours linear and premultiplied."""
+    is_linear = like.is_float and not like.colorspace_settings.is_data
+    if not is_linear:
+        image.colorspace_settings.name = like.colorspace_settings.name
+    image.alpha_mode = "PREMUL" if like.is_float and like.alpha_mode == "STRAIGHT" else like.alpha_mode
 
 
 def _plain_image(name, pixels, like):
@@ -209,7 +223,7 @@ def _plain_image(name, pixels, like):
     scale = 255.0 if pixels.dtype == np.uint8 else 1.0
     values[:, :, :channels] = pixels[::-1] / np.float32(scale)
     image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=like.is_float)
-    image.colorspace_settings.name, image.alpha_mode = like.colorspace_settings.name, like.alpha_mode
+    _interpret_like(image, like)
     image.pixels.foreach_set(values.ravel())
     image.update()
     return image

@@ -51,12 +51,12 @@ def test_uvs_without_values_stay(client: ModuleType, monkeypatch: pytest.MonkeyP
     monkeypatch.setitem(sys.modules, "mathutils", ModuleType("mathutils"))
     writing = importlib.import_module("cagemap_blender.writing")
     stored = np.array([[0.25, 0.5], [0.75, 1.0]], dtype=np.float32)
-    uv = SimpleNamespace(
-        foreach_get=lambda _, values: np.copyto(values, stored.ravel()),
-        foreach_set=lambda _, values: np.copyto(stored, values.reshape(2, 2)),
+    layer = SimpleNamespace(
+        uv=SimpleNamespace(foreach_get=lambda _, values: np.copyto(values, stored.ravel())),
+        data=SimpleNamespace(foreach_set=lambda _, values: np.copyto(stored, values.reshape(2, 2))),
     )
     monkeypatch.setattr(writing, "claim", lambda *_: None)
-    layers = {"map": SimpleNamespace(uv=uv)}
+    layers = {"map": layer}
     writing.set_uvs(SimpleNamespace(data=SimpleNamespace(uv_layers=layers)), {"map": np.array([[np.nan] * 2, [0, 0]])})
     np.testing.assert_array_equal(stored, [[0.25, 0.5], [0.0, 0.0]])
 
