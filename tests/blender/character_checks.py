@@ -222,3 +222,65 @@ def undo_while_rig_like_matches_leaves_no_removed_objects():
     bpy.ops.ed.undo()
     assert window.finish(button) == "FINISHED"
     assert bpy.data.objects["target"].modifiers["Armature"].object == bpy.data.objects["skeleton on target"]
+
+
+@check
+def bones_of_a_mirrored_armature_are_placed_one_by_one():
+    source, target = pair()
+    armature = rig(source)
+    bpy.ops.object.mode_set(mode="EDIT")
+    for name, side in (("ear.L", 1.0), ("ear.R", -1.0)):
+        bone = armature.data.edit_bones.new(name)
+        bone.head, bone.tail = (0.6 * side, 0.0, 0.3), (1.2 * side, 0.0, 0.5)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    armature.data.use_mirror_x = True
+    for vertex in target.data.vertices:
+        vertex.co.x *= 1.6 if vertex.co.x > 0 else 1.0
+    bpy.ops.cagemap.rig()
+    made = target.modifiers["Armature"].object.data
+    assert made.use_mirror_x
+    assert made.bones["ear.L"].head_local.x > 0.8
+    assert made.bones["ear.R"].head_local.x > -0.7
+
+
+@check
+def edit_mode_of_all_that_is_read_is_refused():
+    source, target = pair()
+    armature, shirt = rig(source), garment(source)
+    twin = target.copy()  # of the same mesh
+    bpy.context.collection.objects.link(twin)
+    for object_, name in ((armature, "skeleton"), (shirt, "shirt"), (twin, "target")):
+        bpy.context.view_layer.objects.active = object_
+        bpy.ops.object.mode_set(mode="EDIT")
+        shirt.select_set(True)
+        assert f"{name} is in Edit Mode" in refusal(bpy.ops.cagemap.rig), name
+        bpy.ops.object.mode_set(mode="OBJECT")
+    assert not target.modifiers
+
+
+@check
+def clothes_keep_their_parents_on_the_target():
+    source, target = pair()
+    armature, root = rig(source), bpy.data.objects.new("root", None)
+    bpy.context.collection.objects.link(root)
+    armature.parent = root
+    target.location.x = 4.0
+    eye, hat = garment(source), garment(source)
+    eye.name, hat.name = "eye", "hat"
+    for object_ in (eye, hat):
+        object_.vertex_groups.clear()
+        object_.modifiers.clear()
+    eye.parent, eye.parent_type, eye.parent_bone = armature, "BONE", "tip"
+    hat.parent = source
+    bpy.context.view_layer.update()
+    source.modifiers["Armature"].use_deform_preserve_volume = True
+    bpy.ops.cagemap.rig()
+    made = target.modifiers["Armature"].object
+    assert target.modifiers["Armature"].use_deform_preserve_volume
+    assert made.parent is None
+    copied = bpy.data.objects["eye on target"]
+    assert (copied.parent, copied.parent_type, copied.parent_bone, len(copied.modifiers)) == (made, "BONE", "tip", 0)
+    shift = copied.matrix_world.translation - eye.matrix_world.translation
+    np.testing.assert_allclose(shift, (4.0, 0.0, 0.0), atol=1e-5)
+    assert bpy.data.objects["hat on target"].parent == target
+    assert "without weights, not moved by bones: hat on target" in SETTINGS.message

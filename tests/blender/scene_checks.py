@@ -11,6 +11,7 @@ import traceback
 
 import bpy
 import character_checks  # noqa: F401
+import numpy as np
 import texture_checks  # noqa: F401
 from scene_kit import CHECKS, FOLDER, NAMES, SETTINGS, Window, bmesh, check, clear, live, pair, reading, refusal, work
 
@@ -258,27 +259,6 @@ def what_the_user_made_after_deleting_ours_is_kept():
 
 
 @check
-def float_images_keep_their_colours_in_the_file():
-    source, target = pair()
-    tree, deep = shader_nodes(source), FOLDER / "deep.png"
-    given = bpy.data.images.new("deep", 16, 16, alpha=True, float_buffer=True)
-    given.generated_color = (0.05, 0.2, 0.4, 0.5)
-    settings = bpy.context.scene.render.image_settings
-    settings.file_format, settings.color_mode, settings.color_depth = "PNG", "RGBA", "16"
-    given.save_render(str(deep))
-    texture = image_node(tree, bpy.data.images.load(str(deep)))
-    assert texture.image.is_float
-    assert texture.image.colorspace_settings.name == "sRGB"
-    tree.links.new(texture.outputs["Color"], principled(tree).inputs["Base Color"])
-    bpy.ops.cagemap.transfer(what={"TEXTURES"})
-    (image,) = baked_images(target.material_slots[0].material.node_tree)
-    place, expected = face_middles(target)[:1], pixels(texture.image)[0, 0]
-    assert np.abs(texels(image, place) - expected).max() < 1e-3
-    image.reload()  # as when the .blend file is opened
-    assert np.abs(texels(image, place) - expected).max() < 1e-3, (texels(image, place), expected)
-
-
-@check
 def uvs_of_copies_of_the_target_are_kept():
     source, target = pair()
     target.data.uv_layers[0].name = "own"
@@ -289,40 +269,6 @@ def uvs_of_copies_of_the_target_are_kept():
     bpy.ops.cagemap.transfer(what={"UVS"})
     assert np.ptp(reading.numbers(target.data.uv_layers["UVMap"].uv, "vector", 2)) < 1e-6
     np.testing.assert_array_equal(reading.numbers(backup.uv_layers["UVMap"].uv, "vector", 2), before)
-
-
-@check
-def bones_of_a_mirrored_armature_are_placed_one_by_one():
-    source, target = pair()
-    armature = rig(source)
-    bpy.ops.object.mode_set(mode="EDIT")
-    for name, side in (("ear.L", 1.0), ("ear.R", -1.0)):
-        bone = armature.data.edit_bones.new(name)
-        bone.head, bone.tail = (0.6 * side, 0.0, 0.3), (1.2 * side, 0.0, 0.5)
-    bpy.ops.object.mode_set(mode="OBJECT")
-    armature.data.use_mirror_x = True
-    for vertex in target.data.vertices:
-        vertex.co.x *= 1.6 if vertex.co.x > 0 else 1.0
-    bpy.ops.cagemap.rig()
-    made = target.modifiers["Armature"].object.data
-    assert made.use_mirror_x
-    assert made.bones["ear.L"].head_local.x > 0.8
-    assert made.bones["ear.R"].head_local.x > -0.7
-
-
-@check
-def edit_mode_of_all_that_is_read_is_refused():
-    source, target = pair()
-    armature, shirt = rig(source), garment(source)
-    twin = target.copy()  # of the same mesh
-    bpy.context.collection.objects.link(twin)
-    for object_, name in ((armature, "skeleton"), (shirt, "shirt"), (twin, "target")):
-        bpy.context.view_layer.objects.active = object_
-        bpy.ops.object.mode_set(mode="EDIT")
-        shirt.select_set(True)
-        assert f"{name} is in Edit Mode" in refusal(bpy.ops.cagemap.rig), name
-        bpy.ops.object.mode_set(mode="OBJECT")
-    assert not target.modifiers
 
 
 @check
@@ -338,104 +284,6 @@ def disabled_objects_are_evaluated():
     assert source.hide_viewport
     assert tuple(source.matrix_world.translation) == (3.0, 0.0, 0.0)
     assert tuple(empty.matrix_world.translation) == (0.0, 3.0, 0.0)
-
-
-def linked_from_file(path, **names):
-    with bpy.data.libraries.load(str(path), link=True) as (_, linked):
-        for kind, ones in names.items():
-            setattr(linked, kind, ones)
-    return linked
-
-
-@check
-def linked_data_are_told_from_data_of_the_same_names():
-    source, _ = pair()
-    armature, path = rig(source), FOLDER / "library.blend"
-    tree = shader_nodes(source)
-    image = gradient("skin", 32)
-    image.pack()
-    tree.links.new(image_node(tree, image).outputs["Color"], principled(tree).inputs["Base Color"])
-    bpy.data.libraries.write(str(path), {source, armature})
-    clear()
-    (linked,) = linked_from_file(path, objects=["source"]).objects
-    own, target = pair()
-    bpy.context.collection.objects.link(linked)
-    bpy.data.objects.new("skeleton", bpy.data.armatures.new("bones"))
-    SETTINGS.source = linked
-    bpy.ops.cagemap.rig()
-    assert target.modifiers[0].object.data.bones.keys() == ["root", "tip"]
-    own.data.materials.append(linked.data.materials[0])
-    tree = shader_nodes(own, "own")
-    image = image_node(tree, gradient("skin", 16))
-    tree.links.new(image.outputs["Color"], principled(tree).inputs["Base Color"])
-    for polygon in own.data.polygons:
-        polygon.material_index = int(polygon.center.x > 0)
-    SETTINGS.source = own
-    bpy.ops.cagemap.transfer(what={"TEXTURES"})
-    sizes = {slot.name: baked_images(slot.material.node_tree)[0].size[0] for slot in target.material_slots}
-    assert sizes == {"coat on target": 32, "own on target": 16}
-    SETTINGS.target = linked
-    assert "source is linked from another file" in refusal(bpy.ops.cagemap.match)
-
-
-@check
-def images_that_end_are_refused_where_uvs_leave_them():
-    source, _ = pair()
-    tree = shader_nodes(source)
-    texture = image_node(tree, gradient("gradient", 64))
-    tree.links.new(texture.outputs["Color"], principled(tree).inputs["Base Color"])
-    texture.extension = "CLIP"
-    assert not refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
-    uvs = reading.numbers(source.data.uv_layers[0].uv, "vector", 2)
-    source.data.uv_layers[0].data.foreach_set("uv", (3.0 * uvs - 1.0).ravel())
-    assert "Image Texture: only images that repeat" in refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
-
-
-@check
-def packed_tiles_are_read():
-    source, target = pair()
-    tree = shader_nodes(source)
-    paths = [FOLDER / f"packed.{number}.png" for number in (1001, 1002)]
-    for path in paths:
-        gradient(path.stem, 32).save(filepath=str(path))
-    image = bpy.data.images.load(str(paths[0]))
-    image.source, image.filepath = "TILED", str(FOLDER / "packed.<UDIM>.png")
-    if len(image.tiles) < 2:
-        image.tiles.new(tile_number=1002)
-    image.pack()
-    for path in paths:
-        path.unlink()
-    tree.links.new(image_node(tree, image).outputs["Color"], principled(tree).inputs["Base Color"])
-    assert not refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
-    assert baked_images(target.material_slots[0].material.node_tree)[0].size[0] == 32
-
-
-@check
-def clothes_keep_their_parents_on_the_target():
-    source, target = pair()
-    armature, root = rig(source), bpy.data.objects.new("root", None)
-    bpy.context.collection.objects.link(root)
-    armature.parent = root
-    target.location.x = 4.0
-    eye, hat = garment(source), garment(source)
-    eye.name, hat.name = "eye", "hat"
-    for object_ in (eye, hat):
-        object_.vertex_groups.clear()
-        object_.modifiers.clear()
-    eye.parent, eye.parent_type, eye.parent_bone = armature, "BONE", "tip"
-    hat.parent = source
-    bpy.context.view_layer.update()
-    source.modifiers["Armature"].use_deform_preserve_volume = True
-    bpy.ops.cagemap.rig()
-    made = target.modifiers["Armature"].object
-    assert target.modifiers["Armature"].use_deform_preserve_volume
-    assert made.parent is None
-    copied = bpy.data.objects["eye on target"]
-    assert (copied.parent, copied.parent_type, copied.parent_bone, len(copied.modifiers)) == (made, "BONE", "tip", 0)
-    shift = copied.matrix_world.translation - eye.matrix_world.translation
-    np.testing.assert_allclose(shift, (4.0, 0.0, 0.0), atol=1e-5)
-    assert bpy.data.objects["hat on target"].parent == target
-    assert "without weights, not moved by bones: hat on target" in SETTINGS.message
 
 
 @check

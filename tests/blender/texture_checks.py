@@ -4,7 +4,8 @@ from types import SimpleNamespace
 
 import bpy
 import numpy as np
-from scene_kit import SETTINGS, Window, change_all_objects, check, operators, pair, refusal
+from character_checks import rig
+from scene_kit import FOLDER, SETTINGS, Window, change_all_objects, check, clear, operators, pair, reading, refusal
 
 
 def shader_nodes(object_, name="coat"):
@@ -248,3 +249,94 @@ def after_textures_were_transferred_views_show_them():
         window.run(operators.CAGEMAP_OT_transfer, what={"TEXTURES"})
         assert shading.color_type == "TEXTURE"
         assert target.data.color_attributes.active_color.name == "own"
+
+
+@check
+def float_images_keep_their_colours_in_the_file():
+    source, target = pair()
+    tree, deep = shader_nodes(source), FOLDER / "deep.png"
+    given = bpy.data.images.new("deep", 16, 16, alpha=True, float_buffer=True)
+    given.generated_color = (0.05, 0.2, 0.4, 0.5)
+    settings = bpy.context.scene.render.image_settings
+    settings.file_format, settings.color_mode, settings.color_depth = "PNG", "RGBA", "16"
+    given.save_render(str(deep))
+    texture = image_node(tree, bpy.data.images.load(str(deep)))
+    assert texture.image.is_float
+    assert texture.image.colorspace_settings.name == "sRGB"
+    tree.links.new(texture.outputs["Color"], principled(tree).inputs["Base Color"])
+    bpy.ops.cagemap.transfer(what={"TEXTURES"})
+    (image,) = baked_images(target.material_slots[0].material.node_tree)
+    place, expected = face_middles(target)[:1], pixels(texture.image)[0, 0]
+    assert np.abs(texels(image, place) - expected).max() < 1e-3
+    image.reload()  # as when the .blend file is opened
+    assert np.abs(texels(image, place) - expected).max() < 1e-3, (texels(image, place), expected)
+
+
+def linked_from_file(path, **names):
+    with bpy.data.libraries.load(str(path), link=True) as (_, linked):
+        for kind, ones in names.items():
+            setattr(linked, kind, ones)
+    return linked
+
+
+@check
+def linked_data_are_told_from_data_of_the_same_names():
+    source, _ = pair()
+    armature, path = rig(source), FOLDER / "library.blend"
+    tree = shader_nodes(source)
+    image = gradient("skin", 32)
+    image.pack()
+    tree.links.new(image_node(tree, image).outputs["Color"], principled(tree).inputs["Base Color"])
+    bpy.data.libraries.write(str(path), {source, armature})
+    clear()
+    (linked,) = linked_from_file(path, objects=["source"]).objects
+    own, target = pair()
+    bpy.context.collection.objects.link(linked)
+    bpy.data.objects.new("skeleton", bpy.data.armatures.new("bones"))
+    SETTINGS.source = linked
+    bpy.ops.cagemap.rig()
+    assert target.modifiers[0].object.data.bones.keys() == ["root", "tip"]
+    own.data.materials.append(linked.data.materials[0])
+    tree = shader_nodes(own, "own")
+    image = image_node(tree, gradient("skin", 16))
+    tree.links.new(image.outputs["Color"], principled(tree).inputs["Base Color"])
+    for polygon in own.data.polygons:
+        polygon.material_index = int(polygon.center.x > 0)
+    SETTINGS.source = own
+    bpy.ops.cagemap.transfer(what={"TEXTURES"})
+    sizes = {slot.name: baked_images(slot.material.node_tree)[0].size[0] for slot in target.material_slots}
+    assert sizes == {"coat on target": 32, "own on target": 16}
+    SETTINGS.target = linked
+    assert "source is linked from another file" in refusal(bpy.ops.cagemap.match)
+
+
+@check
+def images_that_end_are_refused_where_uvs_leave_them():
+    source, _ = pair()
+    tree = shader_nodes(source)
+    texture = image_node(tree, gradient("gradient", 64))
+    tree.links.new(texture.outputs["Color"], principled(tree).inputs["Base Color"])
+    texture.extension = "CLIP"
+    assert not refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
+    uvs = reading.numbers(source.data.uv_layers[0].uv, "vector", 2)
+    source.data.uv_layers[0].data.foreach_set("uv", (3.0 * uvs - 1.0).ravel())
+    assert "Image Texture: only images that repeat" in refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
+
+
+@check
+def packed_tiles_are_read():
+    source, target = pair()
+    tree = shader_nodes(source)
+    paths = [FOLDER / f"packed.{number}.png" for number in (1001, 1002)]
+    for path in paths:
+        gradient(path.stem, 32).save(filepath=str(path))
+    image = bpy.data.images.load(str(paths[0]))
+    image.source, image.filepath = "TILED", str(FOLDER / "packed.<UDIM>.png")
+    if len(image.tiles) < 2:
+        image.tiles.new(tile_number=1002)
+    image.pack()
+    for path in paths:
+        path.unlink()
+    tree.links.new(image_node(tree, image).outputs["Color"], principled(tree).inputs["Base Color"])
+    assert not refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
+    assert baked_images(target.material_slots[0].material.node_tree)[0].size[0] == 32
