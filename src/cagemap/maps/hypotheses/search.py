@@ -8,6 +8,7 @@ axes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import chain, count
@@ -134,14 +135,18 @@ def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[
 
 
 def fit_limbs_stiffly(
-    problem: Problem, limb_fits: Sequence[tuple[Tips, Placement]]
+    problem: Problem, limb_fits: Sequence[tuple[Tips, Placement]], max_ratio: float
 ) -> list[tuple[Clusters, Placement, list[Placement]]]:
-    """Clusters, the small fit and both stiff coarse placements of each assignment of limbs, cheapest first."""
+    """Clusters, small fit and both stiff coarse placements of each assignment of limbs.
+
+    Left out: assignments that cost more than ``max_ratio`` times the cheapest one.
+    """
     fits, stage = list[tuple[Clusters, Placement, list[Placement]]](), problem.prepared.elastic.stiff_coarse
     for tips, small_fit in limb_fits:
         clusters = problem.clusters_with(tips)
         fits.append((clusters, small_fit, fit_both_starts(problem, clusters.with_stage(stage))))
-    return sorted(fits, key=lambda fit: fit[1].penalty * min(placed.cost for placed in fit[2]))
+    costs = [small_fit.penalty * min(placed.cost for placed in stiff_fits) for _, small_fit, stiff_fits in fits]
+    return [fit for fit, cost in zip(fits, costs, strict=True) if cost <= max_ratio * min(costs)]
 
 
 def inverse_placement(problem: Problem, reverse: Placement) -> Placement:
@@ -168,6 +173,8 @@ def search_placements(
     1. With three landmarks or more, fit from the two starts that they give. If the fits agree, return them.
     2. Else fit a small graph from many starts: assigned limbs, the files' positions and, without landmarks, rotations.
     3. Fit the mesh from the best of these, with the tips of assigned limbs as constraints and without tips.
+       Without landmarks an assignment is left out if its coarse placements cost more than ``max_equal_cost`` times
+       the cheapest ones.
     4. For the best fit with constraints whose two starts disagree, add spectral starts.
     5. If the best cost is above ``same_kind_cost`` (bodies of one kind in one pose stay below it), refit with tips near
        each other as constraints.
@@ -189,9 +196,8 @@ def search_placements(
         progress("possible alignments")
         limb_fits, small_fits = fit_small_graph(problem, not has_given_start, show)
         progress("rough alignment")
-        # With landmarks several assignments can fit: each is refined.
-        limbs = fit_limbs_stiffly(problem, limb_fits)[: None if has_given_start else 1]
-        for clusters, small_fit, stiff_fits in limbs:
+        max_ratio = math.inf if has_given_start else problem.prepared.elastic.search.max_equal_cost
+        for clusters, small_fit, stiff_fits in fit_limbs_stiffly(problem, limb_fits, max_ratio):
             fine, soft = fit_from_two_starts(problem, clusters, stiff_fits=stiff_fits)
             constrained.append((clusters, [placed.with_start_of(small_fit) for placed in fine], soft))
         placements = fit_without_tips(problem, small_fits)
