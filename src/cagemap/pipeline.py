@@ -23,7 +23,7 @@ from cagemap.maps.hypotheses.confidence import (
     prolong_answers,
     turned_limb_answers,
 )
-from cagemap.maps.hypotheses.search import distinct_answers, search_from_source, search_placements
+from cagemap.maps.hypotheses.search import distinct_answers, search_both_ways, search_placements
 from cagemap.maps.landmarks.check import (
     LandmarkCheck,
     check_changes,
@@ -192,8 +192,7 @@ def match_pair(
             point_map, confidence = coincident
             placements = confidence.answers
         elif len(landmarks) < FEWEST_LANDMARKS:
-            found = search_placements(problem, progress, show=show)
-            placements = distinct_answers(prepared, search_from_source(problem, found, progress))
+            placements = distinct_answers(prepared, search_both_ways(problem, progress, show))
             progress("closest points")
             point_map = map_of_places(problem, placements[0].map_positions)
         else:

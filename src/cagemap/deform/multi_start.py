@@ -104,25 +104,23 @@ def spectral_starts(problem: Problem, clusters: Clusters) -> Callable[[Placement
 
 
 def fit_from_two_starts(
-    problem: Problem, clusters: Clusters, start: FloatArray | None = None
+    problem: Problem, clusters: Clusters, start: FloatArray | None = None, stiff_fits: Sequence[Placement] = ()
 ) -> tuple[list[Placement], list[Placement]]:
     """Fine placements from two starts, cheapest first; and the soft coarse ones of both, none if the starts agree.
 
     The starts are ZoomOut from landmark coordinates (`zoomout_start`), or positions ``start`` (k, 3), and the
     constrained points alone (`landmark_start`). Clusters are fitted from each by the stiff coarse stage, which spreads
-    strain evenly, and the distinct placements are refined. The starts disagree if these are far apart or a limb of the
-    best one is rotated; then the soft stage, that of ``clusters``, is fitted too, for `spectral_starts`. With a start
-    and fewer than three constrained points nothing else is possible: it is fitted by both stages.
+    strain evenly (unless these ``stiff_fits`` are given), and the distinct placements are refined. The starts disagree
+    if these are far apart or a limb of the best one is rotated; then the soft stage, that of ``clusters``, is fitted
+    too, for `spectral_starts`. With a start and fewer than three constrained points nothing else is possible: it is
+    fitted by both stages.
     """
     elastic, areas = problem.prepared.elastic, clusters.energy.graph.areas
     stiff = clusters.with_stage(elastic.stiff_coarse)
     if start is not None and len(clusters.constrained_vertices[0]) < FEWEST_LANDMARKS:
         both_stages = in_threads(lambda chosen: coarse_fit(problem, start, chosen), (clusters, stiff))
         return refine_placements(problem, both_stages), []
-    with ThreadPool(1) as pool:  # at the same time as ZoomOut
-        from_points = pool.submit(coarse_fit, problem, None, stiff)
-        start = zoomout_start(problem, clusters) if start is None else start
-        coarse = [coarse_fit(problem, start, stiff), from_points.result()]
+    coarse = stiff_fits or fit_both_starts(problem, stiff, start)
     search = elastic.search
     # Costs of different coarse placements are too alike to choose by: a rotated elbow shows in the fine stage alone.
     distinct = distinct_placements(sort_by_cost(coarse), areas, search.min_coarse_distance)
@@ -133,7 +131,15 @@ def fit_from_two_starts(
     distance = mean_distance(coarse[0].positions, coarse[1].positions, areas)
     if distance <= search.max_start_distance and rotation <= search.max_limb_rotation:
         return fine, []
-    return fine, in_threads(lambda first: coarse_fit(problem, first, clusters), (start, None))
+    return fine, fit_both_starts(problem, clusters, start)
+
+
+def fit_both_starts(problem: Problem, clusters: Clusters, start: FloatArray | None = None) -> list[Placement]:
+    """Coarse placements from ZoomOut, or from positions (k, 3) in its place, and from the constrained points alone."""
+    with ThreadPool(1) as pool:  # at the same time as ZoomOut
+        from_points = pool.submit(coarse_fit, problem, None, clusters)
+        start = zoomout_start(problem, clusters) if start is None else start
+        return [coarse_fit(problem, start, clusters), from_points.result()]
 
 
 def refine_cheapest(

@@ -8,6 +8,7 @@ axes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import chain, count
@@ -15,6 +16,7 @@ from itertools import chain, count
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.multi_start import (
     FEWEST_LANDMARKS,
+    fit_both_starts,
     fit_from_two_starts,
     refine_cheapest,
     spectral_starts,
@@ -132,6 +134,21 @@ def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[
     return in_threads(fit_fine, cheap[: config.max_refined])
 
 
+def fit_limbs_stiffly(
+    problem: Problem, limb_fits: Sequence[tuple[Tips, Placement]], max_ratio: float
+) -> list[tuple[Clusters, Placement, list[Placement]]]:
+    """Clusters, small fit and both stiff coarse placements of each assignment of limbs.
+
+    Left out: assignments that cost more than ``max_ratio`` times the cheapest one.
+    """
+    fits, stage = list[tuple[Clusters, Placement, list[Placement]]](), problem.prepared.elastic.stiff_coarse
+    for tips, small_fit in limb_fits:
+        clusters = problem.clusters_with(tips)
+        fits.append((clusters, small_fit, fit_both_starts(problem, clusters.with_stage(stage))))
+    costs = [small_fit.penalty * min(placed.cost for placed in stiff_fits) for _, small_fit, stiff_fits in fits]
+    return [fit for fit, cost in zip(fits, costs, strict=True) if cost <= max_ratio * min(costs)]
+
+
 def inverse_placement(problem: Problem, reverse: Placement) -> Placement:
     """Placement of the target from one of the source on the target, whose cost it keeps."""
     prepared, energy = problem.prepared, problem.prepared.energy
@@ -148,16 +165,20 @@ def search_placements(
     progress: Progress = no_progress,
     start: FloatArray | None = None,
     show: Callable[[Placement], None] = lambda _: None,
+    *,
+    finish: bool = True,
 ) -> list[Placement]:
     """Placements of the target's mesh, best first (`rank_placements`); landmarks are constraints in all of them.
 
     1. With three landmarks or more, fit from the two starts that they give. If the fits agree, return them.
     2. Else fit a small graph from many starts: assigned limbs, the files' positions and, without landmarks, rotations.
     3. Fit the mesh from the best of these, with the tips of assigned limbs as constraints and without tips.
+       Without landmarks an assignment is left out if its coarse placements cost more than ``max_equal_cost`` times
+       the cheapest ones.
     4. For the best fit with constraints whose two starts disagree, add spectral starts.
     5. If the best cost is above ``same_kind_cost`` (bodies of one kind in one pose stay below it), refit with tips near
        each other as constraints.
-    6. Finish the best placement (`deform.refit`), but not below that cost without landmarks.
+    6. Finish the best placement (`deform.refit`), but not below that cost without landmarks, and only if ``finish``.
 
     Positions ``start`` (k, 3) of the coarse clusters replace the start by ZoomOut; steps 2 and 3 are left out
     then. ``show`` is called with placements of the small graph.
@@ -175,9 +196,9 @@ def search_placements(
         progress("possible alignments")
         limb_fits, small_fits = fit_small_graph(problem, not has_given_start, show)
         progress("rough alignment")
-        for tips, small_fit in limb_fits:
-            clusters = problem.clusters_with(tips)
-            fine, soft = fit_from_two_starts(problem, clusters)
+        max_ratio = math.inf if has_given_start else problem.prepared.elastic.search.max_equal_cost
+        for clusters, small_fit, stiff_fits in fit_limbs_stiffly(problem, limb_fits, max_ratio):
+            fine, soft = fit_from_two_starts(problem, clusters, stiff_fits=stiff_fits)
             constrained.append((clusters, [placed.with_start_of(small_fit) for placed in fine], soft))
         placements = fit_without_tips(problem, small_fits)
     progress("elastic alignment")
@@ -195,32 +216,36 @@ def search_placements(
         ranked = rank_placements(refit_distinct_to_tips(problem, ranked), floor)
     elif not has_given_start:
         return ranked
-    return [finish_placement(problem, ranked[0]), *ranked[1:]]
+    return [finish_placement(problem, ranked[0]), *ranked[1:]] if finish else ranked
 
 
-def search_from_source(
-    problem: Problem, placements: list[Placement], progress: Progress = no_progress
+def search_both_ways(
+    problem: Problem, progress: Progress = no_progress, show: Callable[[Placement], None] = lambda _: None
 ) -> list[Placement]:
     """Placements of `search_placements`; for some pairs with those of the reverse problem, which deforms the source.
 
     If one surface is open and the other closed (a part and a whole, docs/lab/parts.md), the inverses of all reverse
     placements are ranked with the others. Otherwise the reverse problem is searched only if the best placement costs
     more than ``max_one_way_cost`` (docs/lab/search.md); the inverse of the best reverse placement then comes first if
-    it costs less and is farther than ``max_start_distance`` from the best placement, on average.
+    it costs less and is farther than ``max_start_distance`` from the best placement, on average. Only the first of all
+    is finished then.
     """
-    prepared, best = problem.prepared, placements[0]
+    prepared, back = problem.prepared, problem.reverse_problem
     config, areas = prepared.elastic.search, prepared.energy.graph.areas
-    is_part = prepared.mesh.is_open != prepared.source_surface.is_open
-    if not is_part and best.cost <= config.max_one_way_cost:
-        return placements
-    reverse = search_placements(problem.reverse_problem, progress)
-    if is_part:
+    if prepared.mesh.is_open != prepared.source_surface.is_open:
+        placements, reverse = search_placements(problem, progress, show=show), search_placements(back, progress)
         return rank_placements([*placements, *(inverse_placement(problem, placed) for placed in reverse)])
-    inverse = inverse_placement(problem, reverse[0])
-    distance = mean_distance(inverse.positions, best.map_positions, areas)
-    if inverse.penalised_cost >= best.penalised_cost or distance <= config.max_start_distance:
+    placements = search_placements(problem, progress, show=show, finish=False)
+    best = placements[0]
+    if best.cost > config.max_one_way_cost:
+        reverse = search_placements(back, progress, finish=False)
+        if reverse[0].penalised_cost < best.penalised_cost:
+            inverse = inverse_placement(problem, reverse[0])
+            if mean_distance(inverse.positions, best.positions, areas) > config.max_start_distance:
+                placements = [inverse, *placements]
+    if placements[0].cost <= config.same_kind_cost:
         return placements
-    return [finish_placement(problem, inverse), *placements]
+    return [finish_placement(problem, placements[0]), *placements[1:]]
 
 
 @kinds_checked
