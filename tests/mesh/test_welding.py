@@ -222,7 +222,7 @@ def test_plain_pieces_set_aside_are_said_with_the_tolerance_that_joins_them() ->
     assert "`weld_mesh(mesh, 1e-06)` joins" in note
     apart = jittered(split_at_seams(animal(1)), 1e-2)
     (note,) = (note for note in plain_mesh(apart).notes if "set aside" in note)
-    assert "`find_part` each" in note
+    assert "`find_part` selects another" in note
 
 
 @pytest.fixture(scope="module")
