@@ -271,7 +271,6 @@ def test_what_a_match_read_is_no_output_of_what_follows(place: Path, force: bool
         lambda: made(models / "large.obj", source_uvs=True),
         lambda: made(models / "a.png", texture=place / "t.png", size=16, unwrap=True),
         lambda: made(models, blend_shapes=(place / "shapes.npz",)),
-        lambda: made(place / "a.png", texture=place / "t.png", usd=models / "large.obj"),
         lambda: run_suggest(SuggestRequest(place / "R", models / "large.obj", 1, force=force), Stages()),
         lambda: wrapped(models / "large.obj"),
         lambda: wrapped(models, blend_shapes=True),
@@ -279,6 +278,8 @@ def test_what_a_match_read_is_no_output_of_what_follows(place: Path, force: bool
     ]
     for attempt in attempts:
         refuses(FormatError, "is an input too", attempt)
+    layer = models / "large.obj"
+    refuses(FormatError, "ending in .usda", made, place / "a.png", texture=place / "t.png", usd=layer)
     with pytest.raises(FormatError, match=r"n\.png: two outputs have this name"):
         wrapped(place / "w.obj", normal_map=place / "n.png", displacement=place / "n.png")
     with pytest.raises(ParameterError, match="colours"):  # and no mesh without its image

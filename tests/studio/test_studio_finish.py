@@ -107,7 +107,8 @@ def test_an_option_that_is_new_to_a_request_is_on_the_page(monkeypatch: pytest.M
 
 def values(option: CommandOption) -> st.SearchStrategy[Value]:
     """What the page may say for an option."""
-    file = Path(f"/w/{option.name}.obj")
+    suffixes = {"joints": ".json", "attribute": ".csv", "weights": ".csv"}
+    file = Path(f"/w/{option.name}{suffixes.get(option.name, '.obj')}")
     made: dict[str, st.SearchStrategy[Value]] = {
         "flag": st.booleans(),
         "output": st.booleans(),
