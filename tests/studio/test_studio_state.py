@@ -26,6 +26,7 @@ from cagemap.studio.state import (
     layout_mesh,
     update_view,
 )
+from cagemap.studio.workspace import Workspace
 from cagemap.tasks.job_file import note_match
 from cagemap.tasks.requests.match import MatchRequest
 
@@ -218,6 +219,21 @@ def test_files_are_named_as_a_pair_or_not_at_all(tmp_path: Path) -> None:
     assert command_line_files(None, None, None, None, None) is None
     refuses(ParameterError, "one of them", command_line_files, tmp_path / "a.obj", None, None, None, None)
     refuses(ParameterError, "beside", command_line_files, None, None, tmp_path / "a.json", None, None)
+
+
+def test_links_at_default_names_add_no_folder_and_are_refused(tmp_path: Path) -> None:
+    models = tmp_path / "models"
+    models.mkdir()
+    target, source = models / "a.obj", models / "b.obj"
+    for name in ("b__a.json", "b__a_RESULT"):
+        link = models / name
+        for end, words in (("../private/secret", "outside"), (name, "name of a file")):  # the second one is a loop
+            link.symlink_to(end)
+            files = command_line_files(target, source, None, None, None)
+            assert files is not None
+            assert {files.landmarks.parent, files.result.parent} == {models}
+            refuses(ParameterError, words, Workspace.of(models).resolve_paths, files)
+            link.unlink()
 
 
 def test_messages_do_not_pile_up() -> None:

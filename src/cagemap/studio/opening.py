@@ -36,11 +36,15 @@ def default_files(
     result: Path | None = None,
     parts: SideNames = (None, None),
 ) -> Files:
-    """Absolute paths of a pair; landmarks and RESULT are by default beside the target, and named after the pair."""
+    """Absolute paths of a pair; landmarks and RESULT are by default beside the target, and named after the pair.
+
+    Links at default names are not followed: the folders that the page may use are those of the given files.
+    """
     target, source, image = target.resolve(), source.resolve(), texture and texture.resolve()
     pair = f"{source.stem}__{target.stem}"
-    landmarks, result = landmarks or target.with_name(f"{pair}.json"), result or target.with_name(f"{pair}_RESULT")
-    return Files(target, source, image, landmarks.resolve(), result.resolve(), schemes, parts=parts)
+    landmarks = landmarks.resolve() if landmarks else target.with_name(f"{pair}.json")
+    result = result.resolve() if result else target.with_name(f"{pair}_RESULT")
+    return Files(target, source, image, landmarks, result, schemes, parts=parts)
 
 
 def result_folder(files: Files, parts: SideNames) -> Path:
