@@ -55,6 +55,17 @@ def test_answers_that_are_no_longer_wanted_are_no_errors(opened: Session) -> Non
     assert opened.state == before
 
 
+def test_results_that_no_task_gives_are_logged(opened: Session, caplog: pytest.LogCaptureFixture) -> None:
+    before, pair_files = opened.state, opened._preview.pair_files
+    opened._receive(ShowPosed(pair_files, "of an earlier view", None), (b"target", b"source"))
+    assert not caplog.records
+    opened._receive(ShowPosed(pair_files, before.view.pose, None), (b"target", None))
+    assert [record.getMessage() for record in caplog.records] == [
+        "unexpected result <class 'tuple'> of <class 'cagemap.studio.preview_tasks.ShowPosed'>"
+    ]
+    assert opened.state == before
+
+
 def test_a_source_that_the_map_turns_is_turned_in_the_view(opened: Session) -> None:
     scene = opened.scene
     # About where half a turn about the vertical takes the box, which is slanted.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from dataclasses import replace
 from functools import partial
@@ -38,6 +39,8 @@ from cagemap.studio.state import (
 )
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.tasks.match import ComputedMatch
+
+log = logging.getLogger(__name__)
 
 
 class PreviewResults(LandmarkEdits):
@@ -123,10 +126,14 @@ class PreviewResults(LandmarkEdits):
                 if files is not None:
                     self._change(files=replace(files, ups=ups, texture=texture))
                 self._say_all(notes)
-            case ShowBaked(image=image), bytes() as skin if image == self._state.view.baked:
-                self._show_skins((skin, self._scene.skins[1]))
-            case ShowPosed(pose=pose), (bytes() as target, bytes() as source) if pose == self._state.view.pose:
-                self._show_skins((target, source))
+            case ShowBaked(image=image), bytes() as skin:
+                if image == self._state.view.baked:
+                    self._show_skins((skin, self._scene.skins[1]))
+            case ShowPosed(pose=pose), (bytes() as target, bytes() as source):
+                if pose == self._state.view.pose:
+                    self._show_skins((target, source))
+            case _:
+                log.warning("unexpected result %r of %r", type(result), type(task))
 
     def _apply_failure(self, task: Task, failure: Failure, *, cancelled: bool) -> None:
         """Say why a task failed; open the requested parts if those of the autosave do not exist any more."""
