@@ -195,6 +195,8 @@ def test_equal_points_have_equal_map_colours() -> None:
     points = np.random.default_rng(11).normal(size=(50, 3))
     colors = position_colors(points, points)
     np.testing.assert_array_equal(position_colors(points[::3], points), colors[::3])
+    plain = position_colors(points, points, cells=0)  # without a checker
+    np.testing.assert_allclose(np.unique(np.round(colors / plain, 6)), [0.86, 1.0])
     assert colors.min() >= 0
     assert colors.max() <= 1
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from cagemap.numerics.arrays import FloatArray
 
-POSITION_CELLS = 24  # of the checker of `position_colors`, along the longest side
+POSITION_CELLS = 24  # default of `position_colors`
 # Evenly spaced anchors of colour scales: like viridis for amounts, blue-white-red for signed values.
 AMOUNT_SCALE = np.array(
     [[68, 1, 84], [71, 44, 122], [59, 81, 139], [44, 113, 142], [33, 144, 141], [39, 173, 129], [92, 200, 99],
@@ -33,17 +33,18 @@ def scalar_colors(values: FloatArray, low: float, high: float, scale: FloatArray
     return colors
 
 
-def position_colors(points: FloatArray, reference: FloatArray) -> FloatArray:
+def position_colors(points: FloatArray, reference: FloatArray, cells: int = POSITION_CELLS) -> FloatArray:
     """Colours of positions: x, y, z as red, green, blue, with a faint checker.
 
     They show a map when the source gets its own positions and the target the positions its vertices map to.
     ``reference``: (m, 3) all positions of the source, which define the range.
+    ``cells``: number of squares of the checker along the longest side of the range; 0: no checker.
     """
     low, high = reference.min(0), reference.max(0)
     span = np.maximum(high - low, 1e-9 * max(float((high - low).max()), np.finfo(np.float64).tiny))
     unit = np.clip((points - low) / span, 0.0, 1.0)
     colors = 0.16 + 0.78 * unit
-    steps = np.floor((points - low) * (POSITION_CELLS / float(span.max()))).astype(np.int64)
+    steps = np.floor((points - low) * (cells / float(span.max()))).astype(np.int64)
     return colors * np.where(steps.sum(1) % 2 == 0, 1.0, 0.86)[:, None]
 
 
