@@ -97,13 +97,25 @@ def test_one_limb_is_posed_where_the_body_stands_as_it_did(energy: ElasticEnergy
 def test_placements_that_agree_are_doubted_where_a_limb_is_posed(bent, monkeypatch, angle):
     problem = problem_of(bent)
     at_rest = Placement(problem.coarse_clusters.energy.graph.positions, 1.0)
-    monkeypatch.setattr(multi_start, "coarse_fit", lambda *given: at_rest)
     monkeypatch.setattr(multi_start, "refine_placements", lambda problem, coarse: list(coarse))
-    monkeypatch.setattr(multi_start, "zoomout_start", lambda *given: bent.source.finest_triangles.positions)
+    starts, asked = list[FloatArray | None](), list[object]()
+
+    def coarse_fit(problem: Problem, start: FloatArray | None, clusters: Clusters) -> Placement:
+        starts.append(start)
+        return at_rest
+
+    def zoomout_start(*given: object) -> FloatArray:
+        asked.append(given)
+        return bent.source.finest_triangles.positions
+
+    monkeypatch.setattr(multi_start, "coarse_fit", coarse_fit)
+    monkeypatch.setattr(multi_start, "zoomout_start", zoomout_start)
     monkeypatch.setattr(multi_start, "largest_limb_rotation", lambda *given: angle)
     fine, soft = fit_from_two_starts(problem, problem.coarse_clusters)
     assert len(fine) == 1, "of coarse placements that agree, one is refined"
     assert (not soft) == (angle < LIMB_POSED)
+    assert len(starts) == (4 if soft else 2)
+    assert len(asked) == 1, "both stages start from one ZoomOut"
 
 
 def test_edges_are_loose_where_a_body_turns_and_stiff_where_it_does_not(energy: ElasticEnergy) -> None:

@@ -10,6 +10,7 @@ from examples.shapes import creature, cube, grid, voxels
 from scipy.spatial.transform import Rotation
 
 from cagemap.deform.fit import evaluate_placement
+from cagemap.deform.multi_start import StartFits
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.errors import InvalidLandmarksError
@@ -263,3 +264,41 @@ def test_correct_landmarks_do_not_make_the_rest_worse(shared_data: Path) -> None
     images = match(cow, horse, given).point_map.images.positions[rest.target]
     errors = np.linalg.norm(images - horse.finest_triangles.positions[rest.source], axis=1)
     assert 100 * errors.mean() < 2.2
+
+
+@pytest.mark.parametrize(("n_landmarks", "kept"), [(0, ["cheapest", "1.1"]), (2, ["cheapest", "1.1"]), (3, None)])
+def test_assignments_of_limbs_that_cost_much_more_are_refined_with_landmarks_only(
+    prepared: PreparedPair, monkeypatch: pytest.MonkeyPatch, n_landmarks: int, kept: list[str] | None
+) -> None:
+    """Costs are those of the cheaper start times the penalty of the small fit."""
+    positions, vertices = prepared.energy.graph.positions, np.arange(0, 40 * n_landmarks, 40)
+    problem = Problem.of_landmarks(prepared, Landmarks(tuple("abc"[:n_landmarks]), vertices, vertices))
+    costs = {"1.3": 1.3, "cheapest": 1.0, "penalty 1.2": 1.0, "1.1": 1.1}  # "tips" are names here
+    refined = list[str]()
+
+    class NamedClusters(str):
+        def with_stage(self, stage: object) -> "NamedClusters":
+            return self
+
+    def fit_from_two_starts(
+        problem: Problem, clusters: object, start: object = None, stiff_fits: StartFits | None = None
+    ) -> tuple[list[Placement], list[Placement]]:
+        beside = Placement(positions, 1.0)
+        if stiff_fits is None:
+            return [beside], [beside]
+        refined.append(str(clusters))
+        return [stiff_fits.placements[1]], []
+
+    def fit_both_starts(problem: Problem, clusters: str) -> StartFits:
+        return StartFits([Placement(positions, 9.0), Placement(positions, costs[clusters])], positions)
+
+    small_fits = [(name, Placement(positions, 5.0, penalty=1.2 if "penalty" in name else 1.0)) for name in costs]
+    monkeypatch.setattr(Problem, "clusters_with", lambda problem, tips="": NamedClusters(tips))
+    monkeypatch.setattr(search, "fit_from_two_starts", fit_from_two_starts)
+    monkeypatch.setattr(search, "fit_both_starts", fit_both_starts)
+    monkeypatch.setattr(search, "fit_small_graph", lambda *given: (small_fits, []))
+    monkeypatch.setattr(search, "spectral_starts", lambda problem, clusters: lambda placed: [])
+    monkeypatch.setattr(search, "refine_cheapest", lambda problem, coarse, fine: fine)
+    monkeypatch.setattr(search, "refit_distinct_to_tips", lambda problem, ranked: ranked)
+    search.search_placements(problem, finish=False)
+    assert refined == (list(costs) if kept is None else kept)

@@ -7,6 +7,7 @@ the coarse graph, but does on the mesh (docs/lab/fit_experiments.md).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,13 @@ from cagemap.spectral.zoomout import (
 
 # Landmarks from which on they give a start of their own; fewer only restrict the search.
 FEWEST_LANDMARKS = 3
+
+
+class StartFits(NamedTuple):
+    """Coarse fits from two starts, ZoomOut and the constrained points alone; and ZoomOut's start, for other stages."""
+
+    placements: list[Placement]
+    start: FloatArray  # (k, 3)
 
 
 def zoomout_start(problem: Problem, clusters: Clusters) -> FloatArray:
@@ -104,7 +112,7 @@ def spectral_starts(problem: Problem, clusters: Clusters) -> Callable[[Placement
 
 
 def fit_from_two_starts(
-    problem: Problem, clusters: Clusters, start: FloatArray | None = None, stiff_fits: Sequence[Placement] = ()
+    problem: Problem, clusters: Clusters, start: FloatArray | None = None, stiff_fits: StartFits | None = None
 ) -> tuple[list[Placement], list[Placement]]:
     """Fine placements from two starts, cheapest first; and the soft coarse ones of both, none if the starts agree.
 
@@ -120,7 +128,7 @@ def fit_from_two_starts(
     if start is not None and len(clusters.constrained_vertices[0]) < FEWEST_LANDMARKS:
         both_stages = in_threads(lambda chosen: coarse_fit(problem, start, chosen), (clusters, stiff))
         return refine_placements(problem, both_stages), []
-    coarse = stiff_fits or fit_both_starts(problem, stiff, start)
+    coarse, start = stiff_fits or fit_both_starts(problem, stiff, start)
     search = elastic.search
     # Costs of different coarse placements are too alike to choose by: a rotated elbow shows in the fine stage alone.
     distinct = distinct_placements(sort_by_cost(coarse), areas, search.min_coarse_distance)
@@ -131,15 +139,15 @@ def fit_from_two_starts(
     distance = mean_distance(coarse[0].positions, coarse[1].positions, areas)
     if distance <= search.max_start_distance and rotation <= search.max_limb_rotation:
         return fine, []
-    return fine, fit_both_starts(problem, clusters, start)
+    return fine, fit_both_starts(problem, clusters, start).placements
 
 
-def fit_both_starts(problem: Problem, clusters: Clusters, start: FloatArray | None = None) -> list[Placement]:
-    """Coarse placements from ZoomOut, or from positions (k, 3) in its place, and from the constrained points alone."""
+def fit_both_starts(problem: Problem, clusters: Clusters, start: FloatArray | None = None) -> StartFits:
+    """Coarse fits from ZoomOut, or from positions (k, 3) in its place, and from the constrained points alone."""
     with ThreadPool(1) as pool:  # at the same time as ZoomOut
         from_points = pool.submit(coarse_fit, problem, None, clusters)
         start = zoomout_start(problem, clusters) if start is None else start
-        return [coarse_fit(problem, start, clusters), from_points.result()]
+        return StartFits([coarse_fit(problem, start, clusters), from_points.result()], start)
 
 
 def refine_cheapest(

@@ -16,6 +16,7 @@ from itertools import chain, count
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.multi_start import (
     FEWEST_LANDMARKS,
+    StartFits,
     fit_both_starts,
     fit_from_two_starts,
     refine_cheapest,
@@ -136,16 +137,16 @@ def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[
 
 def fit_limbs_stiffly(
     problem: Problem, limb_fits: Sequence[tuple[Tips, Placement]], max_ratio: float
-) -> list[tuple[Clusters, Placement, list[Placement]]]:
-    """Clusters, small fit and both stiff coarse placements of each assignment of limbs.
+) -> list[tuple[Clusters, Placement, StartFits]]:
+    """Clusters, small fit and stiff coarse fits of each assignment of limbs.
 
     Left out: assignments that cost more than ``max_ratio`` times the cheapest one.
     """
-    fits, stage = list[tuple[Clusters, Placement, list[Placement]]](), problem.prepared.elastic.stiff_coarse
+    fits, stage = list[tuple[Clusters, Placement, StartFits]](), problem.prepared.elastic.stiff_coarse
     for tips, small_fit in limb_fits:
         clusters = problem.clusters_with(tips)
         fits.append((clusters, small_fit, fit_both_starts(problem, clusters.with_stage(stage))))
-    costs = [small_fit.penalty * min(placed.cost for placed in stiff_fits) for _, small_fit, stiff_fits in fits]
+    costs = [small_fit.penalty * min(placed.cost for placed in coarse) for _, small_fit, (coarse, _) in fits]
     return [fit for fit, cost in zip(fits, costs, strict=True) if cost <= max_ratio * min(costs)]
 
 
@@ -171,14 +172,16 @@ def search_placements(
     """Placements of the target's mesh, best first (`rank_placements`); landmarks are constraints in all of them.
 
     1. With three landmarks or more, fit from the two starts that they give. If the fits agree, return them.
-    2. Else fit a small graph from many starts: assigned limbs, the files' positions and, without landmarks, rotations.
+    2. Else fit a small graph from many starts: assigned limbs, the files' positions and, with fewer landmarks,
+       rotations.
     3. Fit the mesh from the best of these, with the tips of assigned limbs as constraints and without tips.
-       Without landmarks an assignment is left out if its coarse placements cost more than ``max_equal_cost`` times
-       the cheapest ones.
+       With fewer than three landmarks an assignment is left out if its coarse placements cost more than
+       ``max_equal_cost`` times the cheapest ones.
     4. For the best fit with constraints whose two starts disagree, add spectral starts.
     5. If the best cost is above ``same_kind_cost`` (bodies of one kind in one pose stay below it), refit with tips near
        each other as constraints.
-    6. Finish the best placement (`deform.refit`), but not below that cost without landmarks, and only if ``finish``.
+    6. Finish the best placement (`deform.refit`) if ``finish``; with fewer than three landmarks, not if the lowest cost
+       before step 5 is at most ``same_kind_cost``.
 
     Positions ``start`` (k, 3) of the coarse clusters replace the start by ZoomOut; steps 2 and 3 are left out
     then. ``show`` is called with placements of the small graph.
@@ -228,17 +231,19 @@ def search_both_ways(
     placements are ranked with the others. Otherwise the reverse problem is searched only if the best placement costs
     more than ``max_one_way_cost`` (docs/lab/search.md); the inverse of the best reverse placement then comes first if
     it costs less and is farther than ``max_start_distance`` from the best placement, on average. Only the first of all
-    is finished then.
+    is finished then, if it costs more than ``same_kind_cost`` (its cost after step 5; `search_placements` compares the
+    lowest cost of all before that step).
     """
-    prepared, back = problem.prepared, problem.reverse_problem
+    prepared, reverse_problem = problem.prepared, problem.reverse_problem
     config, areas = prepared.elastic.search, prepared.energy.graph.areas
     if prepared.mesh.is_open != prepared.source_surface.is_open:
-        placements, reverse = search_placements(problem, progress, show=show), search_placements(back, progress)
+        placements = search_placements(problem, progress, show=show)
+        reverse = search_placements(reverse_problem, progress)
         return rank_placements([*placements, *(inverse_placement(problem, placed) for placed in reverse)])
     placements = search_placements(problem, progress, show=show, finish=False)
     best = placements[0]
     if best.cost > config.max_one_way_cost:
-        reverse = search_placements(back, progress, finish=False)
+        reverse = search_placements(reverse_problem, progress, finish=False)
         if reverse[0].penalised_cost < best.penalised_cost:
             inverse = inverse_placement(problem, reverse[0])
             if mean_distance(inverse.positions, best.positions, areas) > config.max_start_distance:
