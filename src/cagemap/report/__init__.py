@@ -33,7 +33,7 @@ MODEL_VERTEX_COUNTS = 60_000, 30_000, 15_000, 6000
 
 
 def check_page_path(path: str | Path) -> None:
-    """Refuse a name that does not end in .html or .htm."""
+    """FormatError if a name does not end in .html or .htm."""
     suffix = Path(path).suffix
     if suffix.lower() not in (".html", ".htm"):
         got = f"'{suffix}'" if suffix else "a name without an ending"

@@ -108,7 +108,7 @@ def build_page(
 
 
 def html_page(title: str, sections: Iterable[str], *, style: str = "", scripts: str = "") -> str:
-    """Text of a page of sections, in the reports' style and a further one."""
+    """Text of a page of sections; ``style``: CSS added to that of reports."""
     body = "\n".join(sections)
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -272,9 +272,9 @@ def _section(title: str, lead: str, body: str) -> str:
     return f"<section>\n<h2>{title}</h2>\n{lead_html}\n{body}\n</section>"
 
 
-def page_header(title: str, below: str) -> str:
-    """Header of a page; ``below``: HTML under its title."""
-    return f'<header>\n<p class="brand">cagemap</p>\n<h1>{escape(title)}</h1>\n{below}\n</header>'
+def page_header(title: str, subtitle_html: str) -> str:
+    """Header of a page; ``subtitle_html``: HTML under its title."""
+    return f'<header>\n<p class="brand">cagemap</p>\n<h1>{escape(title)}</h1>\n{subtitle_html}\n</header>'
 
 
 def _message_list(result: MatchResult, warnings: list[str], notes: list[str]) -> str:

@@ -247,7 +247,7 @@ class _CommandBuilder:
             output = output.with_name(f"{output.stem}_{data_field}{output.suffix}")
         others = (name for command, name in self.options if command == "transfer" and name not in TRANSFERS)
         read = [name for name in others if data_field in READ_BY.get(name, (data_field,))]
-        read += ["joints"] if data_field == "weights" else []  # they name the columns
+        read += ["joints"] if data_field == "weights" else []  # joints name the columns of weights
         values = {name: self._option_value(data_field, name, output) for name in read}
         values |= {**data, "result": self.files.result, "output": output}
         return Command(TRANSFERS[data_field], request_of("transfer", values))
