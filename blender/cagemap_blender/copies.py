@@ -80,13 +80,13 @@ def fit_modifiers(copies, target, source):
             if bound or (modifier.type == "ARMATURE" and armatures[1] is None):
                 copy.modifiers.remove(modifier)
         redirect(copy, replacements)
-        _parent_like(copy, garment, replacements.get(garment.parent))
+        _copy_parent(copy, garment, replacements.get(garment.parent))
         if armatures[1] is not None and copy.parent_type != "BONE":
             bind(copy, armatures[1])
     return removed
 
 
-def unweighted(copies, armature):
+def find_unweighted(copies, armature):
     """Names of copies of garments that an armature does not move: neither weights nor a bone as parent."""
     bones = set(armature.data.bones.keys()) if armature else set()
     return [
@@ -96,7 +96,7 @@ def unweighted(copies, armature):
     ]
 
 
-def _parent_like(copy, garment, parent):
+def _copy_parent(copy, garment, parent):
     """Parent a copy, where it stands, to what replaces the garment's parent: eyes stay on the head's bone."""
     if parent is None or garment.parent_type not in ("OBJECT", "BONE"):
         return
@@ -148,11 +148,12 @@ def copy_armature(context, armature, target, source, matrices, tails):
 @contextmanager
 def _editable(context, object_):
     """Show an object and make it active: only such objects have an Edit Mode."""
-    everywhere, active, hidden = context.scene.collection, context.view_layer.objects.active, object_.hide_viewport
-    linked = object_.name in everywhere.objects
+    scene_collection = context.scene.collection
+    active, hidden = context.view_layer.objects.active, object_.hide_viewport
+    linked = object_.name in scene_collection.objects
     object_.hide_viewport = False
     if not linked:  # the other collections may be hidden
-        everywhere.objects.link(object_)
+        scene_collection.objects.link(object_)
     context.view_layer.update()
     concealed = object_.hide_get()
     object_.hide_set(False)
@@ -165,16 +166,14 @@ def _editable(context, object_):
         object_.hide_set(concealed)
         object_.hide_viewport = hidden
         if not linked:
-            everywhere.objects.unlink(object_)
+            scene_collection.objects.unlink(object_)
 
 
 def _place_bones(armature, matrices, heads, ends):
     """Move the bones of a shown armature: axes of matrices (j, 3, 4) in the world, ends (j, 3) in its own space."""
     turn, names = np.linalg.inv(world(armature)[:3, :3]), [bone.name for bone in armature.data.bones]
-    is_mirrored, armature.data.use_mirror_x = (
-        armature.data.use_mirror_x,
-        False,
-    )  # else bones move those of the other side
+    is_mirrored = armature.data.use_mirror_x
+    armature.data.use_mirror_x = False  # else bones move those of the other side
     bpy.ops.object.mode_set(mode="EDIT")
     bones = armature.data.edit_bones
     connected = [bones[name].use_connect for name in names]
@@ -195,12 +194,12 @@ def _place_bones(armature, matrices, heads, ends):
     armature.data.use_mirror_x = is_mirrored
 
 
-def bind(object_, armature, like=None):
-    """Let an armature deform an object, before all that subdivides it, with the options of another modifier."""
+def bind(object_, armature, template=None):
+    """Let an armature deform an object, before all that subdivides it, with the options of modifier ``template``."""
     modifier = next((m for m in object_.modifiers if m.type == "ARMATURE"), None)
     if modifier is None:
         modifier = object_.modifiers.new("Armature", "ARMATURE")
         object_.modifiers.move(len(object_.modifiers) - 1, 0)
     modifier.object = armature
-    for option in _ARMATURE_OPTIONS if like else ():
-        setattr(modifier, option, getattr(like, option))
+    for option in _ARMATURE_OPTIONS if template else ():
+        setattr(modifier, option, getattr(template, option))

@@ -57,7 +57,8 @@ def image_uses(object_, material):
         path = tuple(one.name for one in (*groups, node))
         use = ImageUse(path, node.image, layer, plane, normals)
         if node.extension != "REPEAT" and not _fills_image(object_, material, use):
-            raise _refusal(material, node, "only images that repeat can be baked where UVs leave them. Choose Repeat.")
+            reason = "only images that repeat can be baked where UVs leave them."
+            raise _refusal(material, node, f"{reason} Choose Repeat, or move the UVs onto the image.")
         uses.append(use)
     return uses
 

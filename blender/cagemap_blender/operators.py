@@ -84,7 +84,7 @@ class CAGEMAP_OT_rig(Work, bpy.types.Operator):
         _, source = sides(context)  # other objects after Undo
         armature = writing.require_existing(bpy.data.objects, key)
         reading.require_no_edit_mode(armature)
-        with reading.enabled(context, armature):
+        with reading.enable_objects(context, armature):
             pass
         bones, matrix = armature.data.bones, reading.world(armature)
         matrix[:3, 3] -= reading.world(source)[:3, 3]
@@ -104,9 +104,12 @@ class CAGEMAP_OT_rig(Work, bpy.types.Operator):
             write_clothes = yield from transfers.transfer_clothes(context)
         target, source = sides(context)
         armature = writing.require_existing(bpy.data.objects, key)
+        modifier = next((m for m in source.modifiers if m.type == "ARMATURE" and m.object), None)
+        if modifier is None:
+            raise RefusedError(f"{source.name} was changed while cagemap computed. Press the button again.")
         messages = [write_weights(context)]  # may be refused: before the armature is copied
         rig = copies.copy_armature(context, armature, target, source, reply["matrices"], reply["tails"])
-        copies.bind(target, rig, like=next(m for m in source.modifiers if m.type == "ARMATURE" and m.object))
+        copies.bind(target, rig, template=modifier)
         if write_clothes is not None:
             messages.append(write_clothes(context))
         note = ""

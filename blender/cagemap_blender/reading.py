@@ -68,7 +68,7 @@ def sides(context):
             "Make it local with its data (Object > Relations > Make Local)."
         )
     empties = [child for child in (*target.children, *source.children) if child.type == "EMPTY"]
-    with enabled(context, target, source, *empties):
+    with enable_objects(context, target, source, *empties):
         pass  # places of disabled objects are those of now
     for role, object_ in (("target", target), ("source", source)):
         if not object_.data.vertices:
@@ -170,17 +170,17 @@ def cage_modifier(object_):
 
 
 @contextmanager
-def enabled(context, *objects):
+def enable_objects(context, *objects):
     """Let Blender evaluate objects: it leaves out those that are disabled in viewports, or whose collections are."""
     context.view_layer.update()
-    everywhere = context.scene.collection.objects
+    scene_objects = context.scene.collection.objects
     disabled = [object_ for object_ in objects if not object_.visible_get()]
     hidden = [object_.hide_viewport for object_ in disabled]
-    linked = [object_ for object_ in disabled if object_ not in everywhere.values()]
+    linked = [object_ for object_ in disabled if object_ not in scene_objects.values()]
     for object_ in disabled:
         object_.hide_viewport = False
     for object_ in linked:
-        everywhere.link(object_)
+        scene_objects.link(object_)
     if disabled:
         context.view_layer.update()
     try:
@@ -189,7 +189,7 @@ def enabled(context, *objects):
         for object_, was_hidden in zip(disabled, hidden, strict=True):
             object_.hide_viewport = was_hidden
         for object_ in linked:
-            everywhere.unlink(object_)
+            scene_objects.unlink(object_)
 
 
 def require_control_mesh(context, object_, allowed=()):
@@ -203,7 +203,7 @@ def require_control_mesh(context, object_, allowed=()):
     try:
         for modifier in stack:
             modifier.show_viewport = modifier in before
-        with enabled(context, object_):
+        with enable_objects(context, object_):
             mesh, own = object_.evaluated_get(context.evaluated_depsgraph_get()).data, object_.data
             same = (len(mesh.vertices), len(mesh.polygons)) == (len(own.vertices), len(own.polygons))
     finally:
@@ -367,7 +367,7 @@ def _tile_pixels(image, number):
         raise RefusedError(f"{image.name}: the file of tile {number} is missing. Save the image with its tiles first.")
     with tempfile.TemporaryDirectory() as folder:
         if packed:
-            path = Path(folder, path.name)
+            path = Path(folder, f"tile{path.suffix}")  # an image that was never saved has no name
             path.write_bytes(packed.data)
         tile = bpy.data.images.load(str(path))
         try:

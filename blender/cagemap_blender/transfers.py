@@ -147,7 +147,8 @@ def _set_shapes(target, source, reply, _):
     writing.set_shapes(target, reply["shapes"])
     made, given = (one.data.shape_keys.key_blocks for one in (target, source))
     for name in set(reply["shapes"]) & set(given.keys()):
-        made[name].slider_min, made[name].slider_max = given[name].slider_min, given[name].slider_max
+        for end in ("slider_min", "slider_max", "slider_min"):  # Blender clamps either end at the other one
+            setattr(made[name], end, getattr(given[name], end))
 
 
 def _set_uvs(target, source, reply, _):
@@ -195,8 +196,8 @@ def transfer_clothes(context):
         }
         removed = copies.fit_modifiers(copy_of, target, source)
         notes = [*reply["notes"], *([f"removed, to be bound again: {', '.join(removed)}"] if removed else [])]
-        if still := copies.unweighted(copy_of.values(), reading.armature_of(target)):
-            notes.append(f"without weights, not moved by bones: {', '.join(still)}")
+        if unweighted := copies.find_unweighted(copy_of.values(), reading.armature_of(target)):
+            notes.append(f"without weights, not moved by bones: {', '.join(unweighted)}")
         return count_phrase(keys, "garment") + (f" ({'; '.join(notes)})" if notes else "")
 
     return write

@@ -61,6 +61,20 @@ def a_group_made_during_rig_like_leaves_no_armature():
 
 
 @check
+def an_armature_modifier_removed_during_rig_like_ends_it():
+    source, target = pair()
+    rig(source)
+    window = Window()
+    button, _ = window.press(operators.CAGEMAP_OT_rig)
+    window.wait_for(button, "carry weights")
+    source.modifiers.clear()
+    assert window.finish(button) == "CANCELLED"
+    assert "source was changed while cagemap computed" in window.reports[-1][1]
+    assert [one.name for one in bpy.data.objects if one.type == "ARMATURE"] == ["skeleton"]
+    assert not target.vertex_groups
+
+
+@check
 def what_a_rig_refers_to_is_redirected_to_its_copy():
     source, target = pair()
     armature = rig(source)

@@ -304,6 +304,20 @@ def shape_keys_keep_range_and_mask_and_never_become_the_rest_shape():
 
 
 @check
+def ranges_of_shape_keys_are_kept_wherever_they_are():
+    source, target = pair()
+    for name in ("Basis", "smile"):
+        source.shape_key_add(name=name)
+    key = source.data.shape_keys.key_blocks["smile"]
+    for low, high in ((2.0, 3.0), (5.0, 6.0), (-4.0, -3.0)):
+        for _ in range(2):  # neither end passes the other
+            key.slider_min, key.slider_max = low, high
+        bpy.ops.cagemap.transfer(what={"SHAPES"})
+        made = target.data.shape_keys.key_blocks["smile"]
+        assert (made.slider_min, made.slider_max) == (low, high)
+
+
+@check
 def a_second_run_leaves_groups_in_their_place():
     source, target = pair()
     for name in "ab":

@@ -320,7 +320,9 @@ def images_that_end_are_refused_where_uvs_leave_them():
     assert not refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
     uvs = reading.numbers(source.data.uv_layers[0].uv, "vector", 2)
     source.data.uv_layers[0].data.foreach_set("uv", (3.0 * uvs - 1.0).ravel())
-    assert "Image Texture: only images that repeat" in refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
+    message = refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
+    assert "Image Texture: only images that repeat" in message
+    assert "move the UVs onto the image" in message  # a decal that repeats looks different
 
 
 @check
@@ -338,5 +340,7 @@ def packed_tiles_are_read():
     for path in paths:
         path.unlink()
     tree.links.new(image_node(tree, image).outputs["Color"], principled(tree).inputs["Base Color"])
-    assert not refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
-    assert baked_images(target.material_slots[0].material.node_tree)[0].size[0] == 32
+    for path in (image.filepath, ""):  # without a path: painted and packed, never saved
+        image.filepath_raw = path
+        assert not refusal(bpy.ops.cagemap.transfer, what={"TEXTURES"})
+        assert baked_images(target.material_slots[0].material.node_tree)[0].size[0] == 32
