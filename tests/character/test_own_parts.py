@@ -93,6 +93,7 @@ def test_parts_are_of_one_kind_by_their_names_or_places(
     assert found == [[parts[1]] if is_of_one_kind else [], []]
 
 
+@pytest.mark.filterwarnings("error")
 def test_brows_on_the_skin_have_its_values() -> None:
     brows = Part("brows", sheet("brows", 10.0, 0.0))
     (made,) = around([brows], [[]])
