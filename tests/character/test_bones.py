@@ -163,6 +163,17 @@ def test_joints_of_the_other_side() -> None:
         ("Eye_Brown", "eye"),
         ("eyeglasses", "glasses"),
         ("CoatMesh", "jacket"),
+        ("TopTeeth", "teeth"),
+        ("short01", ""),
+        ("short_hair", "hair"),
+        ("dress_shoes", "shoe"),
+        ("Clothes_shirt", "shirt"),
+        ("glass_eye", "eye"),
+        ("eye_patch", "accessory"),
+        ("Ludwig", ""),
+        ("BlondeWig", "hair"),
+        ("Hourglass", ""),
+        ("armchair", ""),
     ],
 )
 def test_words_of_passengers(name: str, word: str) -> None:

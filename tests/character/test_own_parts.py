@@ -53,8 +53,10 @@ def test_a_part_has_values_of_its_counterpart_where_that_is_near(height: float) 
     assert made.shapes["blink"][x < 5.5].max() == 0.0  # the counterpart has no such shape
 
 
-def test_parts_follow_the_shapes_of_the_skin_but_eyes_do_not() -> None:
-    dress, eye = Part("dress", sheet("dress", 10.0, 1.0)), Part("eye", ball("eye", np.array([5.0, 5.0, 0.1]), 0.2))
+@pytest.mark.parametrize(("name", "height"), [("eye", 0.1), ("Object_4", -0.1)])
+def test_parts_follow_the_shapes_of_the_skin_but_eyes_do_not(name: str, height: float) -> None:
+    """Rigid pieces below the skin are eyes whatever their name is."""
+    dress, eye = Part("dress", sheet("dress", 10.0, 1.0)), Part(name, ball(name, np.array([5.0, 5.0, height]), 0.2))
     fitted = replace(dress, name="fitted dress", shapes={"fat": np.zeros((dress.mesh.n_vertices, 3))})
     made, made_fitted, made_eye = around([dress, fitted, eye], [[], [], []])
     np.testing.assert_allclose(made.shapes["fat"], np.tile(2.0 * SHIFT, (dress.mesh.n_vertices, 1)))
@@ -73,11 +75,35 @@ def test_of_an_eye_with_a_counterpart_the_iris_follows_too() -> None:
 
 
 @pytest.mark.parametrize(
-    ("own", "given", "is_of_one_kind"),
-    [("my jeans", "trousers", True), ("Object_4", "trousers", True), ("my jeans", "Mesh", True), ("cap", "eye", False)],
+    ("own", "given", "height", "is_of_one_kind"),
+    [
+        ("my jeans", "trousers", 1.1, True),
+        ("Object_4", "trousers", 1.1, True),
+        ("my jeans", "Mesh", 1.1, True),
+        ("cap", "eye", 1.1, False),
+        ("Object_4", "hat", 2.1, False),  # hair below a hat
+    ],
 )
-def test_parts_are_of_one_kind_by_their_names_or_places(own: str, given: str, is_of_one_kind: bool) -> None:
+def test_parts_are_of_one_kind_by_their_names_or_places(
+    own: str, given: str, height: float, is_of_one_kind: bool
+) -> None:
     far = [Part("boots", sheet("boots", 1.0, 30.0)), Part("Object_9", sheet("Object_9", 1.0, -30.0))]
-    parts = Part(own, sheet(own, 10.0, 1.0)), Part(given, sheet(given, 9.0, 1.1))
+    parts = Part(own, sheet(own, 10.0, 1.0)), Part(given, sheet(given, 9.5, height))
     found = parts_of_one_kind([parts[1], *far[:1]], [parts[0], *far[1:]])
     assert found == [[parts[1]] if is_of_one_kind else [], []]
+
+
+@pytest.mark.filterwarnings("error")
+def test_brows_on_the_skin_have_its_values() -> None:
+    brows = Part("brows", sheet("brows", 10.0, 0.0))
+    (made,) = around([brows], [[]])
+    np.testing.assert_allclose(made.shapes["fat"], np.tile(2.0 * SHIFT, (brows.mesh.n_vertices, 1)))
+
+
+def test_weights_are_limited_in_blocks_of_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    short = weighted(sheet("shirt", 5.0, 0.9), 1)
+    own = [Part(name, sheet(name, 10.0, 1.0)) for name in ("my shirt", "coat")]
+    whole = around(own, [[short], []])
+    monkeypatch.setattr("cagemap.character.own_parts._BLOCK", 7)
+    for one, other in zip(around(own, [[short], []]), whole, strict=True):
+        np.testing.assert_array_equal(one.weights.toarray(), other.weights.toarray())

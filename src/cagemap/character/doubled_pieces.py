@@ -27,6 +27,8 @@ _MIN_CLOSE_SHARE = 0.75
 # Largest distance that is close, divided by the larger diagonal of the bounding boxes of the two pieces. Ears of two
 # elephants have 0.21 (docs/lab/characters.md).
 _MAX_PIECE_DISTANCE = 0.25
+# The same of whole parts: ten parts of two MakeHuman bodies have 0.03 at most, tongue and teeth 0.08.
+_MAX_PART_DISTANCE = 0.05
 # Least ratio of the two diagonals; ears of two elephants have 0.51. Every point of a small ball inside a much larger
 # one is close to it, so sizes are compared too.
 _MIN_SIZE_RATIO = 0.4
@@ -47,7 +49,7 @@ PairedFaces = tuple[IndexArray, IndexArray]
 
 def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[PairedFaces]:
     """Faces of every piece of ``carried`` at the place of a piece of ``own``, the target's, and of that one."""
-    return _at_one_place(carried, face_components(carried), own, face_components(own))
+    return _at_one_place(carried, face_components(carried), own, face_components(own), _MAX_PIECE_DISTANCE)
 
 
 def doubled_meshes(carried: Sequence[ControlMesh], own: Sequence[ControlMesh]) -> list[tuple[int, int]]:
@@ -58,16 +60,17 @@ def doubled_meshes(carried: Sequence[ControlMesh], own: Sequence[ControlMesh]) -
         (join_meshes(meshes), np.repeat(np.arange(len(meshes)), [mesh.n_faces for mesh in meshes]))
         for meshes in (carried, own)
     ]
-    pairs = _at_one_place(*sides[0], *sides[1])
+    pairs = _at_one_place(*sides[0], *sides[1], _MAX_PART_DISTANCE)
     return [(int(sides[0][1][faces[0]]), int(sides[1][1][own_faces[0]])) for faces, own_faces in pairs]
 
 
 def _at_one_place(
-    carried: ControlMesh, labels: IndexArray, own: ControlMesh, own_labels: IndexArray
+    carried: ControlMesh, labels: IndexArray, own: ControlMesh, own_labels: IndexArray, distance: float
 ) -> list[PairedFaces]:
     """Faces of every part of ``carried`` at the place of a part of ``own``, and of that one.
 
-    Two parts are compared only if each has the other's nearest bounding box. ``labels`` (m,) are the parts of faces.
+    Two parts are compared only if each has the other's nearest bounding box. ``labels`` (m,) are the parts of faces;
+    ``distance`` is the largest that is close, divided by the larger diagonal.
     """
     pieces, own_pieces = members_of(labels), members_of(own_labels)
     boxes, own_boxes = _boxes(carried, labels), _boxes(own, own_labels)
@@ -77,7 +80,7 @@ def _at_one_place(
         (faces, own_pieces[to_own[piece]])
         for piece, faces in enumerate(pieces)
         if to_carried[to_own[piece]] == piece
-        and _are_at_one_place(_surface(carried, faces), _surface(own, own_pieces[to_own[piece]]))
+        and _are_at_one_place(_surface(carried, faces), _surface(own, own_pieces[to_own[piece]]), distance)
     ]
 
 
@@ -120,9 +123,9 @@ def _surface(mesh: ControlMesh, faces: IndexArray) -> TriangleSurface:
     return TriangleSurface(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3))
 
 
-def _are_at_one_place(first: TriangleSurface, second: TriangleSurface) -> bool:
+def _are_at_one_place(first: TriangleSurface, second: TriangleSurface, distance: float) -> bool:
     small, large = sorted(box_diagonal(side.positions) for side in (first, second))
-    reach = _MAX_PIECE_DISTANCE * large
+    reach = distance * large
     return small >= _MIN_SIZE_RATIO * large and _is_close(first, second, reach) and _is_close(second, first, reach)
 
 

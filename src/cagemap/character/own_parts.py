@@ -27,6 +27,8 @@ from cagemap.transfer.skin import normalise_rows, prune_rows
 _COUNTERPART_DISTANCE = 0.05
 # A part has a shape that moves it by at least this share of the shape's largest offset; less is rounding.
 _LEAST_OFFSET = 1e-3
+# Rows of weights that are dense at once.
+_BLOCK = 20_000
 # Words of parts inside the body, which do not follow the shapes of the skin, and of parts that move with their roots.
 _INSIDE = ("eye", "teeth", "tongue")
 HAIRS = ("lash", "brow", "beard")
@@ -80,14 +82,15 @@ def with_nearest_values(
     sources = [body, *dict.fromkeys(chain.from_iterable(counterparts))]
     surfaces = [TriangleSurface(one.mesh.positions, cage_triangles(one.mesh)[0]) for one in sources]
     sides = [(part, [0, *map(sources.index, parts)]) for part, parts in zip(own, counterparts, strict=True)]
-    matrices, known = zip(*(_nearest_points(part, surfaces, numbers) for part, numbers in sides), strict=True)
-    is_known = np.concatenate(known)
+    found = [_nearest_points(part, surfaces, numbers) for part, numbers in sides]
+    matrices, known, below = zip(*found, strict=True)
+    is_known, is_below = np.concatenate(known), np.concatenate(below)
     is_inside = np.concatenate([np.full(p.mesh.n_vertices, passenger_word(p.name) in _INSIDE) for p in own])
     rows, members = np.arange(len(is_known)), list[IndexArray]()
     for group in rigid_groups(join_meshes([part.mesh for part in own]), surface):
         unknown = group[~is_known[group]]
         rows[unknown] = len(is_known) + len(members)
-        is_inside[unknown] = is_inside[group].any() and len(unknown) == len(group)
+        is_inside[unknown] = (is_inside[group].any() or is_below[group].mean() > 0.5) and len(unknown) == len(group)
         members.append(group[is_known[group]] if len(unknown) < len(group) else group)
     sampling = sparse.vstack(matrices, format="csr")
     sampling = sparse.vstack([sampling, _means(members, len(rows)) @ sampling], format="csr")[rows]
@@ -96,27 +99,32 @@ def with_nearest_values(
         offsets = np.concatenate([part.shapes.get(name, np.zeros((part.mesh.n_vertices, 3))) for part in sources])
         shapes[name] = np.where((is_inside & ~is_known)[:, None], 0.0, sampling @ offsets)
         least[name] = _LEAST_OFFSET * np.abs(offsets).max()
+    weights = None
+    if body.weights is not None:
+        given = sparse.vstack([one.weights for one in sources if one.weights is not None], format="csr")
+        blocks = np.array_split(np.arange(len(rows)), 1 + len(rows) // _BLOCK)  # dense while they are limited
+        limited = [limit_influences((sampling[block] @ given).toarray(), influences) for block in blocks]
+        weights = sparse.vstack([sparse.csr_array(table) for table in limited], format="csr")
     for part, (start, end) in zip(own, pairwise([0, *np.cumsum([len(one) for one in known])]), strict=True):
-        weights = part.weights
-        if body.weights is not None:
-            given = sparse.vstack([one.weights for one in sources if one.weights is not None], format="csr")
-            weights = sparse.csr_array(limit_influences((sampling[start:end] @ given).toarray(), influences))
         moved = {name: offsets[start:end] for name, offsets in shapes.items() if name not in part.shapes}
         moved = {name: offsets for name, offsets in moved.items() if np.abs(offsets).max() > least[name]}
-        made.append(replace(part, weights=weights, shapes=part.shapes | moved))
+        of_part = part.weights if weights is None else weights[start:end]
+        made.append(replace(part, weights=of_part, shapes=part.shapes | moved))
     return made
 
 
 def _nearest_points(
     part: Part, surfaces: Sequence[TriangleSurface], numbers: Sequence[int]
-) -> tuple[sparse.csr_array, NDArray[np.bool_]]:
-    """Matrix from values at all vertices of the surfaces to those of a part; and whether a counterpart is the nearest.
+) -> tuple[sparse.csr_array, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Matrix from values at all vertices of the surfaces to those of a part.
 
+    And of each vertex whether it has the values of a counterpart, and whether it is below the body's surface.
     ``numbers``: of the surfaces to choose from; the first is the body.
     """
     points = part.mesh.positions
     found = [SurfacePoints.nearest(surfaces[number], points) for number in numbers]
     distances = np.array([np.linalg.norm(points - one.positions, axis=1) for one in found])
+    is_below = np.einsum("nd,nd->n", points - found[0].positions, found[0].normals) < 0.0
     matrices = [one.matrix() for one in found]
     if passenger_word(part.name) in HAIRS:
         matrices[0] = root_means(points, vertex_pieces(part.mesh), distances[0]) @ matrices[0]
@@ -125,7 +133,7 @@ def _nearest_points(
     blocks = [sparse.csr_array((len(points), surface.n)) for surface in surfaces]
     for row, (number, matrix) in enumerate(zip(numbers, matrices, strict=True)):
         blocks[number] = matrix.multiply((chosen == row)[:, None]).tocsr()
-    return sparse.hstack(blocks, format="csr"), chosen > 0
+    return sparse.hstack(blocks, format="csr"), chosen > 0, is_below
 
 
 def _means(members: Sequence[IndexArray], count: int) -> sparse.csr_array:
@@ -141,7 +149,7 @@ def root_means(places: FloatArray, pieces: IndexArray, distances: FloatArray) ->
     Roots are vertices of the same piece, near the vertex and nearer to the skin. ``pieces`` (n,) are the connected
     pieces of the vertices, ``distances`` (n,) theirs from the skin.
     """
-    heights = np.full(int(pieces.max()) + 1, np.finfo(np.float64).tiny)
+    heights = np.full(int(pieces.max()) + 1, 1e-9 * box_diagonal(places))  # not 0 where a piece lies on the skin
     np.maximum.at(heights, pieces, distances)
     apart = 10.0 * (box_diagonal(places) + _ROOT_WEIGHT * float(heights.max())) * pieces
     roots = np.column_stack([places, _ROOT_WEIGHT * distances, apart])

@@ -13,9 +13,11 @@ from cagemap.numerics.arrays import (
     FloatArray,
     IndexArray,
     grouped_sums,
+    joined_runs,
     label_components,
     members_of,
     nearest_rotations,
+    offsets_of,
 )
 from cagemap.numerics.kinds import Config
 
@@ -35,6 +37,8 @@ class PieceConfig(Config):
 
 
 PIECES = PieceConfig()
+# Pairs of pieces whose vertices are tested at once.
+_BLOCK = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,18 +81,38 @@ def find_pieces(
     )
     if kind is not None:
         is_rigid = np.full(count, kind != "cloth")
-    rigid = np.flatnonzero(is_rigid)
-    near = cKDTree(centres[rigid]).query_pairs(config.joined_distance * config.max_radius, output_type="ndarray")
-    smaller, larger = np.take_along_axis(rigid[near], np.argsort(radius[rigid[near]], axis=1), axis=1).T
-    reach, members = config.joined_distance * radius[larger], members_of(piece)
-    is_joined = np.linalg.norm(centres[smaller] - centres[larger], axis=1) < reach
-    for pair in np.flatnonzero(is_joined):
-        offsets = points[members[smaller[pair]]] - centres[larger[pair]]
-        is_joined[pair] = np.linalg.norm(offsets, axis=1).max() < reach[pair]
-    group = label_components(smaller[is_joined], larger[is_joined], count)
+    group = _join_pieces(piece, points, centres, radius, np.flatnonzero(is_rigid), config)
     group_rigid = np.zeros(int(group.max()) + 1, dtype=bool)
     group_rigid[group[is_rigid]] = True
     return Pieces(group[piece], group_rigid, kind != "rigid")
+
+
+def _join_pieces(
+    piece: IndexArray,
+    points: FloatArray,
+    centres: FloatArray,
+    radius: FloatArray,
+    rigid: IndexArray,
+    config: PieceConfig,
+) -> IndexArray:
+    """(k,) group of each piece: a rigid piece within reach of the centre of a larger one is in its group."""
+    near = cKDTree(centres[rigid]).query_pairs(config.joined_distance * config.max_radius, output_type="ndarray")
+    smaller, larger = np.take_along_axis(rigid[near], np.argsort(radius[rigid[near]], axis=1), axis=1).T
+    reach = config.joined_distance * radius[larger]
+    distances = np.linalg.norm(centres[smaller] - centres[larger], axis=1)
+    is_joined = distances + radius[smaller] < reach
+    group = label_components(smaller[is_joined], larger[is_joined], len(centres))
+    # Of the others, those whose centres are too far are out; the vertices decide the rest.
+    asked = np.flatnonzero(~is_joined & (distances < reach) & (group[smaller] != group[larger]))
+    order, sizes = np.argsort(piece, kind="stable"), np.bincount(piece)
+    starts = offsets_of(sizes)[:-1]
+    for start in range(0, len(asked), _BLOCK):
+        block = asked[start : start + _BLOCK]
+        runs, rows = joined_runs(starts[smaller[block]], sizes[smaller[block]])
+        offsets = points[order[rows]] - np.repeat(centres[larger[block]], np.diff(runs), axis=0)
+        farthest = np.maximum.reduceat(np.linalg.norm(offsets, axis=1), runs[:-1])
+        is_joined[block] = farthest < reach[block]
+    return label_components(smaller[is_joined], larger[is_joined], len(centres))
 
 
 def fit_similarities(

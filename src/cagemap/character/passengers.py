@@ -59,9 +59,9 @@ def carry_passengers(
 ) -> list[CarriedPassenger]:
     """Carry meshes on the source's body to the target's body.
 
-    Cloth follows the surface below it at its old distance. Small compact pieces (eyeballs with
-    their irises, buttons, teeth) and pieces far from the body keep their shape, as 'similarity' does; `find_pieces`
-    decides which. Cloth outside the source's body stays outside the target's.
+    Cloth follows the surface below it at its old distance. Small compact pieces (eyeballs with their irises, buttons,
+    teeth) and pieces far from the body keep their shape, as 'similarity' does; `find_pieces` decides which. Cloth
+    outside the source's body stays outside the target's.
 
     Parameters
     ----------

@@ -25,40 +25,35 @@ MIN_SHARE_OF_FACES = 0.5
 # Least diagonal of the bounding box of the body, divided by that of the whole mesh: at least 0.77 for whole bodies,
 # 0.25 for the head of a body that is deleted under the clothes (docs/lab/characters.md).
 MIN_BODY_EXTENT = 0.5
-# Words in the names of passengers, parts that are moved with the body, by the word for all of one kind. With _END they
-# count only at the end of a word or before a plural s: "panther" and "hatchling" name no passengers.
+# Words in the names of passengers, parts that are moved with the body, by the word for all of one kind. The first kind
+# that a name has counts: "TopTeeth" are teeth, "dress_shoes" shoes. With _END words count only at the end of a word or
+# before a plural s: "panther" and "hatchling" name no passengers.
 _END = r"(?=s?(?-i:(?![a-z])))"
-_PASSENGER_WORDS = re.compile(
-    "|".join(
-        f"(?P<{word}>{pattern})"
-        for word, pattern in {
-            "eye": r"eye(?![\W_]?(?:lash|brow(?!(?-i:n))|glass|patch))",
-            "lash": "lash",
-            "brow": "brow(?!(?-i:n))",
-            "teeth": f"teeth|tooth|gum{_END}",
-            "tongue": "tongue",
-            "hair": f"hair|wig{_END}",
-            "beard": "beard|moustache",
-            "glasses": "glass|goggle",
-            "hat": f"helmet|(?:top.?)?hat{_END}|cap{_END}",
-            "shirt": f"shirt|blouse|sweater|hoodie|top{_END}",
-            "jacket": f"jacket|coat{_END}",
-            "suit": "suit|dress|outfit|garment|cloth",
-            "skirt": "skirt",
-            "trouser": f"trouser|legging|(?:pant|jean|short){_END}",
-            "shoe": "shoe|boot|sandal|sneaker|slipper",
-            "sock": "sock|stocking",
-            "glove": "glove",
-            "belt": "belt",
-            "scarf": "scarf",
-            "cape": f"cloak|cape{_END}",
-            "armor": "armou?r",
-            "weapon": "weapon|sword",
-            "accessory": f"accessor|necklace|bracelet|earring|backpack|bag{_END}",
-        }.items()
-    ),
-    re.IGNORECASE,
-)
+_PASSENGER_WORDS = {
+    "glasses": f"glasses{_END}|goggle",
+    "lash": "lash",
+    "brow": "brow(?!(?-i:n))",
+    "accessory": f"accessor|eye.?patch|necklace|bracelet|earring|backpack|bag{_END}",
+    "eye": "eye",
+    "teeth": f"teeth|tooth|gum{_END}",
+    "tongue": "tongue",
+    "beard": "beard|moustache",
+    "hair": f"(?<!c)hair|(?-i:(?<![a-zA-Z])w|W)ig{_END}",
+    "shoe": "shoe|boot|sandal|sneaker|slipper",
+    "sock": "sock|stocking",
+    "glove": "glove",
+    "hat": f"helmet|hat{_END}|cap{_END}",
+    "trouser": f"trouser|legging|(?:pant|jean){_END}|shorts(?-i:(?![a-z]))",
+    "skirt": "skirt",
+    "shirt": f"shirt|blouse|sweater|hoodie|top{_END}",
+    "jacket": f"jacket|coat{_END}",
+    "belt": "belt",
+    "scarf": "scarf",
+    "cape": f"cloak|cape{_END}",
+    "armor": "armou?r",
+    "weapon": "weapon|sword",
+    "suit": "suit|dress|outfit|garment|cloth",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +111,8 @@ def passenger_word(name: str) -> str:
 
     Words for one kind, such as jeans and trousers, give the same.
     """
-    match = _PASSENGER_WORDS.search(name)
-    return "" if match is None else match.lastgroup or ""
+    found = (word for word, pattern in _PASSENGER_WORDS.items() if re.search(pattern, name, re.IGNORECASE))
+    return next(found, "")
 
 
 def largest_part(mesh: ControlMesh) -> Part:

@@ -40,11 +40,14 @@ class Bodies:
     notes: tuple[str, ...] = ()  # on landmarks that are not on the matched pieces
 
     def rows(self, side: int) -> IndexArray:
-        """For every vertex of a matched mesh (0: target, 1: source), a vertex of the given mesh."""
-        vertex_of = self.ready[side].vertex_of
+        """For every vertex of a matched mesh (0: target, 1: source), a vertex of the given mesh at its place."""
+        vertex_of, matched = self.ready[side].vertex_of, self.ready[side].mesh
         given = np.flatnonzero(vertex_of >= 0)[::-1]  # reversed, so that the first of several is kept
-        rows = np.zeros(self.ready[side].mesh.n_vertices, dtype=np.int64)
+        rows = np.full(matched.n_vertices, -1, dtype=np.int64)
         rows[vertex_of[given]] = given
+        copies = np.flatnonzero(rows < 0)  # made by the repair where parts only touch
+        if len(copies):
+            rows[copies] = nearest_rows(self.given[side].mesh.positions, matched.positions[copies])
         return rows
 
     def skin(self, weights: sparse.csr_array | None, shapes: Mapping[str, FloatArray]) -> Part:

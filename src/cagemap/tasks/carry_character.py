@@ -68,8 +68,8 @@ def carry_character(
     ``target``: its body gets the source's rig and animations, and keeps its own shapes, also against shapes of the same
         name; its other parts stay, with weights and shapes by `with_nearest_values`.
     ``bodies``: names of the target's and of the source's body; by default `find_body` finds them.
-    ``passengers``: names of the source's other parts to carry; by default all whose `passenger_word` no other part of
-        the target has and at whose place none of its nameless parts is.
+    ``passengers``: names of the source's other parts to carry; by default all of which the target has no other part of
+        the same kind, see `parts_of_one_kind`.
     ``kinds``: see `carry_passengers`.
     ``influences``: most joints per vertex of the body; None for all.
     ``taken``: names that no other part of the target keeps, such as those of joints.
@@ -103,8 +103,7 @@ def carry_character(
         doubled = [part.name for part in dressed[: len(chosen)] if part in has_own and part.name not in (kinds or ())]
         if doubled:
             notes += _declined_note(doubled)
-            to_carry = [part for part in to_carry if part.name not in doubled]
-            dressed = carried_parts(result, to_carry, kinds=kinds)
+            to_carry, dressed = ([part for part in side if part.name not in doubled] for side in (to_carry, dressed))
         notes += _doubled_passengers(matched, dressed[: len(chosen) - len(doubled)])
     for part, one in zip(to_carry, dressed, strict=True):
         if (kinds or {}).get(part.name) == "rigid":
@@ -124,7 +123,7 @@ def carry_character(
                 f"{source_body.name} has no weights, so the body does not move with the skeleton: export the character "
                 "with the weights of its body, or choose a part that has weights as the body (rig: --like-part)"
             )
-        places = prop_joints(source.rig, zip(to_carry, dressed, strict=True))
+        places = prop_joints(source.rig, [*zip(to_carry, dressed, strict=True), *zip(declined, left_out, strict=False)])
         of_body = np.zeros(0) if source_body.weights is None else source_body.weights.indices
         rig = carry_rig(result.point_map, source.rig, {j: place for j, place in places.items() if j not in of_body})
         animations, posed_otherwise = retarget_all(source.animations, source.rig, rig)

@@ -181,6 +181,7 @@ def face_shapes(bodies: Bodies, names: Sequence[str]) -> dict[str, FloatArray]:
             for offsets in shapes.values():
                 offsets[piece] = 0.0
     in_mouth, of_mouth = Mouth.of(bodies).shapes(bodies.given[0].mesh, names)
+    in_mouth &= loose  # an island of the skin between UV seams is no tooth
     return {name: np.where(in_mouth[:, None], of_mouth.get(name, 0.0), offsets) for name, offsets in shapes.items()}
 
 

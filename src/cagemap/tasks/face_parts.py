@@ -62,9 +62,10 @@ class Mouth:
         points = (mesh.positions - self.centres[0]) @ self.to_kit + self.centres[1]
         piece = vertex_pieces(mesh)
         sizes = np.bincount(piece)
-        near = cKDTree(self.kit[:, :2]).query(points[:, :2], k=_FRONT_VERTICES)[1]
         is_inside = ((points > _MOUTH[0]) & (points < _MOUTH[1])).all(axis=1)
-        is_inside &= points[:, 2] < self.kit[near, 2].max(axis=1) - _MIN_DEPTH
+        rows = np.flatnonzero(is_inside)
+        near = cKDTree(self.kit[:, :2]).query(points[rows, :2], k=_FRONT_VERTICES)[1]
+        is_inside[rows] = points[rows, 2] < self.kit[near, 2].max(axis=1) - _MIN_DEPTH
         inside = (np.bincount(piece, is_inside) >= _MIN_INSIDE * sizes)[piece]
         heights = points[:, 1] - _BITE_HEIGHT - _BITE_RISE * points[:, 2]
         of_lower = (np.bincount(piece, heights) < 0.0)[piece].astype(np.float64)

@@ -104,9 +104,10 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     stages("write")
     images = {slot: png_bytes(image) for slot, (_, image) in baked.items()}
     pieces_of = {part.name: of.name for part in carried.passengers if part not in source.parts}
-    for part in dressed.parts[1 : len(dressed.parts) - len(carried.passengers)]:  # lashes and teeth that got shapes
-        if givers := [one.name for one in (of, *source.parts) if one.shapes.keys() & part.shapes.keys()]:
-            pieces_of[part.name] = givers[0]
+    for part in dressed.parts[1 : len(dressed.parts) - len(carried.passengers)]:  # own parts that got shapes
+        giver = max(source.parts, key=lambda one: len(one.shapes.keys() & part.shapes.keys()))
+        if giver.shapes.keys() & part.shapes.keys():
+            pieces_of[part.name] = giver.name
     rigged_document = character_glb(dressed, document, images, pieces_of)
     if request.report is not None:
         stages("report")
@@ -177,7 +178,9 @@ def read_body(path: Path) -> tuple[Document | None, Character]:
     mesh = read_mesh(path)
     if problems := check_mesh(mesh).problems:  # a plain mesh is repaired
         kinds = ", ".join(problem.kind for problem in problems)
-        _log.warning("%s: matched as a plain mesh, since it is no control mesh: %s (cagemap check)", path, kinds)
+        _log.warning(
+            "%s: matched as a plain mesh, since it is no control mesh: %s; `cagemap check` says where", path, kinds
+        )
         mesh = replace(mesh, scheme=Plain())
     part = Part(path.stem, mesh)
     return _document_of_images(path, part), Character((part,))

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from examples.shapes import grid
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
@@ -30,7 +31,7 @@ from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.subdivision import with_options
-from cagemap.tasks.bodies import match_bodies
+from cagemap.tasks.bodies import Bodies, match_bodies
 from cagemap.tasks.carry_character import _set_aside, carry_character
 from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages
@@ -528,3 +529,14 @@ def test_landmarks_that_are_left_out_and_warnings_of_the_map_are_said(body, monk
     lost = "1 of 2 landmarks lie on pieces that are set aside and are left out"
     assert bodies.notes == (lost,)
     assert body_warnings(bodies.result) == ["nose: left out", "5 % is folded"]
+
+
+def test_vertices_that_the_repair_splits_have_the_values_of_their_place() -> None:
+    """A sheet of which two corners are one vertex."""
+    mesh = grid(4, 3)
+    corners = np.where(mesh.face_indices == 0, mesh.n_vertices - 1, mesh.face_indices)
+    part = Part("body", ControlMesh.from_faces(mesh.positions, corners.reshape(-1, 4)))
+    ready = plain_mesh(part.mesh)
+    assert ready.repairs.cut_vertices == 1
+    rows = Bodies((part, part), (ready, ready), None).rows(0)
+    np.testing.assert_array_equal(part.mesh.positions[rows], ready.mesh.positions)
