@@ -152,8 +152,9 @@ def _is_animated(prim: Any) -> bool:
 
 def _changes(attribute: Any) -> bool:
     """Whether the time samples of an attribute differ."""
-    codes = attribute.GetTimeSamples()
-    return any(attribute.Get(code) != attribute.Get(codes[0]) for code in codes[1:])
+    values = map(attribute.Get, attribute.GetTimeSamples())
+    first = next(values, None)
+    return any(value != first for value in values)
 
 
 def _normals(where: str, prim: Any, control: ControlMesh) -> FloatArray | None:
