@@ -28,7 +28,7 @@ from cagemap.files.usd.prims import (
     transform_points,
     uv_primvars,
 )
-from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, pxr
+from cagemap.files.usd.stages import damage_as_error, open_stage, pxr
 from cagemap.files.usd.transforms import drop_flattened, is_mirrored, is_similarity, local_to_world
 from cagemap.mesh import ControlMesh, Scheme
 from cagemap.mesh.control_mesh import UvSet
@@ -81,12 +81,12 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     with damage_as_error(file):
         prims = prims_of(stage, pxr.UsdGeom.Mesh)
         others = [*prims_of(stage, pxr.UsdGeom.Gprim), *prims_of(stage, pxr.UsdGeom.PointInstancer)]
-        others = [prim for prim in others if not prim.IsA(pxr.UsdGeom.Mesh) and _is_final(prim)]
+        others = [prim for prim in others if not prim.IsA(pxr.UsdGeom.Mesh) and is_final(prim)]
         left_out = [f"{prim.GetPath()} ({prim.GetTypeName()})" for prim in others]
         if prims and left_out:
             text = "%s: left out what is no mesh: %s; convert it to meshes to keep it"
             logger.warning(text, file, first_few(left_out))
-        are_final = list(map(_is_final, prims))
+        are_final = list(map(is_final, prims))
         final = list(itertools.compress(prims, are_final))
         if hidden := [str(prim.GetPath()) for prim, kept in zip(prims, are_final, strict=True) if final and not kept]:
             text = "%s: left out invisible meshes, previews and prototypes: %s; %s"
@@ -106,7 +106,7 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     return meshes
 
 
-def _is_final(prim: Any) -> bool:
+def is_final(prim: Any) -> bool:
     """Whether a prim is visible, not a preview by its purpose, and not a prototype of a point instancer."""
     above = prim.GetParent()
     while above:
@@ -176,15 +176,6 @@ def join_usd_meshes(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool 
             f"{', '.join(words.values())}). Match the one that is meant (`find_part` NAME)."
         )
     return whole
-
-
-def values_beside_mesh(path: str | Path) -> list[str]:
-    """What `read_usd` takes no notice of: primvars, weights, blend shapes, and images of materials."""
-    shader = pxr.UsdShade.Shader
-    with open_each_once():
-        names = {name for mesh in read_usd_meshes(path) for name in mesh.attributes} - {"displayColor"}
-        ids = {shader(prim).GetIdAttr().Get() for prim in prims_of(open_stage(path), shader)}
-    return [*sorted(names), *(["images of materials"] if "UsdUVTexture" in ids else [])]
 
 
 def upright_rotation(linear: FloatArray) -> FloatArray:
