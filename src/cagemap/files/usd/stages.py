@@ -37,6 +37,8 @@ class _UsdModules:
     """The package ``pxr``, imported when it is first used."""
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):  # `inspect` and `copy` ask for names that any object may lack
+            raise AttributeError(name)
         return getattr(usd_modules(), name)
 
 
