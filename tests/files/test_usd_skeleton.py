@@ -243,7 +243,8 @@ def test_values_of_a_rigged_file_are_its_primvars(folder: Path) -> None:
     shapes = TransferRequest(folder / "RESULT", folder / "shapes.npz", blend_shapes=(source,), usd=layer)
     values = TransferRequest(folder / "RESULT", folder / "values.npz", attribute=source, usd=layer)
     run_transfer(shapes, Stages())
-    refuses(ParameterError, "give the file to --weights and --blend-shapes", run_transfer, values, Stages())
+    says = "expected primvars of vertices, faces or face corners, got skel:jointWeights, blendShape:smile. Give"
+    refuses(ParameterError, says, run_transfer, values, Stages())
     with stage_at(source) as stage:
         write_primvar(stage.GetPrimAtPath("/Asset/mesh"), textured_cube("small", 1.0), "fur", np.arange(8.0))
     summary, notes = run_transfer(values, Stages())
