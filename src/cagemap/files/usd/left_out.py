@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from cagemap.files.usd.prims import is_uv_set, skinning_attribute, value_primvars
-from cagemap.files.usd.read import is_final, prims_of
+from cagemap.files.usd.read import meshes_with_points, prims_of
 from cagemap.files.usd.shader_inputs import bound_material, color_uv_name
 from cagemap.files.usd.stages import damage_as_error, open_stage, pxr
+from cagemap.files.usd.transforms import drop_flattened
 
 
 def left_out_of_usd(path: str | Path) -> list[str]:
@@ -19,8 +20,7 @@ def left_out_of_usd(path: str | Path) -> list[str]:
     """
     with damage_as_error(path):
         stage = open_stage(path, warn=False)
-        prims = prims_of(stage, pxr.UsdGeom.Mesh)
-        prims = list(filter(is_final, prims)) or prims
+        prims = drop_flattened(Path(path), meshes_with_points(stage), warn=False)
         bindings = list(map(pxr.UsdSkel.BindingAPI, prims))
         has_skeleton = any(one.GetInheritedSkeleton() for one in bindings)
         tracks = (one for prim in prims_of(stage, pxr.UsdSkel.Animation) for one in prim.GetAttributes())

@@ -81,19 +81,18 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     with damage_as_error(file):
         prims = prims_of(stage, pxr.UsdGeom.Mesh)
         others = [*prims_of(stage, pxr.UsdGeom.Gprim), *prims_of(stage, pxr.UsdGeom.PointInstancer)]
-        others = [prim for prim in others if not prim.IsA(pxr.UsdGeom.Mesh) and is_final(prim)]
+        others = [prim for prim in others if not prim.IsA(pxr.UsdGeom.Mesh) and _is_final(prim)]
         left_out = [f"{prim.GetPath()} ({prim.GetTypeName()})" for prim in others]
         if prims and left_out:
             text = "%s: left out what is no mesh: %s; convert it to meshes to keep it"
             logger.warning(text, file, first_few(left_out))
-        are_final = list(map(is_final, prims))
+        are_final = list(map(_is_final, prims))
         final = list(itertools.compress(prims, are_final))
         if hidden := [str(prim.GetPath()) for prim, kept in zip(prims, are_final, strict=True) if final and not kept]:
             text = "%s: left out invisible meshes, previews and prototypes: %s; %s"
             logger.warning(text, file, first_few(hidden), "make them visible, of purpose default, to keep them")
-        with_points = [prim for prim in final or prims if read_value(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
         labels = material_labels(stage)
-        meshes = tuple(_read_prim(file, prim, labels) for prim in drop_flattened(file, with_points))
+        meshes = tuple(_read_prim(file, prim, labels) for prim in drop_flattened(file, meshes_with_points(stage)))
     if not meshes:
         what = f"got {len(prims)} without points" if prims else "got none"
         open_sets = _variants_without_choice(stage)
@@ -106,7 +105,14 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     return meshes
 
 
-def is_final(prim: Any) -> bool:
+def meshes_with_points(stage: Any) -> list[Any]:
+    """Mesh prims with points that are visible and no previews; without such, all with points."""
+    prims = prims_of(stage, pxr.UsdGeom.Mesh)
+    shown = list(filter(_is_final, prims)) or prims
+    return [prim for prim in shown if read_value(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
+
+
+def _is_final(prim: Any) -> bool:
     """Whether a prim is visible, not a preview by its purpose, and not a prototype of a point instancer."""
     above = prim.GetParent()
     while above:
