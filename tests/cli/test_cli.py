@@ -81,8 +81,9 @@ def test_check_offers_to_take_a_scan_with_floating_pieces_as_it_is(run: Run, tmp
     write_mesh(
         tmp_path / "scan.obj", join_meshes([icosahedron(), icosahedron().with_positions(icosahedron().positions + 9)])
     )
-    assert "note: Or use --scheme none" in run("check scan.obj").out
-    assert "Or use" not in run("check scan.obj --scheme none").out
+    offer = "--scheme none repairs the mesh and takes it without subdivision"
+    assert f"note: {offer}" in run("check scan.obj").out
+    assert offer not in run("check scan.obj --scheme none").out
 
 
 def test_check_lists_pieces_and_not_uv_islands(run: Run, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """What `cagemap transfer` refuses at its door: outputs that would be half of what was asked for, and idle options."""
 
 import os
+import re
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,10 @@ from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.tasks.requests.transfer import READ_BY, TransferRequest
+from cagemap.tasks.transfer import check_transfer
 
 from example_result import identity_result
+from refusals import refuses
 from transfer_command import transfer
 
 
@@ -104,6 +107,8 @@ FOREIGN = {
     "blend_shapes in an npz": ("o.npz", {"blend_shapes": ("v.obj",)}, "was not written by cagemap"),
     "weights": ("o.txt", {"weights": "v.npy"}, "expected a name ending in"),
     "joints": ("o.txt", {"joints": "j.json"}, "expected a name ending in .json for joints"),
+    "write_map": ("o.xyz", {"write_map": True}, "expected a name ending in .npy, .npz, .mtx, .vts, .mhclo, .proxy"),
+    "blend_shapes in a format without": ("o.csv", {"blend_shapes": ("v.obj",)}, "expected a folder or a name ending"),
 }
 
 
@@ -124,3 +129,11 @@ def test_what_cannot_be_written_is_refused_before_the_work(place, monkeypatch, n
     }
     given |= {option: place / value for option, value in given.items() if isinstance(value, str)}
     assert says in refused(place, output, **given)
+
+
+@pytest.mark.parametrize("name", [name for name, (_, _, says) in FOREIGN.items() if "expected" in says])
+def test_a_job_refuses_names_of_outputs_before_its_tasks(name: str) -> None:
+    output, options, says = FOREIGN[name]
+    given = {option: (Path(*value),) if isinstance(value, tuple) else value for option, value in options.items()}
+    given |= {option: Path(value) for option, value in given.items() if isinstance(value, str)}
+    refuses(FormatError, re.escape(says), check_transfer, TransferRequest(Path("R"), Path(output), **given))

@@ -231,20 +231,30 @@ def test_frames_of_film_and_television_come_back(painted_path: Path, tmp_path: P
     assert walk.GetTranslationsAttr().GetTimeSamples() == frames
 
 
-@pytest.mark.parametrize("what", ["points", "visibility", "above", "skeleton"])
-def test_motion_that_is_no_joint_s_is_named(painted_path: Path, caplog: pytest.LogCaptureFixture, what: str) -> None:
+@pytest.mark.parametrize("still", [False, True])
+@pytest.mark.parametrize("what", ["points", "visibility", "above", "suffix", "skeleton"])
+def test_motion_that_is_no_joint_s_is_named(
+    painted_path: Path, caplog: pytest.LogCaptureFixture, what: str, still: bool
+) -> None:
+    """Transforms with a suffix too; several equal samples, as exporters bake them, are no motion."""
     with stage_at(painted_path) as stage:
         hat = UsdGeom.Mesh(stage.GetPrimAtPath("/Asset/hat"))
         moves = {"points": hat.GetPointsAttr(), "visibility": hat.CreateVisibilityAttr()}
-        above = {"above": "/Asset", "skeleton": "/Asset/skeleton"}
+        above = {"above": "/Asset", "suffix": "/Asset", "skeleton": "/Asset/skeleton"}
         if what in above:
-            moves[what] = UsdGeom.Xformable(stage.GetPrimAtPath(above[what])).AddTranslateOp().GetAttr()
-        values = {"points": hat.GetPointsAttr().Get(), "visibility": "inherited"}
-        for frame in (0.0, 5.0):
+            placed = UsdGeom.Xformable(stage.GetPrimAtPath(above[what]))
+            moves[what] = placed.AddTranslateOp(opSuffix="anim" if what == "suffix" else "").GetAttr()
+        points = np.array(hat.GetPointsAttr().Get())
+        for frame in (0.0, 0.0 if still else 5.0):
+            values = {"points": points + frame, "visibility": "invisible" if frame else "inherited"}
             moves[what].Set(values.get(what, (frame, 0.0, 0.0)), frame)
+        if still:
+            moves[what].Set(moves[what].Get(0.0), 5.0)
     usd_document(painted_path)
-    named = {"above": "/Asset/body, /Asset/hat", "skeleton": "/Asset/skeleton"}.get(what, "/Asset/hat")
-    assert f"the motion of {named}" in caplog.text
+    both = "/Asset/body, /Asset/hat"
+    named = {"above": both, "suffix": both, "skeleton": "/Asset/skeleton"}.get(what, "/Asset/hat")
+    assert (f"the animation of {named}" in caplog.text) != still
+    assert ("is left out" in caplog.text) != still
 
 
 @pytest.mark.parametrize("rate", [0.0, -24.0, np.inf])

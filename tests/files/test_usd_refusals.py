@@ -15,6 +15,7 @@ from examples.shapes import creature, cube
 
 from cagemap.character.joints import Skeleton
 from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.usd import stages
 from cagemap.files.usd.read import read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.files.usd.space import stage_units
@@ -144,8 +145,10 @@ def test_a_usd_file_that_cannot_be_used_is_refused(name: str, tmp_path: Path) ->
 
 
 def test_usd_without_its_library_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """When it is used; `inspect`, `doctest` and `copy` ask every module's values for names that it may lack."""
     file = written(tmp_path)
     monkeypatch.setitem(sys.modules, "pxr.Usd", None)
+    assert not hasattr(stages.pxr, "__wrapped__")
     Refusal(
         read_usd_meshes,
         "USD files:  ... expected the package usd-core, which is not installed",

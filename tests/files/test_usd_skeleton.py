@@ -24,7 +24,7 @@ from cagemap.mesh.plain import turn_faces
 from cagemap.subdivision import refine
 from cagemap.surface.alignment import Z_UP
 from cagemap.tasks.mesh_commands import run_refine
-from cagemap.tasks.progress import Stages
+from cagemap.tasks.progress import Stages, logged_warnings
 from cagemap.tasks.requests.mesh_commands import RefineRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
@@ -243,7 +243,8 @@ def test_values_of_a_rigged_file_are_its_primvars(folder: Path) -> None:
     shapes = TransferRequest(folder / "RESULT", folder / "shapes.npz", blend_shapes=(source,), usd=layer)
     values = TransferRequest(folder / "RESULT", folder / "values.npz", attribute=source, usd=layer)
     run_transfer(shapes, Stages())
-    refuses(ParameterError, "give the file to --weights and --blend-shapes", run_transfer, values, Stages())
+    says = "expected primvars of vertices, faces or face corners, got skel:jointWeights, blendShape:smile. Give"
+    refuses(ParameterError, says, run_transfer, values, Stages())
     with stage_at(source) as stage:
         write_primvar(stage.GetPrimAtPath("/Asset/mesh"), textured_cube("small", 1.0), "fur", np.arange(8.0))
     summary, notes = run_transfer(values, Stages())
@@ -254,19 +255,32 @@ def test_values_of_a_rigged_file_are_its_primvars(folder: Path) -> None:
     np.testing.assert_allclose(found["blendShape:smile"][2], [0, 0, 2], atol=1e-5)
 
 
-@pytest.mark.parametrize(("level", "output"), [(0, "cube.usda"), (1, "cube.usda"), (0, "cube.glb")])
-def test_what_a_refined_mesh_lacks_of_its_file_is_named(tmp_path: Path, level: int, output: str) -> None:
+@pytest.mark.parametrize(
+    ("level", "output", "textured"),
+    [(0, "cube.usda", True), (1, "cube.usda", False), (0, "cube.glb", True), (0, "cube.obj", False)],
+)
+def test_what_a_refined_mesh_lacks_of_its_file_is_named(
+    tmp_path: Path, level: int, output: str, textured: bool
+) -> None:
+    """Once, without images of materials that no mesh has, and without a second message about the file."""
     file = tmp_path / "small.usda"
     _write(file, "small.usda")
     with stage_at(file) as stage:
         prim = stage.GetPrimAtPath("/Asset/mesh")
         write_primvar(prim, textured_cube("small", 1.0), "fur", np.arange(8.0))
-        bind_textures(stage, prim, {"color": "./skin.png"}, "st")
-    notes = run_refine(RefineRequest(mesh=file, output=tmp_path / output, level=level, scheme="bilinear"), Stages())[1]
-    held = "blendShape:smile, fur, skel:jointWeights, images of materials"
-    assert notes == [f"{output}: left out of small.usda: {held}"]
+        UsdGeom.Mesh.Define(stage, "/Asset/empty").MakeInvisible()
+        bind_textures(stage, prim if textured else stage.GetPrimAtPath("/Asset/empty"), {"color": "./skin.png"}, "st")
+        move = UsdSkel.Animation.Define(stage, "/Asset/move").CreateTranslationsAttr()
+        for frame in (1.0, 2.0):
+            move.Set([(frame, 0.0, 0.0)], frame)
+    request = RefineRequest(mesh=file, output=tmp_path / output, level=level, scheme="bilinear")
+    with logged_warnings() as logged:
+        notes = run_refine(request, Stages())[1]
+    held = "fur, skinning weights, blend shapes, skeleton, animations"
+    assert notes == [f"{output}: left out of small.usda: {held}{', images of materials' * textured}"]
+    assert sum("/Asset/empty" in text for text in logged) == 1
     again = RefineRequest(mesh=tmp_path / "cube.usda", output=tmp_path / "again.usda", level=1, scheme="bilinear")
-    assert output == "cube.glb" or run_refine(again, Stages())[1] == []
+    assert output != "cube.usda" or run_refine(again, Stages())[1] == []
 
 
 def test_rigs_of_a_file_in_other_units_and_axes_are_converted(folder: Path) -> None:

@@ -4,6 +4,8 @@ import csv
 import errno
 import logging
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from html.parser import HTMLParser
 from importlib.machinery import ModuleSpec
@@ -17,7 +19,8 @@ from cagemap.errors import FormatError
 from cagemap.files import atomic
 from cagemap.jobs.page import PairRow, build_library_page, build_table, pair_rows, write_library
 from cagemap.jobs.plan import Plan, Task
-from cagemap.jobs.run import TaskOutcome
+from cagemap.jobs.run import TaskOutcome, execute
+from cagemap.numerics.threads import ThreadPool
 from cagemap.tasks.run_job import run_task, summary
 
 from refusals import refuses
@@ -32,6 +35,7 @@ QUALITY = {
     "trusted_area": 0.95,
     "warnings": [],
 }
+PREPARE = Task("prepare", "prepare b", "k", (), {}, (), ("a", "b"))
 GOOD = PairRow("a", "b", "good", (), 3.25, QUALITY, 0.001, ("a__b/b.png",), b"\xff\xd8jpeg")
 
 
@@ -194,10 +198,44 @@ def test_a_row_has_the_warnings_and_notes_of_all_tasks_of_its_pair(tmp_path: Pat
 
 
 def test_warnings_that_a_task_logs_are_among_its_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The path of a file is written as in other tasks; other words are kept as they are."""
+    others = ["http://a//b: has moved", "no file// here", "a/../b// is meant"]
+
     def prepare(task: Task) -> dict[str, Any]:
-        logging.getLogger("cagemap.files").warning("%s: curves are left out", tmp_path / "jobs" / ".." / "b.usda")
+        for text in (f"{tmp_path / 'jobs' / '..' / 'b.usda'}: curves are left out", *others):
+            logging.getLogger("cagemap.files").warning(text)
         return {"level": 1}
 
+    (tmp_path / "jobs").mkdir()
+    (tmp_path / "b.usda").touch()
     monkeypatch.setattr("cagemap.tasks.run_job._prepare", prepare)
-    found = run_task(Task("prepare", "prepare b", "k", (), {}, ()))
-    assert found == {"level": 1, "logged": [f"{tmp_path / 'b.usda'}: curves are left out"]}
+    found = run_task(PREPARE)
+    assert found == {"level": 1, "logged": [f"{tmp_path / 'b.usda'}: curves are left out", *others]}
+
+
+def test_warnings_of_a_task_that_fails_are_in_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def prepare(task: Task) -> dict[str, Any]:
+        logging.getLogger("cagemap.files").warning("b.usda: curves are left out")
+        raise FormatError("b.usda: expected a mesh, got none")
+
+    monkeypatch.setattr("cagemap.tasks.run_job._prepare", prepare)
+    outcome = execute(PREPARE, tmp_path, run_task)
+    assert outcome.state == "failed"
+    (row,) = pair_rows(Plan(tmp_path, (PREPARE,), (PREPARE.pair,)), {PREPARE.name: outcome})
+    assert row.messages == (str(outcome), "b.usda: curves are left out")
+
+
+def test_tasks_in_threads_of_one_process_have_their_own_warnings(monkeypatch: pytest.MonkeyPatch) -> None:
+    both = threading.Barrier(2)
+
+    def prepare(task: Task) -> dict[str, Any]:
+        both.wait(10)
+        with ThreadPool(1) as inner:
+            inner.submit(logging.getLogger("cagemap.files").warning, task.name).result()
+        both.wait(10)
+        return {}
+
+    monkeypatch.setattr("cagemap.tasks.run_job._prepare", prepare)
+    tasks = [replace(PREPARE, name=name) for name in "ab"]
+    with ThreadPoolExecutor(2) as workers:
+        assert list(workers.map(run_task, tasks)) == [{"logged": ["a"]}, {"logged": ["b"]}]

@@ -105,6 +105,8 @@ REFUSED: dict[str | tuple[str, ...], str] = {
     "transfer BARE --material-colors -o o.png": "mesh without UVs and colours has no look to transfer",
     "transfer COLORED --texture t.png -o o.png": "`transfer --bake colors`",
     "transfer COLORED --material-colors -o o.png": "`transfer --bake colors`",
+    "transfer R --attribute box.ply -o o.npz": "expected values as .npy, .npz, .csv, .json, or in a USD file, got .ply",
+    "transfer R --attribute box.gltf -o o.npz": "got .gltf. Give its weights and shapes to --weights and --blend",
     "transfer R --weights box.ply -o o.npz": "or in a glTF, FBX or USD file, got .ply. Export them",
     "transfer R --joints box.ply -o o.json": "expected joints as .json, or in a glTF, FBX or USD file, got .ply",
     "transfer R --normal-map box.ply -o o.png": "could not open it: it has another format. Export it again",

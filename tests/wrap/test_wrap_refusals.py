@@ -1,5 +1,6 @@
 """Nets and plain targets that cannot be fitted: every message says by what, what is wrong, and what to do."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from cagemap.wrap.net import ControlNet, Samples, control_net
 from command_line import Run
 from example_result import identity_result, textured_cube
 from refusals import Refusal
+from textured_files import write_textured_scene
 
 
 def box(follow: float) -> tuple[ControlNet, Samples]:
@@ -78,6 +80,11 @@ BEFORE_A_MATCH = {
     "--texture deep.exr --baked b.jpg": "b.jpg",
     "--texture i.png --baked b.png -t bare.obj": "bare.obj: expected texture coordinates to bake into",
     "--texture i.png --baked b.png -s bare.obj": "bare.obj: expected texture coordinates of the source",
+    **dict.fromkeys(
+        ("--texture none.gltf --baked b.png -s parts.obj", "--texture half.gltf --baked b.png -s parts.obj"),
+        "expected a colour image on most of parts.obj for its UV set in use, found none. Give an image made for these "
+        "UVs, or the RESULT of `cagemap match` with another --source-uv-set.",
+    ),
 }
 
 
@@ -96,6 +103,15 @@ def test_a_wrap_that_cannot_end_is_refused_before_its_match(
     write_image(tmp_path / "i.png", np.zeros((2, 2, 3), np.uint8))
     np.savetxt(tmp_path / "two.csv", np.ones((8, 2)), delimiter=",", header="a,b", comments="")
     np.save(tmp_path / "short.npy", np.ones(7))
+    numbers, names = np.array([0, 0, 0, 0, 1, 2]), ("skin", "red", "other")
+    of_parts = replace(cage, face_materials=numbers, material_names=names, material_colors=np.full((3, 3), np.nan))
+    write_mesh(tmp_path / "parts.obj", of_parts)
+    scene = write_textured_scene(tmp_path)
+    red = scene["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
+    other = {"name": "other", "pbrMetallicRoughness": {"baseColorTexture": red | {"texCoord": 1}}}
+    half = [{"name": "skin"}, scene["materials"][0], other]  # images of two UV sets cannot be joined
+    for name, materials in (("half", half), ("none", half[:1])):
+        (tmp_path / f"{name}.gltf").write_text(json.dumps(scene | {"materials": materials}))
     sides = [f"{side} {file}" for side, file in (("-t", "t.obj"), ("-s", "s.obj")) if f" {side} " not in words]
     run.refused(f"wrap -o new.obj {' '.join(sides)} {words}", says=BEFORE_A_MATCH[words])
     assert not [file for file in tmp_path.iterdir() if file.stem in ("new", "a", "b")]

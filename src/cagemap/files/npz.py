@@ -111,7 +111,7 @@ class Archive:
         """Raise a FormatError that names the file."""
         raise FormatError(f"{self.path}: {problem}. {self.remedy}")
 
-    def checked(self, specs: Mapping[str, ArraySpec], sizes: dict[str, int]) -> dict[str, NDArray[Any]]:
+    def take(self, specs: Mapping[str, ArraySpec], sizes: dict[str, int]) -> dict[str, NDArray[Any]]:
         """Arrays checked by their specs, as read-only int64 or float64; arrays without a spec are left out.
 
         ``sizes``: known sizes by name; sizes found in the arrays are added.
@@ -124,7 +124,7 @@ class Archive:
             self._check_shape(name, spec, sizes)
         return {name: self._check_values(name, spec, sizes) for name, spec in present.items()}
 
-    def offsets(self, name: str, offsets: NDArray[Any], count: int) -> None:
+    def check_offsets(self, name: str, offsets: NDArray[Any], count: int) -> None:
         """Refuse offsets that do not begin with 0, descend, or do not end with ``count``."""
         if not len(offsets) or offsets[0] != 0 or offsets[-1] != count or np.any(np.diff(offsets) < 0):
             self.refuse(f"'{name}' does not count from 0 to {count} in ascending order")

@@ -70,7 +70,8 @@ def run_plan(
 ) -> dict[str, TaskOutcome]:
     """Run the missing tasks of a plan; outcomes by name, without preparations that no missing task needs.
 
-    ``runner``: does a task and returns its figures; importable by name, since workers import it.
+    ``runner``: does a task and returns its figures, or raises an error whose notes are the logged warnings; importable
+    by name, since workers import it.
     ``connect``: as `open_client` gives it; called only if tasks are missing.
     ``report``: called with each outcome, the number of finished tasks and the number of all.
     """
@@ -161,7 +162,8 @@ def execute(task: Task, root: Path, runner: Runner, *earlier_outcomes: TaskOutco
             return TaskOutcome(task.name, "done", "", seconds, figures, tuple(outputs))
     except Exception as error:
         seconds = time.perf_counter() - start
-        return TaskOutcome(task.name, "failed", explain_in_job(error), seconds, code=error_code(error))
+        figures = {"logged": [*getattr(error, "__notes__", [])]}
+        return TaskOutcome(task.name, "failed", explain_in_job(error), seconds, figures, code=error_code(error))
 
 
 def explain_in_job(error: Exception) -> str:

@@ -168,19 +168,19 @@ def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = (), plain: bo
     if problems:
         count = count_noun(len(problems), "problem")
         one_piece = "" if SEVERAL in allowed else " of one piece"
-        remedy = plain_remedy(mesh, problems) if plain else ""
+        offers_plain = plain and is_repaired_as_plain(mesh, problems)
+        remedy = "Or use `plain_mesh`, which repairs the mesh and takes it without subdivision." if offers_plain else ""
         raise InvalidMeshError(
             f"{mesh.name}: expected a manifold, consistently oriented mesh{one_piece}, got {count}:"
             f"{list_problems(problems)}\n{remedy}".rstrip()
         )
 
 
-def plain_remedy(mesh: ControlMesh, problems: Sequence[MeshProblem]) -> str:
-    """Sentence that offers `plain_mesh`; empty for problems that it does not repair."""
-    offered = not isinstance(mesh.scheme, Plain) and any(
-        one.kind in REPAIRED or (one.kind == SEVERAL and np.all(mesh.face_sizes == 3)) for one in problems
+def is_repaired_as_plain(mesh: ControlMesh, problems: Sequence[MeshProblem]) -> bool:
+    """Whether `plain_mesh` repairs one of the problems of a mesh that has another scheme."""
+    return not isinstance(mesh.scheme, Plain) and any(
+        one.kind in REPAIRED or (one.kind == SEVERAL and bool(np.all(mesh.face_sizes == 3))) for one in problems
     )
-    return "Or use `plain_mesh`, which repairs the mesh and takes it without subdivision." if offered else ""
 
 
 def _counts(

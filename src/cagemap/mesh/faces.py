@@ -153,13 +153,16 @@ def signed_volume(mesh: ControlMesh) -> float:
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
-def is_slit(loop: FloatArray, usual: float) -> bool:
-    """Whether a boundary loop (k, 3) is an error of modelling: thin, or much smaller than the usual edge."""
+def is_slit(loop: FloatArray, usual_edge: float) -> bool:
+    """Whether a boundary loop (k, 3) is an error of modelling: thin, or much smaller than the usual edge.
+
+    ``usual_edge``: median length of the mesh's edges, in file units, as the loop.
+    """
     points = loop - loop.mean(axis=0)
     following = np.roll(points, -1, axis=0)
     length = np.linalg.norm(following - points, axis=1).sum()
     area = np.linalg.norm(np.cross(points, following).sum(axis=0)) / 2
-    return bool(area <= SLIT_AREA * length**2 or length <= TINY_EDGE * len(points) * usual)
+    return bool(area <= SLIT_AREA * length**2 or length <= TINY_EDGE * len(points) * usual_edge)
 
 
 def with_openings_closed(mesh: ControlMesh, loops: Sequence[IndexArray]) -> ControlMesh:

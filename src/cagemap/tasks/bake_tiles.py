@@ -59,6 +59,8 @@ from cagemap.transfer.texture import Pixels
 DEFAULT_SIZE = 2048
 # Least overlapping share of a layout that is reported; a small one is normal, since faces of artists' layouts touch.
 MIN_REPORTED_OVERLAP = 0.02
+# What to do without a colour image.
+_OTHER_COLORS = "Match with another --source-uv-set, give an image made for these UVs, or bake --material-colors."
 _log = logging.getLogger(__name__)
 Baked = TypeVar("Baked", bound=Pixels | Image | Displacement)
 
@@ -118,15 +120,14 @@ def read_source_image(
 
 
 def require_color_texture(
-    path: Path, document: Document | None, control: ControlMesh, *, of_any: bool = False
+    path: Path, document: Document | None, control: ControlMesh, remedy: str = _OTHER_COLORS
 ) -> tuple[Document, MaterialImage]:
     """The `material_document` of a file, read if not given, and the mesh's `color_texture`; refuses files without."""
     document = document or material_document(path, control)
-    found = color_texture(document, control, of_any=of_any)
+    found = color_texture(document, control)
     if document is None or found is None:
         raise ParameterError(
-            f"{path}: expected a colour image on most of {control.name} for its UV set in use, found none. Match with "
-            "another --source-uv-set, give an image made for these UVs, or bake --material-colors."
+            f"{path}: expected a colour image on most of {control.name} for its UV set in use, found none. {remedy}"
         )
     return document, found
 

@@ -23,6 +23,7 @@ from cagemap.files.images.image import (
     texture_pixels,
     udim_path,
 )
+from cagemap.files.inner_texture import color_texture, material_document
 from cagemap.files.meshes.formats import MESH_SUFFIXES, read_mesh
 from cagemap.files.meshes.ply import ply_image
 from cagemap.files.result.manifest import input_file
@@ -48,6 +49,7 @@ from cagemap.tasks.bake_tiles import (
     write_tiles,
 )
 from cagemap.tasks.base_images import ImageSize
+from cagemap.tasks.material_atlas import material_atlas
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import WRITTEN
 from cagemap.tasks.requests.transfer import BakeKind, TransferRequest
@@ -71,6 +73,7 @@ from cagemap.transfer.texture import Filter, Pixels, lay_texture
 from cagemap.wrap import Wrapped, missing_detail, wrapped_transfer
 from cagemap.wrap.wrapping import NO_CAGE
 
+_OTHER_TEXTURE = "Give an image made for these UVs, or the RESULT of `cagemap match` with another --source-uv-set."
 KINDS: tuple[BakeKind, ...] = get_args(BakeKind)
 # Kinds of the detail's offset or direction: empty for a surface over itself.
 OFFSETS: tuple[BakeKind, ...] = ("normal", "displacement", "vector-displacement")
@@ -305,7 +308,9 @@ def require_wrappable(request: WrapRequest, target: ControlMesh, source: Control
     if request.texture is not None:
         require_source_uvs(source)
         if request.texture.suffix.lower() in MESH_SUFFIXES and ply_image(request.texture) == request.texture:
-            require_color_texture(request.texture, None, source, of_any=True)
+            document = material_document(request.texture, source)
+            if color_texture(document, source) is None and material_atlas(document, source) is None:
+                require_color_texture(request.texture, document, source, _OTHER_TEXTURE)
     if "colors" in images and request.detail is None:
         vertex_colors(source)
     if request.detail is None:

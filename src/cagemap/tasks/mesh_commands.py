@@ -19,7 +19,7 @@ from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh,
 from cagemap.files.usd.read import UsdMesh, join_usd_meshes, read_usd_meshes
 from cagemap.files.usd.stages import is_usd, open_each_once
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.checks import UNREFINED, check_mesh, plain_remedy, require_valid
+from cagemap.mesh.checks import UNREFINED, check_mesh, is_repaired_as_plain, require_valid
 from cagemap.mesh.mesh_report import MeshProblem, MeshReport, count_noun
 from cagemap.mesh.parts import Part, list_parts
 from cagemap.mesh.plain import plain_mesh
@@ -133,10 +133,11 @@ def _report(read: ControlMesh, subdivision: SubdivisionRequest, weld: str | None
         report = check_mesh(mesh)
         problem = MeshProblem("scheme none", str(error).removeprefix(f"{mesh.name}: "), "")
         report = replace(report, problems=(*report.problems, problem))
-    notes = [plain_remedy(mesh, report.problems), *report.notes]
+    offer = "--scheme none repairs the mesh and takes it without subdivision."
+    notes = [*([offer] if is_repaired_as_plain(mesh, report.problems) else []), *report.notes]
     notes += [note.removeprefix(f"{mesh.name}: ") for note in welded.notes]
     notes += [f"taken as it is (scheme none): {sentence}" for sentence in repairs]
-    return replace(report, notes=tuple(filter(None, notes)))
+    return replace(report, notes=tuple(notes))
 
 
 def _parts(mesh: ControlMesh) -> tuple[Part, ...]:

@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from types import TracebackType
 from typing import Any, Self
 
@@ -74,22 +75,29 @@ class Stages:
 
 
 class _WarningCollector(logging.Handler):
-    """Collects the texts of logged warnings."""
+    """Collects the texts of warnings that its thread logs, and the threads of its `ThreadPool`s."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
         self.texts: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        self.texts.append(record.getMessage())
+        if self in _collectors.get():
+            self.texts.append(record.getMessage())
+
+
+# Collectors of the blocks that the thread is in: workers of a job may be threads of one process.
+_collectors: ContextVar[tuple[_WarningCollector, ...]] = ContextVar("cagemap_collectors", default=())
 
 
 @contextmanager
 def logged_warnings() -> Iterator[list[str]]:
-    """A list to which every warning is added that is logged while the block runs."""
+    """A list to which every warning is added that the block logs."""
     collector, log = _WarningCollector(), logging.getLogger("cagemap")
     log.addHandler(collector)
+    token = _collectors.set((*_collectors.get(), collector))
     try:
         yield collector.texts
     finally:
+        _collectors.reset(token)
         log.removeHandler(collector)

@@ -11,10 +11,12 @@ import numpy as np
 from cagemap.character.bones import mirrored_joints
 from cagemap.character.joints import Skeleton
 from cagemap.character.passengers import MAX_BODY_DISTANCE
-from cagemap.errors import ParameterError, values_of
+from cagemap.errors import FormatError, ParameterError, values_of
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.meshes.formats import read_whole
+from cagemap.files.meshes.mhclo import FOLLOWER_SUFFIXES
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
+from cagemap.files.result.maps import SUFFIXES as MAP_SUFFIXES
 from cagemap.files.result.maps import write_map
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd.space import between_spaces
@@ -254,12 +256,20 @@ def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stage
     return text, []
 
 
+def check_map_path(file: Path) -> None:
+    """Refuse a file name that `write_point_map` would refuse, before any work is done."""
+    suffixes = (*MAP_SUFFIXES, *FOLLOWER_SUFFIXES)
+    if file.suffix.lower() not in suffixes:
+        got = file.suffix or "no suffix"
+        raise FormatError(f"{file}: expected a name ending in {', '.join(suffixes)}, got {got}")
+
+
 def write_point_map(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Write the map itself, for other programs."""
     check_outputs([request.output], [], force=request.force)
     stages("write map")
     point_map = result.point_map
-    if request.output.suffix.lower() not in (".mhclo", ".proxy"):
+    if request.output.suffix.lower() not in FOLLOWER_SUFFIXES:
         write_map(request.output, point_map, force=request.force)
         return f"wrote {request.output}: the place of {len(result.triangle)} target vertices on the source", []
     control, source = result.target.control, result.source

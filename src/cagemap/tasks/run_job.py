@@ -248,11 +248,24 @@ def summary(plan: Plan, outcomes: dict[str, TaskOutcome], notes: list[str], page
 
 
 def run_task(task: Task) -> dict[str, Any]:
-    """Run one task of a plan, here or on a worker; returns its figures, notes and logged warnings."""
+    """Run one task of a plan, here or on a worker; returns its figures, notes and logged warnings.
+
+    An error has the warnings as its notes.
+    """
     with logged_warnings() as texts:
-        figures = _figures_of(task)
-    parts = (text.partition(": ") for text in texts)  # most begin with a file; one has one name in all tasks
-    return {**figures, "logged": [f"{os.path.normpath(file)}{colon}{rest}" for file, colon, rest in parts]}
+        try:
+            figures = _figures_of(task)
+        except Exception as error:
+            for text in texts:
+                error.add_note(_with_plain_path(text))
+            raise
+    return {**figures, "logged": list(map(_with_plain_path, texts))}
+
+
+def _with_plain_path(text: str) -> str:
+    """A message; the file that it begins with, if any, has one name in all tasks."""
+    file, colon, rest = text.partition(": ")
+    return f"{os.path.normpath(file)}{colon}{rest}" if colon and os.path.exists(file) else text
 
 
 def _figures_of(task: Task) -> dict[str, Any]:

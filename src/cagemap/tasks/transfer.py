@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.character.passengers import carry_passenger, far_passenger, unit_factor
-from cagemap.errors import ParameterError
+from cagemap.errors import FormatError, ParameterError
 from cagemap.files import VALUE_SUFFIXES
 from cagemap.files.atomic import (
     all_or_nothing,
@@ -19,17 +19,19 @@ from cagemap.files.atomic import (
     require_replaceable,
     require_writable_folder,
 )
+from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.images.image import check_image_name
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
+from cagemap.files.text import require_file
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd.space import from_mesh_space, states_units, transform_mesh
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults, check_usd_path
 from cagemap.files.values.attributes import Attributes, check_attribute_path, read_attributes, write_attributes
 from cagemap.files.values.part_numbering import FileRows, file_rows, other_rows
-from cagemap.files.values.rigs import check_skeleton_path
+from cagemap.files.values.rigs import check_shapes_path, check_skeleton_path
 from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
@@ -51,18 +53,22 @@ from cagemap.tasks.job_file import note_output
 from cagemap.tasks.masks import ASSUMED_AT_VERTICES, keep_base, to_file_values, with_masks
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import refuse_unread
-from cagemap.tasks.requests.transfer import PICTURES, READ_BY, TransferRequest, require_map_names
-from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
+from cagemap.tasks.requests.transfer import IMAGE_KINDS, READ_BY, TransferRequest, require_map_names
+from cagemap.tasks.rig import check_map_path, transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
 from cagemap.tasks.usd_output import left_out_warnings, texture_reference, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 
+# Options that read weights and blend shapes of a scene.
+_RIG_OPTIONS = "--weights and --blend-shapes"
 Carrier = Callable[[TransferRequest, MatchResult, Stages], SummaryAndWarnings]
 # Checks of the output's name, by the data that it will contain.
 _NAME_CHECKS: dict[str, Callable[[Path], None]] = {
-    **dict.fromkeys(("texture", "maps", *PICTURES), check_image_name),
+    **dict.fromkeys(("texture", "maps", *IMAGE_KINDS), check_image_name),
     **dict.fromkeys(("attribute", "weights"), check_attribute_path),
     **dict.fromkeys(("source_uvs", "passenger"), check_mesh_path),
     "joints": check_skeleton_path,
+    "blend_shapes": check_shapes_path,
+    "write_map": check_map_path,
 }
 
 
@@ -189,12 +195,21 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
 
 def _read_values(file: Path, control: ControlMesh, rows: FileRows | None) -> tuple[Attributes, list[str]]:
     """Arrays of a file, and a note; weights and blend shapes of a scene are left out: their transfer adapts them."""
+    require_file(file, "a file of attributes")
+    suffix = file.suffix.lower()
+    if suffix not in VALUE_SUFFIXES and not is_usd(file):
+        remedy = f"Give its weights and shapes to {_RIG_OPTIONS}" if suffix in SCENE_SUFFIXES else "Export them as such"
+        raise FormatError(
+            f"{file}: expected values as {', '.join(VALUE_SUFFIXES)}, or in a USD file, got {suffix or 'no suffix'}. "
+            f"{remedy}."
+        )
     values = read_attributes(file, control, rows)
     of_rig = [name for name in values if name == JOINT_WEIGHTS or name.startswith(BLEND_SHAPE)]
-    of_rig = [] if file.suffix.lower() in VALUE_SUFFIXES else of_rig
-    notes = [f"{file}: left out {first_few(of_rig)}: give the file to --weights and --blend-shapes"] if of_rig else []
+    of_rig = of_rig if is_usd(file) else []
     if len(values) == len(of_rig):
-        raise ParameterError([*notes, f"{file}: expected primvars of vertices, faces or face corners, got none"][0])
+        got = f"{first_few(of_rig)}. Give the file to {_RIG_OPTIONS}" if of_rig else "none"
+        raise ParameterError(f"{file}: expected primvars of vertices, faces or face corners, got {got}.")
+    notes = [f"{file}: left out {first_few(of_rig)}: give the file to {_RIG_OPTIONS}"] if of_rig else []
     return {name: array for name, array in values.items() if name not in of_rig}, notes
 
 

@@ -7,9 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from cagemap.errors import ParameterError
+from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
+from cagemap.files.gltf.read import left_out_of_gltf
 from cagemap.files.images.image import UDIM_MARK
 from cagemap.files.result.manifest import input_file
-from cagemap.files.usd.read import objects_of, read_usd_meshes, values_beside_mesh
+from cagemap.files.usd.left_out import left_out_of_usd
+from cagemap.files.usd.read import objects_of, read_usd_meshes
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 from cagemap.files.values.part_numbering import FileRows, file_rows, to_file
@@ -31,7 +34,10 @@ _KEPT = ", and what earlier commands wrote there"
 def left_out_warnings(original: Path | None, name: str, output: Path) -> list[str]:
     """Warnings of what a written mesh lacks of its file, which holds more than cagemap keeps, or is gone."""
     if original is not None:
-        lost = values_beside_mesh(original) if is_usd(original) else []
+        lost = left_out_of_usd(original) if is_usd(original) else []
+        # A .glb of a glTF or FBX file keeps all of it, or its writer warns.
+        if original.suffix.lower() in SCENE_SUFFIXES and output.suffix.lower() != ".glb":
+            lost = left_out_of_gltf(read_document(original))
         return [f"{output.name}: left out of {original.name}: {first_few(lost)}"] if lost else []
     suffix = output.suffix.lower()
     if {suffix, Path(name).suffix.lower()} <= set(USD_SUFFIXES):

@@ -230,7 +230,7 @@ def _write(
         return mesh.n_vertices, warnings
     check_outputs(mesh_files(output, mesh, original), [], force=request.force)
     write_mesh(output, mesh, like=original, force=request.force)
-    if not (wrapped.level and output.suffix.lower() == ".obj"):  # a refined cage has no groups of the file
+    if original is not None or not wrapped.level or output.suffix.lower() != ".obj":  # refined: no groups of the file
         warnings += left_out_warnings(original, control.name, output)
     return mesh.n_vertices, warnings
 

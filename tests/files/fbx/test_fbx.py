@@ -140,6 +140,13 @@ def test_weights_shapes_and_joints_as_values(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_skeleton(path).heads, [[0, 0, 0], [1, 0, 0]], atol=1e-6)
 
 
+def test_what_a_mesh_of_it_lacks_is_said(tmp_path: Path) -> None:
+    path = fbx_file(tmp_path, fbx_arm())
+    warnings = run_refine(RefineRequest(mesh=path, output=tmp_path / "arm.obj", level=0), Stages())[1]
+    held = "skinning weights, blend shapes, skeleton, animations"
+    assert warnings == [f"arm.obj: left out of {path.name}: {held}"]
+
+
 def test_what_is_left_out_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     made = fbx_arm()
     made.add("NodeAttribute", "lamp", "Light", to=made.add("Model", "lamp", "Light"))

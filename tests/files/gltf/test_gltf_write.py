@@ -20,6 +20,9 @@ from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.ownership import is_own
 from cagemap.mesh.parts import extract_faces
+from cagemap.tasks.mesh_commands import run_refine
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.mesh_commands import RefineRequest
 
 from gltf_scenes import arm, changed
 from refusals import refuses
@@ -75,10 +78,18 @@ def _same(one: Character, other: Character, tolerance: float = 1e-6) -> None:
                 np.testing.assert_allclose(track.values, also.values, atol=tolerance)
 
 
-def test_a_rig_that_cannot_go_along_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    write_document(tmp_path / "arm.glb", arm())
+@pytest.mark.parametrize(("document", "images"), [(arm(), ""), (_textured(), ", images of materials")])
+def test_a_rig_that_cannot_go_along_is_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, document: Document, images: str
+) -> None:
+    write_document(tmp_path / "arm.glb", document)
     write_mesh(tmp_path / "box.glb", cube(), like=tmp_path / "arm.glb")
-    assert "its skeleton, shapes, animations are left out" in caplog.text
+    held = f"skinning weights, blend shapes, skeleton, animations{images}"
+    assert f"its {held} are left out" in caplog.text
+    request = RefineRequest(mesh=tmp_path / "arm.glb", output=tmp_path / "arm.obj", level=0)
+    assert run_refine(request, Stages())[1] == [f"arm.obj: left out of arm.glb: {held}"]
+    kept = RefineRequest(mesh=tmp_path / "arm.glb", output=tmp_path / "kept.glb", level=0)
+    assert run_refine(kept, Stages())[1] == []
     assert "skins" not in read_document(tmp_path / "box.glb").json
     caplog.clear()
     write_mesh(tmp_path / "same.glb", read_mesh(tmp_path / "arm.glb"), like=tmp_path / "arm.glb")

@@ -52,6 +52,22 @@ def scene_mesh(scene: Scene) -> ControlMesh:
     return replace(joined, name=scene.document.file.name, file_vertices=None, file_faces=None, file_copies=None)
 
 
+def left_out_of_gltf(document: Document) -> list[str]:
+    """What `read_gltf` leaves out of a document: weights, blend shapes, skins, animations, images of materials."""
+    numbers = range(len(document.entries("meshes")))
+    primitives = [one for k in numbers for one in document.entries("primitives", document.entry("meshes", k))]
+    materials = {one["material"] for one in primitives if "material" in one}
+    skins = bool(document.entries("skins"))
+    held = {
+        "skinning weights": skins,
+        "blend shapes": any(document.entries("targets", one) for one in primitives),
+        "skeleton": skins,
+        "animations": bool(document.entries("animations")),
+        "images of materials": any(any(texture_slots(document.entry("materials", one))) for one in materials),
+    }
+    return [name for name, is_there in held.items() if is_there]
+
+
 def gltf_weights(path: str | Path) -> FloatArray:
     """Weights (n, j) of the joints of `gltf_skeleton` at the vertices of `read_gltf`; 0 on unskinned meshes."""
     scene, rig = _read_rigged_scene(path)

@@ -25,6 +25,7 @@ from cagemap.files.gltf.geometry import Z_TO_Y, is_z_up, mesh_entry
 from cagemap.files.gltf.nodes import REST, decompose_transform, read_nodes, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene, transform_part
 from cagemap.files.gltf.primitives import material_names, mesh_shapes
+from cagemap.files.gltf.read import left_out_of_gltf
 from cagemap.files.gltf.textures import with_images
 from cagemap.files.text import whole_characters
 from cagemap.mesh import ControlMesh
@@ -122,7 +123,7 @@ class _Made:
         self._meshes: list[Any] = self.top.setdefault("meshes", [])
         self._node_of_part = {one.part.name: one.node for one in scene.parts}
         self._node_of_joint = {name: node for node, name in enumerate(scene.nodes.names)}
-        # in the given document
+        # mesh numbers in the given document
         self._mesh_of_node = {node: self._nodes[node].pop("mesh") for node in self._node_of_part.values()}
         self._given_node: dict[int, int] = {}  # of new nodes with pieces of its mesh
         self._roots = self._scene_roots()
@@ -323,8 +324,8 @@ def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, for
     """Write a mesh as ``.glb``, in place of the meshes of a glTF or FBX file if vertices and faces match.
 
     Positions and the UV set in use are those of the mesh. The file's materials, textures, skins, blend shapes,
-    animations and extensions are kept then. A mesh that does not match is written alone, with a warning if the file has
-    a skeleton, shapes or animations. Returns whether it matches.
+    animations and extensions are kept then. A mesh that does not match is written alone, with a warning of
+    what it lacks (`left_out_of_gltf`). Returns whether it matches.
     """
     try:
         document = read_document(like)
@@ -338,10 +339,9 @@ def write_glb_like(path: str | Path, mesh: ControlMesh, like: str | Path, *, for
         [part.mesh.face_indices + start for part, start in zip(character.parts, starts[:-1], strict=True)]
     )
     if mesh.n_vertices != starts[-1] or not np.array_equal(mesh.face_indices, faces):
-        if character.rig is not None or character.animations or any(part.shapes for part in character.parts):
-            _log.warning(
-                "%s: other vertices or faces than %s: its skeleton, shapes, animations are left out", path, like
-            )
+        if lost := left_out_of_gltf(document):
+            text = "%s: other vertices or faces than %s: its %s are left out"
+            _log.warning(text, path, like, ", ".join(lost))
         write_glb(path, mesh, force=force)
         return False
     places = np.split(mesh.positions, starts[1:-1])

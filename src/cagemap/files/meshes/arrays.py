@@ -73,8 +73,8 @@ def control_from_arrays(
     texts: dict[str, Any] = {key: _texts(archive, f"{prefix}{key}") for key in _NAMES}
     sizes = {"m": len(material_names), "objects": len(texts["object_names"]), "groups": len(texts["group_names"])}
     sizes |= {"file_c": _ANY, "file_f": _ANY}
-    values: dict[str, Any] = replace(archive, arrays=stored).checked(CONTROL_FORMS, sizes)
-    archive.offsets(f"{prefix}face_offsets", values["face_offsets"], sizes["q"])
+    values: dict[str, Any] = replace(archive, arrays=stored).take(CONTROL_FORMS, sizes)
+    archive.check_offsets(f"{prefix}face_offsets", values["face_offsets"], sizes["q"])
     for first, second in (
         ("uvs", "uv_indices"),
         ("crease_edges", "crease_sharpness"),
@@ -107,7 +107,7 @@ def _uv_sets(archive: Archive, prefix: str, sizes: dict[str, int]) -> tuple[UvSe
         values, indices = _uv_set_arrays(prefix, number)
         size = f"t of set {number}"
         specs = {values: ArraySpec((size, 2)), indices: ArraySpec(("q",), below=size)}
-        checked = archive.checked(specs, sizes)
+        checked = archive.take(specs, sizes)
         sets.append(UvSet(name, checked[values], checked[indices]))
     return tuple(sets)
 
@@ -160,10 +160,10 @@ def curves_from_arrays(archive: Archive, names: Sequence[str], vertices: tuple[i
             f"{prefix}starts": ArraySpec(("q+1",), below="p+1"),
             f"{prefix}closed": ArraySpec(("q",), below="two"),
         }
-        checked = archive.checked(specs, {"c": count, "q": len(names), "two": 2})
+        checked = archive.take(specs, {"c": count, "q": len(names), "two": 2})
         points = points_from_arrays(archive, checked, prefix)
         starts = checked[f"{prefix}starts"]
-        archive.offsets(f"{prefix}starts", starts, len(checked[f"{prefix}corners"]))
+        archive.check_offsets(f"{prefix}starts", starts, len(checked[f"{prefix}corners"]))
         if points is None or np.any(np.diff(starts) < 2):
             archive.refuse(f"{prefix}starts leave curves of fewer than two points")
         closed = (checked[f"{prefix}closed"] == 1).tolist()

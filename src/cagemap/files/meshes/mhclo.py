@@ -16,6 +16,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.spectral import Surface
 from cagemap.surface.triangles import triangle_frames
 
+FOLLOWER_SUFFIXES = (".mhclo", ".proxy")
 _AXES = "xyz"
 
 
@@ -77,7 +78,7 @@ def _coordinates(places: FloatArray, triangles: IndexArray, points: FloatArray) 
 
 def check_mhclo_path(file: Path) -> None:
     """Refuse a file name that `write_mhclo` would refuse, before any work is done."""
-    if file.suffix.lower() not in (".mhclo", ".proxy"):
+    if file.suffix.lower() not in FOLLOWER_SUFFIXES:
         raise FormatError(f"{file}: expected a name ending in .mhclo or .proxy, got {file.suffix or 'no suffix'}")
 
 

@@ -168,7 +168,7 @@ def read_result(folder: str | Path) -> MatchResult:
     target, source = in_threads(lambda side: side.surface(archive, record), sides)
     finest = target.finest_triangles, source.finest_triangles
     sizes["t2"] = len(finest[1].triangles)
-    arrays = archive.checked(_SPECS, sizes)
+    arrays = archive.take(_SPECS, sizes)
     _check_parts(root, arrays, finest[1].triangles, record)
     point_map = PointMap.from_arrays(*finest, arrays["triangle"], arrays["barycentric"])
     counts = target.control.n_vertices, source.control.n_vertices
@@ -190,13 +190,13 @@ def read_result(folder: str | Path) -> MatchResult:
         read_level_maps(archive, record.level_maps, (target, source), point_map, functional_map),
         stored_confidence(record.confidence, point_map, counts[0], other_answers),
         masks=Masks(sides[0].mask, sides[1].mask),
-        shared=_if_complete(Masks, arrays.get("target_shared"), arrays.get("source_shared")),
-        known_spectral=_if_complete(SpectralMap, functional_map, *(side.eigenvalues for side in sides)),
+        shared=_record_of(Masks, arrays.get("target_shared"), arrays.get("source_shared")),
+        known_spectral=_record_of(SpectralMap, functional_map, *(side.eigenvalues for side in sides)),
         provenance={name: value for name, value in manifest.items() if name not in _TYPED},
     )
 
 
-def _if_complete(kind: type[_Value], *arrays: FloatArray | None) -> _Value | None:
+def _record_of(kind: type[_Value], *arrays: FloatArray | None) -> _Value | None:
     """The value that stored arrays make; None if one of them is missing."""
     return None if any(array is None for array in arrays) else kind(*arrays)
 
@@ -237,7 +237,7 @@ def _read_side(root: Path, prefix: str, entry: SideRecord, archive: Archive, siz
         f"n{number}": next(islice(vertex_counts(control, scheme), entry.level, None)),
     }
     specs = {f"{prefix}_{name}": spec for name, spec in _side_specs(number).items()}
-    arrays = archive.checked(specs, sizes)
+    arrays = archive.take(specs, sizes)
     points = points_from_arrays(archive, arrays, f"{prefix}_landmark_")
     return _Side(
         prefix,

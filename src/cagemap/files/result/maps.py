@@ -310,7 +310,7 @@ def read_level_maps(
                 f"level_{i}_barycentric": ArraySpec(("n1", 3)),
             }
         sizes = {"n1": sides[0].n, "n2": sides[1].n, "t2": len(sides[1].triangles)}
-        arrays = archive.checked(specs, sizes)
+        arrays = archive.take(specs, sizes)
         points, c = point_map, functional_map
         if not last:
             c = arrays[f"level_{i}_functional_map"]

@@ -47,6 +47,9 @@ from cagemap.surface.alignment import Y_UP
 
 _log = logging.getLogger(__name__)
 
+# Attributes that say how a mesh is shown, apart from transforms.
+_SHOWN = ("points", "visibility")
+
 
 def usd_document(path: str | Path, meshes: Sequence[UsdMesh] | None = None) -> Document:
     """Read a USD file as a glTF document in metres with Y up, in the bind pose.
@@ -98,10 +101,10 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
         if animations and not is_similarity(rig_to_world):
             text = "%s: %s: its transform scales unevenly, so that joints move otherwise than in USD; apply its scale"
             _log.warning(text, file, skeleton.GetPath())
-    moved = [str(one.GetPath()) for one in (*prims, *(one.GetPrim() for one in skeletons.values())) if _is_moved(one)]
-    if moved:
-        text = "%s: the motion of %s is left out: only that of joints and weights of blend shapes is kept"
-        _log.warning(text, file, first_few(moved))
+    animated = [one for one in (*prims, *(one.GetPrim() for one in skeletons.values())) if _is_animated(one)]
+    if animated:
+        text = "%s: the animation of %s is left out: only that of joints and weights of blend shapes is kept"
+        _log.warning(text, file, first_few(str(one.GetPath()) for one in animated))
     joints = () if rig is None else rig.names
     names = make_distinct([*joints, *(prim.GetDisplayName() or prim.GetName() for prim in prims)])[len(joints) :]
     parts = []
@@ -139,11 +142,19 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
     return Character(tuple(parts), rig, animations), weights
 
 
-def _is_moved(prim: Any) -> bool:
-    """Whether the points, visibility or transform of a prim, or of one above it, have several time samples."""
+def _is_animated(prim: Any) -> bool:
+    """Whether the points, visibility or transform of a prim, or of one above it, change with time."""
     prims = map(prim.GetStage().GetPrimAtPath, prim.GetPath().GetPrefixes())
-    attributes = [attribute for one in prims for attribute in one.GetAttributes() if attribute.GetNumTimeSamples() > 1]
-    return any(one.GetName() in ("points", "visibility") or one.GetNamespace() == "xformOp" for one in attributes)
+    attributes = {attribute: attribute.GetName() for one in prims for attribute in one.GetAttributes()}
+    shown = [one for one, name in attributes.items() if name.startswith("xformOp:") or name in _SHOWN]
+    return any(map(_changes, shown))
+
+
+def _changes(attribute: Any) -> bool:
+    """Whether the time samples of an attribute differ."""
+    values = map(attribute.Get, attribute.GetTimeSamples())
+    first = next(values, None)
+    return any(value != first for value in values)
 
 
 def _normals(where: str, prim: Any, control: ControlMesh) -> FloatArray | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -35,11 +35,11 @@ def read_value(attribute: Any) -> Any:
 
 def bind_transform(prim: Any) -> FloatArray:
     """(4, 4) transform from a mesh's space to its skeleton's in the bind pose."""
-    attribute = _skinning_attribute(prim, "primvars:skel:geomBindTransform")
+    attribute = skinning_attribute(prim, "primvars:skel:geomBindTransform")
     return np.array(np.eye(4) if attribute is None else read_value(attribute), dtype=np.float64)
 
 
-def _skinning_attribute(prim: Any, name: str) -> Any:
+def skinning_attribute(prim: Any, name: str) -> Any:
     """The attribute of a prim or of the nearest prim above it that states one, as UsdSkel inherits; None without."""
     while prim:
         attribute = prim.GetAttribute(name)
@@ -62,14 +62,20 @@ def uv_primvars(where: str, prim: Any) -> list[Any]:
     """
     color, primvars = color_uv_name(prim), []
     for primvar in pxr.UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
-        kind, name = str(primvar.GetTypeName()).removesuffix("[]"), primvar.GetPrimvarName()
-        plain = kind in ("float2", "double2", "half2") and name in ("st", "uv", "UVMap", color)
-        if (kind.startswith("texCoord2") or plain) and primvar.HasValue():
+        if is_uv_set(primvar, color):
             primvars.append(primvar)
-        elif kind.startswith("texCoord3"):
-            logger.warning("%s: texture coordinates %s have three components and are no UV set", where, name)
+        elif str(primvar.GetTypeName()).startswith("texCoord3"):
+            text = "%s: texture coordinates %s have three components and are no UV set"
+            logger.warning(text, where, primvar.GetPrimvarName())
     ranks = {color: 1, "st": 0}
     return sorted(primvars, key=lambda primvar: ranks.get(primvar.GetPrimvarName(), 2))
+
+
+def is_uv_set(primvar: Any, color: str) -> bool:
+    """Whether a primvar is a UV set; ``color``: the name of that of the material's colour image."""
+    kind, name = str(primvar.GetTypeName()).removesuffix("[]"), primvar.GetPrimvarName()
+    plain = kind in ("float2", "double2", "half2") and name in ("st", "uv", "UVMap", color)
+    return (kind.startswith("texCoord2") or plain) and bool(primvar.HasValue())
 
 
 def corner_values(where: str, control: ControlMesh, primvar: Any) -> tuple[FloatArray, IndexArray]:
@@ -134,16 +140,8 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
     counts = place_counts(control)
     arrays: dict[str, NDArray[Any]] = {}
     corners = _corners_of_vertices(control)
-    for primvar in pxr.UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
-        name = primvar.GetPrimvarName()
-        if name in taken or name.startswith("skel:") or not primvar.HasValue():
-            continue
-        values = np.asarray(read_value(primvar))
-        interpolation = str(primvar.GetInterpolation())
-        place = _PLACES.get(interpolation, "")
-        expected = counts.get(place)
-        if expected is None or values.dtype.kind not in "iuf" or values.size == 0 or values.ndim > 2:
-            continue
+    for primvar, place in value_primvars(prim, taken):
+        name, expected = primvar.GetPrimvarName(), counts[place]
         order = corners if place == "corners" else None
         if place != "vertices" and expected == control.n_vertices and order is None:
             logger.warning(_LEFT_OUT, where, name, place, " or corners" if place == "faces" else "")
@@ -153,6 +151,17 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
             _refuse(where, primvar, f"got {len(numbers)} values where {expected} belong")
         arrays[name] = values[numbers if order is None else numbers[order]]
     return arrays | _weights(where, control, prim)
+
+
+def value_primvars(prim: Any, taken: Collection[str]) -> Iterator[tuple[Any, str]]:
+    """Numeric primvars of a prim that are not ``taken``, and the place of their values, see `place_counts`."""
+    for primvar in pxr.UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
+        name, place = primvar.GetPrimvarName(), _PLACES.get(str(primvar.GetInterpolation()))
+        if place is None or name in taken or name.startswith("skel:") or not primvar.HasValue():
+            continue
+        values = np.asarray(read_value(primvar))
+        if values.dtype.kind in "iuf" and values.size and values.ndim <= 2:
+            yield primvar, place
 
 
 def _corners_of_vertices(control: ControlMesh) -> IndexArray | None:
@@ -188,7 +197,7 @@ def _refuse(where: str, primvar: Any, found: str) -> None:
 
 def _weights(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:
     """``skel:jointWeights`` as a dense table (n, joints), in the order of the skeleton's joints if there is one."""
-    stated_by = [_skinning_attribute(prim, f"primvars:skel:{name}") for name in ("jointIndices", "jointWeights")]
+    stated_by = [skinning_attribute(prim, f"primvars:skel:{name}") for name in ("jointIndices", "jointWeights")]
     if None in stated_by:
         return {}
     indices, weights = map(pxr.UsdGeom.Primvar, stated_by)
@@ -209,7 +218,7 @@ def _skeleton_joint_numbers(where: str, weights: Any, joints: NDArray[Any], prim
     """Joint numbers in the order of the bound skeleton, and its number of joints."""
     skeleton = pxr.UsdSkel.BindingAPI(prim).GetInheritedSkeleton()
     joints_of_skeleton = list(skeleton.GetJointsAttr().Get() or []) if skeleton else []
-    order = _skinning_attribute(prim, "skel:joints")
+    order = skinning_attribute(prim, "skel:joints")
     joints_of_mesh = list((order and order.Get()) or joints_of_skeleton)
     highest = int(joints.max(initial=0))
     if not joints_of_skeleton:

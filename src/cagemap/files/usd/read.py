@@ -28,7 +28,7 @@ from cagemap.files.usd.prims import (
     transform_points,
     uv_primvars,
 )
-from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, pxr
+from cagemap.files.usd.stages import damage_as_error, open_stage, pxr
 from cagemap.files.usd.transforms import drop_flattened, is_mirrored, is_similarity, local_to_world
 from cagemap.mesh import ControlMesh, Scheme
 from cagemap.mesh.control_mesh import UvSet
@@ -91,9 +91,8 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
         if hidden := [str(prim.GetPath()) for prim, kept in zip(prims, are_final, strict=True) if final and not kept]:
             text = "%s: left out invisible meshes, previews and prototypes: %s; %s"
             logger.warning(text, file, first_few(hidden), "make them visible, of purpose default, to keep them")
-        with_points = [prim for prim in final or prims if read_value(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
         labels = material_labels(stage)
-        meshes = tuple(_read_prim(file, prim, labels) for prim in drop_flattened(file, with_points))
+        meshes = tuple(_read_prim(file, prim, labels) for prim in drop_flattened(file, meshes_with_points(stage)))
     if not meshes:
         what = f"got {len(prims)} without points" if prims else "got none"
         open_sets = _variants_without_choice(stage)
@@ -104,6 +103,13 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
         )
         raise FormatError(f"{file}: expected at least one mesh prim, {what}. {remedy}")
     return meshes
+
+
+def meshes_with_points(stage: Any) -> list[Any]:
+    """Mesh prims with points that are visible and no previews; without such, all with points."""
+    prims = prims_of(stage, pxr.UsdGeom.Mesh)
+    shown = list(filter(_is_final, prims)) or prims
+    return [prim for prim in shown if read_value(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
 
 
 def _is_final(prim: Any) -> bool:
@@ -176,15 +182,6 @@ def join_usd_meshes(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool 
             f"{', '.join(words.values())}). Match the one that is meant (`find_part` NAME)."
         )
     return whole
-
-
-def values_beside_mesh(path: str | Path) -> list[str]:
-    """What `read_usd` takes no notice of: primvars, weights, blend shapes, and images of materials."""
-    shader = pxr.UsdShade.Shader
-    with open_each_once():
-        names = {name for mesh in read_usd_meshes(path) for name in mesh.attributes} - {"displayColor"}
-        ids = {shader(prim).GetIdAttr().Get() for prim in prims_of(open_stage(path), shader)}
-    return [*sorted(names), *(["images of materials"] if "UsdUVTexture" in ids else [])]
 
 
 def upright_rotation(linear: FloatArray) -> FloatArray:

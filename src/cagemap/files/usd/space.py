@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +13,9 @@ from cagemap.errors import FormatError
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.geometry import Z_TO_Y, is_z_up
 from cagemap.files.gltf.parts import transform_part
-from cagemap.files.usd.read import read_usd_meshes
-from cagemap.files.usd.stages import damage_as_error, is_usd, open_each_once, open_stage, pxr
-from cagemap.files.usd.transforms import is_mirrored, is_similarity
+from cagemap.files.usd.read import meshes_with_points, read_usd_meshes
+from cagemap.files.usd.stages import damage_as_error, is_usd, open_stage, pxr
+from cagemap.files.usd.transforms import drop_flattened, is_mirrored, is_similarity, local_to_world
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 
@@ -35,7 +36,11 @@ def stage_units(path: str | Path) -> StageSpace:
     """Unit and up axis of a USD file, without the transform of its mesh; glTF and FBX are read in metres, Y up."""
     if Path(path).suffix.lower() in SCENE_SUFFIXES:
         return StageSpace("Y", 1.0)
-    stage = open_stage(path)
+    return _units_of(path, open_stage(path))
+
+
+def _units_of(path: str | Path, stage: Any) -> StageSpace:
+    """Unit and up axis of an open USD file."""
     with damage_as_error(path):
         axis, length = str(pxr.UsdGeom.GetStageUpAxis(stage)), float(pxr.UsdGeom.GetStageMetersPerUnit(stage))
     if axis not in ("Y", "Z") or not 0.0 < length < float("inf"):
@@ -46,10 +51,17 @@ def stage_units(path: str | Path) -> StageSpace:
 
 
 def stage_space(path: str | Path) -> StageSpace:
-    """The space of a file's control mesh by `read_usd`; world space if it has several meshes."""
-    with open_each_once():
-        units, meshes = stage_units(path), read_usd_meshes(path)
-    return replace(units, to_world=meshes[0].to_world) if len(meshes) == 1 else units
+    """The space of a file's control mesh by `read_usd`; world space if it has several meshes.
+
+    What is left out of the file is not logged, since the file's reader does so.
+    """
+    stage = open_stage(path, warn=False)
+    units = _units_of(path, stage)
+    with damage_as_error(path):
+        prims = drop_flattened(Path(path), meshes_with_points(stage), warn=False)
+        if not prims:
+            read_usd_meshes(path)  # refuses the file
+        return replace(units, to_world=local_to_world(prims[0])) if len(prims) == 1 else units
 
 
 def similar_space(path: str | Path) -> StageSpace:

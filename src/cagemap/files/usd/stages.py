@@ -37,6 +37,8 @@ class _UsdModules:
     """The package ``pxr``, imported when it is first used."""
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):  # `inspect` and `copy` ask for names that any object may lack
+            raise AttributeError(name)
         return getattr(usd_modules(), name)
 
 
@@ -70,10 +72,10 @@ def identifiers(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
     return unique
 
 
-def open_stage(path: str | Path) -> Any:
-    """Open a USD file; warns of missing files that it refers to."""
+def open_stage(path: str | Path, *, warn: bool = True) -> Any:
+    """Open a USD file; with ``warn``, warns of missing files that it refers to."""
     stage, reasons = _open_with_messages(Path(path))
-    for reason in reasons:
+    for reason in reasons if warn else ():
         logger.warning("%s: %s", path, reason)
     return stage
 

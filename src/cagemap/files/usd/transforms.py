@@ -40,13 +40,17 @@ def local_to_world(prim: Any) -> FloatArray:
     return matrix
 
 
-def drop_flattened(file: Path, prims: list[Any]) -> list[Any]:
-    """Meshes that their transform does not flatten to a plane, line or point; all if it flattens every one."""
+def drop_flattened(file: Path, prims: list[Any], *, warn: bool = True) -> list[Any]:
+    """Meshes that their transform does not flatten to a plane, line or point; all if it flattens every one.
+
+    ``warn``: warn of those that are left out.
+    """
     flat = [_is_flattening(_to_world(prim)) for prim in prims]
     if not any(flat) or all(flat):
         return prims
     names = ", ".join(str(prim.GetPath()) for prim, flattened in zip(prims, flat, strict=True) if flattened)
-    _log.warning("%s: left out what its transform flattens (a scale of 0): %s", file, names)
+    if warn:
+        _log.warning("%s: left out what its transform flattens (a scale of 0): %s", file, names)
     return [prim for prim, flattened in zip(prims, flat, strict=True) if not flattened]
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cagemap.character.joints import Skeleton
 from cagemap.errors import FormatError
+from cagemap.files import VALUE_SUFFIXES
 from cagemap.files.atomic import atomic_path, check_outputs, require_writable_folder, write_whole
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.gltf.read import gltf_shapes, gltf_skeleton
@@ -184,6 +185,12 @@ def _checked_offsets(file: Path, name: str, array: NDArray[Any], rest: ControlMe
             f"{rest.name}, such as {unknown[:5].tolist()} (0-based). Write it again, with 0 where nothing moves."
         )
     return array.astype(np.float64)
+
+
+def check_shapes_path(output: Path) -> None:
+    """Refuse the name of a file of another format, since shapes are written as an ``.npz`` or a folder."""
+    if output.suffix.lower() in {*VALUE_SUFFIXES, *MESH_SUFFIXES} - {".npz"}:
+        raise FormatError(f"{output}: expected a folder or a name ending in .npz for shapes, got {output.suffix}")
 
 
 def check_shapes(

@@ -26,15 +26,16 @@ from cagemap.tasks.requests.options import (
 )
 
 BakeKind = Literal["normal", "displacement", "vector-displacement", "ao", "colors", "texture"]
+# Kinds of data that are images.
+IMAGE_KINDS = ("texture", "displacement", "normal_map", "vector_displacement", "bake", "material_colors")
+_MASKED = (*IMAGE_KINDS, "attribute", "weights", "blend_shapes")
 # Kinds of data whose transfer reads an option; with other kinds the option is refused.
-PICTURES = ("texture", "displacement", "normal_map", "vector_displacement", "bake", "material_colors")
-_MASKED = (*PICTURES, "attribute", "weights", "blend_shapes")
 READ_BY = {
     "usd": ("texture", "attribute", "weights", "blend_shapes"),
     "space": ("normal_map", "vector_displacement", "bake"),
     "green": ("texture", "normal_map", "bake"),
     "as_color": ("texture",),
-    "filter": PICTURES,
+    "filter": IMAGE_KINDS,
     "detail": ("bake",),
     "detail_texture": ("bake",),
     "rays": ("bake",),
@@ -42,12 +43,12 @@ READ_BY = {
     "only": ("weights",),
     "mirror": ("weights",),
     "kind": ("passenger",),
-    "size": PICTURES,
-    "bits": PICTURES,
+    "size": IMAGE_KINDS,
+    "bits": IMAGE_KINDS,
     "scale": ("displacement", "vector_displacement"),
     "midlevel": ("displacement", "vector_displacement"),
-    "unwrap": PICTURES,
-    "bases": (*PICTURES, "attribute", "weights"),
+    "unwrap": IMAGE_KINDS,
+    "bases": (*IMAGE_KINDS, "attribute", "weights"),
     "target_mask": _MASKED,
     "source_mask": _MASKED,
 }
