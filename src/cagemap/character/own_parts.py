@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain, compress, pairwise
 
@@ -129,11 +129,14 @@ def _nearest_points(
     if passenger_word(part.name) in HAIRS:
         matrices[0] = root_means(points, vertex_pieces(part.mesh), distances[0]) @ matrices[0]
     distances[0] = np.maximum(distances[0], _COUNTERPART_DISTANCE * box_diagonal(points))
-    chosen = distances.argmin(axis=0)
-    blocks = [sparse.csr_array((len(points), surface.n)) for surface in surfaces]
-    for row, (number, matrix) in enumerate(zip(numbers, matrices, strict=True)):
-        blocks[number] = matrix.multiply((chosen == row)[:, None]).tocsr()
-    return sparse.hstack(blocks, format="csr"), chosen > 0, is_below
+    chosen, starts = distances.argmin(axis=0), offsets_of([surface.n for surface in surfaces])
+    shape = len(points), int(starts[-1])
+    of_all = [
+        sparse.csr_array((matrix.data, matrix.indices + starts[number], matrix.indptr), shape=shape)
+        for number, matrix in zip(numbers, matrices, strict=True)
+    ]
+    rows = sparse.vstack(of_all, format="csr")[chosen * len(points) + np.arange(len(points))]
+    return rows, chosen > 0, is_below
 
 
 def _means(members: Sequence[IndexArray], count: int) -> sparse.csr_array:
@@ -171,13 +174,6 @@ def rigid_groups(mesh: ControlMesh, surface: TriangleSurface, config: PieceConfi
     places = surface.scale * mesh.positions
     # Heights of 0: no part, such as a wide skirt, is rigid because it is far from the body.
     return find_pieces(cage_triangles(mesh)[0], places, np.zeros(len(places)), None, config).rigid_groups()
-
-
-def average_rows(table: FloatArray, groups: Collection[IndexArray], influences: int | None) -> FloatArray:
-    """Weights (n, j), changed in place: rows of each group of vertices are the group's mean."""
-    for group in groups:
-        table[group] = limit_influences(table[group].mean(axis=0)[None], influences)
-    return table
 
 
 def limit_influences(table: FloatArray, influences: int | None) -> FloatArray:
