@@ -123,7 +123,7 @@ def measure(bodies: Bodies) -> str:
     carried_mask = carry_values(bodies.result, is_socket[bodies.rows(1)], "vertices")
     assert not isinstance(carried_mask, dict)
     socket = bodies.on_target(carried_mask) > 0.5
-    shapes = face_shapes(bodies)
+    shapes = face_shapes(bodies, list(kit.shapes))
     gaps = []
     for side in ("Left", "Right"):
         height, gap = eye_slits(positions, triangles, socket, shapes[f"eyeBlink{side}"])

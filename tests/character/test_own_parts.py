@@ -12,6 +12,7 @@ from scipy import sparse
 from cagemap.character.own_parts import parts_of_one_kind, with_nearest_values
 from cagemap.character.values import Part
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.faces import cage_triangles
 from cagemap.surface.triangle_surface import TriangleSurface
 
 from example_character import ball
@@ -25,6 +26,11 @@ def sheet(name: str, width: float, height: float) -> ControlMesh:
     places = mesh.positions[:, :2] - mesh.positions[:, :2].min(axis=0)
     places = np.column_stack([places / places.max(axis=0) * [width, 10.0], np.full(mesh.n_vertices, height)])
     return replace(mesh.with_positions(places), name=name)
+
+
+def triangles_of(mesh: ControlMesh) -> ControlMesh:
+    """A sheet with other faces, so that vertices are compared by their places."""
+    return replace(ControlMesh.from_faces(mesh.positions, cage_triangles(mesh)[0]), name=mesh.name)
 
 
 def weighted(mesh: ControlMesh, joint: int, shapes: dict[str, float] | None = None) -> Part:
@@ -43,7 +49,7 @@ def around(own: list[Part], counterparts: list[list[Part]]) -> list[Part]:
 @pytest.mark.parametrize("height", [1.0, 0.3])  # the counterpart or the body is nearer
 def test_a_part_has_values_of_its_counterpart_where_that_is_near(height: float) -> None:
     """Long sleeves over a short one: the counterpart's values above it, the body's beyond."""
-    short = weighted(sheet("shirt", 5.0, 0.9), 1, {"fat": 3.0})
+    short = weighted(triangles_of(sheet("shirt", 5.0, 0.9)), 1, {"fat": 3.0})
     (made,) = around([Part("my shirt", sheet("my shirt", 10.0, height))], [[short]])
     x = made.mesh.positions[:, 0]
     np.testing.assert_allclose(made.weights.toarray()[x < 5.5], np.tile([0, 1, 0], (np.sum(x < 5.5), 1)), atol=1e-12)
@@ -101,9 +107,16 @@ def test_brows_on_the_skin_have_its_values() -> None:
 
 
 def test_weights_are_limited_in_blocks_of_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    short = weighted(sheet("shirt", 5.0, 0.9), 1)
+    short = weighted(triangles_of(sheet("shirt", 5.0, 0.9)), 1)
     own = [Part(name, sheet(name, 10.0, 1.0)) for name in ("my shirt", "coat")]
     whole = around(own, [[short], []])
     monkeypatch.setattr("cagemap.character.own_parts._BLOCK", 7)
     for one, other in zip(around(own, [[short], []]), whole, strict=True):
         np.testing.assert_array_equal(one.weights.toarray(), other.weights.toarray())
+
+
+def test_a_counterpart_with_the_same_faces_gives_each_vertex_its_own_values() -> None:
+    given = Part("teeth", sheet("teeth", 5.0, 9.0))
+    weights = sparse.csr_array(np.random.default_rng(0).dirichlet(np.ones(3), given.mesh.n_vertices))
+    (made,) = around([Part("my teeth", sheet("my teeth", 10.0, 1.0))], [[replace(given, weights=weights)]])
+    np.testing.assert_allclose(made.weights.toarray(), weights.toarray(), atol=1e-12)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain, compress, pairwise
 
@@ -82,7 +82,7 @@ def with_nearest_values(
     sources = [body, *dict.fromkeys(chain.from_iterable(counterparts))]
     surfaces = [TriangleSurface(one.mesh.positions, cage_triangles(one.mesh)[0]) for one in sources]
     sides = [(part, [0, *map(sources.index, parts)]) for part, parts in zip(own, counterparts, strict=True)]
-    found = [_nearest_points(part, surfaces, numbers) for part, numbers in sides]
+    found = [_nearest_points(part, sources, surfaces, numbers) for part, numbers in sides]
     matrices, known, below = zip(*found, strict=True)
     is_known, is_below = np.concatenate(known), np.concatenate(below)
     is_inside = np.concatenate([np.full(p.mesh.n_vertices, passenger_word(p.name) in _INSIDE) for p in own])
@@ -114,12 +114,13 @@ def with_nearest_values(
 
 
 def _nearest_points(
-    part: Part, surfaces: Sequence[TriangleSurface], numbers: Sequence[int]
+    part: Part, sources: Sequence[Part], surfaces: Sequence[TriangleSurface], numbers: Sequence[int]
 ) -> tuple[sparse.csr_array, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Matrix from values at all vertices of the surfaces to those of a part.
+    """Matrix from values at all vertices of the sources to those of a part.
 
-    And of each vertex whether it has the values of a counterpart, and whether it is below the body's surface.
-    ``numbers``: of the surfaces to choose from; the first is the body.
+    And of each vertex whether it has the values of a counterpart, and whether it is below the body's surface. A
+    counterpart with the same faces gives every vertex the values of the same vertex.
+    ``numbers``: of the sources to choose from; the first is the body.
     """
     points = part.mesh.positions
     found = [SurfacePoints.nearest(surfaces[number], points) for number in numbers]
@@ -129,11 +130,23 @@ def _nearest_points(
     if passenger_word(part.name) in HAIRS:
         matrices[0] = root_means(points, vertex_pieces(part.mesh), distances[0]) @ matrices[0]
     distances[0] = np.maximum(distances[0], _COUNTERPART_DISTANCE * box_diagonal(points))
-    chosen = distances.argmin(axis=0)
-    blocks = [sparse.csr_array((len(points), surface.n)) for surface in surfaces]
-    for row, (number, matrix) in enumerate(zip(numbers, matrices, strict=True)):
-        blocks[number] = matrix.multiply((chosen == row)[:, None]).tocsr()
-    return sparse.hstack(blocks, format="csr"), chosen > 0, is_below
+    for row, number in enumerate(numbers[1:], start=1):
+        if has_same_faces(part.mesh, sources[number].mesh):
+            matrices[row], distances[row] = sparse.eye_array(len(points), format="csr"), 0.0
+    chosen, starts = distances.argmin(axis=0), offsets_of([surface.n for surface in surfaces])
+    shape = len(points), int(starts[-1])
+    of_all = [
+        sparse.csr_array((matrix.data, matrix.indices + starts[number], matrix.indptr), shape=shape)
+        for number, matrix in zip(numbers, matrices, strict=True)
+    ]
+    rows = sparse.vstack(of_all, format="csr")[chosen * len(points) + np.arange(len(points))]
+    return rows, chosen > 0, is_below
+
+
+def has_same_faces(mesh: ControlMesh, other: ControlMesh) -> bool:
+    """Whether two meshes have the same vertices in the same faces, as parts of one modelling program often do."""
+    pairs = (mesh.face_offsets, other.face_offsets), (mesh.face_indices, other.face_indices)
+    return mesh.n_vertices == other.n_vertices and all(np.array_equal(*pair) for pair in pairs)
 
 
 def _means(members: Sequence[IndexArray], count: int) -> sparse.csr_array:
@@ -171,13 +184,6 @@ def rigid_groups(mesh: ControlMesh, surface: TriangleSurface, config: PieceConfi
     places = surface.scale * mesh.positions
     # Heights of 0: no part, such as a wide skirt, is rigid because it is far from the body.
     return find_pieces(cage_triangles(mesh)[0], places, np.zeros(len(places)), None, config).rigid_groups()
-
-
-def average_rows(table: FloatArray, groups: Collection[IndexArray], influences: int | None) -> FloatArray:
-    """Weights (n, j), changed in place: rows of each group of vertices are the group's mean."""
-    for group in groups:
-        table[group] = limit_influences(table[group].mean(axis=0)[None], influences)
-    return table
 
 
 def limit_influences(table: FloatArray, influences: int | None) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,22 +97,15 @@ def _ready_body(part: Part) -> RepairedMesh:
     return ready
 
 
-def body_shapes(bodies: Bodies, rigid: Sequence[IndexArray] = ()) -> dict[str, FloatArray]:
-    """Blend shapes of the source as offsets of the given target's vertices, by name.
-
-    ``rigid``: vertices of pieces that move as a whole.
-    """
+def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
+    """Blend shapes of the source as offsets of the given target's vertices, by name."""
     shapes = bodies.given[1].shapes
     if not shapes:
         return {}
     rows = bodies.rows(1)
     carried = carry_shapes(bodies.result, {name: offsets[rows] for name, offsets in shapes.items()})
     assert isinstance(carried, dict)
-    made = {name: bodies.on_target(offsets) for name, offsets in carried.items()}
-    for piece in rigid:
-        for offsets in made.values():
-            offsets[piece] = offsets[piece].mean(axis=0)
-    return made
+    return {name: bodies.on_target(offsets) for name, offsets in carried.items()}
 
 
 def rigid_pieces(bodies: Bodies, config: PieceConfig = PIECES) -> list[IndexArray]:

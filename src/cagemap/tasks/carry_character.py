@@ -7,32 +7,30 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
-from cagemap.character.doubled_pieces import PairedFaces, doubled_pieces, pieces_in_surface
+from cagemap.character.doubled_pieces import doubled_pieces, pieces_in_surface
 from cagemap.character.normals import with_shape_normals
 from cagemap.character.own_parts import (
-    average_rows,
-    limit_influences,
-    nearest_rows,
     parts_of_one_kind,
     with_nearest_values,
 )
 from cagemap.character.passenger_pieces import PassengerKind
-from cagemap.character.passengers import CarriedPassenger, carried_parts, carry_passengers, hidden_passenger
+from cagemap.character.passengers import carried_parts, hidden_passenger
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body
 from cagemap.character.skeleton import carry_rig, prop_joints
 from cagemap.character.values import Character, Part
 from cagemap.errors import ParameterError
 from cagemap.maps.result import MatchResult
-from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.mesh.parts import extract_faces, join_meshes, numbers_on_part, passenger_word
 from cagemap.mesh.repairs import RepairedMesh
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies, rigid_pieces
+from cagemap.mesh.topology import face_components
+from cagemap.numerics.arrays import FloatArray, IndexArray, members_of
+from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies
 from cagemap.tasks.carry_arrays import carry_weights
 from cagemap.tasks.progress import Stages
 
@@ -85,15 +83,10 @@ def carry_character(
     notes += matched.notes
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]
     others = [part for part in target.parts if part is not target_body]
-    pieces, counterparts, left_out_notes = _pieces_to_carry(matched, others, named=set(kinds or ()))
+    loose = _loose_pieces(matched)
+    pieces, twins, left_out_notes = _pieces_to_carry(matched, [*loose, *others], named=set(kinds or ()))
     notes += left_out_notes
     to_carry = [*chosen, *([] if pieces is None else [pieces])]
-    stages("weights and shapes")
-    rigid = rigid_pieces(matched)
-    weights, shapes = _body_weights(matched, counterparts, rigid, influences), body_shapes(matched, rigid)
-    for name, offsets in counterparts.shapes.items():
-        shapes[name][counterparts.vertices] = offsets
-    body = replace(target_body, name=source_body.name, weights=weights, shapes={**shapes, **target_body.shapes})
     stages("passengers")
     dressed = carried_parts(result, to_carry, kinds=kinds)
     left_out = carried_parts(result, declined if others else [])
@@ -108,10 +101,17 @@ def carry_character(
     for part, one in zip(to_carry, dressed, strict=True):
         if (kinds or {}).get(part.name) == "rigid":
             notes += hidden_passenger(result.point_map, part.mesh, one.mesh.positions)
+    stages("weights and shapes")
+    weights, shapes = _body_weights(matched, influences), body_shapes(matched)
+    skin = matched.skin(weights, {name: target_body.shapes.get(name, offsets) for name, offsets in shapes.items()})
+    alike = [[*pair, *parts] for pair, parts in zip(twins, [*([] for _ in loose), *same_kind], strict=True)]
     if weights is not None:
-        same_kind = [[part for part in parts if part.weights is not None] for parts in same_kind]
-    skin = matched.skin(weights, {name: body.shapes[name] for name in shapes})
-    extras = with_nearest_values(others, skin, same_kind, result.point_map.target, influences)
+        alike = [[part for part in parts if part.weights is not None] for parts in alike]
+    own = with_nearest_values([*loose, *others], skin, alike, result.point_map.target, influences)
+    body = replace(target_body, name=source_body.name, weights=weights, shapes=shapes)
+    body = _with_values_of(body, own[: len(loose)], matched.ready[0].vertex_of < 0)
+    body = replace(body, shapes={**body.shapes, **target_body.shapes})
+    extras = own[len(loose) :]
     taken = {*taken, *(part.name for part in (body, *to_carry))}
     extras = [replace(part, name=f"{part.name} (own)") if part.name in taken else part for part in extras]
     body = with_shape_normals(body, [name for name in source_body.shape_normals if name not in target_body.shapes])
@@ -135,47 +135,59 @@ def carry_character(
     return CarriedCharacter(character, result, (matched.rows(0), matched.rows(1)), tuple(to_carry), tuple(notes))
 
 
-def _body_weights(
-    bodies: Bodies, counterparts: _Counterparts, rigid: Sequence[IndexArray], influences: int | None
-) -> sparse.csr_array | None:
+def _body_weights(bodies: Bodies, influences: int | None) -> sparse.csr_array | None:
+    """Weights of the source's body at the given target's vertices."""
     weights = bodies.given[1].weights
     if weights is None:
         return None
     carried = carry_weights(bodies.result, weights[bodies.rows(1)].toarray(), influences=influences)
-    table = average_rows(bodies.on_target(carried), rigid, influences)
-    if counterparts.weights is not None:
-        table[counterparts.vertices] = limit_influences(counterparts.weights.toarray(), influences)
-    return sparse.csr_array(table)
+    return sparse.csr_array(bodies.on_target(carried))
 
 
-@dataclass(frozen=True, eq=False)
-class _Counterparts:
-    """Vertices in loose pieces of the target's body, with weights and shapes of the same pieces of the source's."""
+def _with_values_of(body: Part, pieces: Sequence[Part], unmatched: NDArray[np.bool_]) -> Part:
+    """A body with weights and shapes of some of its pieces, at its unmatched vertices (n,)."""
+    rows, sizes = np.arange(body.mesh.n_vertices), [body.mesh.n_vertices, *(piece.mesh.n_vertices for piece in pieces)]
+    for piece, start in zip(pieces, np.cumsum(sizes), strict=False):
+        number = numbers_on_part(piece.mesh, body.mesh)
+        rows = np.where((number >= 0) & unmatched, number + start, rows)
+    weights, shapes = body.weights, dict[str, FloatArray]()
+    if weights is not None:
+        of_pieces = [piece.weights for piece in pieces if piece.weights is not None]
+        weights = sparse.vstack([weights, *of_pieces], format="csr")[rows]
+    for name, offsets in body.shapes.items():
+        others = [piece.shapes.get(name, np.zeros((piece.mesh.n_vertices, 3))) for piece in pieces]
+        shapes[name] = np.concatenate([offsets, *others])[rows]
+    return replace(body, weights=weights, shapes=shapes)
 
-    vertices: IndexArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # (k,) of the target's body
-    weights: sparse.csr_array | None = None  # (k, j)
-    shapes: dict[str, FloatArray] = field(default_factory=dict)  # (k, 3) each
+
+def _loose_pieces(bodies: Bodies) -> list[Part]:
+    """Connected unmatched pieces of the target's body, without values."""
+    unmatched = _set_aside(Part("", bodies.given[0].mesh), bodies.ready[0])
+    if unmatched is None:
+        return []
+    return [_part_of_faces(unmatched, faces) for faces in members_of(face_components(unmatched.mesh))]
 
 
 def _pieces_to_carry(
-    bodies: Bodies, others: Sequence[Part], named: Collection[str]
-) -> tuple[Part | None, _Counterparts, list[str]]:
-    """The unmatched pieces of the source's body but those that the target has too; values of these; and notes.
+    bodies: Bodies, own: Sequence[Part], named: Collection[str]
+) -> tuple[Part | None, list[list[Part]], list[str]]:
+    """The unmatched pieces of the source's body but those that the target has too; these, on the target; and notes.
 
-    ``others``: the target's parts beside its body.
+    ``own``: the target's loose pieces, and its parts beside its body; the second value has a list for each.
     ``named``: names of passengers; pieces with one of these names are all carried.
     """
-    unmatched, pieces = (_set_aside(part, ready) for part, ready in zip(bodies.given, bodies.ready, strict=True))
-    own = [part.mesh for part in (*([] if unmatched is None else [unmatched]), *others)]
+    pieces, twins = _set_aside(bodies.given[1], bodies.ready[1]), [list[Part]() for _ in own]
     if pieces is None or pieces.name in named:
-        return pieces, _Counterparts(), []
-    mesh = pieces.mesh
-    (carried,) = carry_passengers(bodies.result, [mesh])
-    placed = mesh.with_positions(carried.positions)
-    pairs = doubled_pieces(placed, join_meshes(own)) if own else []
-    found = [*pieces_in_surface(mesh, placed, bodies.result.point_map), *(faces for faces, _ in pairs)]
+        return pieces, twins, []
+    (placed,) = carried_parts(bodies.result, [pieces])
+    ends = np.cumsum([part.mesh.n_faces for part in own])
+    pairs = doubled_pieces(placed.mesh, join_meshes([part.mesh for part in own])) if own else []
+    for faces, own_faces in pairs:
+        twins[int(np.searchsorted(ends, own_faces[0], side="right"))].append(_part_of_faces(placed, faces))
+    in_surface = pieces_in_surface(pieces.mesh, placed.mesh, bodies.result.point_map)
+    found = [*in_surface, *(faces for faces, _ in pairs)]
     if not found:
-        return pieces, _Counterparts(), []
+        return pieces, twins, []
     doubled = {int(faces[0]): faces for faces in found}.values()  # each piece once
     sizes = first_few([count_noun(len(faces), "face") for faces in doubled])
     target, source = bodies.given
@@ -183,38 +195,8 @@ def _pieces_to_carry(
         f"{count_noun(len(doubled), 'piece')} of {source.mesh.name} ({sizes}) not carried, since {target.mesh.name} "
         f"has its own there: to carry all, name {pieces.name!r} (rig: --rigid, --cloth), or make one an object"
     )
-    left = np.setdiff1d(np.arange(mesh.n_faces), np.concatenate(found))
-    counterparts = _Counterparts()
-    if unmatched is not None:
-        counterparts = _values_of_pairs(bodies, unmatched.mesh, pieces, carried, pairs)
-    return _part_of_faces(pieces, left) if len(left) else None, counterparts, [note]
-
-
-def _values_of_pairs(
-    bodies: Bodies, own: ControlMesh, pieces: Part, carried: CarriedPassenger, pairs: Sequence[PairedFaces]
-) -> _Counterparts:
-    """Values of the source's pieces at the nearest vertices of the target's.
-
-    ``own``: unmatched pieces of the target's body.
-    ``pairs``: faces of ``pieces``, and of ``own`` and further meshes.
-    """
-    on_own = numbers_on_part(own, bodies.given[0].mesh)
-    vertices, rows = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
-    for faces, own_faces in pairs:
-        if own_faces[0] < own.n_faces:
-            of_own, of_piece = (
-                np.unique(mesh.face_indices[np.isin(mesh.corner_faces, of_pair)])
-                for mesh, of_pair in ((own, own_faces), (pieces.mesh, faces))
-            )
-            vertices.append(np.flatnonzero(np.isin(on_own, of_own) & (bodies.ready[0].vertex_of < 0)))
-            places = bodies.given[0].mesh.positions[vertices[-1]]
-            rows.append(of_piece[nearest_rows(carried.positions[of_piece], places)])
-    taken = np.concatenate(rows)
-    return _Counterparts(
-        np.concatenate(vertices),
-        None if pieces.weights is None else pieces.weights[taken],
-        {name: carried.carry_offsets(offsets)[taken] for name, offsets in pieces.shapes.items()},
-    )
+    left = np.setdiff1d(np.arange(pieces.mesh.n_faces), np.concatenate(found))
+    return _part_of_faces(pieces, left) if len(left) else None, twins, [note]
 
 
 def _doubled_passengers(bodies: Bodies, dressed: Sequence[Part]) -> list[str]:
