@@ -116,7 +116,15 @@ def test_weights_are_limited_in_blocks_of_rows(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_counterpart_with_the_same_faces_gives_each_vertex_its_own_values() -> None:
-    given = Part("teeth", sheet("teeth", 5.0, 9.0))
-    weights = sparse.csr_array(np.random.default_rng(0).dirichlet(np.ones(3), given.mesh.n_vertices))
-    (made,) = around([Part("my teeth", sheet("my teeth", 10.0, 1.0))], [[replace(given, weights=weights)]])
-    np.testing.assert_allclose(made.weights.toarray(), weights.toarray(), atol=1e-12)
+    """Of two eyes with the same faces, that at the same place."""
+    places = np.array([[2.0, 5.0, 0.5], [8.0, 5.0, 0.5]])
+    own = [Part(f"eye {side}", ball(f"eye {side}", place, 1.0)) for side, place in zip("LR", places, strict=True)]
+    tables = np.random.default_rng(0).dirichlet(np.ones(3), (2, own[0].mesh.n_vertices))
+    mates = [
+        Part(f"Eye {side}", ball(f"Eye {side}", place + 0.3, 1.2), sparse.csr_array(table))
+        for side, place, table in zip("LR", places, tables, strict=True)
+    ]
+    for made, table in zip(around(own, [mates, mates]), tables, strict=True):
+        np.testing.assert_allclose(made.weights.toarray(), table, atol=1e-12)
+    (other,) = around(own[1:], [mates[:1]])  # without a counterpart there
+    assert not np.allclose(other.weights.toarray(), tables[0])

@@ -25,6 +25,9 @@ from cagemap.transfer.skin import normalise_rows, prune_rows
 # A vertex has the values of a counterpart that is nearer than the body, or within this share of the diagonal of the
 # part's bounding box (docs/lab/characters.md).
 _COUNTERPART_DISTANCE = 0.05
+# Largest mean distance of the vertices of a part and of one with the same faces, divided by the diagonal: the other eye
+# is farther away.
+_TWIN_DISTANCE = 0.5
 # A part has a shape that moves it by at least this share of the shape's largest offset; less is rounding.
 _LEAST_OFFSET = 1e-3
 # Rows of weights that are dense at once.
@@ -118,8 +121,8 @@ def _nearest_points(
 ) -> tuple[sparse.csr_array, NDArray[np.bool_], NDArray[np.bool_]]:
     """Matrix from values at all vertices of the sources to those of a part.
 
-    And of each vertex whether it has the values of a counterpart, and whether it is below the body's surface. A
-    counterpart with the same faces gives every vertex the values of the same vertex.
+    And of each vertex whether it has the values of a counterpart, and whether it is below the body's surface. Of a
+    counterpart with the same faces at the part's place, every vertex has the values of the same vertex.
     ``numbers``: of the sources to choose from; the first is the body.
     """
     points = part.mesh.positions
@@ -130,9 +133,11 @@ def _nearest_points(
     if passenger_word(part.name) in HAIRS:
         matrices[0] = root_means(points, vertex_pieces(part.mesh), distances[0]) @ matrices[0]
     distances[0] = np.maximum(distances[0], _COUNTERPART_DISTANCE * box_diagonal(points))
-    for row, number in enumerate(numbers[1:], start=1):
-        if has_same_faces(part.mesh, sources[number].mesh):
-            matrices[row], distances[row] = sparse.eye_array(len(points), format="csr"), 0.0
+    twins = [row for row, number in enumerate(numbers) if row and has_same_faces(part.mesh, sources[number].mesh)]
+    away = [float(np.linalg.norm(points - sources[numbers[row]].mesh.positions, axis=1).mean()) for row in twins]
+    if twins and min(away) < _TWIN_DISTANCE * box_diagonal(points):
+        row = twins[int(np.argmin(away))]
+        matrices[row], distances[row] = sparse.eye_array(len(points), format="csr"), 0.0
     chosen, starts = distances.argmin(axis=0), offsets_of([surface.n for surface in surfaces])
     shape = len(points), int(starts[-1])
     of_all = [
