@@ -48,7 +48,7 @@ class Repairs(Brief):
             f"{count_noun(self.turned_faces, 'face')} turned round": self.turned_faces,
             f"{count_noun(self.pieces, 'other piece')} set aside ({count_noun(self.pieces_vertices, 'vertex')}, "
             f"{100 * self.pieces_share:.1f} % of the area): nothing is matched or transferred there. "
-            f"{joined if self.pieces_weld else '`find_part` selects another piece'}": self.pieces,
+            f"{joined if self.pieces_weld else '`find_part` selects another'}": self.pieces,
             f"{count_noun(self.loose_vertices, 'vertex')} of no face set aside": self.loose_vertices,
             f"{count_noun(self.slivers, 'face')} without area kept": self.slivers,
             f"{count_noun(self.openings, 'opening')} left open": self.openings,
