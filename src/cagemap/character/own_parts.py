@@ -25,32 +25,34 @@ from cagemap.transfer.skin import normalise_rows, prune_rows
 # A vertex has the values of a counterpart that is nearer than the body, or within this share of the diagonal of the
 # part's bounding box (docs/lab/characters.md).
 _COUNTERPART_DISTANCE = 0.05
-# Largest mean distance of the vertices of a part and of one with the same faces, divided by the diagonal: the other eye
-# is farther away.
+# A part with the same faces whose vertices are farther away on average, in parts of the diagonal, is another one, such
+# as the other eye.
 _TWIN_DISTANCE = 0.5
-# A part has a shape that moves it by at least this share of the shape's largest offset; less is rounding.
+# A part has a shape if that moves it by at least this share of the shape's largest offset; less is rounding.
 _LEAST_OFFSET = 1e-3
 # Rows of weights that are dense at once.
 _BLOCK = 20_000
-# Words of parts inside the body, which do not follow the shapes of the skin, and of parts that move with their roots.
+# Words of parts inside the body, which do not follow the shapes of the skin.
 _INSIDE = ("eye", "teeth", "tongue")
+# Words of parts that move with their roots in the skin.
 HAIRS = ("lash", "brow", "beard")
-# A root's distance from the skin counts this much more than its distance from the vertex (docs/lab/characters.md).
+# Where roots are sought, distances from the skin count this much more than from the vertex (docs/lab/characters.md).
 _ROOT_WEIGHT = 5.0
-_ROOTS = 8  # of a vertex, so that a strip of lashes does not tear
+_ROOTS = 8  # of each vertex: with several, a strip of lashes does not tear
 
 
 def parts_of_one_kind(candidates: Sequence[Part], others: Sequence[Part]) -> list[list[Part]]:
-    """For each of the target's other parts, the parts of the source, on the target, that are of its kind.
+    """For each of the target's parts beside its body (``others``), the candidates of its kind.
 
-    They have its `passenger_word`, or are at its place if one of the two names has no such word.
+    They have its `passenger_word`, or are at its place if one of the two names has no such word. Candidates are parts
+    of the source, placed on the target.
     """
     pairs = doubled_meshes([part.mesh for part in candidates], [part.mesh for part in others])
     words, found = [passenger_word(part.name) for part in candidates], []
     for number, own in enumerate(others):
         own_word = passenger_word(own.name)
-        alike = [word == own_word if word and own_word else (row, number) in pairs for row, word in enumerate(words)]
-        found.append(list(compress(candidates, alike)))
+        is_alike = [word == own_word if word and own_word else (row, number) in pairs for row, word in enumerate(words)]
+        found.append(list(compress(candidates, is_alike)))
     return found
 
 
@@ -64,8 +66,9 @@ def with_nearest_values(
     """Parts of the target with the weights and shapes of the surface nearest to each vertex: the body or a counterpart.
 
     Lashes, brows and beards have the body's values at their roots. Of a rigid group, such as an eyeball with its iris,
-    vertices without a counterpart have the mean of those with one; without any, all have the mean of the group. Shapes
-    that a part has already stay.
+    vertices without a counterpart have the mean of those with one; without any, all have the mean of the group. Eyes,
+    teeth, tongues and rigid groups below the skin follow the shapes of counterparts only. Shapes that a part has
+    already stay.
 
     Parameters
     ----------
@@ -84,31 +87,24 @@ def with_nearest_values(
         return []
     sources = [body, *dict.fromkeys(chain.from_iterable(counterparts))]
     surfaces = [TriangleSurface(one.mesh.positions, cage_triangles(one.mesh)[0]) for one in sources]
-    sides = [(part, [0, *map(sources.index, parts)]) for part, parts in zip(own, counterparts, strict=True)]
-    found = [_nearest_points(part, sources, surfaces, numbers) for part, numbers in sides]
-    matrices, known, below = zip(*found, strict=True)
-    is_known, is_below = np.concatenate(known), np.concatenate(below)
-    is_inside = np.concatenate([np.full(p.mesh.n_vertices, passenger_word(p.name) in _INSIDE) for p in own])
-    rows, members = np.arange(len(is_known)), list[IndexArray]()
-    for group in rigid_groups(join_meshes([part.mesh for part in own]), surface):
-        unknown = group[~is_known[group]]
-        rows[unknown] = len(is_known) + len(members)
-        is_inside[unknown] = (is_inside[group].any() or is_below[group].mean() > 0.5) and len(unknown) == len(group)
-        members.append(group[is_known[group]] if len(unknown) < len(group) else group)
-    sampling = sparse.vstack(matrices, format="csr")
-    sampling = sparse.vstack([sampling, _means(members, len(rows)) @ sampling], format="csr")[rows]
-    shapes, least, made = dict[str, FloatArray](), dict[str, float](), list[Part]()
+    numbers = [[0, *map(sources.index, parts)] for parts in counterparts]
+    found = [_nearest_points(part, sources, surfaces, of_part) for part, of_part in zip(own, numbers, strict=True)]
+    matrices, with_counterpart, below_skin = zip(*found, strict=True)
+    means, follows_skin = _group_means(own, surface, np.concatenate(with_counterpart), np.concatenate(below_skin))
+    sampling = (means @ sparse.vstack(matrices, format="csr")).tocsr()
+    shapes, least = dict[str, FloatArray](), dict[str, float]()
     for name in dict.fromkeys(chain.from_iterable(part.shapes for part in sources)):
         offsets = np.concatenate([part.shapes.get(name, np.zeros((part.mesh.n_vertices, 3))) for part in sources])
-        shapes[name] = np.where((is_inside & ~is_known)[:, None], 0.0, sampling @ offsets)
+        shapes[name] = np.where(follows_skin[:, None], sampling @ offsets, 0.0)
         least[name] = _LEAST_OFFSET * np.abs(offsets).max()
     weights = None
     if body.weights is not None:
-        given = sparse.vstack([one.weights for one in sources if one.weights is not None], format="csr")
-        blocks = np.array_split(np.arange(len(rows)), 1 + len(rows) // _BLOCK)  # dense while they are limited
-        limited = [limit_influences((sampling[block] @ given).toarray(), influences) for block in blocks]
+        of_sources = sparse.vstack([one.weights for one in sources if one.weights is not None], format="csr")
+        blocks = np.array_split(np.arange(len(follows_skin)), 1 + len(follows_skin) // _BLOCK)
+        limited = [limit_influences((sampling[block] @ of_sources).toarray(), influences) for block in blocks]
         weights = sparse.vstack([sparse.csr_array(table) for table in limited], format="csr")
-    for part, (start, end) in zip(own, pairwise([0, *np.cumsum([len(one) for one in known])]), strict=True):
+    made = []
+    for part, (start, end) in zip(own, pairwise(offsets_of([part.mesh.n_vertices for part in own])), strict=True):
         moved = {name: offsets[start:end] for name, offsets in shapes.items() if name not in part.shapes}
         moved = {name: offsets for name, offsets in moved.items() if np.abs(offsets).max() > least[name]}
         of_part = part.weights if weights is None else weights[start:end]
@@ -116,13 +112,36 @@ def with_nearest_values(
     return made
 
 
+def _group_means(
+    own: Sequence[Part],
+    surface: TriangleSurface,
+    with_counterpart: NDArray[np.bool_],
+    below_skin: NDArray[np.bool_],
+) -> tuple[sparse.csr_array, NDArray[np.bool_]]:
+    """Matrix (n, n) to the values of rigid groups; and whether a vertex (n,) follows the shapes that it samples.
+
+    ``with_counterpart`` (n,): vertices with values of a counterpart; ``below_skin`` (n,): below the body's surface.
+    """
+    count = len(with_counterpart)
+    is_inside = np.concatenate([np.full(p.mesh.n_vertices, passenger_word(p.name) in _INSIDE) for p in own])
+    follows_skin, rows, members = with_counterpart | ~is_inside, np.arange(count), list[IndexArray]()
+    for group in rigid_groups(join_meshes([part.mesh for part in own]), surface):
+        known, unknown = group[with_counterpart[group]], group[~with_counterpart[group]]
+        follows_skin[unknown] = len(known) > 0 or not (is_inside[group].any() or below_skin[group].mean() > 0.5)
+        rows[unknown] = count + len(members)
+        members.append(known if len(known) else group)
+    # Rows of vertices, then one for each group.
+    table = sparse.vstack([sparse.eye_array(count, format="csr"), _means(members, count)], format="csr")
+    return table[rows], follows_skin
+
+
 def _nearest_points(
     part: Part, sources: Sequence[Part], surfaces: Sequence[TriangleSurface], numbers: Sequence[int]
 ) -> tuple[sparse.csr_array, NDArray[np.bool_], NDArray[np.bool_]]:
     """Matrix from values at all vertices of the sources to those of a part.
 
-    And of each vertex whether it has the values of a counterpart, and whether it is below the body's surface. Of a
-    counterpart with the same faces at the part's place, every vertex has the values of the same vertex.
+    And of each vertex whether it has the values of a counterpart, and whether it is below the body's surface. A
+    counterpart with the same faces, at the part's place, gives every vertex the values of the vertex of its number.
     ``numbers``: of the sources to choose from; the first is the body.
     """
     points = part.mesh.positions
@@ -139,9 +158,9 @@ def _nearest_points(
         row = twins[int(np.argmin(away))]
         matrices[row], distances[row] = sparse.eye_array(len(points), format="csr"), 0.0
     chosen, starts = distances.argmin(axis=0), offsets_of([surface.n for surface in surfaces])
-    shape = len(points), int(starts[-1])
-    of_all = [
-        sparse.csr_array((matrix.data, matrix.indices + starts[number], matrix.indptr), shape=shape)
+    size = len(points), int(starts[-1])
+    of_all = [  # each on the columns of its source
+        sparse.csr_array((matrix.data, matrix.indices + starts[number], matrix.indptr), shape=size)
         for number, matrix in zip(numbers, matrices, strict=True)
     ]
     rows = sparse.vstack(of_all, format="csr")[chosen * len(points) + np.arange(len(points))]
@@ -167,11 +186,13 @@ def root_means(places: FloatArray, pieces: IndexArray, distances: FloatArray) ->
     Roots are vertices of the same piece, near the vertex and nearer to the skin. ``pieces`` (n,) are the connected
     pieces of the vertices, ``distances`` (n,) theirs from the skin.
     """
-    heights = np.full(int(pieces.max()) + 1, 1e-9 * box_diagonal(places))  # not 0 where a piece lies on the skin
+    # Farthest distance of each piece; not 0 where a piece lies on the skin.
+    heights = np.full(int(pieces.max()) + 1, 1e-9 * box_diagonal(places))
     np.maximum.at(heights, pieces, distances)
-    apart = 10.0 * (box_diagonal(places) + _ROOT_WEIGHT * float(heights.max())) * pieces
-    roots = np.column_stack([places, _ROOT_WEIGHT * distances, apart])
-    found = cKDTree(roots).query(roots * [1.0, 1.0, 1.0, 0.0, 1.0], k=np.arange(1, min(_ROOTS, len(places)) + 1))
+    piece_offset = 10.0 * (box_diagonal(places) + _ROOT_WEIGHT * float(heights.max())) * pieces
+    points = np.column_stack([places, _ROOT_WEIGHT * distances, piece_offset])
+    # Asked as if each vertex lay on the skin, so that those nearer to it are found.
+    found = cKDTree(points).query(points * [1.0, 1.0, 1.0, 0.0, 1.0], k=np.arange(1, min(_ROOTS, len(places)) + 1))
     away, rows = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
     weights = np.exp(-((2.0 * (away - away[:, :1]) / heights[pieces, None]) ** 2)) * (pieces[rows] == pieces[:, None])
     weights /= weights.sum(axis=1, keepdims=True)

@@ -63,14 +63,14 @@ def carry_character(
 ) -> CarriedCharacter:
     """Rig and dress a body like a character.
 
-    ``target``: its body gets the source's rig and animations, and keeps its own shapes, also against shapes of the same
-        name; its other parts stay, with weights and shapes by `with_nearest_values`.
+    ``target``: its body gets the source's rig and animations, and keeps its own shapes: of two with one name, the
+        target's; its other parts stay, with weights and shapes by `with_nearest_values`.
     ``bodies``: names of the target's and of the source's body; by default `find_body` finds them.
     ``passengers``: names of the source's other parts to carry; by default all of which the target has no other part of
         the same kind, see `parts_of_one_kind`.
     ``kinds``: see `carry_passengers`.
     ``influences``: most joints per vertex of the body; None for all.
-    ``taken``: names that no other part of the target keeps, such as those of joints.
+    ``taken``: names already in use, such as those of joints: another part of the target with one gets '(own)'.
     """
     stages = Stages() if stages is None else stages
     target_body, source_body = find_body(target.parts, bodies[0]), find_body(source.parts, bodies[1])
@@ -84,30 +84,33 @@ def carry_character(
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]
     others = [part for part in target.parts if part is not target_body]
     loose = _loose_pieces(matched)
-    pieces, twins, left_out_notes = _pieces_to_carry(matched, [*loose, *others], named=set(kinds or ()))
+    pieces, counterparts, left_out_notes = _pieces_to_carry(matched, [*loose, *others], named=set(kinds or ()))
     notes += left_out_notes
     to_carry = [*chosen, *([] if pieces is None else [pieces])]
     stages("passengers")
-    dressed = carried_parts(result, to_carry, kinds=kinds)
-    left_out = carried_parts(result, declined if others else [])
-    same_kind = parts_of_one_kind([*dressed[: len(chosen)], *left_out], others)
+    placed = dict(zip(to_carry, carried_parts(result, to_carry, kinds=kinds), strict=True))  # on the target
+    if others:
+        placed |= zip(declined, carried_parts(result, declined), strict=True)
+    candidates = [placed[part] for part in (*chosen, *declined) if part in placed]
+    same_kind = parts_of_one_kind(candidates, others)
     if passengers is None:
         has_own = {*chain.from_iterable(same_kind)}
-        doubled = [part.name for part in dressed[: len(chosen)] if part in has_own and part.name not in (kinds or ())]
-        if doubled:
-            notes += _declined_note(doubled)
-            to_carry, dressed = ([part for part in side if part.name not in doubled] for side in (to_carry, dressed))
-        notes += _doubled_passengers(matched, dressed[: len(chosen) - len(doubled)])
-    for part, one in zip(to_carry, dressed, strict=True):
+        doubled = [part for part in chosen if placed[part] in has_own and part.name not in (kinds or ())]
+        notes += _declined_note([part.name for part in doubled])
+        to_carry = [part for part in to_carry if part not in doubled]
+        notes += _doubled_passengers(matched, [placed[part] for part in chosen if part not in doubled])
+    for part in to_carry:
         if (kinds or {}).get(part.name) == "rigid":
-            notes += hidden_passenger(result.point_map, part.mesh, one.mesh.positions)
+            notes += hidden_passenger(result.point_map, part.mesh, placed[part].mesh.positions)
     stages("weights and shapes")
     weights, shapes = _body_weights(matched, influences), body_shapes(matched)
+    # Other parts move like the body, whose own shapes stay.
     skin = matched.skin(weights, {name: target_body.shapes.get(name, offsets) for name, offsets in shapes.items()})
-    alike = [[*pair, *parts] for pair, parts in zip(twins, [*([] for _ in loose), *same_kind], strict=True)]
+    for listed, parts in zip(counterparts[len(loose) :], same_kind, strict=True):
+        listed += parts
     if weights is not None:
-        alike = [[part for part in parts if part.weights is not None] for parts in alike]
-    own = with_nearest_values([*loose, *others], skin, alike, result.point_map.target, influences)
+        counterparts = [[part for part in parts if part.weights is not None] for parts in counterparts]
+    own = with_nearest_values([*loose, *others], skin, counterparts, result.point_map.target, influences)
     body = replace(target_body, name=source_body.name, weights=weights, shapes=shapes)
     body = _with_values_of(body, own[: len(loose)], matched.ready[0].vertex_of < 0)
     body = replace(body, shapes={**body.shapes, **target_body.shapes})
@@ -123,7 +126,7 @@ def carry_character(
                 f"{source_body.name} has no weights, so the body does not move with the skeleton: export the character "
                 "with the weights of its body, or choose a part that has weights as the body (rig: --like-part)"
             )
-        places = prop_joints(source.rig, [*zip(to_carry, dressed, strict=True), *zip(declined, left_out, strict=False)])
+        places = prop_joints(source.rig, placed.items())
         of_body = np.zeros(0) if source_body.weights is None else source_body.weights.indices
         rig = carry_rig(result.point_map, source.rig, {j: place for j, place in places.items() if j not in of_body})
         animations, posed_otherwise = retarget_all(source.animations, source.rig, rig)
@@ -131,7 +134,7 @@ def carry_character(
             notes.append(
                 "the body stands in another pose than the character: animations are adapted to the pose of the body"
             )
-    character = Character((body, *extras, *dressed), rig, animations)
+    character = Character((body, *extras, *(placed[part] for part in to_carry)), rig, animations)
     return CarriedCharacter(character, result, (matched.rows(0), matched.rows(1)), tuple(to_carry), tuple(notes))
 
 
@@ -147,7 +150,7 @@ def _body_weights(bodies: Bodies, influences: int | None) -> sparse.csr_array | 
 def _with_values_of(body: Part, pieces: Sequence[Part], unmatched: NDArray[np.bool_]) -> Part:
     """A body with weights and shapes of some of its pieces, at its unmatched vertices (n,)."""
     rows, sizes = np.arange(body.mesh.n_vertices), [body.mesh.n_vertices, *(piece.mesh.n_vertices for piece in pieces)]
-    for piece, start in zip(pieces, np.cumsum(sizes), strict=False):
+    for piece, start in zip(pieces, np.cumsum(sizes[:-1]), strict=True):
         number = numbers_on_part(piece.mesh, body.mesh)
         rows = np.where((number >= 0) & unmatched, number + start, rows)
     weights, shapes = body.weights, dict[str, FloatArray]()
@@ -171,23 +174,23 @@ def _loose_pieces(bodies: Bodies) -> list[Part]:
 def _pieces_to_carry(
     bodies: Bodies, own: Sequence[Part], named: Collection[str]
 ) -> tuple[Part | None, list[list[Part]], list[str]]:
-    """The unmatched pieces of the source's body but those that the target has too; these, on the target; and notes.
+    """Unmatched pieces of the source's body to carry; for each own part those that it stands for, placed; and notes.
 
-    ``own``: the target's loose pieces, and its parts beside its body; the second value has a list for each.
+    ``own``: the target's loose pieces, and its parts beside its body.
     ``named``: names of passengers; pieces with one of these names are all carried.
     """
-    pieces, twins = _set_aside(bodies.given[1], bodies.ready[1]), [list[Part]() for _ in own]
+    pieces, counterparts = _set_aside(bodies.given[1], bodies.ready[1]), [list[Part]() for _ in own]
     if pieces is None or pieces.name in named:
-        return pieces, twins, []
+        return pieces, counterparts, []
     (placed,) = carried_parts(bodies.result, [pieces])
     ends = np.cumsum([part.mesh.n_faces for part in own])
     pairs = doubled_pieces(placed.mesh, join_meshes([part.mesh for part in own])) if own else []
     for faces, own_faces in pairs:
-        twins[int(np.searchsorted(ends, own_faces[0], side="right"))].append(_part_of_faces(placed, faces))
+        counterparts[int(np.searchsorted(ends, own_faces[0], side="right"))].append(_part_of_faces(placed, faces))
     in_surface = pieces_in_surface(pieces.mesh, placed.mesh, bodies.result.point_map)
     found = [*in_surface, *(faces for faces, _ in pairs)]
     if not found:
-        return pieces, twins, []
+        return pieces, counterparts, []
     doubled = {int(faces[0]): faces for faces in found}.values()  # each piece once
     sizes = first_few([count_noun(len(faces), "face") for faces in doubled])
     target, source = bodies.given
@@ -196,7 +199,7 @@ def _pieces_to_carry(
         f"has its own there: to carry all, name {pieces.name!r} (rig: --rigid, --cloth), or make one an object"
     )
     left = np.setdiff1d(np.arange(pieces.mesh.n_faces), np.concatenate(found))
-    return _part_of_faces(pieces, left) if len(left) else None, twins, [note]
+    return _part_of_faces(pieces, left) if len(left) else None, counterparts, [note]
 
 
 def _doubled_passengers(bodies: Bodies, dressed: Sequence[Part]) -> list[str]:
