@@ -46,13 +46,19 @@ def an_armature_that_is_disabled_or_hidden_is_copied():
     assert made.data.bones["tip"].length > 0.1
 
 
-@check
-def a_group_made_during_rig_like_leaves_no_armature():
+def started_rig():
+    """A pair whose source has a rig, and a window in which Rig Like has begun to carry weights."""
     source, target = pair()
     rig(source)
     window = Window()
     button, _ = window.press(operators.CAGEMAP_OT_rig)
     window.wait_for(button, "carry weights")
+    return source, target, window, button
+
+
+@check
+def a_group_made_during_rig_like_leaves_no_armature():
+    _, target, window, button = started_rig()
     target.vertex_groups.new(name="tip")
     assert window.finish(button) == "CANCELLED"
     assert "vertex groups of its own called tip" in window.reports[-1][1]
@@ -62,11 +68,7 @@ def a_group_made_during_rig_like_leaves_no_armature():
 
 @check
 def an_armature_modifier_removed_during_rig_like_ends_it():
-    source, target = pair()
-    rig(source)
-    window = Window()
-    button, _ = window.press(operators.CAGEMAP_OT_rig)
-    window.wait_for(button, "carry weights")
+    source, target, window, button = started_rig()
     source.modifiers.clear()
     assert window.finish(button) == "CANCELLED"
     assert "source was changed while cagemap computed" in window.reports[-1][1]

@@ -110,7 +110,7 @@ def test_weights_are_limited_in_blocks_of_rows(monkeypatch: pytest.MonkeyPatch) 
     short = weighted(triangles_of(sheet("shirt", 5.0, 0.9)), 1)
     own = [Part(name, sheet(name, 10.0, 1.0)) for name in ("my shirt", "coat")]
     whole = around(own, [[short], []])
-    monkeypatch.setattr("cagemap.character.own_parts._BLOCK", 7)
+    monkeypatch.setattr("cagemap.character.own_parts._DENSE_ROWS", 7)
     for one, other in zip(around(own, [[short], []]), whole, strict=True):
         np.testing.assert_array_equal(one.weights.toarray(), other.weights.toarray())
 

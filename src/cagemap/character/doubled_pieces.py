@@ -48,26 +48,25 @@ PairedFaces = tuple[IndexArray, IndexArray]
 
 
 def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[PairedFaces]:
-    """Faces of every piece of ``carried`` at the place of a piece of ``own``, the target's, and of that one."""
+    """Pairs of connected pieces at one place: the faces of a piece of ``carried`` and of a piece of ``own``."""
     return _at_one_place(carried, face_components(carried), own, face_components(own), _MAX_PIECE_DISTANCE)
 
 
 def doubled_meshes(carried: Sequence[ControlMesh], own: Sequence[ControlMesh]) -> list[tuple[int, int]]:
-    """Numbers of every mesh of ``carried`` at the place of a mesh of ``own``, the target's, and of that one."""
+    """Pairs of meshes at one place: the number of a mesh in ``carried`` and of a mesh in ``own``."""
     if not carried or not own:
         return []
-    sides = [
-        (join_meshes(meshes), np.repeat(np.arange(len(meshes)), [mesh.n_faces for mesh in meshes]))
-        for meshes in (carried, own)
-    ]
-    pairs = _at_one_place(*sides[0], *sides[1], _MAX_PART_DISTANCE)
-    return [(int(sides[0][1][faces[0]]), int(sides[1][1][own_faces[0]])) for faces, own_faces in pairs]
+    labels, own_labels = (
+        np.repeat(np.arange(len(meshes)), [mesh.n_faces for mesh in meshes]) for meshes in (carried, own)
+    )
+    pairs = _at_one_place(join_meshes(carried), labels, join_meshes(own), own_labels, _MAX_PART_DISTANCE)
+    return [(int(labels[faces[0]]), int(own_labels[own_faces[0]])) for faces, own_faces in pairs]
 
 
 def _at_one_place(
     carried: ControlMesh, labels: IndexArray, own: ControlMesh, own_labels: IndexArray, distance: float
 ) -> list[PairedFaces]:
-    """Faces of every part of ``carried`` at the place of a part of ``own``, and of that one.
+    """Pairs of parts at one place: the faces of a part of ``carried`` and of a part of ``own``.
 
     Two parts are compared only if each has the other's nearest bounding box. ``labels`` (m,) are the parts of faces;
     ``distance`` is the largest that is close, divided by the larger diagonal.

@@ -17,7 +17,8 @@ from cagemap.character.values import Part
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.parts import join_meshes, passenger_word
-from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, label_components, offsets_of
+from cagemap.mesh.topology import vertex_pieces
+from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, offsets_of
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.skin import normalise_rows, prune_rows
@@ -31,12 +32,13 @@ _TWIN_DISTANCE = 0.5
 # A part has a shape if that moves it by at least this share of the shape's largest offset; less is rounding.
 _LEAST_OFFSET = 1e-3
 # Rows of weights that are dense at once.
-_BLOCK = 20_000
+_DENSE_ROWS = 20_000
 # Words of parts inside the body, which do not follow the shapes of the skin.
 _INSIDE = ("eye", "teeth", "tongue")
 # Words of parts that move with their roots in the skin.
 HAIRS = ("lash", "brow", "beard")
-# Where roots are sought, distances from the skin count this much more than from the vertex (docs/lab/characters.md).
+# The root of a vertex is a vertex close to it and to the skin; its distance from the skin has this weight relative to
+# the distance between the two (docs/lab/characters.md).
 _ROOT_WEIGHT = 5.0
 _ROOTS = 8  # of each vertex: with several, a strip of lashes does not tear
 
@@ -100,7 +102,7 @@ def with_nearest_values(
     weights = None
     if body.weights is not None:
         of_sources = sparse.vstack([one.weights for one in sources if one.weights is not None], format="csr")
-        blocks = np.array_split(np.arange(len(follows_skin)), 1 + len(follows_skin) // _BLOCK)
+        blocks = np.array_split(np.arange(len(follows_skin)), 1 + len(follows_skin) // _DENSE_ROWS)
         limited = [limit_influences((sampling[block] @ of_sources).toarray(), influences) for block in blocks]
         weights = sparse.vstack([sparse.csr_array(table) for table in limited], format="csr")
     made = []
@@ -191,18 +193,14 @@ def root_means(places: FloatArray, pieces: IndexArray, distances: FloatArray) ->
     np.maximum.at(heights, pieces, distances)
     piece_offset = 10.0 * (box_diagonal(places) + _ROOT_WEIGHT * float(heights.max())) * pieces
     points = np.column_stack([places, _ROOT_WEIGHT * distances, piece_offset])
-    # Asked as if each vertex lay on the skin, so that those nearer to it are found.
+    # The fourth coordinate is the weighted distance from the skin: 0 in the query, so that vertices near the skin are
+    # found.
     found = cKDTree(points).query(points * [1.0, 1.0, 1.0, 0.0, 1.0], k=np.arange(1, min(_ROOTS, len(places)) + 1))
     away, rows = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
     weights = np.exp(-((2.0 * (away - away[:, :1]) / heights[pieces, None]) ** 2)) * (pieces[rows] == pieces[:, None])
     weights /= weights.sum(axis=1, keepdims=True)
     starts = np.arange(0, rows.size + 1, rows.shape[1])
     return sparse.csr_array((weights.ravel(), rows.ravel(), starts), shape=(len(places), len(places)))
-
-
-def vertex_pieces(mesh: ControlMesh) -> IndexArray:
-    """(n,) connected piece of every vertex."""
-    return label_components(mesh.face_indices, mesh.face_indices[mesh.next_corners], mesh.n_vertices)
 
 
 def rigid_groups(mesh: ControlMesh, surface: TriangleSurface, config: PieceConfig = PIECES) -> list[IndexArray]:

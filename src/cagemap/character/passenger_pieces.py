@@ -32,13 +32,14 @@ class PieceConfig(Config):
     max_radius: float = 0.04  # of a button, a tooth or an eyeball
     min_compactness: float = 0.75  # middle over largest extent; strips have less
     prop_distance: float = 0.15  # mean distance from the body beyond which a piece is a prop
-    # distance from a rigid piece's centre, over its radius, within which other pieces join it, as an iris its eyeball
+    # A smaller rigid piece, such as an iris, moves with a larger one, such as an eyeball, if no vertex of it is farther
+    # from the larger one's centre than this multiple of that one's radius.
     joined_distance: float = 1.2
 
 
 PIECES = PieceConfig()
 # Pairs of pieces whose vertices are tested at once.
-_BLOCK = 10_000
+_PAIRS_AT_ONCE = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +107,8 @@ def _join_pieces(
     asked = np.flatnonzero(~is_joined & (distances < reach) & (group[smaller] != group[larger]))
     order, sizes = np.argsort(piece, kind="stable"), np.bincount(piece)
     starts = offsets_of(sizes)[:-1]
-    for start in range(0, len(asked), _BLOCK):
-        block = asked[start : start + _BLOCK]
+    for start in range(0, len(asked), _PAIRS_AT_ONCE):
+        block = asked[start : start + _PAIRS_AT_ONCE]
         runs, rows = joined_runs(starts[smaller[block]], sizes[smaller[block]])
         offsets = points[order[rows]] - np.repeat(centres[larger[block]], np.diff(runs), axis=0)
         farthest = np.maximum.reduceat(np.linalg.norm(offsets, axis=1), runs[:-1])

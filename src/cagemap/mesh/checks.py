@@ -57,7 +57,7 @@ SEVERAL = "several components"
 # Problems that do not prevent subdivision, which needs only oriented manifold connectivity.
 UNREFINED = frozenset({SEVERAL, "no size", "size", "no area", "faces without area", "no volume", "inside out"})
 
-# Boundary loops of more edges are openings.
+# Most edges of a boundary loop that is reported as a slit; a longer one is an opening.
 MAX_SLIT_EDGES = 8
 # Number of components that are compared with each other: comparing more costs too much.
 MAX_COMPARED = 16

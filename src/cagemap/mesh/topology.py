@@ -239,6 +239,11 @@ def face_components(mesh: ControlMesh) -> IndexArray:
     return _renumber(face_pieces(mesh, mesh.face_indices, mesh.n_vertices))
 
 
+def vertex_pieces(mesh: ControlMesh) -> IndexArray:
+    """(n,) connected component of every vertex, by the edges of faces; a vertex of no face is one of its own."""
+    return label_components(mesh.face_indices, mesh.face_indices[mesh.next_corners], mesh.n_vertices)
+
+
 def uv_islands(mesh: ControlMesh) -> IndexArray | None:
     """(m,) UV island of every face, connected by shared texture vertices; None without UVs."""
     if mesh.uvs is None or mesh.uv_indices is None:

@@ -27,7 +27,8 @@ class Look:
 
     name: str
     legend: str
-    # `source`, `target`: colours of the displayed vertices, the HTML id of a texture, or None where ``kind`` decides
+    # What each model is drawn with: colours (n, 3) of its vertices, or the id of the HTML element of a texture; None if
+    # the page computes the colours itself.
     source: FloatArray | str | None = None
     target: FloatArray | str | None = None
     kind: str = "own"  # "own" (colours or texture), "checker", "places" or "doubt"

@@ -113,7 +113,7 @@ def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> 
 
     Where an option is not taken over, the files have another RESULT folder.
 
-    FormatError if the folder is no RESULT of a readable version, or is damaged.
+    FormatError if the folder is not a RESULT, is damaged, or was written by a version that cannot be read.
     ParameterError if a model has moved or changed.
     """
     manifest = read_manifest(result)

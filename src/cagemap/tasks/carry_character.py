@@ -98,7 +98,7 @@ def carry_character(
         doubled = [part for part in chosen if placed[part] in has_own and part.name not in (kinds or ())]
         notes += _declined_note([part.name for part in doubled])
         to_carry = [part for part in to_carry if part not in doubled]
-        notes += _doubled_passengers(matched, [placed[part] for part in chosen if part not in doubled])
+        notes += _doubled_passengers(target_body, loose, [placed[part] for part in chosen if part not in doubled])
     for part in to_carry:
         if (kinds or {}).get(part.name) == "rigid":
             notes += hidden_passenger(result.point_map, part.mesh, placed[part].mesh.positions)
@@ -202,17 +202,16 @@ def _pieces_to_carry(
     return _part_of_faces(pieces, left) if len(left) else None, counterparts, [note]
 
 
-def _doubled_passengers(bodies: Bodies, dressed: Sequence[Part]) -> list[str]:
-    """A note on carried parts at whose place the mesh of the target's body has pieces."""
-    own = _set_aside(bodies.given[0], bodies.ready[0])
-    if own is None:
+def _doubled_passengers(body: Part, loose: Sequence[Part], dressed: Sequence[Part]) -> list[str]:
+    """A note on carried parts at whose place the mesh of the target's body has ``loose`` pieces."""
+    if not loose:
         return []
-    doubled = []
+    own, doubled = join_meshes([piece.mesh for piece in loose]), list[str]()
     for part in dressed:
-        pairs = doubled_pieces(part.mesh, own.mesh)
+        pairs = doubled_pieces(part.mesh, own)
         doubled += [part.name] if sum(len(faces) for faces, _ in pairs) == part.mesh.n_faces else []
     text = "has own pieces at the same place. To leave out the character's, name the others by --passengers"
-    return [f"{', '.join(doubled)}: the mesh of {bodies.given[0].mesh.name} {text}"] if doubled else []
+    return [f"{', '.join(doubled)}: the mesh of {body.mesh.name} {text}"] if doubled else []
 
 
 def _set_aside(body: Part, ready: RepairedMesh) -> Part | None:

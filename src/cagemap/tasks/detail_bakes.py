@@ -90,7 +90,7 @@ _DEEP = (".png", ".tif", ".tiff")
 # Share of the source with detail near it; below it there is a warning.
 _COVERED = 0.99
 # Lengths up to this, as a share of the target's largest coordinate, are rounding: the detail is the source itself.
-_LEAST_LENGTH = 1e-12
+_ROUNDING_LENGTH = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +252,7 @@ def bake_detail(
             elif kind in ("displacement", "vector-displacement") and dtype.kind == "u":
                 stages(f"range of {kind}")
                 scale = _range(partial(bake, kind, None, np.dtype(np.float32), 1.0), tiles)
-                scale = scale if scale > _LEAST_LENGTH * np.abs(transfer.target.positions).max() else 1.0
+                scale = scale if scale > _ROUNDING_LENGTH * np.abs(transfer.target.positions).max() else 1.0
             bake_kind = partial(bake, kind, values, dtype, scale)
             write_tiles(path, tiles, bake_kind, stages, finished(kind), force=request.force, name=kind)
             meaning = f"(value - {0.5 if dtype.kind == 'u' else 0.0:g}) * {scale:.6g} in {units} units"

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from cagemap.character.body_frames import BodyFrames
 from cagemap.character.bones import humanoid_joints
-from cagemap.character.own_parts import HAIRS, root_means, vertex_pieces, with_nearest_values
+from cagemap.character.own_parts import HAIRS, root_means, with_nearest_values
 from cagemap.character.passenger_pieces import PIECES
 from cagemap.character.self_collision import move_apart
 from cagemap.character.values import Character, Part, Rig
@@ -24,6 +24,7 @@ from cagemap.files.meshes.formats import read_whole
 from cagemap.mesh.cage_points import CagePoints, on_cage
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, numbers_on_part, passenger_word
+from cagemap.mesh.topology import vertex_pieces
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.camera import View, frame
 from cagemap.pictures.render import Image, Model, Skin, render

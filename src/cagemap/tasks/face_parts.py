@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from cagemap.character.own_parts import vertex_pieces
 from cagemap.files.face_kit import kit_vertices
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.topology import vertex_pieces
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
 from cagemap.tasks.bodies import Bodies
 

@@ -11,7 +11,8 @@ from cagemap.character.own_parts import nearest_rows
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import face_centres, keep_faces
-from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
+from cagemap.mesh.topology import vertex_pieces
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.alignment import fit_similarity
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -55,7 +56,7 @@ def lay_set_aside(bodies: Bodies) -> SetAside:
     faces = np.flatnonzero(np.maximum.reduceat(vertex_of[target.face_indices], target.face_offsets[:-1]) < 0)
     corners = np.flatnonzero(np.isin(target.corner_faces, faces))
     rest = keep_faces(target, faces)
-    pieces = label_components(rest.face_indices, rest.face_indices[rest.next_corners], target.n_vertices)[vertices]
+    pieces = vertex_pieces(rest)[vertices]
     places, turns = _place_pieces(bodies, target.positions[vertices], pieces)
     moved = target.positions.copy()
     moved[vertices] = places

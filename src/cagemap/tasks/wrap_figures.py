@@ -14,7 +14,7 @@ from cagemap.wrap import Residual, Wrapped
 # Least share of the target's area without a counterpart that is reported; less is single triangles.
 _MIN_LEFT_OUT = 5e-4
 # Largest ratio of lengths of bodies in one unit, of a child and a giant; between units it is 10 or more.
-MAX_SIZE_RATIO = 3.0
+MAX_BODY_RATIO = 3.0
 
 
 def wrap_figures(wrapped: Wrapped) -> dict[str, Any]:
@@ -66,7 +66,7 @@ def _distance_text(residual: Mapping[str, Any]) -> str:
 def size_warnings(rest: FloatArray, wrapped: FloatArray) -> list[str]:
     """A warning of positions (n, 3) of very different extents, which no blend shape is meant to have."""
     ratio = float(np.ptp(wrapped, axis=0).max() / np.ptp(rest, axis=0).max())
-    if 1.0 / MAX_SIZE_RATIO <= ratio <= MAX_SIZE_RATIO:
+    if 1.0 / MAX_BODY_RATIO <= ratio <= MAX_BODY_RATIO:
         return []
     return [f"the source is {ratio:.3g} times as large as the target, and so are the shapes: scale one of them first"]
 
