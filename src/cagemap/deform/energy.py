@@ -25,47 +25,14 @@ from cagemap.numerics.threads import ThreadPool, kept
 from cagemap.surface.triangles import normalize_rows
 
 
-@dataclass(frozen=True, eq=False)
-class LinearSystem:
-    """Linear system for positions, solved with exact factors, or by its residual with approximate ones.
-
-    Factors of single precision are approximate: the next iteration corrects the error of a step, by its residual in
-    double precision.
-    """
-
-    factors: Factorization
-    matrix: sparse.csc_array | None = None  # if the factors are approximate
-    stage: Stage | None = None  # numbers of the conjugate gradients, if the factors are of an earlier matrix
-
-    def solve(self, right: FloatArray, positions: FloatArray) -> FloatArray:
-        """(n, 3) solution for a right side (n, 3), exact, or by correcting positions (n, 3)."""
-        if self.matrix is None:
-            return self.factors.solve(right.ravel()).reshape(-1, 3)
-        residual = right.ravel() - self.matrix @ positions.ravel()
-        step = self.factors.solve(residual) if self.stage is None else self.conjugate_gradients(residual, self.stage)
-        return positions + step.reshape(-1, 3)
-
-    def conjugate_gradients(self, residual: FloatArray, stage: Stage) -> FloatArray:
-        """About ``A^-1 r`` (3 n,) by a few conjugate gradients (Hestenes and Stiefel 1952).
-
-        Each step costs a tenth of a factorisation. If they leave too large a residual, the matrix is factored anew.
-        """
-        matrix = self.matrix
-        assert matrix is not None
-        near = LinearOperator(matrix.shape, matvec=self.factors.solve, dtype=np.float64)
-        step, missed = cg(matrix, residual, rtol=stage.tolerance, maxiter=stage.gradient_steps, M=near)
-        unsolved = stage.max_unsolved * np.linalg.norm(residual)
-        if missed and not np.linalg.norm(residual - matrix @ step) <= unsolved:
-            step = factor(matrix, like=self.factors).solve(residual)
-        return np.asarray(step)
-
-
 # Added to the matrices of maps, as a share of their mean diagonal: a flat ring does not determine the normal direction
 # of its map. The smoothing does; this is for safety.
 RIDGE = 1e-9
 # The same for a system of positions whose matrix is singular; single precision keeps it.
 DAMPING = 1e-4
 
+# New positions (n, 3) for a right side (n, 3) and the positions before (n, 3).
+Solve = Callable[[FloatArray, FloatArray], FloatArray]
 # From maps (n, 3, 3) and rest normals (n, 3) to the nearest admissible maps, and which of them were bounded (b,).
 Admissible = Callable[[FloatArray, FloatArray], tuple[FloatArray, IndexArray]]
 NO_VERTICES = np.zeros(0, dtype=np.int64)
@@ -123,30 +90,51 @@ class VertexTerms:
     guesses: tuple[IndexArray | None, IndexArray | None] = (None, None)
     constant: bool = False  # the same in all iterations: one factorisation, in double precision
 
-    def system(self, alpha: float, stage: Stage, before: LinearSystem | None) -> LinearSystem:
-        """System alpha L + B with new factors, or with those of the system ``before``."""
-        matrix, like = self.energy.graph.block_matrix(alpha, self.blocks), self.energy.factors
+    def solver(self, alpha: float, stage: Stage, factors: Factorization | None) -> tuple[Factorization, Solve]:
+        """Solver of the system ``alpha L + B`` with the given factors, of an earlier matrix, or with new ones.
+
+        Factors of single precision are approximate, as are those of an earlier matrix: the next iteration corrects the
+        error of a step, by its residual in double precision.
+        """
+        graph, like = self.energy.graph, self.energy.factors
+        matrix = graph.block_matrix(alpha, self.blocks)
         if self.constant:
-            return LinearSystem(factor(matrix, like=like))
-        if before is not None:
-            return LinearSystem(before.factors, matrix, stage)
+            exact = factor(matrix, like=like)
+            return exact, lambda right, _: exact.solve(right.ravel()).reshape(-1, 3)
+        if factors is not None:
+            return factors, partial(corrected, matrix, partial(conjugate_gradients, matrix, factors, stage))
         try:
-            return LinearSystem(factor(matrix, like=like, dtype=np.float32), matrix)
+            factors = factor(matrix, like=like, dtype=np.float32)
         except SolverError:  # a motion is free, as where nothing of the source faces the positions: damp it
             ridge = DAMPING * float(abs(matrix.diagonal()).mean()) * np.eye(3)
-            damped = self.energy.graph.block_matrix(alpha, self.blocks + ridge)
-            return LinearSystem(factor(damped, like=like, dtype=np.float32), matrix)
+            factors = factor(graph.block_matrix(alpha, self.blocks + ridge), like=like, dtype=np.float32)
+        return factors, partial(corrected, matrix, factors.solve)
+
+
+def corrected(
+    matrix: sparse.csc_array, solve: Callable[[FloatArray], FloatArray], right: FloatArray, positions: FloatArray
+) -> FloatArray:
+    """(n, 3) positions (n, 3) moved by an approximate solution for their residual."""
+    return positions + solve(right.ravel() - matrix @ positions.ravel()).reshape(-1, 3)
+
+
+def conjugate_gradients(
+    matrix: sparse.csc_array, factors: Factorization, stage: Stage, residual: FloatArray
+) -> FloatArray:
+    """About ``A^-1 r`` (3 n,) by a few conjugate gradients (Hestenes and Stiefel 1952), with factors of another matrix.
+
+    Each step costs a tenth of a factorisation. If they leave too large a residual, the matrix is factored anew.
+    """
+    near = LinearOperator(matrix.shape, matvec=factors.solve, dtype=np.float64)
+    step, missed = cg(matrix, residual, rtol=stage.tolerance, maxiter=stage.gradient_steps, M=near)
+    unsolved = stage.max_unsolved * np.linalg.norm(residual)
+    if missed and not np.linalg.norm(residual - matrix @ step) <= unsolved:
+        step = factor(matrix, like=factors).solve(residual)
+    return np.asarray(step)
 
 
 # Maps (n, 3, 3) of positions, and which of them were bounded (b,).
 Differentials = tuple[FloatArray, IndexArray]
-
-
-class System(Protocol):
-    """Linear system of the positions."""
-
-    def solve(self, right: FloatArray, positions: FloatArray) -> FloatArray:
-        """(n, 3) new positions, from a right side (n, 3) and the positions before (n, 3)."""
 
 
 class Quadratic(Protocol):
@@ -156,8 +144,8 @@ class Quadratic(Protocol):
     def right(self) -> FloatArray:
         """(n, 3) b."""
 
-    def system(self, alpha: float, stage: Stage, before: Any) -> System:
-        """System ``alpha L + B``; reuses the factors of the system ``before``, if any."""
+    def solver(self, alpha: float, stage: Stage, factors: Any) -> tuple[Any, Solve]:
+        """Factors, the given ones unless None, and the solver of the system ``alpha L + B`` with them."""
 
 
 # Data terms and constraints at positions (n, 3), from their differentials (computed meanwhile), the stiffness alpha and
@@ -180,19 +168,19 @@ def minimise(
     """
     positions, before = start, start
     quadratic: Quadratic | None = None
-    system: System | None = None
-    last_alpha = 0.0
+    solve: Solve | None = None
+    factors, last_alpha = None, 0.0
     with ThreadPool(1) as pool:
         for iteration, alpha in enumerate(stage.ramped().tolist(), start=1):
             pending = pool.submit(differentials, positions)
             last = quadratic
             quadratic = terms(positions, pending, alpha, quadratic) if callable(terms) else terms
-            if system is None or quadratic is not last or alpha != last_alpha:
+            if solve is None or quadratic is not last or alpha != last_alpha:
                 anew = (iteration - 1) % stage.factored == 0
-                system, last_alpha = quadratic.system(alpha, stage, None if anew else system), alpha
+                (factors, solve), last_alpha = quadratic.solver(alpha, stage, None if anew else factors), alpha
             maps, bounded = pending.result()
             right = quadratic.right + alpha * graph.divergence(maps)
-            after = adjust(system.solve(right, positions))
+            after = adjust(solve(right, positions))
             if iteration >= stage.iterations and len(bounded) <= stage.max_bounded * graph.n:
                 return after
             positions = after + stage.momentum * (after - before) if iteration > 1 else after

@@ -22,7 +22,7 @@ from scipy.sparse import linalg
 from scipy.spatial import cKDTree
 
 from cagemap.deform.config import Stage
-from cagemap.deform.energy import ElasticEnergy, bounded_energy
+from cagemap.deform.energy import ElasticEnergy, Solve, bounded_energy
 from cagemap.deform.graph import ElasticGraph, mesh_graph
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
@@ -200,9 +200,9 @@ class SampleTerms:
     image_weights: FloatArray
     right: FloatArray  # (n, 3) right side of the system
 
-    def system(self, alpha: float, stage: Stage, before: object) -> SampleTerms:
-        """The terms themselves: the stiffness is the fairness in all rounds."""
-        return self
+    def solver(self, alpha: float, stage: Stage, factors: object) -> tuple[None, Solve]:
+        """The terms' own `solve`: the stiffness is the fairness in all rounds."""
+        return None, self.solve
 
     def times(self, positions: FloatArray) -> FloatArray:
         """(n, 3) the system's matrix times positions (n, 3)."""
