@@ -27,7 +27,7 @@ from cagemap.maps.functional_maps import (
 )
 from cagemap.maps.functional_maps import functional_map_from as functional_map_of
 from cagemap.maps.hypotheses.search import search_placements
-from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, cage_points_of, choose_points
+from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, cage_points_of
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import held_vertices, map_of_places
 from cagemap.maps.projection.project import project as _project
@@ -377,6 +377,7 @@ def tensors(*values: Any, dtype: Any = None, device: Any = None) -> Any:
 def _cage_points(surface: Surface, points: SurfacePoints) -> CagePoints:
     """Points of the control mesh for points of the finest surface."""
     vertices = points.vertices
-    exact = (vertices >= 0) & (vertices < surface.control.n_vertices)
-    at_vertices = CagePoints.of_vertices(np.where(exact, vertices, 0))
-    return choose_points(exact, at_vertices, cage_points_of(surface, points))
+    exact = np.flatnonzero((vertices >= 0) & (vertices < surface.control.n_vertices))
+    found, at_vertices = cage_points_of(surface, points), CagePoints.of_vertices(vertices[exact])
+    found.corners[exact], found.weights[exact] = at_vertices.corners, at_vertices.weights
+    return found

@@ -7,7 +7,7 @@ corresponds to the point of the refined surface with the same position on its fa
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -36,31 +36,8 @@ FEWEST_POINTS = 3
 # At most this many vertices, and faces, of either surface are sampled.
 _MOST_SAMPLES = 10_000
 
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """Similarity x -> scale rotation x + shift from the target's file to the source's."""
-
-    rotation: FloatArray = field(default_factory=lambda: np.eye(3))
-    scale: float = 1.0
-    shift: FloatArray = field(default_factory=lambda: np.zeros(3))
-
-    def of(self, surface: TriangleSurface) -> TriangleSurface:
-        """The surface as if the coordinates of its file were moved, still at unit area.
-
-        Without rotation and shift the surface keeps its positions, and without a scale also its normals and tree.
-        """
-        if not (self.angle or np.any(self.shift)):
-            return surface if self.scale == 1.0 else replace(surface, scale=surface.scale / self.scale)
-        shift = surface.scale / self.scale * self.shift
-        return TriangleSurface(
-            surface.positions @ self.rotation.T + shift, surface.triangles, surface.scale / self.scale
-        )
-
-    @property
-    def angle(self) -> float:
-        """Angle of the rotation in degrees."""
-        return float(np.degrees(Rotation.from_matrix(self.rotation).magnitude()))
+# Similarity x -> scale rotation x + shift from the target's file to the source's: rotation (3, 3), scale, shift (3,).
+Motion = tuple[FloatArray, float, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,14 +69,15 @@ class Coincidence:
         for factor in (*dict.fromkeys((1.0, unit_ratio(target.scale / source.scale))), None):
             found: list[Coincidence] = []
             for own, other, mapped in shapes:
-                motions = aligning_motions(own, other, config) if factor is None else [Motion(scale=factor)]
-                gaps = [_gap(motion.of(own), other, masks.target, config) for motion in motions]
+                scaled = [] if factor is None else [(np.eye(3), factor, np.zeros(3))]
+                motions = scaled or aligning_motions(own, other, config)
+                gaps = [_gap(moved(own, motion), other, masks.target, config) for motion in motions]
                 close = [(gap, motion) for gap, motion in zip(gaps, motions, strict=True) if gap is not None]
                 if len(close) > 1:
                     return None
                 for gap, motion in close:
                     if factor is not None or gap <= config.moved_gap:
-                        found.append(cls(motion.of(mapped(target)), mapped(source), gap, config.reach, motion))
+                        found.append(cls(moved(mapped(target), motion), mapped(source), gap, config.reach, motion))
             if found:
                 return min(found, key=lambda one: one.gap)
         return None
@@ -109,6 +87,23 @@ class Coincidence:
         places = self.source.scale / self.target.scale * self.target.positions + shifts
         near, _ = nearest_facing(self.source, places, self.target.vertex_normals, self.reach)
         return SurfacePoints(source, near.triangle, _snapped(near))
+
+
+def moved(surface: TriangleSurface, motion: Motion) -> TriangleSurface:
+    """The surface as if the coordinates of its file were moved, still at unit area.
+
+    Without rotation and shift the surface keeps its positions, and without a scale also its normals and tree.
+    """
+    rotation, scale, shift = motion
+    if not (angle_of(rotation) or np.any(shift)):
+        return surface if scale == 1.0 else replace(surface, scale=surface.scale / scale)
+    positions = surface.positions @ rotation.T + surface.scale / scale * shift
+    return TriangleSurface(positions, surface.triangles, surface.scale / scale)
+
+
+def angle_of(rotation: FloatArray) -> float:
+    """Angle in degrees of a rotation (3, 3)."""
+    return float(np.degrees(Rotation.from_matrix(rotation).magnitude()))
 
 
 def aligning_motions(target: TriangleSurface, source: TriangleSurface, config: CoincidenceConfig) -> list[Motion]:
@@ -125,10 +120,8 @@ def aligning_motions(target: TriangleSurface, source: TriangleSurface, config: C
         return []
     if (lengths[:2] < config.min_axis_ratio * lengths[1:]).any():
         return []
-    starts = [
-        Motion(rotation, scale, source_centre - scale * rotation @ centre)
-        for rotation in rotations_onto(axes, source_axes)
-    ]
+    rotations = rotations_onto(axes, source_axes)
+    starts = [(rotation, scale, source_centre - scale * rotation @ centre) for rotation in rotations]
     return [_settled(start, target, source, config) for start in starts]
 
 
@@ -136,9 +129,10 @@ def _settled(motion: Motion, target: TriangleSurface, source: TriangleSurface, c
     """The motion refined by iterative closest points (Besl and McKay 1992), while the mean distance falls."""
     samples, last = _on_faces(target, most=config.settling_samples), np.inf
     for _ in range(config.settling_rounds):
-        points = motion.scale * samples.points @ motion.rotation.T + motion.shift
+        rotation, scale, shift = motion
+        points = scale * samples.points @ rotation.T + shift
         triangle, barycentric, distance = closest_points(
-            source.tree, source.scale * points, samples.normals @ motion.rotation.T, minimum_cosine=0.0
+            source.tree, source.scale * points, samples.normals @ rotation.T, minimum_cosine=0.0
         )
         near = np.flatnonzero(triangle >= 0)  # others face away from all of the source
         if len(near) < FEWEST_POINTS or distance[near].mean() > config.max_distance_ratio * last:
@@ -146,7 +140,7 @@ def _settled(motion: Motion, target: TriangleSurface, source: TriangleSurface, c
         last = distance[near].mean()
         corners = source.positions[source.triangles[triangle[near]]]
         places = np.einsum("kc,kcd->kd", barycentric[near], corners) / source.scale
-        motion = Motion(*fit_similarity(samples.points[near], places))
+        motion = fit_similarity(samples.points[near], places)
     return motion
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem
 from cagemap.deform.update import linear_update
-from cagemap.maps.coincidence import SAME
+from cagemap.maps.coincidence import SAME, angle_of
 from cagemap.maps.hypotheses.confidence import Confidence, median_distortion
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import PointPairs, curve_miss
@@ -48,9 +48,9 @@ def coincident_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
             target, snap_landmarks(coincidence.images(source, shifts), landmarks, prepared.elastic.projection)
         )
     gap = f"{100 * coincidence.gap:.2f} % of the model's size apart"
-    motion = coincidence.motion
-    place = f"turned by {motion.angle:.0f} degrees and moved" if np.any(motion.shift) else "as it stands"
-    size = "" if np.isclose(motion.scale, 1.0, rtol=1e-5) else f", at {motion.scale:.6g} times its size"
+    rotation, scale, shift = coincidence.motion
+    place = f"turned by {angle_of(rotation):.0f} degrees and moved" if np.any(shift) else "as it stands"
+    size = "" if np.isclose(scale, 1.0, rtol=1e-5) else f", at {scale:.6g} times its size"
     name = f"{place}{size}, {gap}: vertices go to the closest points of the same side"
     answer = Placement(point_map.images.at(prepared.vertices).positions, coincidence.gap**2, name=name)
     ratio = coincidence.source.scale / coincidence.target.scale

@@ -61,12 +61,12 @@ def from_bases(
     geomfum's matrix with those of ``basis_b.vecs`` and ``basis_a.vecs``.
     """
     matrix = finite_numbers(functional_map, "map")
-    target, source = _sides(pair, matrix.shape, (target_functions, source_functions), levels)
-    k1, k2 = min(matrix.shape[0], pair.target.basis.count), min(matrix.shape[1], pair.source.basis.count)
-    ours, theirs, areas = target
-    to_ours = fit_functional_map(ours[:, :k1], areas, theirs)
-    ours, theirs, areas = source
-    return np.asarray(to_ours @ matrix @ fit_functional_map(theirs, areas, ours[:, :k2]))
+    (ours1, theirs1, areas1), (ours2, theirs2, areas2) = _sides(
+        pair, matrix.shape, (target_functions, source_functions), levels
+    )
+    k1, k2 = matrix.shape  # or as many as a basis has
+    to_ours = fit_functional_map(ours1[:, :k1], areas1, theirs1)
+    return np.asarray(to_ours @ matrix @ fit_functional_map(theirs2, areas2, ours2[:, :k2]))
 
 
 @kinds_checked
@@ -83,11 +83,12 @@ def to_bases(
     """
     matrix = functional_map_from(pair, functional_map)
     shape = tuple(finite_numbers(values, "functions").shape[-1] for values in (target_functions, source_functions))
-    target, source = _sides(pair, shape, (target_functions, source_functions), levels)
-    ours, theirs, areas = target
-    to_theirs = fit_functional_map(theirs, areas, ours[:, : matrix.shape[0]])
-    ours, theirs, areas = source
-    return np.asarray(to_theirs @ matrix @ fit_functional_map(ours[:, : matrix.shape[1]], areas, theirs))
+    (ours1, theirs1, areas1), (ours2, theirs2, areas2) = _sides(
+        pair, shape, (target_functions, source_functions), levels
+    )
+    k1, k2 = matrix.shape
+    to_theirs = fit_functional_map(theirs1, areas1, ours1[:, :k1])
+    return np.asarray(to_theirs @ matrix @ fit_functional_map(ours2[:, :k2], areas2, theirs2))
 
 
 def _sides(

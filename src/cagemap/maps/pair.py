@@ -6,7 +6,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cagemap.errors import ParameterError
@@ -203,25 +202,16 @@ def cage_points_of(surface: Surface, points: SurfacePoints) -> CagePoints:
     finest = surface.finest_triangles
     triangles, _ = cage_triangles(surface.control)
     cage = TriangleSurface(finest.positions[: surface.control.n_vertices], triangles, finest.scale)
-    aims = points.positions
-    best, least = None, np.full(len(points), np.inf)
+    aims, least = points.positions, np.full(len(points), np.inf)
+    best = CagePoints(np.zeros((len(points), 3), dtype=np.int64), np.zeros((len(points), 3)))
     for _ in range(INVERSE_STEPS):
         near = SurfacePoints.nearest(cage, aims, points.normals, normal_weight=LANDMARK_NORMAL_WEIGHT)
-        tried = CagePoints(near.corners, near.barycentric)
-        missed = points.positions - locate(finest, tried).positions
+        missed = points.positions - locate(finest, CagePoints(near.corners, near.barycentric)).positions
         distance = np.linalg.norm(missed, axis=1)
         better = distance < least
-        best = tried if best is None else choose_points(better, tried, best)
+        best.corners[better], best.weights[better] = near.corners[better], near.barycentric[better]
         least, aims = np.minimum(distance, least), near.positions + missed
-    assert best is not None
     return best
-
-
-def choose_points(chosen: NDArray[np.bool_], one: CagePoints, other: CagePoints) -> CagePoints:
-    """Points of one set where chosen (p,), else of the other."""
-    return CagePoints(
-        np.where(chosen[:, None], one.corners, other.corners), np.where(chosen[:, None], one.weights, other.weights)
-    )
 
 
 @dataclass(frozen=True)
