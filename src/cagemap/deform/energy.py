@@ -24,7 +24,6 @@ from cagemap.numerics.factorization import Factorization, factor
 from cagemap.numerics.threads import ThreadPool, kept
 from cagemap.surface.triangles import normalize_rows
 
-
 # Added to the matrices of maps, as a share of their mean diagonal: a flat ring does not determine the normal direction
 # of its map. The smoothing does; this is for safety.
 RIDGE = 1e-9
