@@ -79,7 +79,7 @@ def test_what_source_vertices_ask_is_the_sum_over_their_triangles_corners(creatu
     positions = graph.positions + 0.01 * rng.standard_normal((graph.n, 3))
     normals = vertex_normals(positions, split)
     closest = graph.positions
-    *term, _ = source_to_target(mesh, samples, positions, normals, closest=closest, alpha=1e-4, normal_weight=0.03)
+    *term, _ = source_to_target(mesh, samples, positions, normals, closest=closest, alpha=1e-4)
     found, weights, _ = closest_points(build_tree(positions, split), samples.points, samples.planes, normal_weight=0.03)
     facing = normalize_rows(triangle_normals(positions, split))[found]
     blocks, right, received = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3)), np.zeros(graph.n)

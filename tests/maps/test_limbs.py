@@ -268,14 +268,14 @@ def test_source_points_neither_swell_a_round_shape_nor_pull_at_its_inside() -> N
     outward = graph.positions / np.linalg.norm(graph.positions, axis=1, keepdims=True)
     around = SourceSamples.choose(ball, 4000)
     places = graph.positions, outward
-    blocks, right = source_to_clusters(around, *places, normal_weight=0.03)
+    blocks, right = source_to_clusters(around, *places)
     weights = np.trace(blocks, axis1=1, axis2=2)
     forces = right - np.einsum("kab,kb->ka", blocks, graph.positions)
     radial = np.einsum("ka,ka->k", forces, outward)
     assert (radial < 1e-4 * weights).all()
     np.testing.assert_allclose(weights.sum(), 1.0, atol=0.05)
     inside = replace(around, planes=-around.planes)
-    assert source_to_clusters(inside, *places, normal_weight=0.03)[0].max() == 0.0
+    assert source_to_clusters(inside, *places)[0].max() == 0.0
 
 
 def test_another_map_as_good_that_turns_a_limb_is_named_where_it_differs_most() -> None:

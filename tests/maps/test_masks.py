@@ -104,7 +104,7 @@ def test_a_correspondence_counts_as_the_product_of_its_ends() -> None:
     np.testing.assert_allclose(blocks, plain * ends[:, None, None], atol=1e-9)
     pullers = SourceSamples.choose(surface, surface.n, masks)
     places = surface, pullers, moved, surface.vertex_normals
-    _, _, back, _ = source_to_target(*places, closest=closest, alpha=1e-3, normal_weight=0.03, masks=masks)
+    _, _, back, _ = source_to_target(*places, closest=closest, alpha=1e-3, masks=masks)
     # Around the mask's border a puller's foot has corners on both sides.
     for side in (low, left):
         ring = np.zeros(surface.n, dtype=bool)

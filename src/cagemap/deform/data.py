@@ -25,6 +25,7 @@ from cagemap.maps.masks import WHOLE, Masks
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
 from cagemap.numerics.factorization import Factorization
+from cagemap.numerics.threads import kept
 from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.polylines import Polyline, normal_projections
@@ -40,16 +41,19 @@ class SourceSamples:
     points: FloatArray  # (m, 3)
     planes: FloatArray  # (m, 3): unit normals
     areas: FloatArray  # (m,): sum 1, times the source's mask
-    outer: FloatArray  # (m, 9): normal times normal
 
     @classmethod
     def choose(cls, source: TriangleSurface, count: int, masks: Masks = WHOLE) -> SourceSamples:
         """Sample vertices of a source, evenly spaced by number."""
         chosen = evenly_spaced_vertices(len(source.positions), count)
-        planes, areas = source.vertex_normals[chosen], source.vertex_areas[chosen]
-        outer = (planes[:, :, None] * planes[:, None, :]).reshape(-1, 9)
+        areas = source.vertex_areas[chosen]
         shares = areas / areas.sum() * masks.of_source(source.n)[chosen]
-        return cls(source.positions[chosen], planes, shares, outer)
+        return cls(source.positions[chosen], source.vertex_normals[chosen], shares)
+
+    @kept
+    def outer(self) -> FloatArray:
+        """(m, 9) products of every normal with itself."""
+        return (self.planes[:, :, None] * self.planes[:, None, :]).reshape(-1, 9)
 
 
 def target_to_source(
@@ -76,13 +80,11 @@ def source_to_target(
     samples: SourceSamples,
     positions: FloatArray,
     normals: FloatArray,
-    *,
     closest: FloatArray,
     alpha: float,
-    normal_weight: float,
     guess: IndexArray | None = None,
     masks: Masks = WHOLE,
-    config: DataConfig = DataConfig(),
+    config: ElasticConfig = ElasticConfig(),
 ) -> tuple[FloatArray, FloatArray, FloatArray, IndexArray]:
     """Point-to-plane term of source vertices, to the deformed target.
 
@@ -97,14 +99,14 @@ def source_to_target(
     """
     points, planes = samples.points, samples.planes
     tree = build_tree(positions, target.triangles)
-    triangles, barycentric, _ = closest_points(tree, points, planes, normal_weight=normal_weight, guess=guess)
+    triangles, barycentric, _ = closest_points(tree, points, planes, normal_weight=config.normal_weight, guess=guess)
     corners = target.triangles[triangles]
     own_closest = curved_points(positions[corners], normals[corners], barycentric)
     residual = np.einsum("nd,nd->n", planes, points - own_closest)
     facing = tree.normals_of(triangles)
     shares = samples.areas * np.clip(np.einsum("nd,nd->n", facing, planes), 0.0, 1.0)
     trips = np.einsum("mk,mkd->md", barycentric, closest[corners]) - points
-    shares *= round_trip_weights(trips, residual, alpha, config) * ~target.at_boundary(triangles, barycentric)
+    shares *= round_trip_weights(trips, residual, alpha, config.data) * ~target.at_boundary(triangles, barycentric)
     if masks.target is not None:
         shares *= np.einsum("mk,mk->m", barycentric, masks.target[corners])
     # Column j gives the term of source vertex j to the three corners around its closest point.
@@ -122,9 +124,8 @@ def source_to_clusters(
     samples: SourceSamples,
     positions: FloatArray,
     normals: FloatArray,
-    *,
-    normal_weight: float,
     masks: Masks = WHOLE,
+    config: ElasticConfig = ElasticConfig(),
 ) -> tuple[FloatArray, FloatArray]:
     """Point-to-plane term of source samples, each for the coarse vertex nearest in position and normal.
 
@@ -132,8 +133,8 @@ def source_to_clusters(
     ICP, Rusinkiewicz 2019).
     """
     points, planes = samples.points, samples.planes
-    tree = cKDTree(np.hstack([positions, normal_weight * normals]))
-    nearest = np.asarray(tree.query(np.hstack([points, normal_weight * planes]))[1], dtype=np.int64)
+    tree = cKDTree(np.hstack([positions, config.normal_weight * normals]))
+    nearest = np.asarray(tree.query(np.hstack([points, config.normal_weight * planes]))[1], dtype=np.int64)
     between, facing = normalize_rows(planes + normals[nearest]), np.einsum("md,md->m", planes, normals[nearest])
     shares = samples.areas * np.clip(facing, 0.0, 1.0) * masks.of_target(len(positions))[nearest]
     planes_between = between[:, :, None] * between[:, None, :]

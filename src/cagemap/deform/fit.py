@@ -39,19 +39,16 @@ from cagemap.surface.triangles import vertex_normals
 def cluster_terms(prepared: PreparedPair, clusters: Clusters, samples: SourceSamples | None = None) -> Terms:
     """Data terms and constraints of clusters; source-to-target terms only if there are samples."""
     graph, masks, source, config = clusters.energy.graph, clusters.masks, prepared.source_surface, prepared.elastic
-    weight = config.normal_weight
 
     def terms(
         positions: FloatArray, differentials: Future[Differentials], alpha: float, before: VertexTerms | None
     ) -> VertexTerms:
         guess = None if before is None else before.guesses[0]
         normals = deformed_normals(graph.normals, differentials.result()[0])
-        nearest = SurfacePoints.nearest(source, positions, normals, normal_weight=weight, guess=guess)
+        nearest = SurfacePoints.nearest(source, positions, normals, normal_weight=config.normal_weight, guess=guess)
         blocks, right, _ = target_to_source(graph.areas, nearest, normals, masks, beyond=True)
         if samples is not None:
-            source_blocks, source_right = source_to_clusters(
-                samples, positions, normals, normal_weight=weight, masks=masks
-            )
+            source_blocks, source_right = source_to_clusters(samples, positions, normals, masks, config)
             blocks, right = blocks + source_blocks, right + source_right
         clusters.constraints.add(blocks, right, positions, config)
         return VertexTerms(clusters.energy, blocks, right, guesses=(nearest.triangle, None))
@@ -65,7 +62,7 @@ def mesh_terms(prepared: PreparedPair, constraints: PlacementConstraints) -> Ter
     Source-to-target terms pull the mesh into fingers, ears and lips.
     """
     mesh, source, masks, config = prepared.mesh, prepared.source_surface, prepared.level_masks, prepared.elastic
-    energy, received = prepared.energy, prepared.received_smoother
+    energy, samples, received = prepared.energy, prepared.source_samples, prepared.received_smoother
     of_parts = mesh.is_open or source.is_open
 
     def terms(
@@ -78,16 +75,7 @@ def mesh_terms(prepared: PreparedPair, constraints: PlacementConstraints) -> Ter
         )
         blocks, right, closest = target_to_source(energy.graph.areas, nearest, normals, masks)
         source_blocks, source_right, weights, triangles = source_to_target(
-            mesh,
-            prepared.source_samples,
-            positions,
-            normals,
-            closest=closest,
-            alpha=alpha,
-            normal_weight=config.normal_weight,
-            guess=guesses[1],
-            masks=masks,
-            config=config.data,
+            mesh, samples, positions, normals, closest, alpha, guesses[1], masks, config
         )
         shares = received_weights(received, weights, config.data, of_parts=of_parts)
         blocks = shares[:, None, None] * blocks + source_blocks
@@ -99,10 +87,7 @@ def mesh_terms(prepared: PreparedPair, constraints: PlacementConstraints) -> Ter
 
 
 def coarse_fit(
-    problem: Problem,
-    start: FloatArray | None,
-    clusters: Clusters | None = None,
-    samples: SourceSamples | None = None,
+    problem: Problem, start: FloatArray | None, clusters: Clusters | None = None, samples: SourceSamples | None = None
 ) -> Placement:
     """Placement of clusters by their coarse stage, from positions (k, 3), or from landmarks if None.
 

@@ -158,14 +158,8 @@ class ElasticGraph:
         edges = (number[self.heads] >= 0) & (number[self.tails] >= 0)
         heads, tails = self.heads[edges], self.tails[edges]
         weights = self.weights[edges] * np.sqrt(stiffness[heads] * stiffness[tails])
-        return ElasticGraph(
-            self.positions[vertices],
-            self.normals[vertices],
-            self.areas[vertices],
-            number[heads],
-            number[tails],
-            weights,
-        )
+        rest = self.positions[vertices], self.normals[vertices], self.areas[vertices]
+        return ElasticGraph(*rest, number[heads], number[tails], weights)
 
     def rings(self, vertices: IndexArray, count: int) -> IndexArray:
         """(k,) vertices and those up to ``count`` edges away, ascending."""
@@ -179,16 +173,10 @@ def mesh_graph(mesh: TriangleSurface, faces: IndexArray, config: GraphConfig = G
     """Graph of a mesh's edges with cotangent weights."""
     upper = sparse.triu(stiffness(mesh.positions, faces), 1).tocoo()
     weights = np.maximum(-upper.data, config.min_weight * np.median(np.abs(upper.data)))
-    heads, tails = np.concatenate([upper.row, upper.col]), np.concatenate([upper.col, upper.row])
+    heads, tails = (np.concatenate(ends).astype(np.int64) for ends in (upper.coords, upper.coords[::-1]))
     areas = vertex_areas(mesh.positions, faces)
-    return ElasticGraph(
-        mesh.positions,
-        mesh.vertex_normals,
-        areas / areas.sum(),
-        heads.astype(np.int64),
-        tails.astype(np.int64),
-        np.tile(weights, 2),
-    )
+    shares = areas / areas.sum()
+    return ElasticGraph(mesh.positions, mesh.vertex_normals, shares, heads, tails, np.tile(weights, 2))
 
 
 def cluster_graph(
@@ -220,14 +208,8 @@ def cluster_graph(
     # A cell's fine edges cover a strip as wide as a fine edge, not the cell: rescale, so that coordinates keep their
     # energy.
     scale = 2.0 * fine.areas.sum() / max(float((weights * coarse_lengths**2).sum() / 2), 1e-30)
-    graph = ElasticGraph(
-        fine.positions[vertices],
-        normals,
-        areas.astype(np.float64),
-        np.asarray(summed.row, dtype=np.int64),
-        np.asarray(summed.col, dtype=np.int64),
-        scale * weights,
-    )
+    heads, tails = (side.astype(np.int64) for side in summed.coords)
+    graph = ElasticGraph(fine.positions[vertices], normals, areas.astype(np.float64), heads, tails, scale * weights)
     return graph, vertices.astype(np.int64)
 
 

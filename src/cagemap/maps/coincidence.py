@@ -52,11 +52,7 @@ class Coincidence:
 
     @classmethod
     def find(
-        cls,
-        target: Surface,
-        source: Surface,
-        masks: Masks = WHOLE,
-        config: CoincidenceConfig = CoincidenceConfig(),
+        cls, target: Surface, source: Surface, masks: Masks = WHOLE, config: CoincidenceConfig = CoincidenceConfig()
     ) -> Coincidence | None:
         """Coincidence of two surfaces, None if they do not coincide; the target's mask weights its area.
 

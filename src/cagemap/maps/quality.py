@@ -140,11 +140,7 @@ def stretches(target: FloatArray, image: FloatArray, triangles: IndexArray) -> t
 
 
 def covered_share(
-    target: FloatArray,
-    image: FloatArray,
-    triangles: IndexArray,
-    source: TriangleSurface,
-    masks: Masks = WHOLE,
+    target: FloatArray, image: FloatArray, triangles: IndexArray, source: TriangleSurface, masks: Masks = WHOLE
 ) -> float:
     """Share of the source's area, weighted by masks, that the images (n1, 3) of the target cover.
 
@@ -205,10 +201,7 @@ def trust_field(
 
 @kinds_checked
 def judge(
-    target: Surface,
-    point_map: PointMap,
-    landmarks: PointPairs | None = None,
-    masks: Masks = WHOLE,
+    target: Surface, point_map: PointMap, landmarks: PointPairs | None = None, masks: Masks = WHOLE
 ) -> QualityFigures:
     """Quality figures of any point map of the target's finest level, without ground truth; else ParameterError.
 

@@ -278,9 +278,7 @@ def result_of_fit(
         unshared = shared_area_warnings(shared, masks, point_map)
         foreign = foreign_warnings(quality.flipped_area, len(landmarks), len(check.suspects))
         quality = replace(
-            quality,
-            warnings=(*jumping, *quality.warnings, *unshared, *foreign),
-            match_warnings=(*jumping, *foreign),
+            quality, warnings=(*jumping, *quality.warnings, *unshared, *foreign), match_warnings=(*jumping, *foreign)
         )
     return MatchResult(
         target,

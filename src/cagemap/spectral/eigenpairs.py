@@ -60,12 +60,7 @@ def residual_norms(
 
 
 def band_pairs(
-    stiffness: sparse.csr_array,
-    mass: sparse.csr_array,
-    first: int,
-    last: int,
-    *,
-    accuracy: float = 1e-9,
+    stiffness: sparse.csr_array, mass: sparse.csr_array, first: int, last: int, *, accuracy: float = 1e-9
 ) -> EigenPairs:
     """Eigenpairs first..last-1 of W (n, n) and M, complete for any multiplicity.
 

@@ -15,13 +15,7 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, places_of, read_only
 from cagemap.numerics.threads import in_threads, row_slices
-from cagemap.surface.triangles import (
-    CACHED,
-    normalize_rows,
-    triangle_areas,
-    triangle_centres,
-    triangle_normals,
-)
+from cagemap.surface.triangles import CACHED, normalize_rows, triangle_areas, triangle_centres, triangle_normals
 
 _LEAF_SIZE = 8  # triangles
 _STACK_SIZE = 64  # nodes

@@ -242,12 +242,7 @@ def kept_note(problem: Problem, suspected: dict[int, str], why: str) -> str:
     )
 
 
-def check_changes(
-    problem: Problem,
-    changed: IndexArray,
-    check: LandmarkCheck,
-    before: PointMap,
-) -> LandmarkCheck:
+def check_changes(problem: Problem, changed: IndexArray, check: LandmarkCheck, before: PointMap) -> LandmarkCheck:
     """Check the landmarks of an update: pairs ``changed`` (c,) by their distances to the others.
 
     A pair is left out only if the map from before contradicts it too.

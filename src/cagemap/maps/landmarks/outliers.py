@@ -127,11 +127,7 @@ def is_tip(distances: Distances, landmark: int, others: IndexArray, config: Land
 
 
 def best_exchanges(
-    target: Distances,
-    source: Distances,
-    trusted: IndexArray,
-    count: int,
-    config: LandmarkConfig = LandmarkConfig(),
+    target: Distances, source: Distances, trusted: IndexArray, count: int, config: LandmarkConfig = LandmarkConfig()
 ) -> list[int]:
     """Up to ``count`` couples of trusted pairs that fit much better with source vertices exchanged, flattened."""
     gain = exchange_gains(target, source, trusted, config)
