@@ -7,7 +7,7 @@ and meshes compare.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -258,24 +258,20 @@ def measure_quality(
         for name, values in (("area_ratio", largest * smallest), ("aspect_ratio", aspect))
     ]
     area_ratios, aspect_ratios = in_threads(lambda asked: weighted_percentiles(*asked), distributions)
-    errors = np.zeros(0) if landmarks is None else landmark_errors(point_map, landmarks)
-    names = () if landmarks is None else landmarks.names
-    flipped_area = float(areas[flipped].sum() / areas.sum())
     vertex_areas = target.vertex_areas * counted / (target.vertex_areas @ counted)
-    return QualityFigures(
-        landmark_errors=errors,
-        flipped_area=flipped_area,
+    figures = QualityFigures(
+        landmark_errors=np.zeros(0) if landmarks is None else landmark_errors(point_map, landmarks),
+        flipped_area=float(areas[flipped].sum() / areas.sum()),
         coverage=coverage,
         dirichlet=float(0.5 * (areas * (largest**2 + smallest**2)).sum() / areas.sum()),
         area_ratios=area_ratios,
         aspect_ratios=aspect_ratios,
         trust=trust,
         trusted_area=float(vertex_areas @ trust),
-        warnings=(
-            *(() if is_joined else (NOTHING_JOINED,)),
-            *_warnings(errors, names, flipped_area, coverage, trust, target, vertex_areas),
-        ),
+        warnings=() if is_joined else (NOTHING_JOINED,),
     )
+    found = _warnings(figures, () if landmarks is None else landmarks.names, target, vertex_areas)
+    return replace(figures, warnings=(*figures.warnings, *found))
 
 
 def unshared_warnings(target_share: float, source_share: float) -> tuple[str, ...]:
@@ -317,16 +313,11 @@ def _first_form(positions: FloatArray, triangles: IndexArray) -> tuple[FloatArra
 
 
 def _warnings(
-    errors: FloatArray,
-    names: Sequence[str],
-    flipped_area: float,
-    coverage: float,
-    trust: FloatArray,
-    target: TriangleSurface,
-    vertex_areas: FloatArray,
-) -> tuple[str, ...]:
+    figures: QualityFigures, names: Sequence[str], target: TriangleSurface, vertex_areas: FloatArray
+) -> list[str]:
     """Warnings for a user: what is wrong, how much, where."""
-    messages = []
+    messages, trust, errors = [], figures.trust, figures.landmark_errors
+    flipped_area, coverage = figures.flipped_area, figures.coverage
     worst = int(np.argmin(np.where(vertex_areas > 0, trust, np.inf)))
     where = f"worst at {place_text(target.positions[worst] / target.scale)} of the target's file"
     if flipped_area > 0.5:
@@ -345,4 +336,4 @@ def _warnings(
     untrusted = float(vertex_areas[trust < 0.5].sum())
     if untrusted > 0.1:
         messages.append(f"the map stretches strongly over {100 * untrusted:.0f} % of the target, {where}")
-    return tuple(messages)
+    return messages

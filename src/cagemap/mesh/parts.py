@@ -165,7 +165,8 @@ def find_part(mesh: ControlMesh, name: str) -> Part:
     matching = [part for part in _groups_as_one(parts, name) if name in (part.name, part.title)]
     # A USD object is named by its whole path; its end is accepted too, and accents in both forms of Unicode.
     matching = matching or [part for part in parts if part.name.endswith(f"/{name}")]
-    matching = matching or [part for part in parts if normalize("NFC", name) in _composed(part)]
+    composed = normalize("NFC", name)
+    matching = matching or [p for p in parts if composed in (normalize("NFC", p.name), normalize("NFC", p.title))]
     different = {part.faces.tobytes() for part in matching}
     if len(different) > 1:
         titles = ", ".join(part.title for part in matching)
@@ -179,11 +180,6 @@ def find_part(mesh: ControlMesh, name: str) -> Part:
             f"{', ...' if len(parts) > 12 else ''}; `cagemap check` lists all."
         )
     return matching[0]
-
-
-def _composed(part: Part) -> tuple[str, str]:
-    """Name and title of a part with composed accents."""
-    return normalize("NFC", part.name), normalize("NFC", part.title)
 
 
 def _groups_as_one(parts: tuple[Part, ...], name: str) -> list[Part]:

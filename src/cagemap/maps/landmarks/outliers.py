@@ -116,14 +116,13 @@ def is_farther_out(
     The path to the tip of a long tail passes the place that a short tail's tip would have on it.
     """
     through = source[others, node] + source[landmark, node]
-    past = float(np.median(through - source[others, landmark])) < config.detour
-    return past and all(is_tip(distances, landmark, others, config) for distances in (target, source))
-
-
-def is_tip(distances: Distances, landmark: int, others: IndexArray, config: LandmarkConfig) -> bool:
-    """Whether a landmark is at a tip: no vertex near it is farther from the others."""
-    away, near = distances[others].mean(axis=0), distances[landmark] < config.tip_reach
-    return bool(away[near].max() <= away[landmark] + config.tip_slack)
+    if float(np.median(through - source[others, landmark])) >= config.detour:
+        return False
+    for distances in (target, source):  # at a tip no vertex near the landmark is farther from the others
+        away, near = distances[others].mean(axis=0), distances[landmark] < config.tip_reach
+        if away[near].max() > away[landmark] + config.tip_slack:
+            return False
+    return True
 
 
 def best_exchanges(
@@ -214,8 +213,11 @@ def exchanged_sides(
     np.fill_diagonal(near, 0.0)
     for place in candidates[gains[candidates] > 0.0]:
         both = int(place) // p, int(place) % p
+        order = np.arange(p)
+        order[list(both)] = both[::-1]
         given = agreement_around(both, target, source, near, config.min_orientation)
-        exchanged = agreement_around(both, target, _exchange_places(source, both), near, config.min_orientation)
+        swapped = source[0][order], source[1][order]
+        exchanged = agreement_around(both, target, swapped, near, config.min_orientation)
         if given < config.max_side_agreement and exchanged > config.min_side_agreement and exchanged - given > min_rise:
             best, min_rise = both, exchanged - given
     return best
@@ -256,10 +258,3 @@ def _turns_to(j: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
     """(p, p) ``n_i . (e_ij x e_ik)`` for one landmark j."""
     units = normalize_rows(positions[None] - positions[:, None])
     return np.asarray(np.einsum("id,ikd->ik", np.cross(normals, units[:, j]), units))
-
-
-def _exchange_places(marks: Marks, places: tuple[int, int]) -> Marks:
-    """Marks with those at two indices exchanged."""
-    order: IndexArray = np.arange(len(marks[0]))
-    order[list(places)] = places[::-1]
-    return marks[0][order], marks[1][order]

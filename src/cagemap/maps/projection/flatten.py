@@ -136,8 +136,9 @@ def _flatten_part(
     if moved is None:
         return None
     free = disc.inside & ~fixed
-    triangle, barycentric = _located(moved[free], plane, below.triangles)
-    new = SurfacePoints(source, below.chosen[triangle], barycentric)
+    flat, queries = (np.column_stack([places, np.zeros(len(places))]) for places in (plane, moved[free]))
+    found = SurfacePoints.nearest(TriangleSurface(flat, below.triangles), queries)
+    new = SurfacePoints(source, below.chosen[found.triangle], found.barycentric)
     return disc.chosen, images.replaced(disc.vertices[free], new)
 
 
@@ -229,13 +230,6 @@ def _upright(mesh: Delaunay, ends: FloatArray) -> bool:
 
     start = areas(mesh.points)
     return bool(np.all(areas(ends) * np.sign(start) >= 0.1 * np.abs(start)))
-
-
-def _located(points: FloatArray, plane: FloatArray, triangles: IndexArray) -> tuple[IndexArray, FloatArray]:
-    """Triangles (m,) of a flat mesh that contain points (m, 2), and barycentric coordinates (m, 3) in them."""
-    flat, queries = (np.column_stack([p, np.zeros(len(p))]) for p in (plane, points))
-    nearest = SurfacePoints.nearest(TriangleSurface(flat, triangles), queries)
-    return nearest.triangle, nearest.barycentric
 
 
 def _disc_in(

@@ -16,7 +16,6 @@ from cagemap.maps.quality import flipped_triangles, inverted_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray, label_components, mask_of, read_only
 from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import CACHED, normalize_rows
 
 BoolArray = NDArray[np.bool_]
@@ -41,7 +40,8 @@ def relax_folds(
     # Only vertices within the largest number of rings can change: continue with the triangles around them, renumbered.
     inner = flipped_rings(triangles, flipped, config.rings[-1], len(images))
     region = touched_triangles(triangles, inner)
-    vertices, local_triangles = _renumbered(triangles[region], len(images))
+    used = mask_of(triangles[region], len(images))
+    vertices, local_triangles = np.flatnonzero(used), (np.cumsum(used) - 1)[triangles[region]]
     # Folds may spread while they are relaxed. Border vertices stay fixed: some of their triangles are outside.
     movable = inner[vertices] & ~np.isin(vertices, held)
     local, folded = images.at(vertices), flipped[region]
@@ -51,8 +51,13 @@ def relax_folds(
         before = folded.sum()
         inside = flipped_rings(local_triangles, folded, ring, len(vertices)) & movable
         moved = np.flatnonzero(inside)
-        new = _relaxed(local.surface, means, places, moved, local.triangle[moved], normal_weight, config.sweeps)
-        tried = places.copy()
+        rows, tried = means[moved], places.copy()
+        for _ in range(config.sweeps):
+            averaged = rows @ tried
+            averaged[:, 3:] = normalize_rows(averaged[:, 3:])
+            tried[moved] = averaged
+        positions, normals, guess = tried[moved, :3], tried[moved, 3:], local.triangle[moved]
+        new = SurfacePoints.nearest(local.surface, positions, normals, normal_weight=normal_weight, guess=guess)
         tried[moved] = np.hstack([new.positions, new.normals])
         touched = touched_triangles(local_triangles, inside)
         positions, normals = np.ascontiguousarray(tried[:, :3]), np.ascontiguousarray(tried[:, 3:])
@@ -67,31 +72,6 @@ def relax_folds(
             break
     flipped[region] = folded
     return images.replaced(vertices, local), flipped
-
-
-def _renumbered(triangles: IndexArray, n: int) -> tuple[IndexArray, IndexArray]:
-    """Vertices (v,) of some triangles (t, 3) of a mesh of n, ascending, and the triangles in their numbers."""
-    used = mask_of(triangles, n)
-    return np.flatnonzero(used), (np.cumsum(used) - 1)[triangles]
-
-
-def _relaxed(
-    surface: TriangleSurface,
-    means: sparse.csr_array,
-    places: FloatArray,
-    vertices: IndexArray,
-    guess: IndexArray,
-    normal_weight: float,
-    sweeps: int,
-) -> SurfacePoints:
-    """Points of the surface for vertices (v,), whose positions and normals (n, 6) are averaged in sweeps."""
-    rows, moved = means[vertices], places.copy()
-    for _ in range(sweeps):
-        averaged = rows @ moved
-        averaged[:, 3:] = normalize_rows(averaged[:, 3:])
-        moved[vertices] = averaged
-    positions, normals = moved[vertices, :3], moved[vertices, 3:]
-    return SurfacePoints.nearest(surface, positions, normals, normal_weight=normal_weight, guess=guess)
 
 
 def flipped_rings(triangles: IndexArray, flipped: BoolArray, rings: int, n: int) -> NDArray[np.bool_]:
