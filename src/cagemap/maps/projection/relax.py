@@ -6,14 +6,13 @@ This is a discrete harmonic map, one-to-one where the patch's image is close to 
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from cagemap.deform.config import ProjectionConfig
 from cagemap.maps.quality import flipped_triangles, inverted_triangles
-from cagemap.numerics.arrays import FloatArray, IndexArray, label_components, mask_of, read_only
+from cagemap.numerics.arrays import FloatArray, IndexArray, label_components, mask_of
 from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangles import CACHED, normalize_rows
@@ -78,19 +77,8 @@ def flipped_rings(triangles: IndexArray, flipped: BoolArray, rings: int, n: int)
     """(n,) which vertices are in flipped triangles or in the rings around them."""
     inside = mask_of(triangles[flipped], n)
     for _ in range(rings):
-        grown = inside.copy()
-        _grow(read_only(triangles), inside, grown)
-        inside = grown
+        inside[triangles[touched_triangles(triangles, inside)]] = True
     return inside
-
-
-@numba.njit(cache=True, nogil=True)
-def _grow(triangles, inside, grown):  # type: ignore[no-untyped-def]
-    """Mark all corners of triangles that have one inside."""
-    for t in range(len(triangles)):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        if inside[a] or inside[b] or inside[c]:
-            grown[a] = grown[b] = grown[c] = True
 
 
 def touched_triangles(triangles: IndexArray, inside: BoolArray) -> BoolArray:
