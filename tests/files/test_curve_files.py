@@ -11,13 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cagemap.errors import FormatError, InvalidLandmarksError
+from cagemap.files.landmarks.curves import chain_of_edges
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
 from cagemap.files.landmarks.point_formats import write_points
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.mesh import Plain
-from cagemap.mesh.curves import Curve, CurvePair, chain_of_edges, curve_faults
+from cagemap.mesh.curves import Curve, CurvePair, curve_faults
 from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
 from cagemap.mesh.parts import join_meshes
 from cagemap.tasks.match_parts import PartInputs, ready_inputs

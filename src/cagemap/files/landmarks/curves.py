@@ -13,11 +13,14 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import depth_first_order
 
 from cagemap.errors import FormatError, InvalidLandmarksError
 from cagemap.files.text import whole_characters
 from cagemap.mesh.cage_points import CagePoints, NamedCurve
-from cagemap.mesh.curves import CageCurvePairs, Curve, CurvePair, chain_of_edges
+from cagemap.mesh.curves import CageCurvePairs, Curve, CurvePair
+from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import IndexArray, shown
 
 FORM = '{"name": "lips", "source": [3, 4, 9], "target": [7, 8, 2], "closed": true}'
@@ -126,6 +129,29 @@ def _chain(path: Path, name: str, key: str, values: Any, closed: bool | None, fo
         return chain_of_edges(np.array(values, dtype=np.int64))
     except InvalidLandmarksError as error:
         raise FormatError(f"{path}: curve '{name}', '{key}': {error}") from None
+
+
+def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
+    """Order edges (e, 2) into one chain or loop: its vertices, and whether it is a loop; else InvalidLandmarksError."""
+    vertices, local = np.unique(np.sort(edges, axis=1), return_inverse=True)
+    heads, tails = np.concatenate([local.reshape(-1, 2), local.reshape(-1, 2)[:, ::-1]]).T
+    graph = sparse.csr_array((np.ones(len(heads)), (heads, tails)), shape=(len(vertices), len(vertices)))
+    degrees = np.diff(graph.indptr)
+    branching, ends = vertices[degrees > 2].tolist(), vertices[degrees == 1].tolist()
+    first = int(np.argmax(degrees == 1))  # an end, or any vertex of a loop
+    order = depth_first_order(graph, first, return_predecessors=False)
+    unreached = np.delete(vertices, order).tolist()
+    faults = {
+        f"a branch at vertex {first_few(branching)}": branching,
+        f"pieces that end at vertices {first_few(ends)}": ends[2:],  # one chain has two
+        f"pieces: vertices {first_few(unreached)} are joined to no other": unreached,
+    }
+    for text, found in faults.items():
+        if found:
+            raise InvalidLandmarksError(
+                f"expected the edges of one chain or loop, got {text}. Make each a curve of its own."
+            )
+    return vertices[order].astype(np.int64), not ends
 
 
 def is_vertex(value: Any) -> TypeGuard[int]:
