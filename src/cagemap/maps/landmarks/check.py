@@ -38,7 +38,6 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import FileVertex
 from cagemap.mesh.topology import handle_count, label_cells
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.spectral import Surface
 
 CONTRADICTION = (
     "the distances between landmarks contradict each other on the two surfaces for so many pairs that all were kept: "
@@ -252,9 +251,9 @@ def check_changes(problem: Problem, changed: IndexArray, check: LandmarkCheck, b
     wrong = {i: evidence for i, evidence in suspected.items() if i in changed}
     if wrong and has_merged_parts(problem):
         wrong, notes = {}, [kept_note(problem, wrong, EXTRA_HANDLES)]
-    contradicted = [i for i in sorted(wrong) if landmark_miss(problem, before, i)[0] >= config.max_confirmed_miss]
-    new = tuple(_suspect(problem, before, i, wrong[i]) for i in contradicted)
-    suspects = tuple(sorted((*check.suspects, *new), key=lambda suspect: suspect.pair))
+    new = (_suspect(problem, before, i, evidence) for i, evidence in wrong.items())
+    contradicted = [suspect for suspect in new if suspect.distance >= config.max_confirmed_miss]
+    suspects = tuple(sorted((*check.suspects, *contradicted), key=lambda suspect: suspect.pair))
     return replace(check, suspects=suspects, notes=tuple(dict.fromkeys((*check.notes, *notes))))
 
 
@@ -271,24 +270,12 @@ def foreign_warnings(folded: float, count: int, left_out: int) -> tuple[str, ...
 
 def _suspect(problem: Problem, found: PointMap, pair: int, evidence: str) -> LandmarkSuspect:
     """Suspect for a pair that was left out of a map."""
-    source, landmarks = problem.prepared.source, problem.landmarks
-    distance, nearest = landmark_miss(problem, found, pair)
-    given = nearest_control_vertex(source, landmarks.source.positions[pair])
-    in_file = source.control.file_vertex
-    return LandmarkSuspect(landmarks.names[pair], pair, distance, in_file(nearest), in_file(given), evidence)
-
-
-def landmark_miss(problem: Problem, point_map: PointMap, landmark: int) -> tuple[float, int]:
-    """Error of a landmark in a map, of sqrt(area), and its image's nearest control vertex."""
-    only = problem.landmarks.only([landmark])
-    place = only.target.interpolate(point_map.images.positions)[0]
-    return float(landmark_errors(point_map, only)[0]), nearest_control_vertex(problem.prepared.source, place)
-
-
-def nearest_control_vertex(surface: Surface, place: FloatArray) -> int:
-    """The control vertex whose place on the surface is nearest to a point (3,)."""
-    positions = surface.finest_triangles.positions[: surface.control.n_vertices]
-    return int(np.linalg.norm(positions - place, axis=1).argmin())
+    source, only = problem.prepared.source, problem.landmarks.only([pair])
+    places = only.target.interpolate(found.images.positions)[0], only.source.positions[0]
+    control = source.finest_triangles.positions[: source.control.n_vertices]
+    nearest, given = (int(np.linalg.norm(control - place, axis=1).argmin()) for place in places)
+    in_file, distance = source.control.file_vertex, float(landmark_errors(found, only)[0])
+    return LandmarkSuspect(only.names[0], pair, distance, in_file(nearest), in_file(given), evidence)
 
 
 def check_mirrored(
