@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from cagemap.deform.config import DataConfig, ElasticConfig
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.mesh.cage_points import CagePoints
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, places_of
 from cagemap.numerics.factorization import Factorization
 from cagemap.numerics.threads import kept
 from cagemap.spectral.zoomout import evenly_spaced_vertices
@@ -240,13 +240,10 @@ def constrained_clusters(
     each = max(vertices // config.curve_share // max(len(curves), 1), config.min_curve_points)
     thinned = [curve.thinned(each) for curve in curves]
     listed = np.concatenate([constrained, *(curve.anchors.corners[:, 0] for curve in thinned)])
-    values, first = np.unique(listed, return_index=True)
-    place = np.argsort(np.argsort(first))  # position of every value among the vertices
-    numbered = (
-        replace(curve, anchors=CagePoints.of_vertices(place[np.searchsorted(values, curve.anchors.corners[:, 0])]))
-        for curve in thinned
-    )
-    return listed[np.sort(first)], tuple(numbered)
+    distinct = listed[np.sort(np.unique(listed, return_index=True)[1])]
+    place = places_of(distinct, int(distinct.max(initial=-1)) + 1)
+    on_clusters = tuple(replace(curve, anchors=curve.anchors.renumbered(place.__getitem__)) for curve in thinned)
+    return distinct, on_clusters
 
 
 @dataclass(frozen=True, eq=False)
