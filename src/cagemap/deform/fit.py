@@ -36,7 +36,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
 
-def cluster_terms(prepared: PreparedPair, clusters: Clusters, samples: SourceSamples | None = None) -> Terms:
+def cluster_terms(prepared: PreparedPair, clusters: Clusters, samples: SourceSamples | None) -> Terms:
     """Data terms and constraints of clusters; source-to-target terms only if there are samples."""
     graph, masks, source, config = clusters.energy.graph, clusters.masks, prepared.source_surface, prepared.elastic
 

@@ -35,8 +35,7 @@ def join_quads(mesh: MeshLike) -> tuple[ControlMesh, int]:
     array([4])
     """
     require_structure(mesh)
-    following = mesh.next_corners
-    quads = _candidates(mesh, following)
+    quads = _candidates(mesh)
     first, second = mesh.corner_faces[quads[:, 0]], mesh.corner_faces[quads[:, 2]]
     places = mesh.positions[mesh.face_indices[quads]]
     to_next, to_previous = np.roll(places, -1, axis=1) - places, np.roll(places, 1, axis=1) - places
@@ -65,11 +64,10 @@ def join_quads(mesh: MeshLike) -> tuple[ControlMesh, int]:
     return with_corners_of(mesh, faces, offsets, corners), len(chosen)
 
 
-def _candidates(mesh: ControlMesh, following: IndexArray) -> IndexArray:
+def _candidates(mesh: ControlMesh) -> IndexArray:
     """(q, 4) face corners of all quads that two triangles can form."""
-    topology = mesh_topology(mesh)
+    topology, following, faces = mesh_topology(mesh), mesh.next_corners, mesh.corner_faces
     first, second = adjacent_corners(topology)
-    faces = mesh.corner_faces
     heads = mesh.face_indices[following]
     fits = (topology.face_counts[topology.edges[first]] == 2) & (mesh.face_indices[first] == heads[second])
     fits &= (mesh.face_sizes[faces[first]] == 3) & (mesh.face_sizes[faces[second]] == 3)
