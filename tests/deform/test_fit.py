@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from cagemap.deform.config import ElasticConfig, GraphConfig, LandmarkConfig, Stage
 from cagemap.deform.data import PlacementConstraints, SourceSamples, curved_points, round_trip_weights, source_to_target
 from cagemap.deform.energy import conjugate_gradients
-from cagemap.deform.fit import coarse_fit, fine_fit
+from cagemap.deform.fit import coarse_fit, fine_fit, landmark_start
 from cagemap.deform.graph import ElasticGraph, cluster_graph, connected_cells, mesh_graph
 from cagemap.deform.problem import Problem
 from cagemap.errors import InvalidLandmarksError, ParameterError
@@ -41,7 +41,8 @@ def test_a_surface_fits_itself_from_a_shaken_start(creature_at_3: tuple[Refineme
     pair, prepared = Pair.of_vertices(surface, surface, landmarks, landmarks), prepared_at(surface, surface, 2, config)
     graph, problem = prepared.energy.graph, Problem(prepared, pair.landmarks)
     start = graph.positions + 0.03 * np.random.default_rng(13).standard_normal((graph.n, 3))
-    started = [coarse_fit(problem, first) for first in (start[problem.coarse_clusters.vertices], None)]
+    starts = start[problem.coarse_clusters.vertices], landmark_start(problem, problem.coarse_clusters)
+    started = [coarse_fit(problem, first) for first in starts]
     found = fine_fit(problem, min(started, key=lambda ended: ended.cost))
     error = np.linalg.norm(found - graph.positions, axis=1)
     assert error.mean() < 0.003  # ten times less than the noise; tangentially only landmarks and the energy hold it
@@ -224,7 +225,7 @@ def test_long_thin_legs_do_not_fold_on_short_thick_ones() -> None:
     config = ElasticConfig()
     prepared = prepared_at(pair.target, pair.source, 2, config)
     problem = Problem(prepared, pair.landmarks)
-    fitted = fine_fit(problem, coarse_fit(problem, None))
+    fitted = fine_fit(problem, coarse_fit(problem, landmark_start(problem, problem.coarse_clusters)))
     found = map_of_places(problem, fitted)
     assert measure_quality(found).flipped_area < 1e-4
 

@@ -98,9 +98,9 @@ def test_placements_that_agree_are_doubted_where_a_limb_is_posed(bent, monkeypat
     problem = problem_of(bent)
     at_rest = Placement(problem.coarse_clusters.energy.graph.positions, 1.0)
     monkeypatch.setattr(multi_start, "refine_placements", lambda problem, coarse: list(coarse))
-    starts, asked = list[FloatArray | None](), list[object]()
+    starts, asked = list[FloatArray](), list[object]()
 
-    def coarse_fit(problem: Problem, start: FloatArray | None, clusters: Clusters) -> Placement:
+    def coarse_fit(problem: Problem, start: FloatArray, clusters: Clusters) -> Placement:
         starts.append(start)
         return at_rest
 

@@ -87,9 +87,9 @@ def mesh_terms(prepared: PreparedPair, constraints: PlacementConstraints) -> Ter
 
 
 def coarse_fit(
-    problem: Problem, start: FloatArray | None, clusters: Clusters | None = None, samples: SourceSamples | None = None
+    problem: Problem, start: FloatArray, clusters: Clusters | None = None, samples: SourceSamples | None = None
 ) -> Placement:
-    """Placement of clusters by their coarse stage, from positions (k, 3), or from landmarks if None.
+    """Placement of clusters by their coarse stage, from positions (k, 3), such as those of `landmark_start`.
 
     The ``clusters`` are the problem's coarse ones by default. Source ``samples`` give source-to-target terms, with
     which limbs reach the ends of the source's limbs. ParameterError if the start has another number of positions.
@@ -97,11 +97,10 @@ def coarse_fit(
     clusters = problem.coarse_clusters if clusters is None else clusters
     prepared, energy, graph = problem.prepared, clusters.energy, clusters.energy.graph
     expected = graph.positions.shape
-    if start is not None and start.shape != expected:
+    if start.shape != expected:
         raise ParameterError(f"start: expected {expected} positions, one for each coarse vertex, got {start.shape}")
-    first = landmark_start(clusters, prepared.elastic) if start is None else start
     terms = cluster_terms(prepared, clusters, samples)
-    positions = minimise(graph, energy.differentials, terms, first, clusters.stage)
+    positions = minimise(graph, energy.differentials, terms, start, clusters.stage)
     maps, _ = energy.differentials(positions)
     costs = vertex_costs(prepared, graph, clusters.masks, positions, maps, clusters.stage.smoothing)
     return Placement(positions, float(costs.sum()), costs, maps=maps, graph=graph)
@@ -115,9 +114,9 @@ def fine_fit(problem: Problem, start: Placement | FloatArray) -> FloatArray:
     return minimise(energy.graph, energy.differentials, terms, first, config.fine)
 
 
-def landmark_start(clusters: Clusters, config: ElasticConfig) -> FloatArray:
+def landmark_start(problem: Problem, clusters: Clusters) -> FloatArray:
     """(k, 3) clusters placed by the constrained ones alone: a similarity, then the energy, which bends limbs."""
-    graph, constraints = clusters.energy.graph, clusters.constraints
+    graph, constraints, config = clusters.energy.graph, clusters.constraints, problem.prepared.elastic
     places, constrained = constraints.places, constraints.anchors.corners[:, 0]
     rotation, scale, shift = fit_similarity(graph.positions[constrained], places)
     blocks, right = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))

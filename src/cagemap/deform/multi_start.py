@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from cagemap.deform.config import SearchConfig
 from cagemap.deform.energy import deformed_normals
-from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
+from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit, landmark_start
 from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.placement import Placement, distinct_placements, mean_distance, sort_by_cost
 from cagemap.deform.problem import Clusters, Problem
@@ -128,7 +128,7 @@ def fit_from_two_starts(
     if start is not None and len(clusters.constrained_vertices[0]) < FEWEST_LANDMARKS:
         both_stages = in_threads(lambda chosen: coarse_fit(problem, start, chosen), (clusters, stiff))
         return refine_placements(problem, both_stages), []
-    coarse, start = stiff_fits or fit_both_starts(problem, stiff, start)
+    coarse, first = stiff_fits or fit_both_starts(problem, stiff, start)
     search = elastic.search
     # Costs of different coarse placements are too alike to choose by: a rotated elbow shows in the fine stage alone.
     distinct = distinct_placements(sort_by_cost(coarse), areas, search.min_coarse_distance)
@@ -139,13 +139,13 @@ def fit_from_two_starts(
     distance = mean_distance(coarse[0].positions, coarse[1].positions, areas)
     if distance <= search.max_start_distance and rotation <= search.max_limb_rotation:
         return fine, []
-    return fine, fit_both_starts(problem, clusters, start).placements
+    return fine, fit_both_starts(problem, clusters, first).placements
 
 
 def fit_both_starts(problem: Problem, clusters: Clusters, start: FloatArray | None = None) -> StartFits:
     """Coarse fits from ZoomOut, or from positions (k, 3) in its place, and from the constrained points alone."""
     with ThreadPool(1) as pool:  # at the same time as ZoomOut
-        from_points = pool.submit(coarse_fit, problem, None, clusters)
+        from_points = pool.submit(lambda: coarse_fit(problem, landmark_start(problem, clusters), clusters))
         start = zoomout_start(problem, clusters) if start is None else start
         return StartFits([coarse_fit(problem, start, clusters), from_points.result()], start)
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.deform.config import LandmarkConfig
-from cagemap.deform.fit import coarse_fit
+from cagemap.deform.fit import coarse_fit, landmark_start
 from cagemap.deform.multi_start import FEWEST_LANDMARKS, zoomout_start
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem
@@ -205,7 +205,8 @@ def suspected_pairs(problem: Problem, left_out: Collection[int] = ()) -> tuple[d
 
 def coarse_map_cost(problem: Problem) -> float:
     """Cost of the best coarse fit that meets the landmarks."""
-    return min(coarse_fit(problem, start).cost for start in (zoomout_start(problem, problem.coarse_clusters), None))
+    clusters = problem.coarse_clusters
+    return min(coarse_fit(problem, start(problem, clusters)).cost for start in (zoomout_start, landmark_start))
 
 
 def has_merged_parts(problem: Problem) -> bool:
