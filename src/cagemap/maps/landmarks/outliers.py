@@ -116,13 +116,11 @@ def is_farther_out(
     The path to the tip of a long tail passes the place that a short tail's tip would have on it.
     """
     through = source[others, node] + source[landmark, node]
-    if float(np.median(through - source[others, landmark])) >= config.detour:
-        return False
+    is_farther = bool(np.median(through - source[others, landmark]) < config.detour)
     for distances in (target, source):  # at a tip no vertex near the landmark is farther from the others
         away, near = distances[others].mean(axis=0), distances[landmark] < config.tip_reach
-        if away[near].max() > away[landmark] + config.tip_slack:
-            return False
-    return True
+        is_farther = is_farther and bool(away[near].max() <= away[landmark] + config.tip_slack)
+    return is_farther
 
 
 def best_exchanges(
