@@ -20,7 +20,7 @@ from cagemap.subdivision import Refinement, refine
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer import control_weights
-from cagemap.transfer.blend_shapes import carry_shape, contacts, prepare_shapes
+from cagemap.transfer.blend_shapes import carry_shape, contacts, moved_share, prepare_shapes
 from cagemap.transfer.skin import (
     carry_joints,
     carry_skin,
@@ -115,7 +115,7 @@ def test_a_shape_of_zeros_stays_zero(ring: Refinement) -> None:
     shape = 0.2 * np.random.default_rng(3).normal(size=ring.control.positions.shape)
     np.testing.assert_allclose(carry_shape(carrier, 0 * shape), 0, rtol=0, atol=1e-12)
     # Constants have no gradient, so that the sum is the anchor's: the ridge is nothing beside it.
-    assert 0 < carrier.ridge.sum() < 1e-6 * carrier.matrix.sum()
+    assert 0 < carrier.ridge.sum() < 1e-6 * carrier.mass.sum()
     refuses(ParameterError, "one a control vertex", carry_shape, carrier, shape[1:])
 
 
@@ -126,6 +126,15 @@ def test_shapes_turn_and_scale_with_the_target(ring: Refinement) -> None:
     carrier = prepare_shapes(target, ring, same_vertices(target, ring))
     shape = 0.2 * np.sin(2 * control.positions[:, [1, 2, 0]])
     np.testing.assert_allclose(carry_shape(carrier, shape), 3 * shape @ turn.T, rtol=0, atol=1e-8)
+
+
+def test_the_share_of_the_area_that_a_shape_moves() -> None:
+    masses = np.array([1.0, 2.0, 3.0, 2.0])
+    moves = np.array([[0.0, 3.0, 4.0], [5.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    assert moved_share(moves, masses) == pytest.approx(3 / 8)
+    assert moved_share(1e-200 * moves, masses) == pytest.approx(3 / 8)
+    assert moved_share(np.ones((4, 3)), masses) == pytest.approx(1.0)
+    assert moved_share(np.zeros((4, 3)), masses) == 1.0
 
 
 def beside_itself(control: ControlMesh) -> ControlMesh:

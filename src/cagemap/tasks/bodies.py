@@ -12,6 +12,8 @@ from cagemap.character.own_parts import nearest_rows, rigid_groups
 from cagemap.character.passenger_pieces import PIECES, PieceConfig
 from cagemap.character.values import Part
 from cagemap.errors import ParameterError
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.quality import measure_quality
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import MIN_BODY_EXTENT
@@ -19,6 +21,7 @@ from cagemap.mesh.repairs import RepairedMesh
 from cagemap.mesh.topology import used_vertices
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
 from cagemap.pipeline import choose_level, match, prepare_surfaces
+from cagemap.spectral import Surface
 from cagemap.tasks.carry_arrays import carry_shapes
 from cagemap.tasks.match_parts import lost_landmark_notes, ready_mesh
 from cagemap.tasks.progress import Stages
@@ -69,6 +72,8 @@ class Bodies:
 def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stages) -> Bodies:
     """Match the meshes of two parts, after repairs if they need any.
 
+    Without landmarks, two meshes with the same faces, such as two shapes of one base mesh, are paired vertex by vertex.
+
     Raises
     ------
     ParameterError
@@ -79,8 +84,22 @@ def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stage
     stages("prepare")
     levels = choose_level(ready[0].mesh, BODY_VERTICES), choose_level(ready[1].mesh, BODY_VERTICES)
     surfaces = prepare_surfaces(ready[0].mesh, ready[1].mesh, levels)
-    result = match(*surfaces, kept, progress=stages)
-    return Bodies((target, source), ready, result, tuple(lost_landmark_notes(landmarks, kept)))
+    notes = lost_landmark_notes(landmarks, kept)
+    result = None if len(landmarks) or landmarks.curves else _map_of_equal_faces(*surfaces)
+    if result is None:
+        result = match(*surfaces, kept, progress=stages)
+    else:
+        notes = [f"{target.mesh.name} has the same faces as {source.mesh.name}: their vertices are paired by number"]
+    return Bodies((target, source), ready, result, tuple(notes))
+
+
+def _map_of_equal_faces(target: Surface, source: Surface) -> MatchResult | None:
+    """The map from each vertex to the vertex of its number; None if the finest triangles differ."""
+    places = target.finest_triangles, source.finest_triangles
+    if places[0].n != places[1].n or not np.array_equal(places[0].triangles, places[1].triangles):
+        return None
+    point_map = PointMap.from_vertices(*places, np.arange(places[0].n))
+    return MatchResult(target, source, Landmarks.none(), point_map, measure_quality(point_map))
 
 
 def _ready_body(part: Part) -> RepairedMesh:

@@ -7,10 +7,11 @@ target's triangle should move by ``Q^T F Q``. The displacement d of the target's
     min_d  sum_t a_t |grad (S d) - (Q^T F Q - I)|^2  +  anchor sum_i m_i |(S d)_i - r Q_i^T D(T12(i))|^2,
 
 with S the refinement and D the source's displacement, all at unit area. The second term fixes the translation of every
-part, and the shape on large scales. r is the median, over triangles, of a length on the target by that of its image:
-unlike the ratio of areas, it does not depend on parts that only one surface has (a mouth bag). Two terms are added: a
-ridge, and contacts, so that lids closed in the source's shape close on the target. A zero shape stays zero, and the
-identity map returns each shape.
+part, and the shape on large scales: ``anchor`` is inverse to the share of the surface that moves (`moved_share`), so
+that a shape of the lids stays at the lids, and one of the whole body keeps its details. r is the median, over
+triangles, of a length on the target by that of its image: unlike the ratio of areas, it does not depend on parts that
+only one surface has (a mouth bag). Two terms are added: a ridge, and contacts, so that lids closed in the source's
+shape close on the target. A zero shape stays zero, and the identity map returns each shape.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import flipped_triangles, weighted_percentiles
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
-from cagemap.numerics.factorization import Factorization, factor
+from cagemap.numerics.factorization import factor
 from cagemap.subdivision import Refinement, level_triangles
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangles import (
@@ -39,8 +40,9 @@ from cagemap.transfer.control_values import control_weights
 
 # A shape is sampled on the coarsest level of the target with at least this many vertices.
 _SAMPLES = 25_000
-# Weight of displacements against gradients: gradients determine details smaller than about 0.6 of sqrt(area).
-_ANCHOR = 100.0
+# Weight of displacements against gradients, times the share of the area that moves: gradients determine details smaller
+# than about 1.4 times the square root of the moved area.
+_ANCHOR = 20.0
 # Ridge, relative to the anchor: without it, control vertices that hardly move the surface (of a cube) are undetermined.
 _SHAPE_RIDGE = 1e-7
 # Weight of contacts of the source's shape against the anchor.
@@ -51,7 +53,7 @@ _CONTACT_DISTANCE, _CONTACT_COSINE = 1.0, -0.5
 
 @dataclass(frozen=True, eq=False)
 class ShapeCarrier:
-    """Factored linear system that carries shapes from one source to one target."""
+    """Linear systems that carry shapes from one source to one target."""
 
     point_map: PointMap
     source: Refinement
@@ -64,13 +66,13 @@ class ShapeCarrier:
     vertex_rotations: FloatArray  # (s, 3, 3)
     length_ratio: float  # length on the target for a length of 1 on the source, both at unit area
     control_weights: sparse.csr_array  # (c1, c2) target control vertices from source control vertices
-    ridge: sparse.dia_array  # (c1, c1)
-    matrix: sparse.csc_array  # (c1, c1)
-    factors: Factorization
+    ridge: sparse.dia_array  # (c1, c1), to be multiplied by the anchor
+    mass: sparse.csr_array  # (c1, c1) integrals of products of control displacements
+    stiffness: sparse.csr_array  # (c1, c1) and of their gradients
 
 
 def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) -> ShapeCarrier:
-    """Linear system that carries shapes from a source to a target, both refined up to the levels of the map."""
+    """Linear systems that carry shapes from a source to a target, both refined up to the levels of the map."""
     level = min(max(target.coarsest_level(_SAMPLES), 1), target.finest_level)
     triangles = level_triangles(target, level)
     n_samples = target.levels[level].n_vertices
@@ -82,9 +84,7 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
         -1, 3, 3
     )
     samples = target.rows(slice(n_samples), target.finest_level, 0)
-    stiffness = gradient.T @ sparse.diags_array(np.repeat(areas, 3)) @ gradient
-    ridge = sparse.diags_array(_SHAPE_RIDGE * _ANCHOR * (samples.T @ masses))
-    matrix = samples.T @ (stiffness + _ANCHOR * sparse.diags_array(masses)) @ samples + ridge
+    slopes = gradient @ samples
     return ShapeCarrier(
         point_map,
         source,
@@ -97,9 +97,9 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
         nearest_rotations(rotation_sums),
         _length_ratio(areas, triangle_areas(images, triangles)),
         control_weights(point_map, target, source),
-        ridge,
-        sparse.csc_array(matrix),
-        factor(sparse.csc_array(matrix)),
+        sparse.diags_array(_SHAPE_RIDGE * (samples.T @ masses)),
+        samples.T @ sparse.diags_array(masses) @ samples,
+        slopes.T @ sparse.diags_array(np.repeat(areas, 3)) @ slopes,
     )
 
 
@@ -128,28 +128,36 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
     # (t, 3, 3) gradients of the displacement: F - I on the source, Q^T (F - I) Q on the target
     image_gradients = deformation - np.eye(3)
     target_gradients = np.einsum("tba,tbc,tcd->tad", carrier.rotations, image_gradients, carrier.rotations)
+    anchor = _ANCHOR / moved_share(image_moves, carrier.masses)
     rotated_moves = carrier.length_ratio * np.einsum("sba,sb->sa", carrier.vertex_rotations, image_moves)
     # (3 t, 3), rows (t, direction)
     weighted_gradients = (carrier.areas[:, None, None] * target_gradients).transpose(0, 2, 1).reshape(-1, 3)
     right_side = carrier.samples.T @ (
-        carrier.gradient.T @ weighted_gradients + _ANCHOR * carrier.masses[:, None] * rotated_moves
+        carrier.gradient.T @ weighted_gradients + anchor * carrier.masses[:, None] * rotated_moves
     )
     control_moves = (
         carrier.length_ratio
         * source_surface.scale
         * (carrier.control_weights @ np.asarray(displacement, dtype=np.float64))
     )
-    right_side = right_side + carrier.ridge @ np.einsum(
+    right_side = right_side + anchor * carrier.ridge @ np.einsum(
         "nba,nb->na", carrier.vertex_rotations[: len(control_moves)], control_moves
     )
-    factors = carrier.factors
+    matrix = carrier.stiffness + anchor * (carrier.mass + carrier.ridge)
     first, second, relative_moves = contacts(carrier, moves)
     if len(first):
         rows = carrier.samples[first] - carrier.samples[second]
-        weights = sparse.diags_array(0.5 * _ANCHOR * _CONTACT * (carrier.masses[first] + carrier.masses[second]))
-        factors = factor(sparse.csc_array(carrier.matrix + rows.T @ weights @ rows))
+        weights = sparse.diags_array(0.5 * anchor * _CONTACT * (carrier.masses[first] + carrier.masses[second]))
+        matrix = matrix + rows.T @ weights @ rows
         right_side = right_side + rows.T @ (weights @ relative_moves)
-    return np.asarray(factors.solve(np.ascontiguousarray(right_side))) / point_map.target.scale
+    return np.asarray(factor(sparse.csc_array(matrix)).solve(np.ascontiguousarray(right_side))) / point_map.target.scale
+
+
+def moved_share(moves: FloatArray, masses: FloatArray) -> float:
+    """Share of the area that displacements (s, 3) move, the participation ratio of their squares; 1 of none."""
+    squares = np.square(moves / (np.abs(moves).max() or 1.0)).sum(axis=1)
+    fourth = float(masses @ squares**2)
+    return float(masses @ squares) ** 2 / (fourth * float(masses.sum())) if fourth else 1.0
 
 
 def contacts(carrier: ShapeCarrier, moves: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
