@@ -481,10 +481,16 @@ def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
 
 def test_bodies_with_the_same_faces_are_paired_by_number_unless_landmarks_are_given(body, quick_fit) -> None:
     bent = body.positions + 0.3 * np.sin(body.positions[:, [1, 2, 0]])
-    parts = Part("bent", body.with_positions(bent)), Part("body", body)
+    faces = body.face_indices.reshape(-1, 3).copy()
+    a, b, c = faces[0]  # one quad is split along its other diagonal
+    (other,) = (row for row in range(1, len(faces)) if {a, b} <= {*faces[row]})
+    (d,) = {*faces[other]} - {a, b}
+    faces[0], faces[other] = (a, d, c), (d, b, c)
+    given = ControlMesh.from_faces(bent, faces)
+    parts = Part("bent", replace(given, name="bent", scheme=body.scheme)), Part("body", body)
     bodies = match_bodies(*parts, Landmarks.none(), Stages())
     np.testing.assert_array_equal(bodies.result.point_map.images.positions, bodies.result.point_map.source.positions)
-    assert bodies.notes == (f"{body.name} has the same faces as {body.name}: their vertices are paired by number",)
+    assert bodies.notes == (f"bent has the same faces as {body.name}: their vertices are paired by number",)
     matched = match_bodies(*parts, marks_at(far_apart(body.positions, 5)), Stages())
     assert matched.notes == ()
     assert np.abs(matched.result.point_map.images.positions - matched.result.point_map.source.positions).max() > 1e-6
