@@ -7,7 +7,7 @@ levels, a functional map C12 of any size, or a source vertex for every target ve
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -37,7 +37,7 @@ from cagemap.maps.quality import judge as _judge
 from cagemap.maps.result import LevelMap
 from cagemap.mesh.inputs import control_mesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, whole_numbers
+from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, shown, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
@@ -131,13 +131,16 @@ def make_pair(
         If the sides do not correspond one to one, a self-map is not one of control vertices, or a mesh with
         symmetries is plain.
     """
-    vertices = [whole_numbers(side, "landmarks") for side in landmarks]
+    vertices = [whole_numbers(side, "landmarks") for side in landmarks] if isinstance(landmarks, Iterable) else []
     if len(vertices) != 2 or vertices[0].shape != vertices[1].shape or vertices[0].ndim != 1:
         raise ParameterError(
-            f"landmarks: expected two arrays (p,), as many target as source landmarks, got {len(vertices)}: "
-            f"{', '.join(str(side.shape) for side in vertices[:2])}. Transpose an array (p, 2)."
+            "landmarks: expected two arrays (p,), as many target as source landmarks, got "
+            f"{[side.shape for side in vertices[:3]] or shown(landmarks)}. Transpose an array (p, 2), or give it, or "
+            "Landmarks, to `cagemap.pair_of`."
         )
-    if not all(isinstance(pair, Sequence) and len(pair) == 2 for pair in symmetries):
+    if not isinstance(symmetries, Sequence) or not all(
+        isinstance(pair, Sequence) and len(pair) == 2 for pair in symmetries
+    ):
         raise ParameterError("symmetries: expected pairs of arrays, the target's images and the source's, got others")
     self_maps = tuple(
         (whole_numbers(one, "symmetries"), whole_numbers(other, "symmetries")) for one, other in symmetries
@@ -181,9 +184,9 @@ def functional_map(
         From `gather_constraints`, or others.
     weights : MapWeights
     levels : (int, int), optional
-        Last levels; default: the finest.
+        Last levels; default: the finest. ParameterError for others than the pair has.
     """
-    last = (pair.target.finest_level, pair.source.finest_level) if levels is None else levels
+    last = pair.levels(levels)
     level_pairs = [(min(l1, last[0]), min(l2, last[1])) for l1, l2 in [(0, 0), *finer_level_pairs(pair, (0, 0))]]
     matrix = solve_functional_map(constraints.leading(*basis_sizes(pair, (0, 0))), weights)
     for level_pair in level_pairs[1:]:

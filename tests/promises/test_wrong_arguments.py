@@ -125,7 +125,9 @@ def scene() -> Any:
         n=len(surface.vertices),
         corners=creature().n_vertices,
         landmarks=landmarks,
+        pair=cagemap.pair_of(surface, surface, landmarks),
         pairs=cagemap.pair_of(surface, surface, landmarks).landmarks,
+        functions=2 * (np.ones((surface.basis.count, 1)),),
         result=result,
         map=result.point_map,
         byte=np.zeros((4, 4, 3), np.uint8),
@@ -136,6 +138,10 @@ def marks(target: object, source: object = (1, 2, 3)) -> Landmarks:
     return Landmarks(("a", "b", "c"), target, source)
 
 
+def constraints(s: Any) -> research.Constraints:
+    return gather_constraints(s.pair)
+
+
 NAN = float("nan")
 HOUSE: dict[str, Callable[[Any], object]] = {
     # meshes
@@ -144,6 +150,7 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "complex positions": lambda s: ControlMesh.from_faces(s.cube.positions * 1j, [[0, 1, 2]]),
     "no positions": lambda s: ControlMesh.from_faces(None, [[0, 1, 2]]),
     "no faces": lambda s: ControlMesh.from_faces(s.cube.positions, None),
+    "faces that are no numbers": lambda s: ControlMesh.from_faces(s.cube.positions, np.array([[0, 1, 2, NAN]])),
     "faces of fractions": lambda s: ControlMesh.from_faces(s.cube.positions, [[0, 1, 2.5]]),
     "an empty mesh": lambda s: cagemap.prepare_surface(ControlMesh.from_faces([], []), 1),
     "a face beyond the vertices": lambda s: cagemap.refine(ControlMesh.from_faces(s.cube.positions, [[0, 1, 99]]), 1),
@@ -184,6 +191,14 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "no samples": lambda s: BakeOptions(supersample=0),
     "a Laplacian": lambda s: cagemap.build_operators(s.refinement, "cot"),
     "vertices of a basis": lambda s: BasisConfig(vertices=0),
+    "an accuracy as text": lambda s: BasisConfig(accuracy="1e-3"),
+    "a stabilisation as text": lambda s: BasisConfig(stabilisation="1"),
+    "one number as a schedule": lambda s: BasisConfig(schedule=40),
+    "a number of functions that is true": lambda s: BasisConfig(count=True),
+    "a literal basis by a word": lambda s: BasisConfig(schedule=(9, 9), literal="no"),
+    "a check by a word": lambda s: MatchConfig(check_landmarks="no"),
+    "a number as masks": lambda s: MatchConfig(masks=1.0),
+    "a number as ZoomOut": lambda s: research.HfmConfig(zoomout=3),
     "a Laplacian's name": lambda s: named_laplacian("cot"),
     "a wrap below level 0": lambda s: WrapConfig(level=-1),
     "an anchor below 0": lambda s: WrapConfig(anchor=-1.0),
@@ -240,6 +255,17 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "a held vertex beyond the target": lambda s: cagemap.unfold(s.map, np.array([10**7])),
     "a level beyond": lambda s: s.surface.triangles(9),
     "rows beyond": lambda s: s.surface.basis.rows(1, np.array([10**7])),
+    "a level of a fraction": lambda s: s.surface.basis.at(0.5),
+    "one number as a function": lambda s: s.surface.basis.project(3.0, 1),
+    # steps of research
+    "no landmarks by None": lambda s: research.make_pair(s.surface, s.surface, None),
+    "named landmarks": lambda s: research.make_pair(s.surface, s.surface, s.landmarks),
+    "no symmetries by None": lambda s: research.make_pair(s.surface, s.surface, symmetries=None),
+    "a weight that is no number": lambda s: constraints(s).with_descriptors(*s.functions, weight=NAN),
+    "a weight as text": lambda s: constraints(s).with_descriptors(*s.functions, weight="1"),
+    "one level for both sides": lambda s: research.functional_map(s.pair, constraints(s), levels=1),
+    "levels that are not there": lambda s: research.functional_map(s.pair, constraints(s), levels=(0, 9)),
+    "a sparse matrix as a functional map": lambda s: research.point_map(s.pair, sparse.eye_array(9)),
     # masks and images
     "a mask of twos": lambda s: cagemap.vertex_mask(s.refinement, np.full(s.corners, 2.0)),
     "a mask that is no number": lambda s: cagemap.vertex_mask(s.refinement, np.full(s.corners, NAN)),

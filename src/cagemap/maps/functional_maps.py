@@ -94,9 +94,9 @@ def _sides(
     pair: Pair, shape: tuple[int, ...], functions: tuple[FloatArray, FloatArray], levels: LevelPair | None
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
     """Own basis, given functions and areas at sampled vertices, for target and source."""
-    surfaces, sides = (pair.target, pair.source), []
+    surfaces, given_levels, sides = (pair.target, pair.source), pair.levels(levels), []
     for i, name in enumerate(("target", "source")):
-        surface, level = surfaces[i], surfaces[i].finest_level if levels is None else levels[i]
+        surface, level = surfaces[i], given_levels[i]
         triangles, theirs = surface.triangles(level), finite_numbers(functions[i], f"{name} functions")
         if len(shape) != 2 or theirs.ndim != 2 or len(theirs) != triangles.n or theirs.shape[1] < shape[i]:
             raise ParameterError(
@@ -131,7 +131,7 @@ def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
         raise ParameterError(
             f"map: expected a PointMap, a functional map of at most {largest}, or a source vertex from 0 to "
             f"{len(source.vertices) - 1} for every target vertex of a level, {' or '.join(map(str, counts))} of them, "
-            f"got {type(given).__name__} {values.shape}"
+            f"got {type(given).__name__} {tuple(getattr(given, 'shape', values.shape))}"
         )
     return finite_numbers(values, "map")
 

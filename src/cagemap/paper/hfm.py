@@ -54,9 +54,9 @@ class HfmConfig(Config):
 
     def __post_init__(self) -> None:
         """Check the ranges."""
+        super().__post_init__()
         if self.zoomout.first < FEWEST_FUNCTIONS:
             raise ParameterError(f"expected at least {FEWEST_FUNCTIONS} first functions, got {self.zoomout.first}")
-        super().__post_init__()
 
 
 # Displacement of target points x to x R + Phi~1 tau: rotation R (3, 3), coefficients tau (k, 3).

@@ -202,7 +202,7 @@ class SurfacePoints:
 
     def replaced(self, rows: IndexArray, others: SurfacePoints) -> SurfacePoints:
         """The points with ``others`` in the given rows; ParameterError if those are on another surface."""
-        if others.surface is not self.surface:
+        if not self.surface.equals(others.surface):
             raise ParameterError(f"expected points of {self.surface}, got points of another surface, {others.surface}")
         triangle, barycentric = self.triangle.copy(), self.barycentric.copy()
         triangle[rows], barycentric[rows] = others.triangle, others.barycentric

@@ -70,6 +70,13 @@ class TriangleSurface:
         """Number of vertices."""
         return len(self.positions)
 
+    def equals(self, other: TriangleSurface) -> bool:
+        """Whether another surface has the same triangles at the same positions, as copies and pickles of it have."""
+        if self is other:
+            return True
+        same_triangles = self.n == other.n and np.array_equal(self.triangles, other.triangles)
+        return same_triangles and np.allclose(self.positions, other.positions)
+
     @kept
     def areas(self) -> FloatArray:
         """(t,) areas of the triangles."""
