@@ -335,6 +335,21 @@ def test_arrays_of_every_layout_and_type_give_the_same() -> None:
         np.testing.assert_allclose(ControlMesh.from_faces(positions, faces).positions, s.mesh.positions, atol=1e-6)
 
 
+def test_arrays_that_change_later_change_no_value() -> None:
+    s = scene()
+    triangle, barycentric = s.map.triangle.copy(), s.map.barycentric.copy()
+    points, weights, own = np.array([1, 2, 3]), np.ones(s.n), np.eye(9)
+    moved = PointMap.from_arrays(s.triangles, s.triangles, triangle, barycentric)
+    named, masks, functional_map = marks(points), Masks(weights), research.functional_map_of(s.pair, own)
+    for array in (triangle, barycentric, points, weights, own):
+        array[:] = 0
+    np.testing.assert_array_equal(moved.images.positions, s.map.images.positions)
+    assert (named.target.tolist(), masks.target.min(), functional_map[0, 0]) == ([1, 2, 3], 1.0, 1.0)
+    for matrix in (s.surface.operators.mass[1], s.surface.operators.stiffness[1]):
+        with pytest.raises(ValueError, match="read-only"):
+            matrix *= 2.0
+
+
 def test_a_map_of_another_surface_is_not_judged() -> None:
     result = identity_result(2)
     coarse = PointMap.from_vertices(result.target.triangles(1), result.source.triangles(1), np.arange(26))

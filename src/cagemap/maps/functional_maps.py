@@ -143,7 +143,7 @@ def functional_map_from(pair: Pair, given: MapLike, sizes: tuple[int, int] | Non
     if isinstance(checked, PointMap):
         return functional_map_of(pair.target, pair.source, checked)
     if checked.ndim == 2:
-        return np.asarray(checked, dtype=np.float64)
+        return np.array(checked, dtype=np.float64)
     k1, k2 = (None, None) if sizes is None else sizes
     chosen = evenly_spaced_vertices(len(checked), FIT_SAMPLES)
     vertices = pair.target.hierarchy.on_finest(_level_of(pair, checked))[chosen]

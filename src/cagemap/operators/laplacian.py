@@ -206,6 +206,10 @@ class Operators:
     stiffness: tuple[sparse.csr_array, ...]  #: (n_l, n_l) W^l, symmetric positive semi-definite, W^l 1 = 0
     scale: float  #: factor from the mesh's lengths to lengths at unit area
 
+    def __post_init__(self) -> None:
+        for matrix in (*self.mass, *self.stiffness):
+            matrix.data.flags.writeable = False
+
     def __repr__(self) -> str:
         return f"Operators({', '.join(str(mass.shape[0]) for mass in self.mass)} vertices, scale {self.scale:.6g})"
 
