@@ -42,6 +42,7 @@ from cagemap.errors import ParameterError
 from cagemap.example import example_pair
 from cagemap.files.images.image import Image
 from cagemap.maps.result import LevelMap
+from cagemap.mesh.curves import CurvePair
 from cagemap.numerics.kinds import _expected, kinds_checked
 from cagemap.operators.laplacian import named_laplacian
 from cagemap.research import gather_constraints
@@ -218,6 +219,7 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "fewer names than landmarks": lambda s: cagemap.match(
         s.surface, s.surface, Landmarks(("a",), np.array([1, 2]), np.array([1, 2]))
     ),
+    "a curve of fractions": lambda s: CurvePair.of_vertices("lips", target=[0.5, 1], source=[0, 1]),
     "a number for names": lambda s: Landmarks(4, np.arange(4), np.arange(4)),
     "one name for all": lambda s: Landmarks("nose", np.arange(4), np.arange(4)),
     "an added landmark beyond the mesh": lambda s: cagemap.update_match(s.result, marks([1, 2, 9999])),
