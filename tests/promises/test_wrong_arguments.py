@@ -44,7 +44,7 @@ from cagemap.files.images.image import Image
 from cagemap.maps.result import LevelMap
 from cagemap.mesh.curves import CurvePair
 from cagemap.numerics.kinds import _expected, kinds_checked
-from cagemap.operators.laplacian import named_laplacian
+from cagemap.operators.laplacian import named_laplacian, stiffness, vertex_areas
 from cagemap.research import gather_constraints
 from cagemap.transfer.rays import ambient_occlusion
 from cagemap.wrap.config import WrapConfig
@@ -172,6 +172,11 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "too many vertices": lambda s: cagemap.choose_level(s.mesh, 10**12),
     "levels of one": lambda s: cagemap.prepare_surfaces(s.mesh, s.mesh, 1),
     "levels of three": lambda s: cagemap.prepare_surfaces(s.mesh, s.mesh, (1, 1, 1)),
+    "operators of faces counted from 1": lambda s: stiffness(np.eye(3), np.array([[1, 2, 3]])),
+    "areas of faces below 0": lambda s: vertex_areas(np.eye(3), np.array([[-1, 0, 1]])),
+    "operators of pentagons": lambda s: stiffness(np.zeros((5, 3)), np.arange(5)[None]),
+    "areas in the plane": lambda s: vertex_areas(np.zeros((3, 2)), np.arange(3)[None]),
+    "a surface of faces counted from 1": lambda s: TriangleSurface.from_faces(np.eye(3), np.array([[1, 2, 3]])),
     # configurations
     "a basis of a fraction": lambda s: BasisConfig(count=10.5),
     "an accuracy that is no number": lambda s: BasisConfig(accuracy=NAN),
@@ -212,6 +217,8 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     ),
     # landmarks
     "landmarks of fractions": lambda s: marks([1.5, 2, 4]),
+    "landmarks with a number left out": lambda s: cagemap.pair_of(s.surface, s.surface, [[1, 2], [3]]),
+    "areas of polygons": lambda s: vertex_areas(np.eye(3), [[0, 1, 2], [0, 1]]),
     "landmarks as text": lambda s: marks("abc"),
     "landmarks of two rows": lambda s: cagemap.match(s.surface, s.surface, marks([[1, 2, 3]], [[1, 2, 3]])),
     "landmarks below 0": lambda s: cagemap.match(s.surface, s.surface, marks([1, 2, -1])),
