@@ -1,8 +1,9 @@
 """Single steps of the method, for research with own meshes, descriptors, operators and maps.
 
 docs/researchers.md explains the functions, docs/recipes.md has short programs. A map is a `PointMap` of the finest
-levels, a functional map C12 of any size, or a source vertex for every target vertex of a level: `zoomout`, `elastic`,
-`project`, `unfold`, `judge`, `point_map`, `functional_map_of` and the ``start`` of `paper_map` and `hfm_map` take all.
+levels, a functional map C12 of any size, a `LevelMap`, or a finest source vertex for every target vertex of a level:
+`zoomout`, `elastic`, `project`, `unfold`, `judge`, `point_map`, `functional_map_of` and the ``start`` of `paper_map`
+and `hfm_map` take all.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from scipy import sparse
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.errors import ParameterError
 from cagemap.maps.functional_maps import (
+    LevelMap,
     MapLike,
     check_map,
     from_bases,
@@ -34,7 +36,6 @@ from cagemap.maps.projection.project import project as _project
 from cagemap.maps.projection.project import unfold as _unfold
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.quality import judge as _judge
-from cagemap.maps.result import LevelMap
 from cagemap.mesh.inputs import control_mesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, shown, whole_numbers

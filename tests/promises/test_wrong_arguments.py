@@ -41,7 +41,7 @@ from cagemap.deform.placement import Placement
 from cagemap.errors import ParameterError
 from cagemap.example import example_pair
 from cagemap.files.images.image import Image
-from cagemap.maps.result import LevelMap
+from cagemap.maps.functional_maps import LevelMap
 from cagemap.mesh.curves import CurvePair
 from cagemap.numerics.kinds import _expected, kinds_checked
 from cagemap.operators.laplacian import named_laplacian, stiffness, vertex_areas

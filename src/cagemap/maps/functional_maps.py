@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
@@ -22,7 +24,18 @@ from cagemap.spectral.zoomout import (
     zoomout,
 )
 
-MapLike = PointMap | ArrayLike
+
+@dataclass(frozen=True, eq=False)
+class LevelMap:
+    """Functional map and vertex matches between one level of the target and one of the source."""
+
+    levels: LevelPair  # of target and source
+    functional_map: FloatArray = field(repr=False)  # (k1, k2) C12 on the basis functions of these levels
+    match: IndexArray = field(repr=False)  # (n1,) the source level's vertex of every target vertex
+    points: PointMap | None = None  # images as points of the source; None until the finer levels are found
+
+
+MapLike = PointMap | LevelMap | ArrayLike
 
 # Numbers of samples of target and source in ZoomOut.
 TARGET_SAMPLES, SOURCE_SAMPLES = 3000, 10_000
@@ -111,8 +124,10 @@ def _sides(
 
 
 def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
-    """Check a map: returns a PointMap, C12 (k1, k2), or source vertices (n,) of a level."""
+    """Check a map: returns a PointMap, C12 (k1, k2), or finest source vertices (n,) of a level's target vertices."""
     target, source = pair.target, pair.source
+    if isinstance(given, LevelMap) and given.points is not None and given.levels == pair.levels():
+        given = given.points
     if isinstance(given, PointMap):
         if given.target.n != len(target.vertices) or given.source.n != len(source.vertices):
             raise ParameterError(
@@ -120,17 +135,26 @@ def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
                 f"pair, got {given}: target and source may be exchanged, or it belongs to another level"
             )
         return given
-    values = array_of(given)
+    values = array_of(given.match if isinstance(given, LevelMap) else given)
     counts = [len(level.positions) for level in target.hierarchy.levels]
     if values.ndim == 1 and len(values) in counts:
-        vertices = whole_numbers(values, "map")
-        if 0 <= vertices.min() and vertices.max() < len(source.vertices):
-            return vertices
+        vertices, known = whole_numbers(values, "map"), np.arange(len(source.vertices))
+        plain = (side.hierarchy.coarse_vertices for side in (target, source))
+        coarse = [0 if numbers is None else len(numbers) for numbers in plain]
+        if isinstance(given, LevelMap):
+            known = source.hierarchy.on_finest(pair.levels(given.levels)[1])
+        elif all(coarse) and len(values) < counts[-1] and vertices.max() < coarse[1]:
+            raise ParameterError(
+                f"map: expected finest source vertices, 0 to {len(known) - 1}, got {vertices.min()} to "
+                f"{vertices.max()}, numbers of a coarse level of a plain mesh. Give the LevelMap."
+            )
+        if 0 <= vertices.min() and vertices.max() < len(known):
+            return known[vertices]
     largest = target.basis.count, source.basis.count
     if values.ndim != 2 or not values.size or not all(np.less_equal(values.shape, largest)):
         raise ParameterError(
-            f"map: expected a PointMap, a functional map of at most {largest}, or a source vertex from 0 to "
-            f"{len(source.vertices) - 1} for every target vertex of a level, {' or '.join(map(str, counts))} of them, "
+            f"map: expected a PointMap, a functional map of at most {largest}, a LevelMap, or a finest source vertex "
+            f"(0 to {len(source.vertices) - 1}) for every target vertex of a level, {' or '.join(map(str, counts))}, "
             f"got {type(given).__name__} {tuple(getattr(given, 'shape', values.shape))}"
         )
     return finite_numbers(values, "map")

@@ -17,11 +17,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cagemap.errors import ParameterError
-from cagemap.maps.functional_maps import MapLike, functional_map_from
+from cagemap.maps.functional_maps import LevelMap, MapLike, functional_map_from
 from cagemap.maps.pair import LevelPair, Pair, Progress, no_progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import facing_points
-from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Config, kinds_checked
 from cagemap.paper.embeddings import functions_at, spectral_rows
