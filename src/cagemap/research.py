@@ -247,7 +247,7 @@ def elastic(pair: Pair, start: MapLike | None = None, prepared: PreparedPair | N
     Raises
     ------
     ParameterError
-        If the start is not a map of this pair.
+        If the start is not a map of this pair, or ``prepared`` is of other surfaces.
     """
     problem = Problem(prepare_pair(pair.target, pair.source) if prepared is None else prepared, pair.landmarks)
     places = None
@@ -269,6 +269,7 @@ def project(pair: Pair, start: MapLike, prepared: PreparedPair | None = None) ->
         As in `elastic`.
     """
     prepared = prepare_pair(pair.target, pair.source) if prepared is None else prepared
+    prepared = Problem(prepared, pair.landmarks).prepared  # of the same surfaces
     places = None if isinstance(start, PointMap) else array_of(start)
     if places is None or places.shape != (prepared.mesh.n, 3):
         places = image_positions(pair, start, prepared.vertices)

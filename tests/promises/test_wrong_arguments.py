@@ -126,6 +126,7 @@ def scene() -> Any:
         n=len(surface.vertices),
         corners=creature().n_vertices,
         landmarks=landmarks,
+        other=cagemap.prepare_surface(cube(), 2),
         pair=cagemap.pair_of(surface, surface, landmarks),
         pairs=cagemap.pair_of(surface, surface, landmarks).landmarks,
         functions=2 * (np.ones((surface.basis.count, 1)),),
@@ -266,6 +267,11 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "rows beyond": lambda s: s.surface.basis.rows(1, np.array([10**7])),
     "a level of a fraction": lambda s: s.surface.basis.at(0.5),
     "one number as a function": lambda s: s.surface.basis.project(3.0, 1),
+    "a functional map of exchanged sides": lambda s: cagemap.functional_map_of(s.surface, s.other, s.map),
+    "a fit of other surfaces": lambda s: cagemap.fit(cagemap.prepare_pair(s.surface, s.other), s.pair),
+    "a projection by other surfaces": lambda s: research.project(
+        s.pair, np.arange(s.n), cagemap.prepare_pair(s.other, s.surface)
+    ),
     # steps of research
     "no landmarks by None": lambda s: research.make_pair(s.surface, s.surface, None),
     "named landmarks": lambda s: research.make_pair(s.surface, s.surface, s.landmarks),

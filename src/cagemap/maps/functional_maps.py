@@ -44,6 +44,7 @@ TARGET_SAMPLES, SOURCE_SAMPLES = 3000, 10_000
 @kinds_checked
 def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> FloatArray:
     """C12 = Phi~1^+ P12 Phi~2 of a point map of the finest levels, on a sample of its vertices (paper, 2.1.2)."""
+    _check_sides(target, source, point_map)
     chosen = evenly_spaced_vertices(len(point_map.images), FIT_SAMPLES)
     sampled = point_map.images.at(chosen)
     corners, places = np.unique(sampled.corners, return_inverse=True)
@@ -123,17 +124,21 @@ def _sides(
     return sides
 
 
+def _check_sides(target: Surface, source: Surface, given: PointMap) -> None:
+    if given.target.n != len(target.vertices) or given.source.n != len(source.vertices):
+        raise ParameterError(
+            f"map: expected one of {len(target.vertices)} to {len(source.vertices)} vertices, the finest of the "
+            f"pair, got {given}: target and source may be exchanged, or it belongs to another level"
+        )
+
+
 def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
     """Check a map: returns a PointMap, C12 (k1, k2), or finest source vertices (n,) of a level's target vertices."""
     target, source = pair.target, pair.source
     if isinstance(given, LevelMap) and given.points is not None and given.levels == pair.levels():
         given = given.points
     if isinstance(given, PointMap):
-        if given.target.n != len(target.vertices) or given.source.n != len(source.vertices):
-            raise ParameterError(
-                f"map: expected one of {len(target.vertices)} to {len(source.vertices)} vertices, the finest of the "
-                f"pair, got {given}: target and source may be exchanged, or it belongs to another level"
-            )
+        _check_sides(target, source, given)
         return given
     values = array_of(given.match if isinstance(given, LevelMap) else given)
     counts = [len(level.positions) for level in target.hierarchy.levels]
