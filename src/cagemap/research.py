@@ -215,8 +215,7 @@ def point_map(pair: Pair, map_like: MapLike) -> PointMap:
     if isinstance(checked_map, PointMap):
         return checked_map
     if checked_map.ndim == 1 and len(checked_map) == len(pair.target.vertices):
-        vertices = checked_map.astype(np.int64)
-        return PointMap.from_vertices(pair.target.finest_triangles, pair.source.finest_triangles, vertices)
+        return PointMap.from_vertices(pair.target.finest_triangles, pair.source.finest_triangles, checked_map)
     matrix = functional_map_of(pair, checked_map)
     start = search_levels(pair.target, pair.source, HfmConfig().search_vertices)
     level_map = LevelMap(start, matrix, search_full(pair, matrix, start))

@@ -64,10 +64,9 @@ class TriangleSurface:
 
     def equals(self, other: TriangleSurface) -> bool:
         """Whether another surface has the same triangles at the same positions, as copies and pickles of it have."""
-        if self is other:
-            return True
-        same_triangles = self.n == other.n and np.array_equal(self.triangles, other.triangles)
-        return same_triangles and np.allclose(self.positions, other.positions)
+        if self is other or self.n != other.n or not np.array_equal(self.triangles, other.triangles):
+            return self is other
+        return np.allclose(self.positions, other.positions)
 
     @kept
     def areas(self) -> FloatArray:
