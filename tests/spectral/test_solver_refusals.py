@@ -4,6 +4,7 @@ from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from examples.shapes import creature, cube
 

@@ -17,7 +17,7 @@ from cagemap.subdivision import Refinement
 class BasisConfig(Config):
     """Parameters of a spectral basis: ``count`` functions of one level, or bands of several levels."""
 
-    RANGES: ClassVar = {"count": (1, np.inf), "vertices": (1, np.inf), "accuracy": (0.0, 1e-3)}
+    RANGES: ClassVar = {"count": (1, np.inf), "vertices": (1, np.inf)}
 
     #: number of functions k; the default is reduced on smaller meshes. They are computed at the coarsest level with at
     #: least ``MIN_VERTICES`` and ``VERTICES_PER_FUNCTION * count`` vertices; eigenvalues there are 0.1 to 4 % above the
@@ -41,8 +41,8 @@ class BasisConfig(Config):
     def __post_init__(self) -> None:
         """Check the ranges."""
         super().__post_init__()
-        if not self.accuracy:
-            raise ParameterError("accuracy: expected a residual above 0 and up to 1e-3, got 0")
+        if not 0.0 < self.accuracy <= 1e-3:
+            raise ParameterError(f"accuracy: expected a residual between 0 and 1e-3, got {self.accuracy}")
         if self.schedule is not None and not any(self.schedule):
             raise ParameterError(f"schedule: expected counts, such as (100, 50), level 0 first, got {self.schedule}")
         named_laplacian(self.laplacian, self.stabilisation)
