@@ -194,7 +194,7 @@ def test_it_says_what_it_is(creature):
     ("options", "message"),
     [
         ({"count": 0}, "at least 1"),
-        ({"accuracy": 1.0}, "to 0.001"),
+        ({"accuracy": 1.0}, "1e-3"),
         ({"schedule": ()}, "level 0 first"),
         ({"schedule": (10, -1)}, "whole numbers of at least 0"),
         ({"schedule": (0, 0)}, "level 0 first"),
