@@ -16,9 +16,9 @@ CACHED = 16_384  # number of triangles or points whose arrays fit into a core's 
 def mesh_arrays(
     positions: ArrayLike, faces: ArrayLike, corners: tuple[int, ...] = (3, 4)
 ) -> tuple[FloatArray, IndexArray]:
-    """Positions (n, 3) and faces of 3 or 4 corners as contiguous arrays; ParameterError for others, or no vertices."""
+    """Positions (n, 3) and faces of 3 or 4 corners as contiguous arrays; ParameterError for others, or missing vertices."""
     places = np.ascontiguousarray(real_numbers(positions, "positions"))
-    numbers = np.ascontiguousarray(whole_numbers(faces, "faces"))
+    numbers = whole_numbers(faces, "faces")
     if places.ndim != 2 or places.shape[1] != 3 or numbers.ndim != 2 or numbers.shape[1] not in corners:
         sizes = " or ".join(f"(m, {size})" for size in corners)
         raise ParameterError(f"expected positions (n, 3) and faces {sizes}, got {places.shape} and {numbers.shape}")
