@@ -16,7 +16,7 @@ CACHED = 16_384  # number of triangles or points whose arrays fit into a core's 
 def mesh_arrays(
     positions: ArrayLike, faces: ArrayLike, corners: tuple[int, ...] = (3, 4)
 ) -> tuple[FloatArray, IndexArray]:
-    """Positions (n, 3) and faces of 3 or 4 corners as contiguous arrays; ParameterError for others, or missing vertices."""
+    """Contiguous positions (n, 3) and faces of 3 or 4 corners; ParameterError for others, or missing vertices."""
     places = np.ascontiguousarray(real_numbers(positions, "positions"))
     numbers = whole_numbers(faces, "faces")
     if places.ndim != 2 or places.shape[1] != 3 or numbers.ndim != 2 or numbers.shape[1] not in corners:
