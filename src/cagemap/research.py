@@ -1,13 +1,14 @@
 """Single steps of the method, for research with own meshes, descriptors, operators and maps.
 
 docs/researchers.md explains the functions, docs/recipes.md has short programs. A map is a `PointMap` of the finest
-levels, a functional map C12 of any size, or a source vertex for every target vertex of a level: `zoomout`, `elastic`,
-`project`, `unfold`, `judge`, `point_map`, `functional_map_of` and the ``start`` of `paper_map` and `hfm_map` take all.
+levels, a functional map C12 of any size, a `LevelMap`, or a finest source vertex for every target vertex of a level:
+`zoomout`, `elastic`, `project`, `unfold`, `judge`, `point_map`, `functional_map_of` and the ``start`` of `paper_map`
+and `hfm_map` take all.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +19,7 @@ from scipy import sparse
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.errors import ParameterError
 from cagemap.maps.functional_maps import (
+    LevelMap,
     MapLike,
     check_map,
     from_bases,
@@ -34,10 +36,9 @@ from cagemap.maps.projection.project import project as _project
 from cagemap.maps.projection.project import unfold as _unfold
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.quality import judge as _judge
-from cagemap.maps.result import LevelMap
 from cagemap.mesh.inputs import control_mesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, whole_numbers
+from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, shown, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
@@ -131,13 +132,16 @@ def make_pair(
         If the sides do not correspond one to one, a self-map is not one of control vertices, or a mesh with
         symmetries is plain.
     """
-    vertices = [whole_numbers(side, "landmarks") for side in landmarks]
+    vertices = [whole_numbers(side, "landmarks") for side in landmarks] if isinstance(landmarks, Iterable) else []
     if len(vertices) != 2 or vertices[0].shape != vertices[1].shape or vertices[0].ndim != 1:
         raise ParameterError(
-            f"landmarks: expected two arrays (p,), as many target as source landmarks, got {len(vertices)}: "
-            f"{', '.join(str(side.shape) for side in vertices[:2])}. Transpose an array (p, 2)."
+            "landmarks: expected two arrays (p,), as many target as source landmarks, got "
+            f"{[side.shape for side in vertices[:3]] or shown(landmarks)}. Transpose an array (p, 2), or give it, or "
+            "Landmarks, to `cagemap.pair_of`."
         )
-    if not all(isinstance(pair, Sequence) and len(pair) == 2 for pair in symmetries):
+    if not isinstance(symmetries, Sequence) or not all(
+        isinstance(pair, Sequence) and len(pair) == 2 for pair in symmetries
+    ):
         raise ParameterError("symmetries: expected pairs of arrays, the target's images and the source's, got others")
     self_maps = tuple(
         (whole_numbers(one, "symmetries"), whole_numbers(other, "symmetries")) for one, other in symmetries
@@ -181,9 +185,9 @@ def functional_map(
         From `gather_constraints`, or others.
     weights : MapWeights
     levels : (int, int), optional
-        Last levels; default: the finest.
+        Last levels; default: the finest. ParameterError for others than the pair has.
     """
-    last = (pair.target.finest_level, pair.source.finest_level) if levels is None else levels
+    last = pair.levels(levels)
     level_pairs = [(min(l1, last[0]), min(l2, last[1])) for l1, l2 in [(0, 0), *finer_level_pairs(pair, (0, 0))]]
     matrix = solve_functional_map(constraints.leading(*basis_sizes(pair, (0, 0))), weights)
     for level_pair in level_pairs[1:]:
@@ -211,8 +215,7 @@ def point_map(pair: Pair, map_like: MapLike) -> PointMap:
     if isinstance(checked_map, PointMap):
         return checked_map
     if checked_map.ndim == 1 and len(checked_map) == len(pair.target.vertices):
-        vertices = checked_map.astype(np.int64)
-        return PointMap.from_vertices(pair.target.finest_triangles, pair.source.finest_triangles, vertices)
+        return PointMap.from_vertices(pair.target.finest_triangles, pair.source.finest_triangles, checked_map)
     matrix = functional_map_of(pair, checked_map)
     start = search_levels(pair.target, pair.source, HfmConfig().search_vertices)
     level_map = LevelMap(start, matrix, search_full(pair, matrix, start))
@@ -243,7 +246,7 @@ def elastic(pair: Pair, start: MapLike | None = None, prepared: PreparedPair | N
     Raises
     ------
     ParameterError
-        If the start is not a map of this pair.
+        If the start is not a map of this pair, or ``prepared`` is of other surfaces.
     """
     problem = Problem(prepare_pair(pair.target, pair.source) if prepared is None else prepared, pair.landmarks)
     places = None
@@ -265,6 +268,7 @@ def project(pair: Pair, start: MapLike, prepared: PreparedPair | None = None) ->
         As in `elastic`.
     """
     prepared = prepare_pair(pair.target, pair.source) if prepared is None else prepared
+    prepared = Problem(prepared, pair.landmarks).prepared  # of the same surfaces
     places = None if isinstance(start, PointMap) else array_of(start)
     if places is None or places.shape != (prepared.mesh.n, 3):
         places = image_positions(pair, start, prepared.vertices)

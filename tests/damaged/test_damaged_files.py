@@ -38,8 +38,9 @@ from cagemap.jobs.consistency import Consistency, read_consistency, write_consis
 from cagemap.jobs.job import read_job
 from cagemap.jobs.plan import Task
 from cagemap.jobs.run import kept_outcome
+from cagemap.maps.functional_maps import LevelMap
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.result import LevelMap, MatchResult
+from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh
 from cagemap.mesh.landmarks import on_cage

@@ -155,8 +155,8 @@ def test_a_composed_result_has_the_masks_and_files_of_its_ends() -> None:
         steps.append(replace(result, masks=masks, provenance={**result.provenance, "inputs": inputs}))
     composed = compose_results(steps, ("a", "b", "c"))
     assert composed.manifest["inputs"] == {"target": entries["a"], "source": entries["c"]}
-    assert composed.masks.target is steps[0].masks.target
-    assert composed.masks.source is steps[1].masks.source
+    np.testing.assert_array_equal(composed.masks.target, steps[0].masks.target)
+    np.testing.assert_array_equal(composed.masks.source, steps[1].masks.source)
 
 
 def steps_through(basis: BasisConfig, count: int = 5) -> list[MatchResult]:

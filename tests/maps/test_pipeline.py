@@ -24,6 +24,7 @@ from cagemap import (
     read_landmarks,
     read_mesh,
     refine,
+    research,
     update_match,
 )
 from cagemap.deform.config import StartConfig
@@ -217,3 +218,19 @@ def test_a_result_can_be_pickled_and_copied():
         assert np.array_equal(other.point_map.triangle, found.point_map.triangle)
         assert np.array_equal(other.spectral.functional_map, found.spectral.functional_map)
         assert update_match(other, marks).landmark_errors.max() < 1e-9
+
+
+def test_a_pair_can_be_pickled_and_copied():
+    """In a worker process a step meets landmarks and triangles that are equal, not the same."""
+    mesh = shapes.creature()
+    surface = prepare_surface(mesh, 1)
+    pair = pair_of(surface, surface, np.repeat(np.arange(0, mesh.n_vertices, 9)[:, None], 2, axis=1))
+    start = np.arange(len(surface.vertices))
+    expected = research.elastic(pair, start)
+    for other in (pickle.loads(pickle.dumps(pair)), copy.deepcopy(pair)):
+        found = research.elastic(other, start)
+        np.testing.assert_array_equal(found.triangle, expected.triangle)
+        np.testing.assert_array_equal(found.barycentric, expected.barycentric)
+    moved = TriangleSurface(2.0 * surface.finest_triangles.positions, surface.finest_triangles.triangles)
+    others = SurfacePoints.from_vertices(moved, np.array([3]))
+    refuses(ParameterError, "points of another surface", expected.images.replaced, np.array([0]), others)

@@ -9,8 +9,9 @@ import pytest
 from examples.shapes import creature, cube
 
 import cagemap
-from cagemap.errors import InvalidLandmarksError, ParameterError
+from cagemap.errors import InvalidLandmarksError, InvalidMeshError, ParameterError
 from cagemap.mesh.inputs import control_mesh, landmark_pairs
+from cagemap.mesh.structure_checks import require_structure
 
 from quick_match import QUICK
 from refusals import refuses
@@ -124,3 +125,11 @@ def test_values_of_cagemap_and_others_are_no_meshes() -> None:
     with pytest.raises(ParameterError, match=r"control: expected positions \(n, 3\)"):
         cagemap.prepare_surface((ARRAYS[0][:, :2], ARRAYS[1]), 1)
     refuses(TypeError, r"^refine\(\) missing 1 required", cagemap.refine, ARRAYS)
+
+
+def test_faces_counted_from_one_are_refused_with_the_remedy() -> None:
+    positions, faces = cube().positions, np.arange(1, 9).reshape(2, 4)
+    refuses(InvalidMeshError, "Numbers start at 0: subtract 1", require_structure, control_mesh((positions, faces)))
+    numbers = (faces - 1).astype(object)
+    np.testing.assert_array_equal(control_mesh((positions, numbers)).face_indices, np.arange(8))
+    refuses(ParameterError, "mesh: faces: expected whole numbers", control_mesh, (positions, faces / 0.3))

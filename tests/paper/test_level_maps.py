@@ -5,7 +5,10 @@ import shutil
 
 import numpy as np
 import pytest
+from examples.shapes import creature
 
+import cagemap
+from cagemap import BasisConfig, PointMap, refine, research
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.landmarks.pairs import write_landmarks
@@ -13,7 +16,8 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, note_transfer
 from cagemap.files.result.maps import read_images
-from cagemap.paper.method import LevelMap, recover_points
+from cagemap.maps.functional_maps import LevelMap
+from cagemap.paper.method import recover_points
 from cagemap.pipeline import MatchConfig, pair_of
 from cagemap.tasks.import_map import run_map
 from cagemap.tasks.match import MatchRequest, run_match
@@ -44,6 +48,31 @@ def matched(tmp_path_factory):
     )  # fmt: skip
     run_match(request, Stages())
     return folder
+
+
+def test_a_level_map_is_a_map_for_every_step() -> None:
+    """Coarse levels of plain meshes have numbers of their own, which a vertex map must not have."""
+    fine = refine(creature(), 2).finest
+    mesh = cagemap.plain_mesh((fine.positions, fine.faces)).mesh
+    surface = research.prepare(mesh, 0, BasisConfig(count=30))
+    vertices = np.arange(0, mesh.n_vertices, 100)
+    pair = research.make_pair(surface, surface, (vertices, vertices))
+    numbers, n = surface.hierarchy.on_finest(0), surface.hierarchy.levels[0].n_vertices
+    identity = LevelMap((0, 0), np.eye(30), np.arange(n))
+    expected = research.functional_map_of(pair, numbers)
+    np.testing.assert_array_equal(research.functional_map_of(pair, identity), expected)
+    np.testing.assert_allclose(expected, np.eye(30), atol=1e-6)
+    refuses(
+        ParameterError,
+        "numbers of a coarse level of a plain mesh. Give the LevelMap",
+        research.functional_map_of,
+        pair,
+        identity.match,
+    )
+    whole = PointMap.from_vertices(*2 * (surface.finest_triangles,), np.arange(mesh.n_vertices))
+    found = LevelMap(pair.levels(), np.eye(30), np.arange(mesh.n_vertices), whole)
+    assert research.point_map(pair, found) is whole
+    refuses(ParameterError, "levels: expected", research.elastic, pair, LevelMap((0, 9), np.eye(30), numbers))
 
 
 @pytest.mark.slow

@@ -41,9 +41,10 @@ from cagemap.deform.placement import Placement
 from cagemap.errors import ParameterError
 from cagemap.example import example_pair
 from cagemap.files.images.image import Image
-from cagemap.maps.result import LevelMap
+from cagemap.maps.functional_maps import LevelMap
+from cagemap.mesh.curves import CurvePair
 from cagemap.numerics.kinds import _expected, kinds_checked
-from cagemap.operators.laplacian import named_laplacian
+from cagemap.operators.laplacian import named_laplacian, stiffness, vertex_areas
 from cagemap.research import gather_constraints
 from cagemap.transfer.rays import ambient_occlusion
 from cagemap.wrap.config import WrapConfig
@@ -125,7 +126,10 @@ def scene() -> Any:
         n=len(surface.vertices),
         corners=creature().n_vertices,
         landmarks=landmarks,
+        other=cagemap.prepare_surface(cube(), 2),
+        pair=cagemap.pair_of(surface, surface, landmarks),
         pairs=cagemap.pair_of(surface, surface, landmarks).landmarks,
+        functions=2 * (np.ones((surface.basis.count, 1)),),
         result=result,
         map=result.point_map,
         byte=np.zeros((4, 4, 3), np.uint8),
@@ -136,6 +140,10 @@ def marks(target: object, source: object = (1, 2, 3)) -> Landmarks:
     return Landmarks(("a", "b", "c"), target, source)
 
 
+def constraints(s: Any) -> research.Constraints:
+    return gather_constraints(s.pair)
+
+
 NAN = float("nan")
 HOUSE: dict[str, Callable[[Any], object]] = {
     # meshes
@@ -144,6 +152,7 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "complex positions": lambda s: ControlMesh.from_faces(s.cube.positions * 1j, [[0, 1, 2]]),
     "no positions": lambda s: ControlMesh.from_faces(None, [[0, 1, 2]]),
     "no faces": lambda s: ControlMesh.from_faces(s.cube.positions, None),
+    "faces that are no numbers": lambda s: ControlMesh.from_faces(s.cube.positions, np.array([[0, 1, 2, NAN]])),
     "faces of fractions": lambda s: ControlMesh.from_faces(s.cube.positions, [[0, 1, 2.5]]),
     "an empty mesh": lambda s: cagemap.prepare_surface(ControlMesh.from_faces([], []), 1),
     "a face beyond the vertices": lambda s: cagemap.refine(ControlMesh.from_faces(s.cube.positions, [[0, 1, 99]]), 1),
@@ -164,6 +173,11 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "too many vertices": lambda s: cagemap.choose_level(s.mesh, 10**12),
     "levels of one": lambda s: cagemap.prepare_surfaces(s.mesh, s.mesh, 1),
     "levels of three": lambda s: cagemap.prepare_surfaces(s.mesh, s.mesh, (1, 1, 1)),
+    "operators of faces counted from 1": lambda s: stiffness(np.eye(3), np.array([[1, 2, 3]])),
+    "areas of faces below 0": lambda s: vertex_areas(np.eye(3), np.array([[-1, 0, 1]])),
+    "operators of pentagons": lambda s: stiffness(np.zeros((5, 3)), np.arange(5)[None]),
+    "areas in the plane": lambda s: vertex_areas(np.zeros((3, 2)), np.arange(3)[None]),
+    "a surface of faces counted from 1": lambda s: TriangleSurface.from_faces(np.eye(3), np.array([[1, 2, 3]])),
     # configurations
     "a basis of a fraction": lambda s: BasisConfig(count=10.5),
     "an accuracy that is no number": lambda s: BasisConfig(accuracy=NAN),
@@ -184,6 +198,14 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "no samples": lambda s: BakeOptions(supersample=0),
     "a Laplacian": lambda s: cagemap.build_operators(s.refinement, "cot"),
     "vertices of a basis": lambda s: BasisConfig(vertices=0),
+    "an accuracy as text": lambda s: BasisConfig(accuracy="1e-3"),
+    "a stabilisation as text": lambda s: BasisConfig(stabilisation="1"),
+    "one number as a schedule": lambda s: BasisConfig(schedule=40),
+    "a number of functions that is true": lambda s: BasisConfig(count=True),
+    "a literal basis by a word": lambda s: BasisConfig(schedule=(9, 9), literal="no"),
+    "a check by a word": lambda s: MatchConfig(check_landmarks="no"),
+    "a number as masks": lambda s: MatchConfig(masks=1.0),
+    "a number as ZoomOut": lambda s: research.HfmConfig(zoomout=3),
     "a Laplacian's name": lambda s: named_laplacian("cot"),
     "a wrap below level 0": lambda s: WrapConfig(level=-1),
     "an anchor below 0": lambda s: WrapConfig(anchor=-1.0),
@@ -196,6 +218,8 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     ),
     # landmarks
     "landmarks of fractions": lambda s: marks([1.5, 2, 4]),
+    "landmarks with a number left out": lambda s: cagemap.pair_of(s.surface, s.surface, [[1, 2], [3]]),
+    "areas of polygons": lambda s: vertex_areas(np.eye(3), [[0, 1, 2], [0, 1]]),
     "landmarks as text": lambda s: marks("abc"),
     "landmarks of two rows": lambda s: cagemap.match(s.surface, s.surface, marks([[1, 2, 3]], [[1, 2, 3]])),
     "landmarks below 0": lambda s: cagemap.match(s.surface, s.surface, marks([1, 2, -1])),
@@ -203,6 +227,7 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "fewer names than landmarks": lambda s: cagemap.match(
         s.surface, s.surface, Landmarks(("a",), np.array([1, 2]), np.array([1, 2]))
     ),
+    "a curve of fractions": lambda s: CurvePair.of_vertices("lips", target=[0.5, 1], source=[0, 1]),
     "a number for names": lambda s: Landmarks(4, np.arange(4), np.arange(4)),
     "one name for all": lambda s: Landmarks("nose", np.arange(4), np.arange(4)),
     "an added landmark beyond the mesh": lambda s: cagemap.update_match(s.result, marks([1, 2, 9999])),
@@ -240,6 +265,22 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "a held vertex beyond the target": lambda s: cagemap.unfold(s.map, np.array([10**7])),
     "a level beyond": lambda s: s.surface.triangles(9),
     "rows beyond": lambda s: s.surface.basis.rows(1, np.array([10**7])),
+    "a level of a fraction": lambda s: s.surface.basis.at(0.5),
+    "one number as a function": lambda s: s.surface.basis.project(3.0, 1),
+    "a functional map of exchanged sides": lambda s: cagemap.functional_map_of(s.surface, s.other, s.map),
+    "a fit of other surfaces": lambda s: cagemap.fit(cagemap.prepare_pair(s.surface, s.other), s.pair),
+    "a projection by other surfaces": lambda s: research.project(
+        s.pair, np.arange(s.n), cagemap.prepare_pair(s.other, s.surface)
+    ),
+    # steps of research
+    "no landmarks by None": lambda s: research.make_pair(s.surface, s.surface, None),
+    "named landmarks": lambda s: research.make_pair(s.surface, s.surface, s.landmarks),
+    "no symmetries by None": lambda s: research.make_pair(s.surface, s.surface, symmetries=None),
+    "a weight that is no number": lambda s: constraints(s).with_descriptors(*s.functions, weight=NAN),
+    "a weight as text": lambda s: constraints(s).with_descriptors(*s.functions, weight="1"),
+    "one level for both sides": lambda s: research.functional_map(s.pair, constraints(s), levels=1),
+    "levels that are not there": lambda s: research.functional_map(s.pair, constraints(s), levels=(0, 9)),
+    "a sparse matrix as a functional map": lambda s: research.point_map(s.pair, sparse.eye_array(9)),
     # masks and images
     "a mask of twos": lambda s: cagemap.vertex_mask(s.refinement, np.full(s.corners, 2.0)),
     "a mask that is no number": lambda s: cagemap.vertex_mask(s.refinement, np.full(s.corners, NAN)),
@@ -307,6 +348,21 @@ def test_arrays_of_every_layout_and_type_give_the_same() -> None:
     faces = [list(map(int, s.mesh.face(face))) for face in range(s.mesh.n_faces)]
     for positions in (s.mesh.positions.tolist(), s.mesh.positions.astype(np.float32), s.mesh.positions[::1]):
         np.testing.assert_allclose(ControlMesh.from_faces(positions, faces).positions, s.mesh.positions, atol=1e-6)
+
+
+def test_arrays_that_change_later_change_no_value() -> None:
+    s = scene()
+    triangle, barycentric = s.map.triangle.copy(), s.map.barycentric.copy()
+    points, weights, own = np.array([1, 2, 3]), np.ones(s.n), np.eye(9)
+    moved = PointMap.from_arrays(s.triangles, s.triangles, triangle, barycentric)
+    named, masks, functional_map = marks(points), Masks(weights), research.functional_map_of(s.pair, own)
+    for array in (triangle, barycentric, points, weights, own):
+        array[:] = 0
+    np.testing.assert_array_equal(moved.images.positions, s.map.images.positions)
+    assert (named.target.tolist(), masks.target.min(), functional_map[0, 0]) == ([1, 2, 3], 1.0, 1.0)
+    for matrix in (s.surface.operators.mass[1], s.surface.operators.stiffness[1]):
+        with pytest.raises(ValueError, match="read-only"):
+            matrix *= 2.0
 
 
 def test_a_map_of_another_surface_is_not_judged() -> None:

@@ -136,7 +136,7 @@ def test_some_points_and_points_in_place_of_others(surface: TriangleSurface) -> 
     np.testing.assert_array_equal(changed.at(np.array([8, 1])).positions, others.positions)
     kept = np.setdiff1d(np.arange(9), [8, 1])
     np.testing.assert_array_equal(changed.at(kept).positions, points.positions[kept])
-    elsewhere = TriangleSurface(surface.positions, surface.triangles)
+    elsewhere = TriangleSurface(2.0 * surface.positions, surface.triangles)
     refuses(ParameterError, "another surface", points.replaced, np.arange(9), some_points(elsewhere, 9, 6))
 
 

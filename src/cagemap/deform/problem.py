@@ -197,6 +197,12 @@ class Problem:
     prepared: PreparedPair
     landmarks: PointPairs  # landmarks and curves on both surfaces
 
+    def __post_init__(self) -> None:
+        surfaces = self.prepared.target.finest_triangles, self.prepared.source.finest_triangles
+        points = self.landmarks.target, self.landmarks.source
+        if not all(surface.equals(side.surface) for surface, side in zip(surfaces, points, strict=True)):
+            raise ParameterError("prepared: expected the surfaces of the pair, got others; they may be exchanged")
+
     @classmethod
     def of_landmarks(cls, prepared: PreparedPair, landmarks: Landmarks) -> Problem:
         """The problem with landmarks of the control meshes."""

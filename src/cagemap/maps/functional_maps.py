@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
@@ -22,7 +24,18 @@ from cagemap.spectral.zoomout import (
     zoomout,
 )
 
-MapLike = PointMap | ArrayLike
+
+@dataclass(frozen=True, eq=False)
+class LevelMap:
+    """Functional map and vertex matches between one level of the target and one of the source."""
+
+    levels: LevelPair  # of target and source
+    functional_map: FloatArray = field(repr=False)  # (k1, k2) C12 on the basis functions of these levels
+    match: IndexArray = field(repr=False)  # (n1,) the source level's vertex of every target vertex
+    points: PointMap | None = None  # images as points of the source; None until the finer levels are found
+
+
+MapLike = PointMap | LevelMap | ArrayLike
 
 # Numbers of samples of target and source in ZoomOut.
 TARGET_SAMPLES, SOURCE_SAMPLES = 3000, 10_000
@@ -31,6 +44,7 @@ TARGET_SAMPLES, SOURCE_SAMPLES = 3000, 10_000
 @kinds_checked
 def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> FloatArray:
     """C12 = Phi~1^+ P12 Phi~2 of a point map of the finest levels, on a sample of its vertices (paper, 2.1.2)."""
+    _check_sides(target, source, point_map)
     chosen = evenly_spaced_vertices(len(point_map.images), FIT_SAMPLES)
     sampled = point_map.images.at(chosen)
     corners, places = np.unique(sampled.corners, return_inverse=True)
@@ -95,9 +109,9 @@ def _sides(
     pair: Pair, shape: tuple[int, ...], functions: tuple[FloatArray, FloatArray], levels: LevelPair | None
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
     """Own basis, given functions and areas at sampled vertices, for target and source."""
-    surfaces, sides = (pair.target, pair.source), []
+    surfaces, given_levels, sides = (pair.target, pair.source), pair.levels(levels), []
     for i, name in enumerate(("target", "source")):
-        surface, level = surfaces[i], surfaces[i].finest_level if levels is None else levels[i]
+        surface, level = surfaces[i], given_levels[i]
         triangles, theirs = surface.triangles(level), finite_numbers(functions[i], f"{name} functions")
         if len(shape) != 2 or theirs.ndim != 2 or len(theirs) != triangles.n or theirs.shape[1] < shape[i]:
             raise ParameterError(
@@ -111,28 +125,43 @@ def _sides(
     return sides
 
 
+def _check_sides(target: Surface, source: Surface, given: PointMap) -> None:
+    if given.target.n != len(target.vertices) or given.source.n != len(source.vertices):
+        raise ParameterError(
+            f"map: expected one of {len(target.vertices)} to {len(source.vertices)} vertices, the finest of the "
+            f"pair, got {given}: target and source may be exchanged, or it belongs to another level"
+        )
+
+
 def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
-    """Check a map: returns a PointMap, C12 (k1, k2), or source vertices (n,) of a level."""
+    """Check a map: returns a PointMap, C12 (k1, k2), or finest source vertices (n,) of a level's target vertices."""
     target, source = pair.target, pair.source
+    if isinstance(given, LevelMap) and given.points is not None and given.levels == pair.levels():
+        given = given.points
     if isinstance(given, PointMap):
-        if given.target.n != len(target.vertices) or given.source.n != len(source.vertices):
-            raise ParameterError(
-                f"map: expected one of {len(target.vertices)} to {len(source.vertices)} vertices, the finest of the "
-                f"pair, got {given}: target and source may be exchanged, or it belongs to another level"
-            )
+        _check_sides(target, source, given)
         return given
-    values = array_of(given)
+    values = array_of(given.match if isinstance(given, LevelMap) else given)
     counts = [len(level.positions) for level in target.hierarchy.levels]
     if values.ndim == 1 and len(values) in counts:
-        vertices = whole_numbers(values, "map")
-        if 0 <= vertices.min() and vertices.max() < len(source.vertices):
-            return vertices
+        vertices, known = whole_numbers(values, "map"), np.arange(len(source.vertices))
+        plain = (side.hierarchy.coarse_vertices for side in (target, source))
+        coarse = [0 if numbers is None else len(numbers) for numbers in plain]
+        if isinstance(given, LevelMap):
+            known = source.hierarchy.on_finest(pair.levels(given.levels)[1])
+        elif all(coarse) and len(values) < counts[-1] and vertices.max() < coarse[1]:
+            raise ParameterError(
+                f"map: expected finest source vertices, 0 to {len(known) - 1}, got {vertices.min()} to "
+                f"{vertices.max()}, numbers of a coarse level of a plain mesh. Give the LevelMap."
+            )
+        if 0 <= vertices.min() and vertices.max() < len(known):
+            return known[vertices]
     largest = target.basis.count, source.basis.count
     if values.ndim != 2 or not values.size or not all(np.less_equal(values.shape, largest)):
         raise ParameterError(
-            f"map: expected a PointMap, a functional map of at most {largest}, or a source vertex from 0 to "
-            f"{len(source.vertices) - 1} for every target vertex of a level, {' or '.join(map(str, counts))} of them, "
-            f"got {type(given).__name__} {values.shape}"
+            f"map: expected a PointMap, a functional map of at most {largest}, a LevelMap, or a finest source vertex "
+            f"(0 to {len(source.vertices) - 1}) for every target vertex of a level, {' or '.join(map(str, counts))}, "
+            f"got {type(given).__name__} {tuple(getattr(given, 'shape', values.shape))}"
         )
     return finite_numbers(values, "map")
 
@@ -144,7 +173,7 @@ def functional_map_from(pair: Pair, given: MapLike, sizes: tuple[int, int] | Non
     if isinstance(checked, PointMap):
         return functional_map_of(pair.target, pair.source, checked)
     if checked.ndim == 2:
-        return np.asarray(checked, dtype=np.float64)
+        return np.array(checked, dtype=np.float64)
     k1, k2 = (None, None) if sizes is None else sizes
     chosen = evenly_spaced_vertices(len(checked), FIT_SAMPLES)
     vertices = pair.target.hierarchy.on_finest(_level_of(pair, checked))[chosen]

@@ -40,7 +40,7 @@ class Masks:
     def __post_init__(self) -> None:
         for side, mask in (("target", self.target), ("source", self.source)):
             if mask is not None:
-                object.__setattr__(self, side, real_numbers(mask, f"{side} mask"))
+                object.__setattr__(self, side, np.array(real_numbers(mask, f"{side} mask")))
 
     def __repr__(self) -> str:
         sides = ("target", self.target), ("source", self.source)

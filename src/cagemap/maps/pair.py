@@ -14,7 +14,7 @@ from cagemap.mesh.curves import CageCurvePairs, Curve, CurvePair
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.topology import mesh_topology
-from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
+from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys, whole_numbers
 from cagemap.numerics.threads import in_threads
 from cagemap.spectral import Surface
 from cagemap.spectral.surface import Progress as Progress
@@ -122,6 +122,14 @@ class Pair:
         """Two surfaces with landmarks at control vertices, which are vertices of all levels."""
         surfaces = target.finest_triangles, source.finest_triangles
         return cls(target, source, PointPairs.of_vertices(*surfaces, target_vertices, source_vertices), symmetries)
+
+    def levels(self, given: LevelPair | None = None) -> LevelPair:
+        """Levels of target and source, by default the finest; ParameterError for missing ones."""
+        finest = self.target.finest_level, self.source.finest_level
+        levels = finest if given is None else tuple(whole_numbers(given, "levels").ravel().tolist())
+        if len(levels) != 2 or not all(0 <= level <= last for level, last in zip(levels, finest, strict=True)):
+            raise ParameterError(f"levels: expected the target's and the source's, up to {finest}, got {given}")
+        return levels[0], levels[1]
 
     @property
     def target_landmarks(self) -> IndexArray:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -31,14 +32,15 @@ class PointMap:
     @classmethod
     @kinds_checked
     def from_arrays(
-        cls, target: TriangleSurface, source: TriangleSurface, triangle: IndexArray, barycentric: FloatArray
+        cls, target: TriangleSurface, source: TriangleSurface, triangle: ArrayLike, barycentric: ArrayLike
     ) -> PointMap:
         """A map given as a source triangle (n1,) and barycentric coordinates (n1, 3) for each target vertex."""
-        return cls(target, SurfacePoints(source, triangle, barycentric))
+        copies = np.array(whole_numbers(triangle, "triangle")), np.array(real_numbers(barycentric, "barycentric"))
+        return cls(target, SurfacePoints(source, *copies))
 
     @classmethod
     @kinds_checked
-    def from_vertices(cls, target: TriangleSurface, source: TriangleSurface, vertices: IndexArray) -> PointMap:
+    def from_vertices(cls, target: TriangleSurface, source: TriangleSurface, vertices: ArrayLike) -> PointMap:
         """A map given as a source vertex (n1,) for each target vertex."""
         return cls(target, SurfacePoints.from_vertices(source, vertices))
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.errors import ParameterError
-from cagemap.maps.functional_maps import functional_map_of
+from cagemap.maps.functional_maps import LevelMap, functional_map_of
 from cagemap.maps.hypotheses.confidence import Confidence, jump_lengths, jump_warnings
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect, foreign_warnings
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.maps.pair import CurveMiss, LevelPair, curve_miss, curve_pairs, point_pairs
+from cagemap.maps.pair import CurveMiss, curve_miss, curve_pairs, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures, judge, measure_quality, unshared_warnings
 from cagemap.mesh.landmarks import Landmarks
@@ -39,16 +39,6 @@ class SpectralMap:
 
     def __repr__(self) -> str:
         return f"SpectralMap({self.functional_map.shape[0]} x {self.functional_map.shape[1]} functions)"
-
-
-@dataclass(frozen=True, eq=False)
-class LevelMap:
-    """Functional map and vertex matches between one level of the target and one of the source."""
-
-    levels: LevelPair  # of target and source
-    functional_map: FloatArray = field(repr=False)  # (k1, k2) C12 on the basis functions of these levels
-    match: IndexArray = field(repr=False)  # (n1,) source vertex of every target vertex
-    points: PointMap | None = None  # images as points of the source; None until the finer levels are found
 
 
 @dataclass(frozen=True, eq=False)

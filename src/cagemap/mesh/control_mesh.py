@@ -99,10 +99,7 @@ class ControlMesh:
             sizes = np.array([len(face) for face in lists], dtype=np.int64)
             given = np.concatenate(lists) if lists else np.zeros(0, dtype=np.int64)
         offsets = offsets_of(sizes)
-        indices = given.astype(np.int64)
-        if given.dtype.kind not in "iu" and not np.array_equal(indices, given):
-            raise ParameterError(f"{name}: expected whole numbers of vertices in faces, got {given.dtype} with others.")
-        return cls(vertices.reshape(-1, 3), offsets, indices, name=name)
+        return cls(vertices.reshape(-1, 3), offsets, np.array(whole_numbers(given, f"{name}: faces")), name=name)
 
     @property
     def n_vertices(self) -> int:

@@ -25,7 +25,7 @@ from cagemap.mesh.cage_points import (
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few, place_text
 from cagemap.mesh.topology import mesh_topology
-from cagemap.numerics.arrays import IndexArray, box_diagonal, pair_keys
+from cagemap.numerics.arrays import IndexArray, box_diagonal, pair_keys, whole_numbers
 from cagemap.numerics.threads import kept
 from cagemap.surface.polylines import Polyline
 from cagemap.surface.surface_points import SurfacePoints
@@ -46,7 +46,7 @@ class Curve(Generic[P]):
     @staticmethod
     def of_vertices(vertices: Sequence[int] | IndexArray, closed: bool) -> Curve[CagePoints]:
         """The curve along control vertices."""
-        return Curve(CagePoints.of_vertices(np.asarray(vertices, dtype=np.int64)), closed)
+        return Curve(CagePoints.of_vertices(whole_numbers(vertices, "curve")), closed)
 
     @property
     def segments(self) -> IndexArray:
@@ -71,7 +71,7 @@ class CurvePair(Generic[P]):
 
     @staticmethod
     def of_vertices(
-        name: str, target: Sequence[int] | IndexArray, source: Sequence[int] | IndexArray, *, closed: bool
+        name: str, target: Sequence[int] | IndexArray, source: Sequence[int] | IndexArray, *, closed: bool = False
     ) -> CurvePair[CagePoints]:
         """Two curves along control vertices."""
         return CurvePair(name, Curve.of_vertices(target, closed), Curve.of_vertices(source, closed))

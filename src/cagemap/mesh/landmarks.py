@@ -48,8 +48,9 @@ class Landmarks:
             raise InvalidLandmarksError(f"landmarks: expected a name for every pair, got names={self.names!r}")
         object.__setattr__(self, "names", names)
         for side in ("target", "source"):
-            object.__setattr__(self, side, whole_numbers(getattr(self, side), f"landmarks: {side}"))
-            vertices, points = getattr(self, side), getattr(self, f"{side}_points")
+            vertices = np.array(whole_numbers(getattr(self, side), f"landmarks: {side}"))
+            points = getattr(self, f"{side}_points")
+            object.__setattr__(self, side, vertices)
             known = len(points) == len(vertices) and np.array_equal(points.vertices, vertices)
             if not known:
                 object.__setattr__(self, f"{side}_points", CagePoints.of_vertices(vertices))

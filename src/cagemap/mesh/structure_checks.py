@@ -42,7 +42,8 @@ def _out_of_range(numbers: IndexArray, count: int, what: str, elements: IndexArr
     outside = (numbers < 0) | (numbers >= count)
     bad = np.unique(elements[outside if outside.ndim == 1 else outside.any(axis=1)])
     found = f"expected {what} from 0 to {count - 1}, got others in {count_noun(len(bad), where)}, {where}s"
-    return problem_at("broken data", found, bad, _EXPORT)
+    one_based = numbers.size and (numbers.min(), numbers.max()) == (1, count)
+    return problem_at("broken data", found, bad, "Numbers start at 0: subtract 1." if one_based else _EXPORT)
 
 
 def _positions(mesh: ControlMesh) -> MeshProblem | None:

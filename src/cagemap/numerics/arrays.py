@@ -27,7 +27,11 @@ def array_of(values: object) -> NDArray[Any]:
 
 def whole_numbers(values: ArrayLike, what: str) -> IndexArray:
     """Convert values to an int64 array; ParameterError if they are no whole numbers."""
-    given = array_of(values)
+    try:
+        given = array_of(values)
+        given = given.astype(np.float64) if given.dtype.kind == "O" else given
+    except (TypeError, ValueError):  # lists of different lengths, or objects
+        raise ParameterError(f"{what}: expected whole numbers, got {shown(values)}") from None
     if not given.size:
         return np.zeros(given.shape, dtype=np.int64)
     whole = given.dtype.kind in "iu" or (given.dtype.kind == "f" and bool(np.all(given == np.floor(given))))

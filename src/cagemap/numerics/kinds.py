@@ -6,7 +6,7 @@ import operator
 import os
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, is_dataclass
 from functools import cache, wraps
 from inspect import signature
 from numbers import Real
@@ -114,32 +114,39 @@ class Brief:
 
 
 class Config(Brief):
-    """Base of configurations: refuses what is no number, no whole one where counted, or out of range.
+    """Base of configurations: refuses fields of another kind, and numbers out of range.
 
-    Only limits (``max_...``) may be infinite. Cosines and agreements are from -1 to 1.
+    Lists and arrays become tuples, NumPy's numbers Python's, so that configs can be keys and go into JSON files. Only
+    limits (``max_...``) may be infinite. Cosines and agreements are from -1 to 1.
     """
 
     #: Least and most values of fields; others are at least 0, or at least -1 if their default is negative.
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})
 
     def __post_init__(self) -> None:
-        """Check all numbers."""
+        """Check all fields."""
         for field in fields(self):  # type: ignore[arg-type]
             value, default, annotation = getattr(self, field.name), field.default, str(field.type)
+            if value is None and annotation.endswith(" | None"):
+                continue
+            annotation = annotation.removesuffix(" | None")
             several, kind = annotation.startswith("tuple["), annotation.removeprefix("tuple[").split(",")[0].rstrip("]")
-            if isinstance(default, Config) and not isinstance(value, type(default)):
+            if is_dataclass(default) and not isinstance(value, type(default)):
                 raise ParameterError(f"{field.name}: expected a {type(default).__name__}, got {value!r}")
+            if kind == "bool" and not _is(value, bool):
+                raise ParameterError(f"{field.name}: expected True or False, got {value!r}")
             if field.name.endswith(("cosine", "agreement")):
                 least, most = -1.0, 1.0
             else:
                 negative = isinstance(default, int | float) and default < 0
                 least, most = self.RANGES.get(field.name, (-1.0 if negative else 0.0, np.inf))
-            given = tuple(value) if several and isinstance(value, tuple | list | np.ndarray) else (value,)
+            listed = isinstance(value, tuple | list | np.ndarray)
+            given = tuple(value) if several and listed else (value,)
             given = tuple(one.item() if isinstance(one, np.generic) else one for one in given)
-            if isinstance(value, list | np.ndarray) and several:
-                object.__setattr__(self, field.name, given)  # a tuple, so that configs can be keys
+            if kind in ("int", "float", "bool"):
+                object.__setattr__(self, field.name, given if several else given[0])
             numbers = [one for one in given if _is(one, int if kind == "int" else float)]
-            fits = kind not in ("int", "float") or len(numbers) == len(given)
+            fits = kind not in ("int", "float") or (listed == several and len(numbers) == len(given))
             largest = most if field.name.startswith("max_") else min(most, sys.float_info.max)
             if not fits or not all(least <= number <= largest for number in numbers):
                 noun = f"{'finite ' * (np.inf in numbers)}{'whole ' * (kind == 'int')}number"

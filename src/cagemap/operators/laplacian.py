@@ -24,6 +24,7 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.subdivision import Refinement
+from cagemap.surface.triangles import mesh_arrays
 
 # Least doubled area of a triangle, as a share of its longest squared edge. Smaller triangles get this area in
 # cotangents, which stay finite; it only reduces their energy, so that W stays positive semi-definite.
@@ -33,8 +34,9 @@ SLIVER = 1e-5
 def stiffness(positions: FloatArray, faces: IndexArray) -> sparse.csr_array:
     """Integrated cotangent Laplacian W (n, n); on quads (m, 4) the mean over both triangulations.
 
-    Symmetric, positive semi-definite, rows sum to 0. Unitless (invariant to scale).
+    Symmetric, positive semi-definite, rows sum to 0. Unitless (invariant to scale). ParameterError for other arrays.
     """
+    positions, faces = mesh_arrays(positions, faces)
     return assemble_stiffness(face_terms(positions, faces)[0], faces, len(positions))
 
 
@@ -42,8 +44,9 @@ def vertex_areas(positions: FloatArray, faces: IndexArray) -> FloatArray:
     """(n,) diagonal of the mass matrix: a third of the areas of the triangles around each vertex.
 
     Sums to the area of faces (m, 4) or (m, 3), for quads the mean over both triangulations. Unit: length squared.
+    ParameterError for other arrays.
     """
-    return face_terms(positions, faces)[1]
+    return face_terms(*mesh_arrays(positions, faces))[1]
 
 
 def assemble_stiffness(weights: FloatArray, faces: IndexArray, n: int) -> sparse.csr_array:
@@ -205,6 +208,10 @@ class Operators:
     mass: tuple[sparse.csr_array, ...]
     stiffness: tuple[sparse.csr_array, ...]  #: (n_l, n_l) W^l, symmetric positive semi-definite, W^l 1 = 0
     scale: float  #: factor from the mesh's lengths to lengths at unit area
+
+    def __post_init__(self) -> None:
+        for matrix in (*self.mass, *self.stiffness):
+            matrix.data.flags.writeable = False
 
     def __repr__(self) -> str:
         return f"Operators({', '.join(str(mass.shape[0]) for mass in self.mass)} vertices, scale {self.scale:.6g})"

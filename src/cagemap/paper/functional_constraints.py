@@ -108,7 +108,7 @@ class Constraints:
                 raise ParameterError(
                     f"{name} descriptors: expected coefficients ({data.count}, q) of q functions, got {columns.shape}"
                 )
-            scaled = weight * normalise_columns(columns)
+            scaled = finite_numbers(weight, "weight") * normalise_columns(columns)
             sides.append(replace(data, descriptors=np.hstack([data.descriptors, scaled])))
         return Constraints(*sides)
 

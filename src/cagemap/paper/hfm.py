@@ -17,11 +17,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cagemap.errors import ParameterError
-from cagemap.maps.functional_maps import MapLike, functional_map_from
+from cagemap.maps.functional_maps import LevelMap, MapLike, functional_map_from
 from cagemap.maps.pair import LevelPair, Pair, Progress, no_progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import facing_points
-from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Config, kinds_checked
 from cagemap.paper.embeddings import functions_at, spectral_rows
@@ -54,9 +53,9 @@ class HfmConfig(Config):
 
     def __post_init__(self) -> None:
         """Check the ranges."""
+        super().__post_init__()
         if self.zoomout.first < FEWEST_FUNCTIONS:
             raise ParameterError(f"expected at least {FEWEST_FUNCTIONS} first functions, got {self.zoomout.first}")
-        super().__post_init__()
 
 
 # Displacement of target points x to x R + Phi~1 tau: rotation R (3, 3), coefficients tau (k, 3).

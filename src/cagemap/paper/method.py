@@ -9,10 +9,9 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.errors import ParameterError
-from cagemap.maps.functional_maps import MapLike, functional_map_from
+from cagemap.maps.functional_maps import LevelMap, MapLike, functional_map_from
 from cagemap.maps.pair import LevelPair, Pair, Progress, no_progress
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.result import LevelMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Config, kinds_checked
 from cagemap.paper.embeddings import (
@@ -60,9 +59,9 @@ def paper_map(
 ) -> tuple[tuple[LevelMap, ...], PointMap]:
     """Vertex-to-point maps of all levels, and the point map of the finest ones.
 
-    ``constraints`` replace those of `gather_constraints`. ``start`` replaces the solution of eq. 13: a functional map,
-    a source vertex for every target vertex of a level, or a point map. If its size is not that of level 0, its leading
-    block is used and extended by eqs. 14-16. ParameterError if level 0 has too few functions, or the start is no map.
+    ``constraints`` replace those of `gather_constraints`. ``start`` replaces the solution of eq. 13: a map as in
+    `cagemap.research`. If its size is not that of level 0, its leading block is used and extended by eqs. 14-16.
+    ParameterError if level 0 has too few functions, or the start is no map.
     """
     progress("functional map, level 0")
     constraints = gather_constraints(pair, config.descriptors) if constraints is None else constraints

@@ -11,6 +11,7 @@ from scipy import linalg, sparse
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, finite_numbers, read_only, whole_numbers
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.products import multiply
 from cagemap.numerics.threads import ROW_BLOCK, row_slices
 from cagemap.operators import Operators, lumped_areas
@@ -77,6 +78,7 @@ class HierarchicalBasis:
         """Number k~_l of functions in the bands up to a level."""
         return sum(self.schedule[: level + 1])
 
+    @kinds_checked
     def at(self, level: int) -> FloatArray:
         """Dense matrix Phi~^level (n_level, k~_level) of the bands up to a level (eq. 8), else ParameterError."""
         self._check_level(level)
@@ -88,6 +90,7 @@ class HierarchicalBasis:
                 values = np.hstack([values, self.bands[finer]])
         return values
 
+    @kinds_checked
     def rows(self, level: int, vertices: IndexArray) -> FloatArray:
         """Rows (q, k~_level) of Phi~^level at vertices (q,), in time linear in q; ParameterError for missing ones."""
         self._check_level(level)
@@ -102,6 +105,7 @@ class HierarchicalBasis:
         for part in row_slices(self.hierarchy.levels[level].n_vertices, ROW_BLOCK):
             yield part, self.rows(level, np.arange(part.start, part.stop))
 
+    @kinds_checked
     def project(self, values: FloatArray, level: int, *, count: int | None = None) -> FloatArray:
         """Coefficients (k,) or (k, q) of functions: (Phi~^T M Phi~)^{-1} Phi~^T M f (paper, section 4.4).
 
@@ -114,7 +118,7 @@ class HierarchicalBasis:
             raise ParameterError(f"expected 1 to {self.count} basis functions, got {size}")
         n = self.hierarchy.levels[level].n_vertices
         functions = finite_numbers(values, "functions")
-        if functions.shape[0] != n:
+        if functions.shape[:1] != (n,):
             raise ParameterError(
                 f"expected functions with {n} rows, one for each vertex of level {level}, got {functions.shape}"
             )

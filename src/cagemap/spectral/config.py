@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,8 +14,10 @@ from cagemap.subdivision import Refinement
 
 
 @dataclass(frozen=True)
-class BasisConfig:
+class BasisConfig(Config):
     """Parameters of a spectral basis: ``count`` functions of one level, or bands of several levels."""
+
+    RANGES: ClassVar = {"count": (1, np.inf), "vertices": (1, np.inf)}
 
     #: number of functions k; the default is reduced on smaller meshes. They are computed at the coarsest level with at
     #: least ``MIN_VERTICES`` and ``VERTICES_PER_FUNCTION * count`` vertices; eigenvalues there are 0.1 to 4 % above the
@@ -37,22 +40,10 @@ class BasisConfig:
 
     def __post_init__(self) -> None:
         """Check the ranges."""
-        for name in ("count", "schedule", "vertices"):
-            given = getattr(self, name)
-            numbers = given if name == "schedule" else (given,)
-            if given is None and name != "count":
-                continue
-            if not all(isinstance(number, int | np.integer) for number in numbers):
-                raise ParameterError(f"{name}: expected whole numbers, got {given!r}")
-            plain = tuple(map(int, numbers))  # NumPy's integers become Python's, which JSON files take
-            object.__setattr__(self, name, plain if name == "schedule" else plain[0])
-        if self.count < 1:
-            raise ParameterError(f"count: expected at least 1 basis function, got {self.count}")
-        if self.vertices is not None and self.vertices < 1:
-            raise ParameterError(f"vertices: expected at least 1, got {self.vertices}")
+        super().__post_init__()
         if not 0.0 < self.accuracy <= 1e-3:
             raise ParameterError(f"accuracy: expected a residual between 0 and 1e-3, got {self.accuracy}")
-        if self.schedule is not None and (not self.schedule or min(self.schedule) < 0 or max(self.schedule) < 1):
+        if self.schedule is not None and not any(self.schedule):
             raise ParameterError(f"schedule: expected counts, such as (100, 50), level 0 first, got {self.schedule}")
         named_laplacian(self.laplacian, self.stabilisation)
         if self.literal and self.schedule is None:

@@ -109,7 +109,10 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
     parts = row_slices(k, COLUMN_BLOCK)
     for iteration in range(MAX_INVERSE_ITERATIONS + 1):
         if shifted is not None or initial.vectors.dtype == np.float64:
-            worst = max(_worst_residual(weights, areas, values[part], vectors[:, part], area) for part in parts)
+            worst = 0.0
+            for part in parts:
+                energy, dual = multiply(weights, vectors[:, part]), areas[:, None] * vectors[:, part]
+                worst = max(worst, float(residual_norms(values[part], energy, dual, areas, area).max()))
         if worst <= accuracy:
             if (np.diff(values) < 0.0).any():  # equal ones differ by rounding
                 order = np.argsort(values, kind="stable")
@@ -139,13 +142,6 @@ def _orthonormalise(vectors: FloatArray, areas: FloatArray) -> None:
         vectors[part] = vectors[part] @ turn
 
     in_threads(orthonormalise, rows)
-
-
-def _worst_residual(
-    weights: sparse.csr_array, areas: FloatArray, values: FloatArray, vectors: FloatArray, area: float
-) -> float:
-    """The largest of `residual_norms`."""
-    return float(residual_norms(values, multiply(weights, vectors), areas[:, None] * vectors, areas, area).max())
 
 
 @kinds_checked

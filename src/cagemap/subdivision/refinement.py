@@ -19,7 +19,7 @@ from cagemap.mesh.parts import extract_faces
 from cagemap.mesh.schemes import INFINITE_SHARPNESS, SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import BoolArray, mesh_topology
-from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys, places_of
+from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys, places_of, whole_numbers
 from cagemap.numerics.threads import kept
 from cagemap.subdivision.face_varying import Layout, refined_layout
 from cagemap.subdivision.matrices import subdivision_matrix
@@ -166,7 +166,7 @@ class Refinement:
         """Rows (m, n_coarse) of ``S^{fine,coarse}`` for vertices (m,), computed alone; ParameterError for others."""
         self._check_order(fine, coarse)
         n = self.levels[fine].n_vertices
-        chosen = np.arange(n)[vertices] if isinstance(vertices, slice) else vertices
+        chosen = np.arange(n)[vertices] if isinstance(vertices, slice) else whole_numbers(vertices, "vertices")
         if len(chosen) and not 0 <= chosen.min() <= chosen.max() < n:
             raise ParameterError(
                 f"vertices: expected 0 to {n - 1} of level {fine}, got {chosen.min()} to {chosen.max()}"

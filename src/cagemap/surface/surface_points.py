@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from cagemap.errors import ParameterError
@@ -52,7 +52,7 @@ class SurfacePoints:
         object.__setattr__(self, "barycentric", read_only(barycentric))
 
     @classmethod
-    def from_vertices(cls, surface: TriangleSurface, vertices: IndexArray) -> SurfacePoints:
+    def from_vertices(cls, surface: TriangleSurface, vertices: ArrayLike) -> SurfacePoints:
         """Points at vertices (m,) of a surface; ParameterError for missing vertices, or vertices without triangle."""
         vertices = whole_numbers(vertices, "vertices")
         bad = vertices[(vertices < 0) | (vertices >= surface.n)]
@@ -202,7 +202,7 @@ class SurfacePoints:
 
     def replaced(self, rows: IndexArray, others: SurfacePoints) -> SurfacePoints:
         """The points with ``others`` in the given rows; ParameterError if those are on another surface."""
-        if others.surface is not self.surface:
+        if not self.surface.equals(others.surface):
             raise ParameterError(f"expected points of {self.surface}, got points of another surface, {others.surface}")
         triangle, barycentric = self.triangle.copy(), self.barycentric.copy()
         triangle[rows], barycentric[rows] = others.triangle, others.barycentric

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray, mask_of, read_only, real_numbers, whole_numbers
+from cagemap.numerics.arrays import FloatArray, IndexArray, mask_of, read_only
 from cagemap.numerics.threads import kept
 from cagemap.surface.closest_points import TriangleTree, build_tree
 from cagemap.surface.triangles import (
     corner_sums,
+    mesh_arrays,
     normalize_rows,
     surface_area,
     triangle_areas,
@@ -39,16 +40,7 @@ class TriangleSurface:
     scale: float = 1.0  #: factor from the file's own lengths to those of ``positions``
 
     def __post_init__(self) -> None:
-        positions = np.ascontiguousarray(real_numbers(self.positions, "positions"))
-        triangles = np.ascontiguousarray(whole_numbers(self.triangles, "triangles"))
-        if positions.ndim != 2 or positions.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
-            raise ParameterError(
-                f"expected positions (n, 3) and triangles (t, 3), got {positions.shape} and {triangles.shape}"
-            )
-        if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(positions):
-            raise ParameterError(
-                f"expected triangles of vertices 0 to {len(positions) - 1}, got {triangles.min()} to {triangles.max()}"
-            )
+        positions, triangles = mesh_arrays(self.positions, self.triangles, corners=(3,))
         object.__setattr__(self, "positions", read_only(positions))
         object.__setattr__(self, "triangles", read_only(triangles))
 
@@ -56,9 +48,9 @@ class TriangleSurface:
     def from_faces(cls, positions: FloatArray, faces: IndexArray) -> TriangleSurface:
         """Surface of faces (m, 4) or (m, 3) in any unit, scaled to unit area and split by `triangles`.
 
-        ParameterError if the surface has no area or a position is not finite.
+        ParameterError if the arrays are no mesh, the surface has no area, or a position is not finite.
         """
-        positions, faces = real_numbers(positions, "positions"), whole_numbers(faces, "faces")
+        positions, faces = mesh_arrays(positions, faces)
         area = surface_area(positions, faces)
         if not 0.0 < area < np.inf:
             raise ParameterError(f"expected a surface of finite, positive area, got {area}: check its positions")
@@ -69,6 +61,12 @@ class TriangleSurface:
     def n(self) -> int:
         """Number of vertices."""
         return len(self.positions)
+
+    def equals(self, other: TriangleSurface) -> bool:
+        """Whether another surface has the same triangles at the same positions, as copies and pickles of it have."""
+        if self is other or self.n != other.n or not np.array_equal(self.triangles, other.triangles):
+            return self is other
+        return np.allclose(self.positions, other.positions)
 
     @kept
     def areas(self) -> FloatArray:

@@ -4,12 +4,29 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, read_only
+from cagemap.errors import ParameterError
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, read_only, real_numbers, whole_numbers
 from cagemap.numerics.threads import row_slices
 
 CACHED = 16_384  # number of triangles or points whose arrays fit into a core's cache
+
+
+def mesh_arrays(
+    positions: ArrayLike, faces: ArrayLike, corners: tuple[int, ...] = (3, 4)
+) -> tuple[FloatArray, IndexArray]:
+    """Contiguous positions (n, 3) and faces of 3 or 4 corners; ParameterError for others, or missing vertices."""
+    places = np.ascontiguousarray(real_numbers(positions, "positions"))
+    numbers = whole_numbers(faces, "faces")
+    if places.ndim != 2 or places.shape[1] != 3 or numbers.ndim != 2 or numbers.shape[1] not in corners:
+        sizes = " or ".join(f"(m, {size})" for size in corners)
+        raise ParameterError(f"expected positions (n, 3) and faces {sizes}, got {places.shape} and {numbers.shape}")
+    if numbers.size and not 0 <= numbers.min() <= numbers.max() < len(places):
+        raise ParameterError(
+            f"expected faces of vertices 0 to {len(places) - 1}, got {numbers.min()} to {numbers.max()}"
+        )
+    return places, numbers
 
 
 def triangle_areas(positions: FloatArray, triangles: IndexArray) -> FloatArray:

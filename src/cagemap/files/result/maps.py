@@ -20,8 +20,9 @@ from cagemap.files.npz import Archive, ArraySpec, lie_in_triangles, read_npy, re
 from cagemap.files.ownership import mark
 from cagemap.files.schema import LevelMapRecord
 from cagemap.files.text import read_text, require_file
+from cagemap.maps.functional_maps import LevelMap
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.result import LevelMap, MatchResult
+from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
 from cagemap.spectral import Surface
 from cagemap.subdivision import Refinement, level_triangles

@@ -135,12 +135,6 @@ def file_ratio(prepared: PreparedPair) -> float | None:
     return ratio if is_related else None
 
 
-def units_of_larger(prepared: PreparedPair) -> tuple[float, float]:
-    """Units of target and source, as multiples of the larger surface's unit."""
-    ratio = file_ratio(prepared) or 1.0
-    return min(ratio, 1.0), min(1.0 / ratio, 1.0)
-
-
 def unmoved_start(prepared: PreparedPair, points: FloatArray) -> list[Placement]:
     """Start of points (k, 3) at their position in the files; none for closed surfaces or unrelated units."""
     ratio = file_ratio(prepared)
@@ -309,7 +303,8 @@ def rank_assignments(
 
 def assigned_limbs(problem: Problem) -> list[Tips]:
     """Corresponding tips (k,) of limbs of target and source, most likely first; none if a surface has too few."""
-    units, config = units_of_larger(problem.prepared), problem.prepared.elastic.search
+    ratio, config = file_ratio(problem.prepared) or 1.0, problem.prepared.elastic.search
+    units = min(ratio, 1.0), min(1.0 / ratio, 1.0)  # of both sides, as multiples of the larger surface's unit
     landmarks, tips = problem.landmark_vertices, find_tips(problem, config.limb_height, units)
     ends = tips[0][: config.max_limbs], tips[1][: config.max_limbs]
     fewest = min(map(len, ends))
