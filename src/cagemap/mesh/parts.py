@@ -115,6 +115,17 @@ def passenger_word(name: str) -> str:
     return next(found, "")
 
 
+def passenger_name(mesh: ControlMesh) -> str:
+    """The first name with a `passenger_word` of the mesh's materials, groups and objects; '' without one."""
+    names = (
+        names[number]
+        for _, numbers, names in reversed(mesh.partitions)
+        if numbers is not None
+        for number in np.unique(numbers[numbers >= 0])
+    )
+    return next(filter(passenger_word, names), "")
+
+
 def largest_part(mesh: ControlMesh) -> Part:
     """The connected piece of largest area (`body_areas`), among pieces with enough faces (`MIN_SHARE_OF_FACES`)."""
     pieces, areas = connected_parts(mesh), body_areas(mesh, face_components(mesh), face_areas(mesh))

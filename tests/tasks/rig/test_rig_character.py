@@ -285,7 +285,7 @@ def test_a_loose_piece_keeps_what_its_vertices_and_corners_have(body: ControlMes
     of_vertices = np.random.default_rng(1).random((mesh.n_vertices, 3))
     rows, corners = slice(body.n_vertices, None), slice(len(body.face_indices), None)
     given = Part("body", mesh, None, {"open": of_vertices}, of_corners[:, :3], {"open": of_corners[:, 1:]}, of_corners)
-    piece = _set_aside(given, plain_mesh(mesh))
+    piece = _set_aside(Bodies((given, given), (plain_mesh(mesh),) * 2, None), 1)
     np.testing.assert_array_equal(piece.mesh.positions, mesh.positions[rows])
     np.testing.assert_array_equal(piece.shapes["open"], of_vertices[rows])
     np.testing.assert_array_equal(piece.normals, of_corners[corners, :3])
@@ -371,6 +371,38 @@ def test_a_piece_that_stays_moves_as_that_of_the_character(body: ControlMesh, in
         np.testing.assert_allclose(made.shapes[name], 2.0 * offsets, atol=1e-3)
 
 
+@pytest.mark.parametrize("named", [False, True])
+@pytest.mark.parametrize("as_part", [False, True])
+def test_a_piece_of_the_mesh_moves_as_what_the_character_has_of_its_kind(body, named: bool, as_part: bool) -> None:
+    """Eyes in the mesh of the body: the character's are a part or in its mesh, there or, of that name, beside it."""
+    place = body.positions[np.argmax(body.positions[:, 2])] + [0, 0, 0.3]
+    eye, other = ball("Eyes", place, 0.1), ball("Eyes", place + np.array([0.0, 0.25 * named, 0.0]), 0.1)
+    bare = replace(body, name="skin", face_objects=None, object_names=())
+    meshes = [with_options(join_meshes([bare, one]), "none") for one in (eye, other)]
+    if not named:
+        meshes = [replace(mesh, face_materials=None, material_names=(), material_colors=None) for mesh in meshes]
+    shapes = [{"look": np.tile([0.0, 0.0, share], (one.n_vertices, 1))} for share, one in ((0.0, body), (0.1, other))]
+    weights = [np.tile(row, (one.n_vertices, 1)) for row, one in (([1.0, 0.0], body), ([0.0, 1.0], other))]
+    if as_part:
+        skin = replace(with_options(body, "none"), name="C.glb")
+        source = [Part("body", skin, sparse.csr_array(weights[0]))]
+        source += [Part("Eyes", other, sparse.csr_array(weights[1]), shapes[1])]
+    else:
+        of_all = {"look": np.concatenate([one["look"] for one in shapes])}
+        source = [Part("body", replace(meshes[1], name="C.glb"), sparse.csr_array(np.concatenate(weights)), of_all)]
+    rig = Rig(("root", "eye"), np.array([-1, 0]), *2 * [np.tile(np.eye(4), (2, 1, 1))])
+    target = Part("body", replace(meshes[0], name="B.glb"))
+    carried = carry_character(Character((target,)), Character(tuple(source), rig))
+    made, *others = carried.character.parts
+    of_eye = made.weights.toarray()[body.n_vertices :]
+    np.testing.assert_allclose(of_eye, np.tile([0.0, 1.0], (eye.n_vertices, 1)), atol=1e-6)
+    np.testing.assert_allclose(made.shapes["look"][body.n_vertices :], shapes[1]["look"], atol=1e-3)
+    np.testing.assert_allclose(made.shapes["look"][: body.n_vertices], 0.0, atol=1e-12)
+    # Places alone may be those of another kind: the part is carried, with a note.
+    assert [part.name for part in others] == (["Eyes"] if as_part and not named else [])
+    assert any(("own pieces at the same place" if others else "has its own") in note for note in carried.notes)
+
+
 @pytest.mark.parametrize(("has_eyes", "in_one_part"), [(False, True), (True, True), (True, False)])
 def test_an_own_eyeball_moves_as_a_whole(body: ControlMesh, has_eyes: bool, in_one_part: bool) -> None:
     """It follows the character's eye joint, or the skin around it on average; so do its iris and a ball in the mesh."""
@@ -420,10 +452,11 @@ def test_own_lashes_and_teeth_get_shapes(body: ControlMesh) -> None:
 
 
 def test_a_part_where_the_mesh_of_the_body_has_a_piece_is_named(body: ControlMesh) -> None:
-    """Eyes of the character, carried to a body whose mesh has eyes."""
+    """Eyes of the character, carried to a body whose mesh has eyes without a name."""
     place = body.positions[np.argmax(body.positions[:, 2])] + [0, 0, 0.3]
     eye, hat = ball("eye", place, 0.1), ball("hat", -place, 0.1)
-    meshes = [replace(one, face_objects=None, object_names=()) for one in (body, eye)]
+    bare = {"face_objects": None, "object_names": (), "face_materials": None, "material_names": ()}
+    meshes = [replace(one, **bare, material_colors=None) for one in (body, eye)]
     target = Character((Part("body", replace(with_options(join_meshes(meshes), "none"), name="B.glb")),))
     source = Character((Part("body", replace(body, name="C.glb")), Part("eye", eye), Part("hat", hat)))
     said = "eye: the mesh of B.glb has own pieces at the same place. To leave out the character's, name the others by"
