@@ -43,6 +43,7 @@ from cagemap.tasks.face import (
     _other_parts,
     contact_sheet,
     face_shapes,
+    limit_stretch,
 )
 from cagemap.tasks.face_parts import Mouth
 from cagemap.tasks.progress import Stages
@@ -286,6 +287,18 @@ def test_points_between_vertices_are_kept_and_curves_are_said_to_be_unused(tmp_p
     np.testing.assert_array_equal(landmarks.source_points.vertices, kit_vertices(("chin", "nose_tip")))
     assert "curves are left out" in note
     assert "lips" in note
+
+
+def test_shapes_do_not_tear_a_surface() -> None:
+    """A vertex that moves alone is brought back to its neighbours; what stretches less stays."""
+    mesh = ball(2)
+    triangles, torn = mesh.face_indices.reshape(-1, 3), mesh.positions.copy()
+    torn[5] += 5.0
+    found = limit_stretch(mesh.positions, triangles, torn)
+    edges = triangles[(triangles == 5).any(axis=1)]
+    spans = [np.ptp((mesh.positions + offsets)[edges], axis=1).max() for offsets in (torn, found)]
+    assert spans[1] < 0.4 * spans[0]
+    np.testing.assert_array_equal(limit_stretch(mesh.positions, triangles, mesh.positions), mesh.positions)
 
 
 def test_of_a_rigged_body_the_head_is_taken() -> None:
