@@ -123,11 +123,6 @@ def carry_character(
     rig, animations = None, source.animations  # without a skeleton, those of blend shapes
     if source.rig is not None:
         stages("skeleton and animations")
-        if weights is None:
-            notes.append(
-                f"{source_body.name} has no weights, so the body does not move with the skeleton: export the character "
-                "with the weights of its body, or choose a part that has weights as the body (rig: --like-part)"
-            )
         places = prop_joints(source.rig, placed.items())
         of_body = np.zeros(0) if source_body.weights is None else source_body.weights.indices
         rig = carry_rig(result.point_map, source.rig, {j: place for j, place in places.items() if j not in of_body})

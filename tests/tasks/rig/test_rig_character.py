@@ -18,7 +18,7 @@ from cagemap.character.poses import pose_at
 from cagemap.character.values import Character, Part, Rig, skinned_positions
 from cagemap.errors import ParameterError
 from cagemap.files.gltf.binary import Binary
-from cagemap.files.gltf.character import read_character, read_shape_keys
+from cagemap.files.gltf.character import character_of, read_character, read_shape_keys
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
@@ -93,26 +93,46 @@ def test_a_body_moved_and_scaled_moves_like_the_character(run: Run, files: Chara
         np.testing.assert_allclose(skinned_positions(found, made.rig, poses[1])[rows], expected, atol=2e-3 * size)
 
 
+@pytest.mark.parametrize("skinned", [True, False])
 def test_a_prop_with_a_motion_of_its_own_moves_at_the_place_and_size_of_the_body(
-    run: Run, files: Character, body: ControlMesh
+    run: Run, files: Character, body: ControlMesh, skinned: bool
 ) -> None:
-    """A moon beside no joint, which turns and orbits: on a body that is scaled by 2, turned and shifted."""
+    """A moon beside no joint, which turns and orbits: on a body that is scaled by 2, turned and shifted.
+
+    A character without skin has no joint but the moon's; a turntable above everything stays a node.
+    """
     place, turn = body.positions.max(axis=0), Rotation.from_rotvec([0.0, 0.4, 0.0]).as_matrix()
     moon, count = ball("moon", np.array([0.02, 0.0, 0.0]), 0.1), ball("moon", place, 0.1).n_vertices
+    if not skinned:
+        files = Character((replace(files.parts[0], weights=None),))
     document = character_glb(replace(files, parts=(files.parts[0], Part("moon", moon))))
+    if not skinned:
+        document.json["animations"] = [{"name": "nod", "samplers": [], "channels": []}]
+        document.json["nodes"].append({"name": "turntable", "children": document.json["scenes"][0]["nodes"]})
+        document.json["scenes"][0]["nodes"] = [len(document.json["nodes"]) - 1]
     binary = Binary(document)
     (node,) = (number for number, one in enumerate(document.json["nodes"]) if one["name"] == "moon")
     document.json["nodes"][node]["translation"] = place.tolist()
     times = binary.accessor(np.array([0.0, 1.0], "<f4"), min=[0.0], max=[1.0])
     (animation,) = document.json["animations"]
+    if not skinned:
+        still = binary.accessor(np.zeros((2, 3), "<f4"))
+        animation["samplers"].append({"input": times, "output": still})
+        table = len(document.json["nodes"]) - 1
+        animation["channels"].append({"sampler": 0, "target": {"node": table, "path": "translation"}})
     quarter = [0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)]
     for path, keys in (("translation", [place, place * [-1, 1, 1]]), ("rotation", [[0, 0, 0, 1], quarter])):
         animation["samplers"].append({"input": times, "output": binary.accessor(np.array(keys, "<f4"))})
         sampler = len(animation["samplers"]) - 1
         animation["channels"].append({"sampler": sampler, "target": {"node": node, "path": path}})
     write_document("C.glb", binary.document(document.json), force=True)
+    moved = animation["channels"]
+    animation["channels"] = moved[:1]  # the turntable's
+    assert skinned or character_of(binary.document(document.json), props=True).rig is None
+    animation["channels"] = moved
     write_mesh("B.glb", body.with_positions(2 * body.positions @ turn + [0.1, 0.2, 0.3]), force=True)
     made = rig_done(run)
+    assert made.rig.names == (*(files.rig.names if skinned else ["turntable"]), "moon")
     posed = skinned_positions(part_named(made, "moon"), made.rig, pose_at(made.rig, made.animations[0], 1.0))
     rotation = Rotation.from_quat(quarter).as_matrix().T
     expected = 2 * (moon.positions @ rotation + place * [-1, 1, 1]) @ turn + [0.1, 0.2, 0.3]
