@@ -115,15 +115,11 @@ def passenger_word(name: str) -> str:
     return next(found, "")
 
 
-def passenger_name(mesh: ControlMesh) -> str:
-    """The first name with a `passenger_word` of the mesh's materials, groups and objects; '' without one."""
-    names = (
-        names[number]
-        for _, numbers, names in reversed(mesh.partitions)
-        if numbers is not None
-        for number in np.unique(numbers[numbers >= 0])
-    )
-    return next(filter(passenger_word, names), "")
+def passenger_name(mesh: ControlMesh, faces: IndexArray) -> str:
+    """The first name with a `passenger_word` of the faces' materials, groups and objects; '' without one."""
+    partitions = [(numbers[faces], names) for _, numbers, names in mesh.partitions[::-1] if numbers is not None]
+    stated = (names[number] for numbers, names in partitions for number in np.unique(numbers[numbers >= 0]))
+    return next(filter(passenger_word, stated), "")
 
 
 def largest_part(mesh: ControlMesh) -> Part:

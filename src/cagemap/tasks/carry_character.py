@@ -22,7 +22,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
-from cagemap.mesh.parts import numbers_on_part, passenger_word
+from cagemap.mesh.parts import extract_faces, numbers_on_part, passenger_word
 from cagemap.mesh.topology import face_components
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies
@@ -79,7 +79,8 @@ def carry_character(
     notes += matched.notes
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]
     others = [part for part in target.parts if part is not target_body]
-    loose, pieces = named_pieces(_set_aside(matched, 0)), _set_aside(matched, 1)
+    unmatched, pieces = _set_aside(matched, 0).mesh, _set_aside(matched, 1)
+    loose = [Part(name, extract_faces(unmatched, faces)) for name, faces in named_pieces(unmatched)]
     to_carry = [*chosen, pieces] if pieces.mesh.n_faces else chosen
     stages("passengers")
     to_place = [*to_carry, *(declined if loose or others else [])]
@@ -98,10 +99,10 @@ def carry_character(
             to_carry.append(part_of_faces(pieces, compared.faces))
             placed[to_carry[-1]] = part_of_faces(placed[pieces], compared.faces)
     if passengers is None:
-        doubled = [part for part in chosen if placed[part] in compared.same_kind and part.name not in (kinds or ())]
+        doubled = [part for part in chosen if placed[part] in compared.like_parts and part.name not in (kinds or ())]
         notes += _declined_note([part.name for part in doubled])
-        notes += _doubled_note(target_body, [part.name for part in chosen if placed[part] in compared.at_pieces])
         to_carry = [part for part in to_carry if part not in doubled]
+        notes += _doubled_note(target_body, [one.name for one in to_carry if placed[one] in compared.like_pieces])
     for part in to_carry:
         if (kinds or {}).get(part.name) == "rigid":
             notes += hidden_passenger(result.point_map, part.mesh, placed[part].mesh.positions)
@@ -174,7 +175,7 @@ def _left_out_note(bodies: Bodies, pieces: Part, kept: IndexArray) -> str:
 
 
 def _doubled_note(body: Part, names: Sequence[str]) -> list[str]:
-    text = "has own pieces at the same place. To leave out the character's, name the others by --passengers"
+    text = "has own pieces of this kind or place. To leave out the character's, name the others by --passengers"
     return [f"{', '.join(names)}: the mesh of {body.mesh.name} {text}"] if names else []
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,8 +22,8 @@ class ComparedParts:
     """What the target has of a character's parts and loose pieces."""
 
     counterparts: list[list[Part]]  # for each own piece or part of the target, those of its kind, placed on the target
-    same_kind: list[Part]  # placed parts of the kind of an own part, or of an own piece whose name states it
-    at_pieces: list[Part]  # other placed parts, at the place of own pieces
+    like_parts: list[Part]  # placed parts of the kind of an own part
+    like_pieces: list[Part]  # placed parts of the kind or at the places of own pieces
     faces: IndexArray  # of the loose pieces, without those that the target has
 
 
@@ -40,7 +40,11 @@ def compare_parts(
     ``pieces``: loose pieces of its body, as given and as placed on the target.
     ``own``: loose pieces of the target's body, and the target's parts beside it.
     """
-    groups = _faces_by_name(pieces.mesh)
+    named = named_pieces(pieces.mesh)
+    groups = [
+        (name, np.sort(np.concatenate([faces for one, faces in named if one == name])))
+        for name in dict.fromkeys(name for name, _ in named)
+    ]
     candidates = [*placed, *(part_of_faces(placed_pieces, faces, name) for name, faces in groups)]
     count, loose, every = len(placed), len(own[0]), [*own[0], *own[1]]
     of_carried, of_own = ([part.mesh for part in parts] for parts in (candidates, every))
@@ -52,32 +56,18 @@ def compare_parts(
     for row, number, faces in pairs:
         whole = len(faces) == candidates[row].mesh.n_faces
         counterparts[number].append(candidates[row] if whole else part_of_faces(candidates[row], faces))
-    same_kind = [part for parts, one in zip(counterparts, every, strict=True) if one.name for part in parts]
-    sizes = [sum(len(faces) for one, _, faces in pairs if one == row) for row in range(count)]
-    at_pieces = [
-        part for part, size in zip(placed, sizes, strict=True) if part not in same_kind and size == part.mesh.n_faces
-    ]
+    like_parts = [part for parts in counterparts[loose:] for part in parts]
+    sizes = [sum(len(faces) for one, number, faces in pairs if one == row and number < loose) for row in range(count)]
+    like_pieces = [part for part, size in zip(placed, sizes, strict=True) if size >= part.mesh.n_faces]
     found = [groups[row - count][1][faces] for row, _, faces in pairs if row >= count]
     found += pieces_in_surface(pieces.mesh, placed_pieces.mesh, point_map) if groups else []
     faces = np.setdiff1d(np.arange(pieces.mesh.n_faces), np.concatenate([np.zeros(0, dtype=np.int64), *found]))
-    return ComparedParts(counterparts, [part for part in placed if part in same_kind], at_pieces, faces)
+    return ComparedParts(counterparts, like_parts, like_pieces, faces)
 
 
-def named_pieces(part: Part) -> list[Part]:
-    """The connected pieces of a part, without its values, with names by `passenger_name`."""
-    mesh = part.mesh
-    pieces = [Part("", extract_faces(mesh, faces)) for faces in members_of(face_components(mesh))]
-    return [replace(piece, name=passenger_name(piece.mesh)) for piece in pieces]
-
-
-def _faces_by_name(mesh: ControlMesh) -> list[tuple[str, IndexArray]]:
-    """Faces of all connected pieces with the same name by `passenger_name`."""
-    pieces = members_of(face_components(mesh))
-    names = [passenger_name(extract_faces(mesh, faces)) for faces in pieces]
-    return [
-        (name, np.sort(np.concatenate([faces for faces, one in zip(pieces, names, strict=True) if one == name])))
-        for name in dict.fromkeys(names)
-    ]
+def named_pieces(mesh: ControlMesh) -> list[tuple[str, IndexArray]]:
+    """Name, by `passenger_name`, and faces of every connected piece."""
+    return [(passenger_name(mesh, faces), faces) for faces in members_of(face_components(mesh))]
 
 
 def part_of_faces(part: Part, faces: IndexArray, name: str | None = None) -> Part:

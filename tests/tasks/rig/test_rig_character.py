@@ -418,9 +418,9 @@ def test_a_piece_of_the_mesh_moves_as_what_the_character_has_of_its_kind(body, n
     np.testing.assert_allclose(of_eye, np.tile([0.0, 1.0], (eye.n_vertices, 1)), atol=1e-6)
     np.testing.assert_allclose(made.shapes["look"][body.n_vertices :], shapes[1]["look"], atol=1e-3)
     np.testing.assert_allclose(made.shapes["look"][: body.n_vertices], 0.0, atol=1e-12)
-    # Places alone may be those of another kind: the part is carried, with a note.
-    assert [part.name for part in others] == (["Eyes"] if as_part and not named else [])
-    assert any(("own pieces at the same place" if others else "has its own") in note for note in carried.notes)
+    # Eyes of the mesh get the texture of the skin: the character's part is carried.
+    assert [part.name for part in others] == (["Eyes"] if as_part else [])
+    assert any(("own pieces of this kind" if others else "has its own") in note for note in carried.notes)
 
 
 @pytest.mark.parametrize(("has_eyes", "in_one_part"), [(False, True), (True, True), (True, False)])
@@ -479,7 +479,9 @@ def test_a_part_where_the_mesh_of_the_body_has_a_piece_is_named(body: ControlMes
     meshes = [replace(one, **bare, material_colors=None) for one in (body, eye)]
     target = Character((Part("body", replace(with_options(join_meshes(meshes), "none"), name="B.glb")),))
     source = Character((Part("body", replace(body, name="C.glb")), Part("eye", eye), Part("hat", hat)))
-    said = "eye: the mesh of B.glb has own pieces at the same place. To leave out the character's, name the others by"
+    said = (
+        "eye: the mesh of B.glb has own pieces of this kind or place. To leave out the character's, name the others by"
+    )
     said += " --passengers"
     assert said in carry_character(target, source).notes
     assert said not in carry_character(target, source, passengers=["eye"]).notes

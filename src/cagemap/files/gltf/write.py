@@ -103,11 +103,9 @@ def character_glb(
         is a piece of. They get the weights of its blend shapes, VRM's expressions and first-person flags too.
     """
     empty = Document(_EMPTY, (), Path("new.glb"))
-    scene = (
-        Scene(empty, read_nodes(empty), None, ())
-        if materials_from is None
-        else read_scene(materials_from, props=character.rig is not None)
-    )
+    scene = Scene(empty, read_nodes(empty), None, ())
+    if materials_from is not None:
+        scene = read_scene(materials_from, props=character.rig is not None)
     writer = _Made(scene, pieces_of or {})
     writer.rig(character.rig)
     for part in character.parts:
