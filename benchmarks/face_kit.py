@@ -32,6 +32,7 @@ from cagemap.surface.triangles import fan_triangles, row_lengths, surface_area
 from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies
 from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.face import face_shapes
+from cagemap.tasks.face_parts import Mouth
 from cagemap.tasks.progress import Stages
 
 KEPT = Path(__file__).parents[1] / "src" / "cagemap" / "character" / "face" / "face.npz"
@@ -123,7 +124,7 @@ def measure(bodies: Bodies) -> str:
     carried_mask = carry_values(bodies.result, is_socket[bodies.rows(1)], "vertices")
     assert not isinstance(carried_mask, dict)
     socket = bodies.on_target(carried_mask) > 0.5
-    shapes = face_shapes(bodies, list(kit.shapes))
+    shapes = face_shapes(bodies, Mouth.of(bodies), body_shapes(bodies), list(kit.shapes))
     gaps = []
     for side in ("Left", "Right"):
         height, gap = eye_slits(positions, triangles, socket, shapes[f"eyeBlink{side}"])

@@ -36,15 +36,16 @@ def balls(*sizes: tuple[float, float]) -> ControlMesh:
 def test_a_piece_where_the_target_has_its_own_is_found(own: list[tuple[float, float]], doubled: list[int]) -> None:
     carried = balls((0.0, 1.0), (5.0, 1.0))
     size = carried.n_faces // 2
-    found = doubled_pieces(carried, balls(*own))
-    assert [set(faces.tolist()) for faces, _ in found] == [set(range(k * size, (k + 1) * size)) for k in doubled]
+    found = doubled_pieces([carried], [balls(*own)])
+    assert [set(faces.tolist()) for _, _, faces in found] == [set(range(k * size, (k + 1) * size)) for k in doubled]
 
 
 def test_a_piece_of_the_target_stands_for_one_piece() -> None:
     """A hat on hair is carried to a body that has hair."""
-    ((hair, own),) = doubled_pieces(balls((0.0, 1.1), (0.0, 1.0)), balls((0.0, 1.02)))
-    assert hair.min() > 0
-    assert own.min() == 0
+    hats = balls((9.0, 1.0)), balls((0.0, 1.1), (0.0, 1.0))
+    ((row, number, hair),) = doubled_pieces(hats, [balls((5.0, 1.0)), balls((0.0, 1.02))])
+    assert (row, number) == (1, 1)
+    assert hair.tolist() == list(range(hats[0].n_faces, 2 * hats[0].n_faces))
 
 
 @pytest.mark.parametrize(

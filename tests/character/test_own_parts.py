@@ -9,7 +9,8 @@ import pytest
 from examples.shapes import grid
 from scipy import sparse
 
-from cagemap.character.own_parts import parts_of_one_kind, with_nearest_values
+from cagemap.character.doubled_pieces import doubled_meshes
+from cagemap.character.own_parts import pairs_of_one_kind, with_nearest_values
 from cagemap.character.values import Part
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
@@ -95,8 +96,9 @@ def test_parts_are_of_one_kind_by_their_names_or_places(
 ) -> None:
     far = [Part("boots", sheet("boots", 1.0, 30.0)), Part("Object_9", sheet("Object_9", 1.0, -30.0))]
     parts = Part(own, sheet(own, 10.0, 1.0)), Part(given, sheet(given, 9.5, height))
-    found = parts_of_one_kind([parts[1], *far[:1]], [parts[0], *far[1:]])
-    assert found == [[parts[1]] if is_of_one_kind else [], []]
+    sides = [parts[1], *far[:1]], [parts[0], *far[1:]]
+    found = pairs_of_one_kind(*sides, doubled_meshes(*([part.mesh for part in side] for side in sides)))
+    assert {pair[:2] for pair in found} == ({(0, 0)} if is_of_one_kind else set())
 
 
 @pytest.mark.filterwarnings("error")

@@ -44,42 +44,42 @@ _MIN_EXTRA_DISTANCE = 0.1
 _MIN_AWAY_SHARE = 0.65
 
 
-PairedFaces = tuple[IndexArray, IndexArray]
+# Numbers of a carried and of an own mesh, and faces of the carried one.
+DoubledFaces = tuple[int, int, IndexArray]
 
 
-def doubled_pieces(carried: ControlMesh, own: ControlMesh) -> list[PairedFaces]:
-    """Pairs of connected pieces at one place: the faces of a piece of ``carried`` and of a piece of ``own``."""
-    return _at_one_place(carried, face_components(carried), own, face_components(own), _MAX_PIECE_DISTANCE)
+def doubled_pieces(carried: Sequence[ControlMesh], own: Sequence[ControlMesh]) -> list[DoubledFaces]:
+    """Connected pieces of ``carried`` meshes at the place of pieces of ``own`` meshes."""
+    return _at_one_place(carried, own, _MAX_PIECE_DISTANCE, in_pieces=True)
 
 
-def doubled_meshes(carried: Sequence[ControlMesh], own: Sequence[ControlMesh]) -> list[tuple[int, int]]:
-    """Pairs of meshes at one place: the number of a mesh in ``carried`` and of a mesh in ``own``."""
-    if not carried or not own:
-        return []
-    labels, own_labels = (
-        np.repeat(np.arange(len(meshes)), [mesh.n_faces for mesh in meshes]) for meshes in (carried, own)
-    )
-    pairs = _at_one_place(join_meshes(carried), labels, join_meshes(own), own_labels, _MAX_PART_DISTANCE)
-    return [(int(labels[faces[0]]), int(own_labels[own_faces[0]])) for faces, own_faces in pairs]
+def doubled_meshes(carried: Sequence[ControlMesh], own: Sequence[ControlMesh]) -> list[DoubledFaces]:
+    """``carried`` meshes at the place of ``own`` meshes."""
+    return _at_one_place(carried, own, _MAX_PART_DISTANCE, in_pieces=False)
 
 
 def _at_one_place(
-    carried: ControlMesh, labels: IndexArray, own: ControlMesh, own_labels: IndexArray, distance: float
-) -> list[PairedFaces]:
-    """Pairs of parts at one place: the faces of a part of ``carried`` and of a part of ``own``.
+    carried: Sequence[ControlMesh], own: Sequence[ControlMesh], distance: float, *, in_pieces: bool
+) -> list[DoubledFaces]:
+    """Meshes, or their pieces, at one place; those are compared of which each has the other's nearest bounding box.
 
-    Two parts are compared only if each has the other's nearest bounding box. ``labels`` (m,) are the parts of faces;
-    ``distance`` is the largest that is close, divided by the larger diagonal.
+    ``distance``: the largest that is close, divided by the larger diagonal.
     """
+    if not carried or not own:
+        return []
+    joined, own_joined = join_meshes(carried), join_meshes(own)
+    of_mesh, of_own = (np.repeat(np.arange(len(meshes)), [one.n_faces for one in meshes]) for meshes in (carried, own))
+    labels, own_labels = (face_components(joined), face_components(own_joined)) if in_pieces else (of_mesh, of_own)
     pieces, own_pieces = members_of(labels), members_of(own_labels)
-    boxes, own_boxes = _boxes(carried, labels), _boxes(own, own_labels)
+    boxes, own_boxes = _boxes(joined, labels), _boxes(own_joined, own_labels)
     to_own = np.asarray(cKDTree(own_boxes).query(boxes)[1])
     to_carried = np.asarray(cKDTree(boxes).query(own_boxes)[1])
     return [
-        (faces, own_pieces[to_own[piece]])
+        (int(of_mesh[faces[0]]), int(of_own[own_faces[0]]), faces - np.searchsorted(of_mesh, of_mesh[faces[0]]))
         for piece, faces in enumerate(pieces)
+        for own_faces in [own_pieces[to_own[piece]]]
         if to_carried[to_own[piece]] == piece
-        and _are_at_one_place(_surface(carried, faces), _surface(own, own_pieces[to_own[piece]]), distance)
+        and _are_at_one_place(_surface(joined, faces), _surface(own_joined, own_faces), distance)
     ]
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain, compress, pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cagemap.character.doubled_pieces import doubled_meshes
+from cagemap.character.doubled_pieces import DoubledFaces
 from cagemap.character.passenger_pieces import PIECES, PieceConfig, find_pieces
 from cagemap.character.values import Part
 from cagemap.mesh import ControlMesh
@@ -43,19 +43,27 @@ _ROOT_WEIGHT = 5.0
 _ROOTS = 8  # of each vertex: with several, a strip of lashes does not tear
 
 
-def parts_of_one_kind(candidates: Sequence[Part], others: Sequence[Part]) -> list[list[Part]]:
-    """For each of the target's parts beside its body (``others``), the candidates of its kind.
+def pairs_of_one_kind(
+    candidates: Sequence[Part], own: Sequence[Part], doubled: Sequence[DoubledFaces]
+) -> list[DoubledFaces]:
+    """Candidates whose names have the `passenger_word` of an own part, and ``doubled`` faces.
 
-    They have its `passenger_word`, or are at its place if one of the two names has no such word. Candidates are parts
-    of the source, placed on the target.
+    Faces at one place whose two names have different words are left out. Candidates are parts of the source, placed on
+    the target.
     """
-    pairs = doubled_meshes([part.mesh for part in candidates], [part.mesh for part in others])
-    words, found = [passenger_word(part.name) for part in candidates], []
-    for number, own in enumerate(others):
-        own_word = passenger_word(own.name)
-        is_alike = [word == own_word if word and own_word else (row, number) in pairs for row, word in enumerate(words)]
-        found.append(list(compress(candidates, is_alike)))
-    return found
+    words, own_words = ([passenger_word(part.name) for part in parts] for parts in (candidates, own))
+    pairs = [
+        (row, number, np.arange(candidates[row].mesh.n_faces))
+        for number, own_word in enumerate(own_words)
+        for row, word in enumerate(words)
+        if word and word == own_word
+    ]
+    unlike = {
+        (row, number)
+        for row, number, _ in doubled
+        if words[row] and own_words[number] and words[row] != own_words[number]
+    }
+    return pairs + [one for one in doubled if one[:2] not in unlike]
 
 
 def with_nearest_values(

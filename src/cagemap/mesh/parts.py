@@ -115,6 +115,13 @@ def passenger_word(name: str) -> str:
     return next(found, "")
 
 
+def passenger_name(mesh: ControlMesh, faces: IndexArray) -> str:
+    """The first name with a `passenger_word` of the faces' materials, groups and objects; '' without one."""
+    partitions = [(numbers[faces], names) for _, numbers, names in mesh.partitions[::-1] if numbers is not None]
+    stated = (names[number] for numbers, names in partitions for number in np.unique(numbers[numbers >= 0]))
+    return next(filter(passenger_word, stated), "")
+
+
 def largest_part(mesh: ControlMesh) -> Part:
     """The connected piece of largest area (`body_areas`), among pieces with enough faces (`MIN_SHARE_OF_FACES`)."""
     pieces, areas = connected_parts(mesh), body_areas(mesh, face_components(mesh), face_areas(mesh))

@@ -10,12 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cagemap.character.doubled_pieces import doubled_pieces, pieces_in_surface
 from cagemap.character.normals import with_shape_normals
-from cagemap.character.own_parts import (
-    parts_of_one_kind,
-    with_nearest_values,
-)
+from cagemap.character.own_parts import with_nearest_values
 from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.passengers import carried_parts, hidden_passenger
 from cagemap.character.retarget import retarget_all
@@ -26,12 +22,12 @@ from cagemap.errors import ParameterError
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
-from cagemap.mesh.parts import extract_faces, join_meshes, numbers_on_part, passenger_word
-from cagemap.mesh.repairs import RepairedMesh
+from cagemap.mesh.parts import extract_faces, numbers_on_part, passenger_word
 from cagemap.mesh.topology import face_components
-from cagemap.numerics.arrays import FloatArray, IndexArray, members_of
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies
 from cagemap.tasks.carry_arrays import carry_weights
+from cagemap.tasks.compared_parts import compare_parts, named_pieces, part_of_faces
 from cagemap.tasks.progress import Stages
 
 
@@ -67,7 +63,7 @@ def carry_character(
         target's; its other parts stay, with weights and shapes by `with_nearest_values`.
     ``bodies``: names of the target's and of the source's body; by default `find_body` finds them.
     ``passengers``: names of the source's other parts to carry; by default all of which the target has no other part of
-        the same kind, see `parts_of_one_kind`.
+        the same kind, see `compare_parts`.
     ``kinds``: see `carry_passengers`.
     ``influences``: most joints per vertex of the body; None for all.
     ``taken``: names already in use, such as those of joints: another part of the target with one gets '(own)'.
@@ -83,22 +79,30 @@ def carry_character(
     notes += matched.notes
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]
     others = [part for part in target.parts if part is not target_body]
-    loose = _loose_pieces(matched)
-    pieces, counterparts, left_out_notes = _pieces_to_carry(matched, [*loose, *others], named=set(kinds or ()))
-    notes += left_out_notes
-    to_carry = [*chosen, *([] if pieces is None else [pieces])]
+    unmatched, pieces = _set_aside(matched, 0).mesh, _set_aside(matched, 1)
+    loose = [Part(name, extract_faces(unmatched, faces)) for name, faces in named_pieces(unmatched)]
+    to_carry = [*chosen, pieces] if pieces.mesh.n_faces else chosen
     stages("passengers")
-    placed = dict(zip(to_carry, carried_parts(result, to_carry, kinds=kinds), strict=True))  # on the target
-    if others:
-        placed |= zip(declined, carried_parts(result, declined), strict=True)
-    candidates = [placed[part] for part in (*chosen, *declined) if part in placed]
-    same_kind = parts_of_one_kind(candidates, others)
+    to_place = [*to_carry, *(declined if loose or others else [])]
+    placed = dict(zip(to_place, carried_parts(result, to_place, kinds=kinds), strict=True))  # on the target
+    compared = compare_parts(
+        [placed[part] for part in to_place if part is not pieces],
+        pieces,
+        placed.get(pieces, pieces),
+        (loose, others),
+        result.point_map,
+    )
+    if pieces.name not in (kinds or ()) and len(compared.faces) < pieces.mesh.n_faces:
+        notes.append(_left_out_note(matched, pieces, compared.faces))
+        to_carry.remove(pieces)
+        if len(compared.faces):
+            to_carry.append(part_of_faces(pieces, compared.faces))
+            placed[to_carry[-1]] = part_of_faces(placed[pieces], compared.faces)
     if passengers is None:
-        has_own = {*chain.from_iterable(same_kind)}
-        doubled = [part for part in chosen if placed[part] in has_own and part.name not in (kinds or ())]
+        doubled = [part for part in chosen if placed[part] in compared.like_parts and part.name not in (kinds or ())]
         notes += _declined_note([part.name for part in doubled])
         to_carry = [part for part in to_carry if part not in doubled]
-        notes += _doubled_passengers(target_body, loose, [placed[part] for part in chosen if part not in doubled])
+        notes += _doubled_note(target_body, [one.name for one in to_carry if placed[one] in compared.like_pieces])
     for part in to_carry:
         if (kinds or {}).get(part.name) == "rigid":
             notes += hidden_passenger(result.point_map, part.mesh, placed[part].mesh.positions)
@@ -106,8 +110,7 @@ def carry_character(
     weights, shapes = _body_weights(matched, influences), body_shapes(matched)
     # Other parts move like the body, whose own shapes stay.
     skin = matched.skin(weights, {name: target_body.shapes.get(name, offsets) for name, offsets in shapes.items()})
-    for listed, parts in zip(counterparts[len(loose) :], same_kind, strict=True):
-        listed += parts
+    counterparts = compared.counterparts
     if weights is not None:
         counterparts = [[part for part in parts if part.weights is not None] for parts in counterparts]
     own = with_nearest_values([*loose, *others], skin, counterparts, result.point_map.target, influences)
@@ -121,11 +124,6 @@ def carry_character(
     rig, animations = None, source.animations  # without a skeleton, those of blend shapes
     if source.rig is not None:
         stages("skeleton and animations")
-        if weights is None:
-            notes.append(
-                f"{source_body.name} has no weights, so the body does not move with the skeleton: export the character "
-                "with the weights of its body, or choose a part that has weights as the body (rig: --like-part)"
-            )
         places = prop_joints(source.rig, placed.items())
         of_body = np.zeros(0) if source_body.weights is None else source_body.weights.indices
         rig = carry_rig(result.point_map, source.rig, {j: place for j, place in places.items() if j not in of_body})
@@ -157,96 +155,41 @@ def _with_values_of(body: Part, pieces: Sequence[Part], unmatched: NDArray[np.bo
     if weights is not None:
         of_pieces = [piece.weights for piece in pieces if piece.weights is not None]
         weights = sparse.vstack([weights, *of_pieces], format="csr")[rows]
-    for name, offsets in body.shapes.items():
-        others = [piece.shapes.get(name, np.zeros((piece.mesh.n_vertices, 3))) for piece in pieces]
-        shapes[name] = np.concatenate([offsets, *others])[rows]
+    for name in dict.fromkeys(chain(body.shapes, *(piece.shapes for piece in pieces))):
+        offsets = [part.shapes.get(name, np.zeros((part.mesh.n_vertices, 3))) for part in (body, *pieces)]
+        shapes[name] = np.concatenate(offsets)[rows]
     return replace(body, weights=weights, shapes=shapes)
 
 
-def _loose_pieces(bodies: Bodies) -> list[Part]:
-    """Connected unmatched pieces of the target's body, without values."""
-    unmatched = _set_aside(Part("", bodies.given[0].mesh), bodies.ready[0])
-    if unmatched is None:
-        return []
-    return [_part_of_faces(unmatched, faces) for faces in members_of(face_components(unmatched.mesh))]
-
-
-def _pieces_to_carry(
-    bodies: Bodies, own: Sequence[Part], named: Collection[str]
-) -> tuple[Part | None, list[list[Part]], list[str]]:
-    """Unmatched pieces of the source's body to carry; for each own part those that it stands for, placed; and notes.
-
-    ``own``: the target's loose pieces, and its parts beside its body.
-    ``named``: names of passengers; pieces with one of these names are all carried.
-    """
-    pieces, counterparts = _set_aside(bodies.given[1], bodies.ready[1]), [list[Part]() for _ in own]
-    if pieces is None or pieces.name in named:
-        return pieces, counterparts, []
-    (placed,) = carried_parts(bodies.result, [pieces])
-    ends = np.cumsum([part.mesh.n_faces for part in own])
-    pairs = doubled_pieces(placed.mesh, join_meshes([part.mesh for part in own])) if own else []
-    for faces, own_faces in pairs:
-        counterparts[int(np.searchsorted(ends, own_faces[0], side="right"))].append(_part_of_faces(placed, faces))
-    in_surface = pieces_in_surface(pieces.mesh, placed.mesh, bodies.result.point_map)
-    found = [*in_surface, *(faces for faces, _ in pairs)]
-    if not found:
-        return pieces, counterparts, []
-    doubled = {int(faces[0]): faces for faces in found}.values()  # each piece once
-    sizes = first_few([count_noun(len(faces), "face") for faces in doubled])
+def _left_out_note(bodies: Bodies, pieces: Part, kept: IndexArray) -> str:
+    """A note on connected pieces whose faces are not ``kept``."""
+    labels = face_components(pieces.mesh)
+    faces = np.bincount(np.delete(labels, kept))
+    sizes = [count_noun(int(size), "face") for size in faces[faces > 0]]
     target, source = bodies.given
-    note = (
-        f"{count_noun(len(doubled), 'piece')} of {source.mesh.name} ({sizes}) not carried, since {target.mesh.name} "
-        f"has its own there: to carry all, name {pieces.name!r} (rig: --rigid, --cloth), or make one an object"
+    return (
+        f"{count_noun(len(sizes), 'piece')} of {source.mesh.name} ({first_few(sizes)}) not carried, since "
+        f"{target.mesh.name} has its own there: to carry all, name {pieces.name!r} (rig: --rigid, --cloth), or make "
+        "one an object"
     )
-    left = np.setdiff1d(np.arange(pieces.mesh.n_faces), np.concatenate(found))
-    return _part_of_faces(pieces, left) if len(left) else None, counterparts, [note]
 
 
-def _doubled_passengers(body: Part, loose: Sequence[Part], dressed: Sequence[Part]) -> list[str]:
-    """A note on carried parts at whose place the mesh of the target's body has ``loose`` pieces."""
-    if not loose:
-        return []
-    own, doubled = join_meshes([piece.mesh for piece in loose]), list[str]()
-    for part in dressed:
-        pairs = doubled_pieces(part.mesh, own)
-        doubled += [part.name] if sum(len(faces) for faces, _ in pairs) == part.mesh.n_faces else []
-    text = "has own pieces at the same place. To leave out the character's, name the others by --passengers"
-    return [f"{', '.join(doubled)}: the mesh of {body.mesh.name} {text}"] if doubled else []
+def _doubled_note(body: Part, names: Sequence[str]) -> list[str]:
+    text = "has own pieces of this kind or place. To leave out the character's, name the others by --passengers"
+    return [f"{', '.join(names)}: the mesh of {body.mesh.name} {text}"] if names else []
 
 
-def _set_aside(body: Part, ready: RepairedMesh) -> Part | None:
-    """Unmatched pieces of a body's mesh as a separate part; None without any."""
-    mesh = body.mesh
-    kept = np.maximum.reduceat(ready.vertex_of[mesh.face_indices], mesh.face_offsets[:-1]) >= 0
-    if kept.all():
-        return None
-    pieces = _part_of_faces(body, np.flatnonzero(~kept))
-    name = _name_of_pieces(body)
-    return replace(pieces, name=name, mesh=replace(pieces.mesh, name=name))
+def _set_aside(bodies: Bodies, side: int) -> Part:
+    """Unmatched pieces of the mesh of a body (0: target, 1: source) as a separate part; without faces if all match."""
+    body, mesh = bodies.given[side], bodies.given[side].mesh
+    matched = np.maximum.reduceat(bodies.ready[side].vertex_of[mesh.face_indices], mesh.face_offsets[:-1]) >= 0
+    pieces = part_of_faces(body, np.flatnonzero(~matched), _name_of_pieces(body))
+    return replace(pieces, mesh=replace(pieces.mesh, name=pieces.name))
 
 
 def _name_of_pieces(body: Part) -> str:
     """Name of the passenger that the unmatched pieces of a body's mesh become."""
     return f"{body.name} pieces"
-
-
-def _part_of_faces(body: Part, faces: IndexArray) -> Part:
-    """Some faces of a part, with the values of their vertices and corners."""
-    mesh = body.mesh
-    taken = extract_faces(mesh, faces)
-    number = numbers_on_part(taken, mesh)
-    rows = np.zeros(taken.n_vertices, dtype=np.int64)
-    rows[number[number >= 0]] = np.flatnonzero(number >= 0)
-    corners = np.isin(mesh.corner_faces, faces)
-    return Part(
-        body.name,
-        taken,
-        None if body.weights is None else body.weights[rows],
-        {name: offsets[rows] for name, offsets in body.shapes.items()},
-        None if body.normals is None else body.normals[corners],
-        {name: offsets[corners] for name, offsets in body.shape_normals.items()},
-        None if body.colors is None else body.colors[corners],
-    )
 
 
 def with_part(character: Character, part: Part, made: Part) -> Character:

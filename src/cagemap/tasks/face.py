@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cagemap.character.body_frames import BodyFrames
+from cagemap.character.body_frames import BodyFrames, neighbor_means
 from cagemap.character.bones import humanoid_joints
 from cagemap.character.own_parts import HAIRS, root_means, with_nearest_values
 from cagemap.character.passenger_pieces import PIECES
@@ -21,17 +23,19 @@ from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import check_writable, write_image
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import read_whole
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import CagePoints, on_cage
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.parts import extract_faces, numbers_on_part, passenger_word
+from cagemap.mesh.parts import numbers_on_part, passenger_word
 from cagemap.mesh.topology import vertex_pieces
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.camera import View, frame
 from cagemap.pictures.render import Image, Model, Skin, render
-from cagemap.surface.triangles import fan_triangles
+from cagemap.surface.triangles import fan_triangles, row_lengths
 from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies, rigid_pieces
 from cagemap.tasks.carry_character import with_part
-from cagemap.tasks.face_parts import Mouth
+from cagemap.tasks.compared_parts import part_of_faces
+from cagemap.tasks.face_parts import Mouth, turn_lashes
 from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.face import FaceRequest
@@ -49,6 +53,9 @@ from cagemap.tasks.rig_character import (
 _LEAST_TRUSTED_SHARE = 0.8
 # Radius of eyeballs in units of sqrt(area) of the head; MakeHuman's have 0.04, drawn characters' are larger.
 _EYES = replace(PIECES, max_radius=0.1)
+# Where the map tears at the corners of the mouth, edges are up to 10 to 16 times as long in jawOpen.
+_MAX_STRETCH, _SMOOTHING_ROUNDS = 5.0, 30
+_SHORT_EDGE = 0.1  # of the mean length; shorter edges count as this long
 _AROUND_EYES = ("eye", "brow", "cheekSquint")  # beginnings of names of shapes
 _COLUMNS, _PIXELS = 9, 200
 _VIEW = View("face", 15.0, 3.0)
@@ -75,9 +82,11 @@ def run_face(request: FaceRequest, stages: Stages) -> SummaryAndWarnings:
             "--landmarks."
         )
     stages("shapes")
-    on_head = face_shapes(bodies, [name for name in asked.shapes if name not in kept])
-    shapes = _on_body(on_head, head, body)
-    others = _other_parts(file_character, body, bodies, on_head)
+    mouth, carried = Mouth.of(bodies), body_shapes(bodies)
+    on_head = face_shapes(bodies, mouth, carried, [name for name in asked.shapes if name not in kept])
+    shapes, own = _on_body(on_head, head, body), {name: head.shapes[name] for name in kept}
+    amounts = dict.fromkeys(on_head, 1.0) | {name: _amount(own[name], carried[name]) for name in kept}
+    others = _other_parts(file_character, body, bodies, mouth, on_head | own, amounts)
     character = with_part(file_character, body, replace(body, shapes={**body.shapes, **shapes}))
     for part, with_shapes in others:
         character = with_part(character, part, with_shapes)
@@ -133,7 +142,7 @@ def _cut(body: Part, vertices: IndexArray) -> Part:
     faces = np.flatnonzero(np.logical_and.reduceat(inside[body.mesh.face_indices], body.mesh.face_offsets[:-1]))
     if len(faces) == 0:
         raise ParameterError(f"part {body.name!r}: its neck and head joints move no whole face. Give the head alone.")
-    return Part(body.name, replace(extract_faces(body.mesh, faces), name=body.mesh.name))
+    return part_of_faces(body, faces)
 
 
 def _landmarks(request: FaceRequest, head: Part, character: Character) -> tuple[Landmarks, list[str]]:
@@ -152,8 +161,12 @@ def _landmarks(request: FaceRequest, head: Part, character: Character) -> tuple[
     return Landmarks.of_points(points.names, on_head, on_kit, mesh.name, "face"), notes
 
 
-def face_shapes(bodies: Bodies, names: Sequence[str]) -> dict[str, FloatArray]:
+def face_shapes(
+    bodies: Bodies, mouth: Mouth, carried: Mapping[str, FloatArray], names: Sequence[str]
+) -> dict[str, FloatArray]:
     """Shapes of the built-in face on the head, by name, without new collisions.
+
+    ``carried``: all shapes of the built-in face, by `body_shapes`.
 
     Eyeballs in its mesh stay: rigid pieces that shapes around the eyes, of all in the kit, move furthest. Upper teeth
     in its mesh stay too, lower ones follow the jaw.
@@ -162,42 +175,79 @@ def face_shapes(bodies: Bodies, names: Sequence[str]) -> dict[str, FloatArray]:
     rows, mesh = bodies.rows(0), bodies.ready[0].mesh
     triangles = fan_triangles(mesh.face_offsets, mesh.face_indices)[0]
     forward = BodyFrames(bodies.result.point_map).rotation[2]
-    carried = body_shapes(bodies)
     shapes = {name: carried[name][rows] for name in names}
     for name in shapes.keys() - {"mouthClose"}:
-        shapes[name] = move_apart(mesh.positions, mesh.positions + shapes[name], triangles, forward) - mesh.positions
+        moved = mesh.positions + limit_stretch(mesh.positions, triangles, shapes[name])
+        shapes[name] = move_apart(mesh.positions, moved, triangles, forward) - mesh.positions
     if shapes.keys() >= {"mouthClose", "jawOpen"}:
         opened = mesh.positions + shapes["jawOpen"]
         shapes["mouthClose"] = move_apart(mesh.positions, opened + shapes["mouthClose"], triangles, forward) - opened
     shapes = {name: bodies.on_target(offsets) for name, offsets in shapes.items()}
     places, loose = bodies.given[0].mesh.positions, bodies.ready[0].vertex_of < 0
     if loose.any():
-        distances = np.asarray(cKDTree(places[~loose]).query(places[loose])[0])
-        means = root_means(places[loose], vertex_pieces(bodies.given[0].mesh)[loose], distances)
-        for offsets in shapes.values():
-            offsets[loose] = means @ offsets[loose]
+        means = _root_means(bodies.given[0].mesh, loose, places[~loose])
+        of_loose = {name: means @ offsets[loose] for name, offsets in shapes.items()}
+        for name, offsets in turn_lashes(bodies, places[loose], means, of_loose).items():
+            shapes[name][loose] = offsets
     for piece in rigid_pieces(bodies, _EYES):
         shifts = {name: np.linalg.norm(offsets[piece], axis=1).max() for name, offsets in carried.items()}
         if max(shifts, key=shifts.__getitem__).startswith(_AROUND_EYES):
             for offsets in shapes.values():
                 offsets[piece] = 0.0
-    in_mouth, of_mouth = Mouth.of(bodies).shapes(bodies.given[0].mesh, names)
+    in_mouth, of_mouth = mouth.shapes(bodies.given[0].mesh, dict.fromkeys(names, 1.0))
     in_mouth &= loose  # an island of the skin between UV seams is no tooth
     return {name: np.where(in_mouth[:, None], of_mouth.get(name, 0.0), offsets) for name, offsets in shapes.items()}
 
 
+def limit_stretch(positions: FloatArray, triangles: IndexArray, offsets: FloatArray) -> FloatArray:
+    """Offsets (n, 3) of a shape, smoothed at edges that it stretches by more than `_MAX_STRETCH`."""
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    lengths, means = row_lengths(np.diff(positions[edges], axis=1)[:, 0]), neighbor_means(triangles, len(positions))
+    limits = _MAX_STRETCH * np.maximum(lengths, _SHORT_EDGE * lengths.mean())
+    for _ in range(_SMOOTHING_ROUNDS):
+        rows = np.unique(edges[row_lengths(np.diff((positions + offsets)[edges], axis=1)[:, 0]) > limits])
+        if not len(rows):
+            break
+        offsets = offsets.copy()
+        offsets[rows] = 0.5 * (offsets[rows] + means[rows] @ offsets)
+    return offsets
+
+
+def _root_means(mesh: ControlMesh, rows: NDArray[np.bool_], skin: FloatArray) -> sparse.csr_array:
+    """Means over the roots of some vertices (n,) of a mesh, see `root_means`; ``skin`` (k, 3) are vertices."""
+    points = mesh.positions[rows]
+    return root_means(points, vertex_pieces(mesh)[rows], np.asarray(cKDTree(skin).query(points)[0]))
+
+
+def _amount(own: FloatArray, carried: FloatArray) -> float:
+    """Weight at which the built-in face's shape is most like the head's own one; at least 0."""
+    return max(0.0, float((own * carried).sum() / (carried**2).sum()))
+
+
 def _other_parts(
-    character: Character, body: Part, bodies: Bodies, shapes: Mapping[str, FloatArray]
+    character: Character,
+    body: Part,
+    bodies: Bodies,
+    mouth: Mouth,
+    shapes: Mapping[str, FloatArray],
+    amounts: Mapping[str, float],
 ) -> list[tuple[Part, Part]]:
-    """Lashes, brows, beards and what is in the mouth, as given and with the head's ``shapes`` that move them."""
+    """Lashes, brows, beards and what is in the mouth, as given and with the head's ``shapes`` that move them.
+
+    ``amounts``: how much of the motion of the jaw in the built-in face each shape has.
+    """
     others = [part for part in character.parts if part is not body]
     hairs = [part for part in others if passenger_word(part.name) in HAIRS]
     surface, skin = bodies.result.point_map.target, bodies.skin(None, shapes)
     made = dict(zip(hairs, with_nearest_values(hairs, skin, [[] for _ in hairs], surface, None), strict=True))
-    mouth = Mouth.of(bodies)
     for part in others:
+        if passenger_word(part.name) == "lash":
+            new = {name: offsets for name, offsets in made[part].shapes.items() if name not in part.shapes}
+            means = _root_means(part.mesh, np.ones(part.mesh.n_vertices, dtype=bool), skin.mesh.positions)
+            new = turn_lashes(bodies, part.mesh.positions, means, new)
+            made[part] = replace(made[part], shapes=made[part].shapes | new)
         if part not in made:
-            moved = {name: offsets for name, offsets in mouth.shapes(part.mesh, shapes)[1].items() if offsets.any()}
+            moved = {name: offsets for name, offsets in mouth.shapes(part.mesh, amounts)[1].items() if offsets.any()}
             made[part] = replace(part, shapes={**moved, **part.shapes})
     return [(part, made[part]) for part in others if made[part].shapes.keys() > part.shapes.keys()]
 

@@ -1,15 +1,17 @@
-"""Teeth, gums and tongues of a head in the shapes of the built-in face: those of the lower jaw move rigidly."""
+"""Teeth and lashes of a head in shapes of the built-in face: the lower jaw moves rigidly, lashes turn with the lids."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from cagemap.character.body_frames import BodyFrames
 from cagemap.files.face_kit import kit_vertices
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.topology import vertex_pieces
@@ -32,6 +34,10 @@ _FRONT_VERTICES = 32  # of the face that are nearest seen from the front
 # of both rows) is stretched over the gap.
 _BITE_HEIGHT, _BITE_RISE = -2.25, -0.09
 _MAX_OVERLAP, _GAP = 1.0, 1.0
+# Angle in radians by which ICT-FaceKit's upper lashes turn in a blink. Lashes turn where their roots go down by a fifth
+# of the most, and not at all below a tenth (docs/lab/characters.md).
+_BLINK_ANGLE, _TURNED_SHARE = 0.93, 0.1
+_MAX_TIP_SINE = 0.3  # of the angle by which lashes at the corners of the eye point backwards; eyeballs lie behind
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +63,13 @@ class Mouth:
         turn = nearest_rotations(covariance[None])[0]
         return cls(kit, centres, turn * (turn * covariance).sum() / (offsets**2).sum())
 
-    def shapes(self, mesh: ControlMesh, names: Iterable[str]) -> tuple[NDArray[np.bool_], dict[str, FloatArray]]:
-        """Vertices (n,) of pieces in the mouth, and offsets (n, 3) of shapes that move these; 0 at other vertices."""
+    def shapes(
+        self, mesh: ControlMesh, amounts: Mapping[str, float]
+    ) -> tuple[NDArray[np.bool_], dict[str, FloatArray]]:
+        """Vertices (n,) of pieces in the mouth, and offsets (n, 3) of shapes that move these; 0 at other vertices.
+
+        ``amounts``: of shapes, in parts of their motions in the built-in face.
+        """
         points = (mesh.positions - self.centres[0]) @ self.to_kit + self.centres[1]
         piece = vertex_pieces(mesh)
         sizes = np.bincount(piece)
@@ -71,9 +82,31 @@ class Mouth:
         of_lower = (np.bincount(piece, heights) < 0.0)[piece].astype(np.float64)
         is_above, is_below = (np.bincount(piece, side * heights > _MAX_OVERLAP) > 0 for side in (1.0, -1.0))
         of_lower = np.where((is_above & is_below)[piece], np.clip(0.5 - heights / _GAP, 0.0, 1.0), of_lower)
-        motions = {name: _JAW_MOTIONS[name] for name in names if name in _JAW_MOTIONS and inside.any()}
+        motions = {
+            name: amount * np.array(_JAW_MOTIONS[name])
+            for name, amount in amounts.items()
+            if name in _JAW_MOTIONS and inside.any()
+        }
         from_kit = np.linalg.inv(self.to_kit)
         return inside, {
             name: (inside * of_lower)[:, None] * (Rotation.from_rotvec(turn).apply(points) + shift - points) @ from_kit
             for name, (turn, shift) in motions.items()
         }
+
+
+def turn_lashes(
+    bodies: Bodies, points: FloatArray, means: sparse.csr_array, shapes: Mapping[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """Shapes (n, 3) of lashes, of which those of upper lids turn about their roots in blinks.
+
+    ``points``: (n, 3), and ``means`` (n, n) over their roots, see `root_means`. Points behind their roots do not turn.
+    """
+    right, up, forward = BodyFrames(bodies.result.point_map).rotation
+    made, tips = dict(shapes), points - means @ points
+    is_behind = tips @ forward < -_MAX_TIP_SINE * np.linalg.norm(tips, axis=1)
+    for name in shapes:
+        if name.startswith("eyeBlink") and (most := -(shapes[name] @ up).min(initial=0.0)) > 0.0:
+            share = np.clip(-(shapes[name] @ up) / (_TURNED_SHARE * most) - 1.0, 0.0, 1.0) * ~is_behind
+            turns = Rotation.from_rotvec(_BLINK_ANGLE * share[:, None] * right)
+            made[name] = shapes[name] + turns.apply(tips) - tips
+    return made

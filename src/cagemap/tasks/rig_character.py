@@ -65,7 +65,8 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     stages("read")
     document, given_source = read_body(request.like)
     assert document is not None  # `_require_paths` refuses meshes alone
-    source = character_of(document) if is_usd(request.like) else given_source
+    without_skin = given_source.rig is None
+    source = character_of(document, props=True) if is_usd(request.like) or without_skin else given_source
     body_document, target = read_body(request.body)
     to, of = (
         character_body(target, request.body_part, request.body),
@@ -89,6 +90,11 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
         taken=set(read_nodes(document).names) - {part.name for part in source.parts},
         stages=stages,
     )
+    if of.weights is None and not without_skin:
+        landmark_notes += (
+            f"{of.name} has no weights, so the body does not move with the skeleton: export the character with the "
+            "weights of its body, or choose a part that has weights as the body (rig: --like-part)",
+        )
     stages("textures")
     dressed, document = with_own_materials(carried, document, body_document, body=keeps)
     baked, notes = BakedImages(), list[str]()

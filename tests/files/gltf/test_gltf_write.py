@@ -389,6 +389,22 @@ def test_pieces_of_a_part_move_and_hide_with_it(version: str) -> None:
     assert number in [flag[key] for flag in flags]
 
 
+def test_a_part_whose_given_node_has_no_shapes_moves_with_another_part_which_keeps_its_mesh() -> None:
+    """The target's own part, named like one of the character's that is not carried."""
+    document = with_shape_weights(_expressive("VRMC_vrm"), "bend", np.array([[0.0], [1.0]]), "strip")
+    node = next(one for one in document.json["nodes"] if one["name"] == "strip" and "mesh" in one)
+    document.json["meshes"][node["mesh"]] |= {"name": "Strip", "extras": {"by": "me", "targetNames": ["raise"]}}
+    ball, strip, lash = character_of(document).parts
+    own = replace(ball, shapes={"raise": np.ones((ball.mesh.n_vertices, 3))})
+    made = replace(character_of(document), parts=(own, strip, lash))
+    again = character_glb(made, document, pieces_of={own.name: "strip"})
+    keys = read_shape_keys(read_scene(again), 0)
+    np.testing.assert_array_equal(keys[own.name, "raise"][1], keys["strip", "raise"][1])
+    (mesh,) = (one for one in again.json["meshes"] if one.get("name") == "Strip")
+    assert mesh["extras"] == {"by": "me", "targetNames": ["raise"]}
+    assert mesh == again.json["meshes"][next(one for one in again.json["nodes"] if one["name"] == "strip")["mesh"]]
+
+
 def test_shapes_that_the_first_primitive_lacks_are_referred_to() -> None:
     """Its weights are read, too."""
     document = _expressive("VRMC_vrm")

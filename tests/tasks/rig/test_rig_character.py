@@ -18,7 +18,7 @@ from cagemap.character.poses import pose_at
 from cagemap.character.values import Character, Part, Rig, skinned_positions
 from cagemap.errors import ParameterError
 from cagemap.files.gltf.binary import Binary
-from cagemap.files.gltf.character import read_character, read_shape_keys
+from cagemap.files.gltf.character import character_of, read_character, read_shape_keys
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
@@ -92,26 +92,46 @@ def test_a_body_moved_and_scaled_moves_like_the_character(run: Run, files: Chara
         np.testing.assert_allclose(skinned_positions(found, made.rig, poses[1])[rows], expected, atol=2e-3 * size)
 
 
+@pytest.mark.parametrize("skinned", [True, False])
 def test_a_prop_with_a_motion_of_its_own_moves_at_the_place_and_size_of_the_body(
-    run: Run, files: Character, body: ControlMesh
+    run: Run, files: Character, body: ControlMesh, skinned: bool
 ) -> None:
-    """A moon beside no joint, which turns and orbits: on a body that is scaled by 2, turned and shifted."""
+    """A moon beside no joint, which turns and orbits: on a body that is scaled by 2, turned and shifted.
+
+    A character without skin has no joint but the moon's; a turntable above everything stays a node.
+    """
     place, turn = body.positions.max(axis=0), Rotation.from_rotvec([0.0, 0.4, 0.0]).as_matrix()
     moon, count = ball("moon", np.array([0.02, 0.0, 0.0]), 0.1), ball("moon", place, 0.1).n_vertices
+    if not skinned:
+        files = Character((replace(files.parts[0], weights=None),))
     document = character_glb(replace(files, parts=(files.parts[0], Part("moon", moon))))
+    if not skinned:
+        document.json["animations"] = [{"name": "nod", "samplers": [], "channels": []}]
+        document.json["nodes"].append({"name": "turntable", "children": document.json["scenes"][0]["nodes"]})
+        document.json["scenes"][0]["nodes"] = [len(document.json["nodes"]) - 1]
     binary = Binary(document)
     (node,) = (number for number, one in enumerate(document.json["nodes"]) if one["name"] == "moon")
     document.json["nodes"][node]["translation"] = place.tolist()
     times = binary.accessor(np.array([0.0, 1.0], "<f4"), min=[0.0], max=[1.0])
     (animation,) = document.json["animations"]
+    if not skinned:
+        still = binary.accessor(np.zeros((2, 3), "<f4"))
+        animation["samplers"].append({"input": times, "output": still})
+        table = len(document.json["nodes"]) - 1
+        animation["channels"].append({"sampler": 0, "target": {"node": table, "path": "translation"}})
     quarter = [0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)]
     for path, keys in (("translation", [place, place * [-1, 1, 1]]), ("rotation", [[0, 0, 0, 1], quarter])):
         animation["samplers"].append({"input": times, "output": binary.accessor(np.array(keys, "<f4"))})
         sampler = len(animation["samplers"]) - 1
         animation["channels"].append({"sampler": sampler, "target": {"node": node, "path": path}})
     write_document("C.glb", binary.document(document.json), force=True)
+    moved = animation["channels"]
+    animation["channels"] = moved[:1]  # the turntable's
+    assert skinned or character_of(binary.document(document.json), props=True).rig is None
+    animation["channels"] = moved
     write_mesh("B.glb", body.with_positions(2 * body.positions @ turn + [0.1, 0.2, 0.3]), force=True)
     made = rig_done(run)
+    assert made.rig.names == (*(files.rig.names if skinned else ["turntable"]), "moon")
     posed = skinned_positions(part_named(made, "moon"), made.rig, pose_at(made.rig, made.animations[0], 1.0))
     rotation = Rotation.from_quat(quarter).as_matrix().T
     expected = 2 * (moon.positions @ rotation + place * [-1, 1, 1]) @ turn + [0.1, 0.2, 0.3]
@@ -284,7 +304,7 @@ def test_a_loose_piece_keeps_what_its_vertices_and_corners_have(body: ControlMes
     of_vertices = np.random.default_rng(1).random((mesh.n_vertices, 3))
     rows, corners = slice(body.n_vertices, None), slice(len(body.face_indices), None)
     given = Part("body", mesh, None, {"open": of_vertices}, of_corners[:, :3], {"open": of_corners[:, 1:]}, of_corners)
-    piece = _set_aside(given, plain_mesh(mesh))
+    piece = _set_aside(Bodies((given, given), (plain_mesh(mesh),) * 2, None), 1)
     np.testing.assert_array_equal(piece.mesh.positions, mesh.positions[rows])
     np.testing.assert_array_equal(piece.shapes["open"], of_vertices[rows])
     np.testing.assert_array_equal(piece.normals, of_corners[corners, :3])
@@ -370,6 +390,38 @@ def test_a_piece_that_stays_moves_as_that_of_the_character(body: ControlMesh, in
         np.testing.assert_allclose(made.shapes[name], 2.0 * offsets, atol=1e-3)
 
 
+@pytest.mark.parametrize("named", [False, True])
+@pytest.mark.parametrize("as_part", [False, True])
+def test_a_piece_of_the_mesh_moves_as_what_the_character_has_of_its_kind(body, named: bool, as_part: bool) -> None:
+    """Eyes in the mesh of the body: the character's are a part or in its mesh, there or, of that name, beside it."""
+    place = body.positions[np.argmax(body.positions[:, 2])] + [0, 0, 0.3]
+    eye, other = ball("Eyes", place, 0.1), ball("Eyes", place + np.array([0.0, 0.25 * named, 0.0]), 0.1)
+    bare = replace(body, name="skin", face_objects=None, object_names=())
+    meshes = [with_options(join_meshes([bare, one]), "none") for one in (eye, other)]
+    if not named:
+        meshes = [replace(mesh, face_materials=None, material_names=(), material_colors=None) for mesh in meshes]
+    shapes = [{"look": np.tile([0.0, 0.0, share], (one.n_vertices, 1))} for share, one in ((0.0, body), (0.1, other))]
+    weights = [np.tile(row, (one.n_vertices, 1)) for row, one in (([1.0, 0.0], body), ([0.0, 1.0], other))]
+    if as_part:
+        skin = replace(with_options(body, "none"), name="C.glb")
+        source = [Part("body", skin, sparse.csr_array(weights[0]))]
+        source += [Part("Eyes", other, sparse.csr_array(weights[1]), shapes[1])]
+    else:
+        of_all = {"look": np.concatenate([one["look"] for one in shapes])}
+        source = [Part("body", replace(meshes[1], name="C.glb"), sparse.csr_array(np.concatenate(weights)), of_all)]
+    rig = Rig(("root", "eye"), np.array([-1, 0]), *2 * [np.tile(np.eye(4), (2, 1, 1))])
+    target = Part("body", replace(meshes[0], name="B.glb"))
+    carried = carry_character(Character((target,)), Character(tuple(source), rig))
+    made, *others = carried.character.parts
+    of_eye = made.weights.toarray()[body.n_vertices :]
+    np.testing.assert_allclose(of_eye, np.tile([0.0, 1.0], (eye.n_vertices, 1)), atol=1e-6)
+    np.testing.assert_allclose(made.shapes["look"][body.n_vertices :], shapes[1]["look"], atol=1e-3)
+    np.testing.assert_allclose(made.shapes["look"][: body.n_vertices], 0.0, atol=1e-12)
+    # Eyes of the mesh get the texture of the skin: the character's part is carried.
+    assert [part.name for part in others] == (["Eyes"] if as_part else [])
+    assert any(("own pieces of this kind" if others else "has its own") in note for note in carried.notes)
+
+
 @pytest.mark.parametrize(("has_eyes", "in_one_part"), [(False, True), (True, True), (True, False)])
 def test_an_own_eyeball_moves_as_a_whole(body: ControlMesh, has_eyes: bool, in_one_part: bool) -> None:
     """It follows the character's eye joint, or the skin around it on average; so do its iris and a ball in the mesh."""
@@ -419,13 +471,16 @@ def test_own_lashes_and_teeth_get_shapes(body: ControlMesh) -> None:
 
 
 def test_a_part_where_the_mesh_of_the_body_has_a_piece_is_named(body: ControlMesh) -> None:
-    """Eyes of the character, carried to a body whose mesh has eyes."""
+    """Eyes of the character, carried to a body whose mesh has eyes without a name."""
     place = body.positions[np.argmax(body.positions[:, 2])] + [0, 0, 0.3]
     eye, hat = ball("eye", place, 0.1), ball("hat", -place, 0.1)
-    meshes = [replace(one, face_objects=None, object_names=()) for one in (body, eye)]
+    bare = {"face_objects": None, "object_names": (), "face_materials": None, "material_names": ()}
+    meshes = [replace(one, **bare, material_colors=None) for one in (body, eye)]
     target = Character((Part("body", replace(with_options(join_meshes(meshes), "none"), name="B.glb")),))
     source = Character((Part("body", replace(body, name="C.glb")), Part("eye", eye), Part("hat", hat)))
-    said = "eye: the mesh of B.glb has own pieces at the same place. To leave out the character's, name the others by"
+    said = (
+        "eye: the mesh of B.glb has own pieces of this kind or place. To leave out the character's, name the others by"
+    )
     said += " --passengers"
     assert said in carry_character(target, source).notes
     assert said not in carry_character(target, source, passengers=["eye"]).notes

@@ -32,12 +32,13 @@ def read_character(path: str | Path) -> Character:
     return character_of(read_document(path))
 
 
-def character_of(document: Document) -> Character:
+def character_of(document: Document, *, props: bool = False) -> Character:
     """The character in a document: mesh nodes as parts, joints of all skins as one rig, their animations.
 
-    Warns of tangents of morph targets, which are left out; programs compute them from normals and UVs.
+    Warns of tangents of morph targets, which are left out; programs compute them from normals and UVs. ``props``: see
+    `read_scene`.
     """
-    scene = read_scene(document)
+    scene = read_scene(document, props=props)
     rig = None if scene.joints is None else scene.joints.rig
     if any(_has_tangents(document, read_part.node) for read_part in scene.parts):
         _log.warning("%s: tangents of blend shapes are left out; programs compute them", document.file)

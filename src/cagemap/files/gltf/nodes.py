@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,16 +207,16 @@ def snap_to_exact(matrix: FloatArray, exact: FloatArray, frame: FloatArray) -> F
     return exact if np.abs(frame @ matrix - meant).max() < _SAME_TRANSFORM * size else matrix
 
 
-def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> Joints | None:
-    """Joints of all skins as one rig; None without skins.
+def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...], *, props: bool = False) -> Joints | None:
+    """Joints of all skins as one rig; None without skins, unless ``props`` and a mesh moves by itself.
 
     An animated node of a mesh without skin becomes a joint. So does a node above a joint if it is animated or its
     transform is no similarity. Transforms of other nodes are applied to the joints below them. A joint that a later
     skin in use binds otherwise gets a child.
     """
-    if not skins:
+    chosen = _joint_nodes(document, nodes, skins) if skins or props else []
+    if not chosen:
         return None
-    chosen = _joint_nodes(document, nodes, skins)
     count = len(nodes.names)
     joint_of = np.full(count, -1, dtype=np.int64)
     joint_of[chosen] = np.arange(len(chosen))
@@ -297,16 +298,18 @@ def moved_nodes(document: Document) -> set[int]:
 
 
 def _moved_props(document: Document, nodes: Nodes, joints: set[int], moved: set[int]) -> set[int]:
-    """Animated nodes of meshes without skin, and those above them up to a joint."""
-    found: set[int] = set()
+    """Animated nodes of meshes without skin, and those above them up to a joint; not a turntable of all meshes."""
+    chains = list[set[int]]()
     for node in nodes.in_scene:
         entry = document.entry("nodes", node)
         if entry.get("mesh") is None or entry.get("skin") is not None or not is_invertible(nodes.world[[node]])[0]:
             continue
+        chains.append(set())
         while node >= 0 and node not in joints:
-            found |= moved & {node}
+            chains[-1].add(node)
             node = int(nodes.parents[node])
-    return found
+    found = moved.intersection(chain.from_iterable(chains))
+    return found if joints else found - moved.intersection(*chains)
 
 
 def nearest_joint(nodes: Nodes, joint_of: IndexArray, node: int) -> int:

@@ -59,15 +59,16 @@ class Scene:
     parts: tuple[ReadPart, ...]
 
 
-def read_scene(document: Document) -> Scene:
+def read_scene(document: Document, *, props: bool = False) -> Scene:
     """Mesh nodes of the displayed scene as parts, and the joints of all skins.
 
     Skinned meshes are in their bind pose; as glTF demands, their node's transform is ignored. All skins share one bind
     pose: meshes that were bound in another pose are moved to it. A mesh below a joint follows that joint.
+    ``props``: nodes of meshes that move by themselves are joints, also without a skin.
     """
     nodes = read_nodes(document)
     skins = tuple(read_skin(document, nodes, number) for number in range(len(document.entries("skins"))))
-    joints = read_joints(document, nodes, skins)
+    joints = read_joints(document, nodes, skins, props=props)
     parts = []
     with_mesh = [node for node in nodes.order if document.entry("nodes", node).get("mesh") is not None]
     if hidden := [nodes.names[node] for node in with_mesh if node not in nodes.in_scene]:

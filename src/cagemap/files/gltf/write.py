@@ -99,11 +99,13 @@ def character_glb(
     ``character``: positions and bind pose as read, in metres with Y up.
     ``images``: PNG or JPEG files by material and slot, such as ``("body", "baseColorTexture")``; other settings of a
         slot are kept.
-    ``pieces_of``: names of new parts, each with the name of the given part that it is a piece of. They get the weights
-        of its blend shapes, VRM's expressions and first-person flags too.
+    ``pieces_of``: names of parts that are new or get their first shapes, each with the name of the given part that it
+        is a piece of. They get the weights of its blend shapes, VRM's expressions and first-person flags too.
     """
     empty = Document(_EMPTY, (), Path("new.glb"))
-    scene = Scene(empty, read_nodes(empty), None, ()) if materials_from is None else read_scene(materials_from)
+    scene = Scene(empty, read_nodes(empty), None, ())
+    if materials_from is not None:
+        scene = read_scene(materials_from, props=character.rig is not None)
     writer = _Made(scene, pieces_of or {})
     writer.rig(character.rig)
     for part in character.parts:
@@ -125,7 +127,7 @@ class _Made:
         self._node_of_joint = {name: node for node, name in enumerate(scene.nodes.names)}
         # mesh numbers in the given document
         self._mesh_of_node = {node: self._nodes[node].pop("mesh") for node in self._node_of_part.values()}
-        self._given_node: dict[int, int] = {}  # of new nodes with pieces of its mesh
+        self._given_node: dict[int, int] = {}  # of nodes with pieces of its mesh
         self._roots = self._scene_roots()
         for node in self._mesh_of_node:
             for name in ("skin", "weights"):
@@ -159,9 +161,9 @@ class _Made:
         node = self._node_of_part.get(part.name)
         if node is None:
             node = self._new_node({"name": part.name}, None)
-            if part.name in self._pieces_of:
-                given = self._node_of_part[self._pieces_of[part.name]]
-                self._given_node[node], self._mesh_of_node[node] = given, self._mesh_of_node[given]
+        if part.name in self._pieces_of and not self._shapes_before(node):
+            given = self._node_of_part[self._pieces_of[part.name]]
+            self._given_node[node], self._mesh_of_node[node] = given, self._mesh_of_node[given]
         skinned = part.weights is not None and rig is not None
         if not skinned:
             part = replace(part, weights=None)
@@ -196,9 +198,9 @@ class _Made:
 
     def _mesh_number(self, node: int, made: dict[str, Any]) -> int:
         """Add a mesh; one that only this node used is replaced, and keeps its name, extras and extensions."""
-        number = self._mesh_of_node.get(node)
+        number = self._mesh_of_node.get(node, -1)
         made = made | self._stated_weights(node, made)
-        if number is None or list(self._mesh_of_node.values()).count(number) > 1:
+        if [one for one, of in self._mesh_of_node.items() if of == number and one not in self._given_node] != [node]:
             self._meshes.append(made)
             return len(self._meshes) - 1
         before = self._meshes[number]

@@ -1,0 +1,89 @@
+"""Parts and loose pieces of a character that the target has itself: they give it their values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cagemap.character.doubled_pieces import doubled_meshes, doubled_pieces, pieces_in_surface
+from cagemap.character.own_parts import pairs_of_one_kind
+from cagemap.character.values import Part
+from cagemap.maps.point_map import PointMap
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.parts import extract_faces, numbers_on_part, passenger_name
+from cagemap.mesh.topology import face_components
+from cagemap.numerics.arrays import IndexArray, members_of
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedParts:
+    """What the target has of a character's parts and loose pieces."""
+
+    counterparts: list[list[Part]]  # for each own piece or part of the target, those of its kind, placed on the target
+    like_parts: list[Part]  # placed parts of the kind of an own part
+    like_pieces: list[Part]  # placed parts of the kind or at the places of own pieces
+    faces: IndexArray  # of the loose pieces, without those that the target has
+
+
+def compare_parts(
+    placed: Sequence[Part],
+    pieces: Part,
+    placed_pieces: Part,
+    own: tuple[Sequence[Part], Sequence[Part]],
+    point_map: PointMap,
+) -> ComparedParts:
+    """Compare a character's parts and loose pieces with those of the target.
+
+    ``placed``: the character's parts beside its body, placed on the target.
+    ``pieces``: loose pieces of its body, as given and as placed on the target.
+    ``own``: loose pieces of the target's body, and the target's parts beside it.
+    """
+    named = named_pieces(pieces.mesh)
+    groups = [
+        (name, np.sort(np.concatenate([faces for one, faces in named if one == name])))
+        for name in dict.fromkeys(name for name, _ in named)
+    ]
+    candidates = [*placed, *(part_of_faces(placed_pieces, faces, name) for name, faces in groups)]
+    count, loose, every = len(placed), len(own[0]), [*own[0], *own[1]]
+    of_carried, of_own = ([part.mesh for part in parts] for parts in (candidates, every))
+    # Whole parts are compared with whole parts, others piece by piece.
+    doubled = [one for one in doubled_pieces(of_carried, of_own) if one[0] >= count or one[1] < loose]
+    doubled += [(row, loose + one, faces) for row, one, faces in doubled_meshes(of_carried[:count], of_own[loose:])]
+    pairs = pairs_of_one_kind(candidates, every, doubled)
+    counterparts = [list[Part]() for _ in every]
+    for row, number, faces in pairs:
+        whole = len(faces) == candidates[row].mesh.n_faces
+        counterparts[number].append(candidates[row] if whole else part_of_faces(candidates[row], faces))
+    like_parts = [part for parts in counterparts[loose:] for part in parts]
+    sizes = [sum(len(faces) for one, number, faces in pairs if one == row and number < loose) for row in range(count)]
+    like_pieces = [part for part, size in zip(placed, sizes, strict=True) if size >= part.mesh.n_faces]
+    found = [groups[row - count][1][faces] for row, _, faces in pairs if row >= count]
+    found += pieces_in_surface(pieces.mesh, placed_pieces.mesh, point_map) if groups else []
+    faces = np.setdiff1d(np.arange(pieces.mesh.n_faces), np.concatenate([np.zeros(0, dtype=np.int64), *found]))
+    return ComparedParts(counterparts, like_parts, like_pieces, faces)
+
+
+def named_pieces(mesh: ControlMesh) -> list[tuple[str, IndexArray]]:
+    """Name, by `passenger_name`, and faces of every connected piece."""
+    return [(passenger_name(mesh, faces), faces) for faces in members_of(face_components(mesh))]
+
+
+def part_of_faces(part: Part, faces: IndexArray, name: str | None = None) -> Part:
+    """Some faces of a part, with the values of their vertices and corners."""
+    mesh = part.mesh
+    taken = extract_faces(mesh, faces)
+    number = numbers_on_part(taken, mesh)
+    rows = np.zeros(taken.n_vertices, dtype=np.int64)
+    rows[number[number >= 0]] = np.flatnonzero(number >= 0)
+    corners = np.isin(mesh.corner_faces, faces)
+    return Part(
+        part.name if name is None else name,
+        taken,
+        None if part.weights is None else part.weights[rows],
+        {name: offsets[rows] for name, offsets in part.shapes.items()},
+        None if part.normals is None else part.normals[corners],
+        {name: offsets[corners] for name, offsets in part.shape_normals.items()},
+        None if part.colors is None else part.colors[corners],
+    )
