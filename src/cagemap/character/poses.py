@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cagemap.character.bones import humanoid_joints
+from cagemap.character.bones import BODY_SIDES, humanoid_joints
 from cagemap.character.values import Animation, Channel, Interpolation, Rig, Track
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
@@ -240,8 +240,10 @@ def fit_rotation_and_scale(source: Rig, target: Rig, pairs: Mapping[int, int]) -
     if not pairs:
         return np.eye(3), 1.0
     bones = humanoid_joints(source)
-    joint_lists = [[bones[bone] for bone in names if bones.get(bone) in pairs] for names in (_TORSO, _PELVIS)]
-    joint_sets = [np.array(joints) for joints in joint_lists if len(joints) > 3] or [np.array(list(pairs))]
+    listed = [[bone for bone in names if bones.get(bone) in pairs] for names in (_TORSO, _PELVIS)]
+    # Spine and head alone are nearly on a line: any rotation about it fits.
+    found = [names for names in listed if len(names) > 3 and any(name.startswith(BODY_SIDES) for name in names)]
+    joint_sets = [np.array([bones[name] for name in names]) for names in found] or [np.array(list(pairs))]
     # Both must agree: a bent back turns the torso alone.
     fits = [
         _fit_rotation(source, target, source_joints, np.array([pairs[joint] for joint in source_joints.tolist()]))
