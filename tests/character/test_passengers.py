@@ -153,7 +153,8 @@ def test_a_small_part_keeps_its_shape_where_the_map_would_tear_it(body: ControlM
     along, across = np.meshgrid(np.linspace(-0.2, 0.2, 9), np.linspace(-0.03, 0.03, 3))  # a strip: no rigid piece
     row = np.arange(8)[:, None] + [0, 1, 10, 9]
     strip = ControlMesh.from_faces(
-        centre + np.column_stack([along.ravel(), across.ravel(), 0.02 + 0 * along.ravel()]), np.concatenate([row, row + 9])
+        centre + np.column_stack([along.ravel(), across.ravel(), 0.02 + 0 * along.ravel()]),
+        np.concatenate([row, row + 9]),
     )
     carried, corners = carry_passenger(point_map, strip), strip.face_indices.reshape(-1, 4)
     lengths = [np.linalg.norm(np.diff(of[corners], axis=1), axis=2) for of in (strip.positions, carried.positions)]

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from cagemap.character.poses import (
     MIN_BONE_ANGLE,
+    MIN_POSE_ANGLE,
     aligned_pose,
     fit_rotation_and_scale,
     least_rotation,
@@ -151,7 +152,7 @@ def test_a_bent_back_is_a_pose_and_no_turned_rig() -> None:
 
 
 def test_a_spine_alone_does_not_say_that_a_rig_is_turned() -> None:
-    """Joints of `quaternius_Pug.fbx`, and where a pig of other proportions has them; the pig must not be turned over."""
+    """Joints of `quaternius_Pug.fbx`, and where a pig has them, which must not be turned over."""
     places = {
         "Hips": ((0, 1.58, -0.64), (-0.02, 2.91, -2.3)),
         "Torso": ((0, 1.56, -0.01), (-0.02, 3.06, -0.71)),
@@ -172,6 +173,20 @@ def test_bones_that_point_nearly_alike_stay_as_they_are() -> None:
     low = person()
     for angle, kept in ((0.9 * MIN_BONE_ANGLE, True), (1.1 * MIN_BONE_ANGLE, False)):
         assert np.allclose(aligned_pose(low, raised(low, angle)), low.bind) == kept
+
+
+def test_animals_in_another_pose_come_together() -> None:
+    """A fox that runs in its bind pose; one whose paws point elsewhere is another animal in the same pose."""
+    low = replace(person(), names=tuple("abcdefghijk"))
+    for angle, kept in ((0.9 * MIN_POSE_ANGLE, True), (1.1 * MIN_POSE_ANGLE, False)):
+        high = raised(low, angle, "h")
+        posed = aligned_pose(low, high)[:, 3]
+        np.testing.assert_allclose(posed, low.bind[:, 3] if kept else high.bind[:, 3], atol=1e-9)
+        animation = dance(low)
+        (again,), posed_otherwise = retarget_all((animation,), low, high)
+        assert posed_otherwise != kept
+        if not kept:
+            np.testing.assert_allclose(pose_at(high, again, 0.5)[:, 3], pose_at(low, animation, 0.5)[:, 3], atol=1e-7)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.8])

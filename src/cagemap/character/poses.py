@@ -16,6 +16,11 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 MAX_TURN_ERROR = 0.5
 # Radians; bones whose directions differ by less have one pose. Different bodies alone make 10 degrees.
 MIN_BONE_ANGLE = np.radians(20.0)
+# Radians; where no bone of a rig without humanoid bones differs by more, the poses are the same: a wolf's paw and a
+# fox's differ by 36 degrees (docs/lab/characters.md).
+MIN_POSE_ANGLE = np.radians(45.0)
+# Of the direction to a child with an axis of its joint, where the joint's bone ends at that child.
+MIN_BONE_COSINE = 0.99
 # Weight of the joints' axes beside their positions: decides the rotation where all joints lie on a line.
 AXES_WEIGHT = 1e-9
 # Joints whose positions in the body do not depend on the pose.
@@ -188,39 +193,70 @@ def aligned_pose(rig: Rig, reference: Rig) -> FloatArray:
 
     Limbs, fingers, spine and neck turn by the least rotation that gives each bone the direction of the reference's
     bone. A bone that needs less than `MIN_BONE_ANGLE` keeps its direction, unless a bone above it was turned. Lengths
-    stay.
+    stay. Of rigs without humanoid bones all bones turn after the first joint with several children, if one of them
+    needs `MIN_POSE_ANGLE`.
 
     Raises
     ------
     ParameterError
-        If the rigs have no humanoid bone in common.
+        If the rigs have neither a humanoid bone in common nor the same names.
     """
     bones, reference_bones = humanoid_joints(rig), humanoid_joints(reference)
-    common = {bone: (reference_bones[bone], bones[bone]) for bone in bones if bone in reference_bones}
+    common = {reference_bones[bone]: bones[bone] for bone in bones if bone in reference_bones}
+    ends = {
+        reference_bones[start]: reference_bones[end]
+        for start, end in BONE_ENDS.items()
+        if start in reference_bones and end in reference_bones
+    }
+    least_angle = 0.0
+    if not common and rig.names == reference.names:
+        common, ends = {joint: joint for joint in range(len(rig.names))}, bone_ends(reference)
+        trunk = int((np.bincount(rig.parents[rig.parents >= 0]) > 1).argmax())  # where the limbs begin
+        ends, least_angle = {start: end for start, end in ends.items() if start > trunk}, MIN_POSE_ANGLE
     if not common:
         raise ParameterError(
             "poses: expected two rigs with humanoid bones in common, got none; name joints as VRM, Mixamo, Rigify, "
             "MakeHuman, Unreal or Character Creator do"
         )
-    bend = fit_rotation_and_scale(reference, rig, dict(common.values()))[0]
-    ends = {
-        common[start][1]: (common[end][1], (reference.heads[common[end][0]] - reference.heads[common[start][0]]) @ bend)
-        for start, end in BONE_ENDS.items()
+    turn = fit_rotation_and_scale(reference, rig, common)[0]
+    directions = {
+        common[start]: (common[end], (reference.heads[end] - reference.heads[start]) @ turn)
+        for start, end in ends.items()
         if start in common and end in common
     }
+    angles = [
+        Rotation.from_matrix(least_rotation(rig.heads[end] - rig.heads[joint], direction)).magnitude()
+        for joint, (end, direction) in directions.items()
+    ]
+    if max(angles, default=0.0) < least_angle:
+        return rig.bind.copy()
     local, posed = parent_transforms(rig.bind, rig.parents), rig.bind.copy()
     inverse, is_turned = np.linalg.inv(rig.bind), np.zeros(len(rig.parents), dtype=np.bool_)
     for joint, parent in enumerate(rig.parents):
         if parent >= 0:
             posed[joint], is_turned[joint] = local[joint] @ posed[parent], is_turned[parent]
-        if joint in ends:
-            end, direction = ends[joint]
+        if joint in directions:
+            end, direction = directions[joint]
             current = (rig.heads[end] - rig.heads[joint]) @ (inverse[joint] @ posed[joint])[:3, :3]
             bend = least_rotation(current, direction)
             is_turned[joint] |= Rotation.from_matrix(bend).magnitude() > MIN_BONE_ANGLE
             if is_turned[joint]:
                 posed[joint, :3, :3] = posed[joint, :3, :3] @ bend
     return posed
+
+
+def bone_ends(rig: Rig) -> dict[int, int]:
+    """The child at the end of each bone: along an axis, or the only child."""
+    axes = rotations_of(rig.bind)
+    ends: dict[int, int] = {}
+    for joint in range(len(rig.names)):
+        children = np.flatnonzero(rig.parents == joint)
+        directions = rig.heads[children] - rig.heads[joint]
+        lengths = np.linalg.norm(directions, axis=1)
+        cosines = np.abs(directions @ axes[joint].T).max(axis=1, initial=0.0) / np.where(lengths > 0, lengths, np.inf)
+        if len(children) == 1 or (len(children) and cosines.max() > MIN_BONE_COSINE):
+            ends[joint] = int(children[cosines.argmax()])
+    return ends
 
 
 def least_rotation(start: FloatArray, end: FloatArray) -> FloatArray:

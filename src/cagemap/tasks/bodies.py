@@ -14,6 +14,7 @@ from cagemap.character.values import Part
 from cagemap.errors import ParameterError
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.mesh_report import count_noun
 from cagemap.mesh.parts import MIN_BODY_EXTENT
 from cagemap.mesh.repairs import RepairedMesh
 from cagemap.mesh.topology import used_vertices
@@ -28,6 +29,8 @@ BODY_VERTICES = 100_000
 # A part is refused as a body if the piece that is matched spans less than `MIN_BODY_EXTENT` of it, and the other pieces
 # have more than this share of the area.
 _MAX_OTHER_PIECES = 0.1
+_MIN_FACES = 4  # of a body: a tetrahedron
+_OTHER_PART = "Or choose another part (rig: --body-part, --like-part; face: --part)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +87,11 @@ def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stage
 
 
 def _ready_body(part: Part) -> RepairedMesh:
+    if part.mesh.n_faces < _MIN_FACES:
+        raise ParameterError(
+            f"{part.mesh.name}: expected a body, but {part.name} has only {count_noun(part.mesh.n_faces, 'face')}. "
+            f"Export the whole body. {_OTHER_PART}."
+        )
     ready = ready_mesh(part.mesh)
     with_faces = part.mesh.positions[used_vertices(part.mesh)]
     extents = [box_diagonal(points) for points in (ready.mesh.positions, with_faces)]
@@ -91,8 +99,7 @@ def _ready_body(part: Part) -> RepairedMesh:
         raise ParameterError(
             f"{part.mesh.name}: expected a surface in one piece, but {part.name} has {ready.repairs.pieces + 1} "
             f"pieces, and the one that is matched spans only {extents[0] / extents[1]:.0%} of it. If faces under the "
-            "clothes were deleted, export the whole body; or choose another part (rig: --body-part, --like-part; "
-            "face: --part)."
+            f"clothes were deleted, export the whole body. {_OTHER_PART}."
         )
     return ready
 

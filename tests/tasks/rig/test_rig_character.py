@@ -264,7 +264,9 @@ def test_a_loose_piece_of_the_body_is_said_to_be_carried_along(run: Run, files: 
     write_mesh("B.glb", replace(whole, name="body"), force=True)
     outcome = run("rig", "B.glb", "--like", "C.glb", "-o", "OUT.glb")
     assert outcome.code == 0
-    assert f"1 other piece ({button.n_vertices} vertices) not matched, but moved along with the body" in outcome.err
+    assert (
+        f"1 other piece ({button.n_vertices} vertices, 0.1 % of the area) not matched, but moved along" in outcome.err
+    )
     assert "--part" not in outcome.err
     assert ", 1 animation\n" in outcome.out
 
@@ -477,6 +479,13 @@ def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
     mesh = join_meshes([replace(one, face_objects=None, object_names=()) for one in balls])
     body = Part("skin", with_options(replace(mesh, name="C.glb"), "none"))
     message = r"C\.glb: .* skin has 3 pieces, and the one that is matched spans only 2.% of it"
+    refuses(ParameterError, message, match_bodies, body, body, Landmarks.none(), Stages())
+
+
+def test_a_body_of_one_triangle_is_refused() -> None:
+    """The mesh of `saturday06_skinned_morph_vrm0.vrm`."""
+    body = Part("Cube", ControlMesh.from_faces(np.eye(3), np.array([[0, 1, 2]]), name="C.vrm"))
+    message = r"C\.vrm: expected a body, but Cube has only 1 face\. .*--like-part"
     refuses(ParameterError, message, match_bodies, body, body, Landmarks.none(), Stages())
 
 
