@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from cagemap.character.body_frames import BodyFrames
 from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.poses import pose_at
 from cagemap.character.roles import find_body, find_continuing_parts
@@ -33,6 +34,7 @@ from cagemap.files.usd.convert import document_and_character
 from cagemap.files.usd.space import similar_space
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd, usd_modules
 from cagemap.maps.hypotheses.confidence import SURE
+from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.cage_points import CagePoints, NamedPoints, on_cage
 from cagemap.mesh.checks import check_mesh
@@ -57,6 +59,9 @@ from cagemap.tasks.rig_materials import (
 _log = logging.getLogger(__name__)
 
 _DOUBT = "the bodies may be matched wrongly: look at the result, and give --landmarks where it is wrong"
+
+# Of the character's up with that of the body; less if the file has another axis up.
+_MIN_UPRIGHT_COSINE = 0.5
 
 
 def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
@@ -119,7 +124,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     confidence = carried.result.confidence
     doubt = [] if confidence is None or confidence.verdict == SURE else [_DOUBT]
     stages.record(_figures(dressed) | {"trusted_area": carried.result.quality.trusted_area})
-    warnings = body_warnings(carried.result)
+    warnings = [*body_warnings(carried.result), *_up_warning(carried.result.point_map, request.body)]
     return _summary(request, dressed), [*split, *landmark_notes, *carried.notes, *warnings, *notes, *doubt]
 
 
@@ -213,6 +218,19 @@ def _split_body(path: Path, character: Character, body: Part) -> list[str]:
     return [
         f"{path}: {body.name} alone is matched as the body, but {first_few(others)} continues it. Join these parts in "
         "the modelling program (Blender: Ctrl+J, then Merge by Distance)"
+    ]
+
+
+def _up_warning(point_map: PointMap, path: Path) -> list[str]:
+    """A warning if the target is turned over against the source, whose Y axis is up: OBJ files may have Z up."""
+    up = BodyFrames(point_map).rotation[1]
+    if up[1] > _MIN_UPRIGHT_COSINE:
+        return []
+    axis = "XYZ"[np.abs(up).argmax()]
+    sign = "-" if up["XYZ".index(axis)] < 0 else ""
+    return [
+        f"{path}: what is up in the character is {sign}{axis} here, but glTF has Y up: if the body lies down in other "
+        "programs, rotate it before"
     ]
 
 

@@ -36,10 +36,11 @@ from cagemap.tasks.carry_character import _set_aside, carry_character
 from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
-from cagemap.tasks.rig_character import _kinds, _landmarks, _split_body, character_body, read_body
+from cagemap.tasks.rig_character import _kinds, _landmarks, _split_body, _up_warning, character_body, read_body
 
 from command_line import Run
 from example_character import ball, bare_body, write_character
+from example_rigs import body_moved
 from plain_meshes import far_apart, marks_at
 from refusals import refuses
 from rigged import image_error, part_named, rig_done, same_order
@@ -480,6 +481,13 @@ def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
     body = Part("skin", with_options(replace(mesh, name="C.glb"), "none"))
     message = r"C\.glb: .* skin has 3 pieces, and the one that is matched spans only 2.% of it"
     refuses(ParameterError, message, match_bodies, body, body, Landmarks.none(), Stages())
+
+
+def test_a_body_with_another_axis_up_is_named() -> None:
+    x_turn, y_turn = (Rotation.from_rotvec(angle).as_matrix() for angle in ([np.pi / 2, 0, 0], [0, 2.0, 0]))
+    for turn, words in ((np.eye(3), []), (y_turn, []), (x_turn, ["-Z here"]), (x_turn.T, ["Z here"])):
+        found = _up_warning(body_moved(2.0, turn, np.ones(3)), Path("B.obj"))
+        assert [word in text for word, text in zip(words, found, strict=True)] == [True] * len(words)
 
 
 def test_a_body_of_one_triangle_is_refused() -> None:
