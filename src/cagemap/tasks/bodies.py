@@ -12,6 +12,7 @@ from cagemap.character.own_parts import nearest_rows, rigid_groups
 from cagemap.character.passenger_pieces import PIECES, PieceConfig
 from cagemap.character.values import Part
 from cagemap.errors import ParameterError
+from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import count_noun
@@ -19,7 +20,10 @@ from cagemap.mesh.parts import MIN_BODY_EXTENT
 from cagemap.mesh.repairs import RepairedMesh
 from cagemap.mesh.topology import used_vertices
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
+from cagemap.numerics.threads import kept
 from cagemap.pipeline import choose_level, match, prepare_surfaces
+from cagemap.subdivision.face_varying import interpolate_linearly
+from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.tasks.carry_arrays import carry_shapes
 from cagemap.tasks.match_parts import lost_landmark_notes, ready_mesh
 from cagemap.tasks.progress import Stages
@@ -41,6 +45,19 @@ class Bodies:
     ready: tuple[RepairedMesh, RepairedMesh]
     result: MatchResult
     notes: tuple[str, ...] = ()  # on landmarks that are not on the matched pieces
+
+    @kept
+    def shown_map(self) -> PointMap:
+        """The map, with the faces of the target's cage flat, as files show them: clothes are outside these."""
+        point_map, refinement = self.result.point_map, self.result.target.refinement
+        if refinement.is_plain:
+            return point_map
+        control, triangles = refinement.control, point_map.target.triangles
+        count, level = control.n_vertices, refinement.finest_level
+        linear = interpolate_linearly(control, control.face_indices, count, level, refinement.scheme)
+        positions = np.zeros_like(point_map.target.positions)
+        positions[triangles] = (linear.matrix @ control.positions)[linear.corners]
+        return PointMap(TriangleSurface.from_faces(positions, triangles), point_map.images)
 
     def rows(self, side: int) -> IndexArray:
         """For every vertex of a matched mesh (0: target, 1: source), a vertex of the given mesh at its place."""

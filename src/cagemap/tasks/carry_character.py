@@ -88,9 +88,9 @@ def carry_character(
     notes += left_out_notes
     to_carry = [*chosen, *([] if pieces is None else [pieces])]
     stages("passengers")
-    placed = dict(zip(to_carry, carried_parts(result, to_carry, kinds=kinds), strict=True))  # on the target
+    placed = dict(zip(to_carry, carried_parts(matched.shown_map, to_carry, kinds=kinds), strict=True))  # on the target
     if others:
-        placed |= zip(declined, carried_parts(result, declined), strict=True)
+        placed |= zip(declined, carried_parts(matched.shown_map, declined), strict=True)
     candidates = [placed[part] for part in (*chosen, *declined) if part in placed]
     same_kind = parts_of_one_kind(candidates, others)
     if passengers is None:
@@ -182,7 +182,7 @@ def _pieces_to_carry(
     pieces, counterparts = _set_aside(bodies.given[1], bodies.ready[1]), [list[Part]() for _ in own]
     if pieces is None or pieces.name in named:
         return pieces, counterparts, []
-    (placed,) = carried_parts(bodies.result, [pieces])
+    (placed,) = carried_parts(bodies.shown_map, [pieces])
     ends = np.cumsum([part.mesh.n_faces for part in own])
     pairs = doubled_pieces(placed.mesh, join_meshes([part.mesh for part in own])) if own else []
     for faces, own_faces in pairs:

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from examples.shapes import grid
+from examples.shapes import cube, grid
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
@@ -30,7 +30,7 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
-from cagemap.subdivision import with_options
+from cagemap.subdivision import refine, with_options
 from cagemap.tasks.bodies import Bodies, match_bodies
 from cagemap.tasks.carry_character import _set_aside, carry_character
 from cagemap.tasks.match_summary import body_warnings
@@ -481,6 +481,19 @@ def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
     body = Part("skin", with_options(replace(mesh, name="C.glb"), "none"))
     message = r"C\.glb: .* skin has 3 pieces, and the one that is matched spans only 2.% of it"
     refuses(ParameterError, message, match_bodies, body, body, Landmarks.none(), Stages())
+
+
+def test_clothes_are_outside_the_flat_faces_of_a_cage() -> None:
+    """An OBJ body is matched subdivided and written as it is: its faces came through the clothes."""
+    cage = refine(cube(), 3)
+    faces = cage.finest.faces
+    skin, shirt = (
+        with_options(ControlMesh.from_faces(size * cage.finest.positions, faces), "none") for size in (1.0, 1.02)
+    )
+    source = Character((Part("body", skin), Part("shirt", shirt)))
+    made = carry_character(Character((Part("body", cage.control),)), source).character
+    cloth, half = part_named(made, "shirt").mesh.positions, np.abs(cage.control.positions).max()
+    assert np.abs(cloth).max(axis=1).min() > half
 
 
 def test_a_body_with_another_axis_up_is_named() -> None:
