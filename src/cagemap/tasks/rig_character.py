@@ -12,7 +12,7 @@ import numpy as np
 
 from cagemap.character.body_frames import BodyFrames
 from cagemap.character.passenger_pieces import PassengerKind
-from cagemap.character.poses import pose_at
+from cagemap.character.poses import fit_rotation_and_scale, pose_at
 from cagemap.character.roles import find_body, find_continuing_parts
 from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.errors import FormatError, ParameterError, values_of
@@ -20,6 +20,7 @@ from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.character import character_of, read_animations
 from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document, write_document
 from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.expressions import with_scaled_lengths
 from cagemap.files.gltf.material_images import png_bytes
 from cagemap.files.gltf.nodes import read_nodes
 from cagemap.files.gltf.parts import Scene, read_scene
@@ -106,6 +107,9 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
         )
     elif request.size is not None:
         notes.append(f"--size is not used: {of.name} of {request.like} has no material whose textures could be baked")
+    if source.rig is not None and dressed.rig is not None:
+        pairs = {joint: joint for joint in range(len(source.rig.names))}
+        document = with_scaled_lengths(document, fit_rotation_and_scale(source.rig, dressed.rig, pairs)[1])
     stages("write")
     images = {slot: png_bytes(image) for slot, (_, image) in baked.items()}
     pieces_of = {part.name: of.name for part in carried.passengers if part not in source.parts}

@@ -483,6 +483,31 @@ def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
     refuses(ParameterError, message, match_bodies, body, body, Landmarks.none(), Stages())
 
 
+def test_spring_bones_have_the_size_of_the_body(run: Run, files: Character, body: ControlMesh) -> None:
+    """Radii and offsets of VRM 1 and 0 on a body of twice the size; numbers of nodes and UV offsets stay."""
+    document = read_document("C.glb")
+    sphere, joint = {"offset": [0, 0.5, 0], "radius": 1}, {"node": 1, "hitRadius": 0.25, "stiffness": 1.0}
+    uv, eyes = {"material": 0, "offset": [0.5, 0.5]}, {"offsetFromHeadBone": [0.0, 0.5, 0.0]}
+    document.json["extensions"] = {
+        "VRMC_springBone": {"colliders": [{"node": 1, "shape": {"sphere": sphere}}], "springs": [{"joints": [joint]}]},
+        "VRMC_vrm": {"lookAt": eyes, "expressions": {"custom": {"blush": {"textureTransformBinds": [uv]}}}},
+        "VRM": {"secondaryAnimation": {"colliderGroups": [{"node": 1, "colliders": [{"offset": {"x": 0.5}}]}]}},
+    }
+    write_document("C.glb", document, force=True)
+    write_mesh("B.glb", body.with_positions(2 * body.positions), force=True)
+    rig_done(run)
+    made = read_document("OUT.glb").json["extensions"]
+    (collider,), (spring,) = made["VRMC_springBone"]["colliders"], made["VRMC_springBone"]["springs"]
+    assert collider["shape"]["sphere"]["offset"] == pytest.approx([0, 1, 0], rel=1e-3)
+    assert collider["shape"]["sphere"]["radius"] == pytest.approx(2, rel=1e-3)
+    assert collider["node"] == spring["joints"][0]["node"] == spring["joints"][0]["stiffness"] == 1
+    assert spring["joints"][0]["hitRadius"] == pytest.approx(0.5, rel=1e-3)
+    assert made["VRMC_vrm"]["lookAt"]["offsetFromHeadBone"] == pytest.approx([0, 1, 0], rel=1e-3)
+    assert made["VRMC_vrm"]["expressions"]["custom"]["blush"]["textureTransformBinds"] == [uv]
+    (group,) = made["VRM"]["secondaryAnimation"]["colliderGroups"]
+    assert group["colliders"][0]["offset"]["x"] == pytest.approx(1, rel=1e-3)
+
+
 def test_clothes_are_outside_the_flat_faces_of_a_cage() -> None:
     """An OBJ body is matched subdivided and written as it is: its faces came through the clothes."""
     cage = refine(cube(), 3)
