@@ -177,7 +177,7 @@ def test_bones_that_point_nearly_alike_stay_as_they_are() -> None:
 
 def test_animals_in_another_pose_come_together() -> None:
     """A fox that runs in its bind pose; one whose paws point elsewhere is another animal in the same pose."""
-    low = replace(person(), names=tuple("abcdefghijk"))
+    low = replace(person(), names=("Hips", "Torso", "Neck", "Head", *"efghijk"))  # of limbs no humanoid names
     for angle, kept in ((0.9 * MIN_POSE_ANGLE, True), (1.1 * MIN_POSE_ANGLE, False)):
         high = raised(low, angle, "h")
         posed = aligned_pose(low, high)[:, 3]
@@ -187,6 +187,11 @@ def test_animals_in_another_pose_come_together() -> None:
         assert posed_otherwise != kept
         if not kept:
             np.testing.assert_allclose(pose_at(high, again, 0.5)[:, 3], pose_at(low, animation, 0.5)[:, 3], atol=1e-7)
+
+
+def test_a_rig_of_one_joint_has_one_pose() -> None:
+    rig = Rig(("root",), np.array([-1]), np.eye(4)[None], np.eye(4)[None])
+    np.testing.assert_array_equal(aligned_pose(rig, rig), rig.bind)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.8])

@@ -16,7 +16,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 MAX_TURN_ERROR = 0.5
 # Radians; bones whose directions differ by less have one pose. Different bodies alone make 10 degrees.
 MIN_BONE_ANGLE = np.radians(20.0)
-# Radians; where no bone of a rig without humanoid bones differs by more, the poses are the same: a wolf's paw and a
+# Radians; where no bone of an animal differs by more, the poses are the same: a wolf's paw and a
 # fox's differ by 36 degrees (docs/lab/characters.md).
 MIN_POSE_ANGLE = np.radians(45.0)
 # Of the direction to a child with an axis of its joint, where the joint's bone ends at that child.
@@ -193,7 +193,7 @@ def aligned_pose(rig: Rig, reference: Rig) -> FloatArray:
 
     Limbs, fingers, spine and neck turn by the least rotation that gives each bone the direction of the reference's
     bone. A bone that needs less than `MIN_BONE_ANGLE` keeps its direction, unless a bone above it was turned. Lengths
-    stay. Of rigs without humanoid bones all bones turn after the first joint with several children, if one of them
+    stay. Of animals, without humanoid limbs, all bones turn after the first joint with several children, if one of them
     needs `MIN_POSE_ANGLE`.
 
     Raises
@@ -202,16 +202,18 @@ def aligned_pose(rig: Rig, reference: Rig) -> FloatArray:
         If the rigs have neither a humanoid bone in common nor the same names.
     """
     bones, reference_bones = humanoid_joints(rig), humanoid_joints(reference)
-    common = {reference_bones[bone]: bones[bone] for bone in bones if bone in reference_bones}
+    shared = [bone for bone in bones if bone in reference_bones]
+    common = {reference_bones[bone]: bones[bone] for bone in shared}
     ends = {
         reference_bones[start]: reference_bones[end]
         for start, end in BONE_ENDS.items()
         if start in reference_bones and end in reference_bones
     }
     least_angle = 0.0
-    if not common and rig.names == reference.names:
+    if rig.names == reference.names and not any(bone.startswith(BODY_SIDES) for bone in shared):
         common, ends = {joint: joint for joint in range(len(rig.names))}, bone_ends(reference)
-        trunk = int((np.bincount(rig.parents[rig.parents >= 0]) > 1).argmax())  # where the limbs begin
+        limbs_begin = [joint for joint in common if (rig.parents == joint).sum() > 1]
+        trunk = min(limbs_begin, default=0)
         ends, least_angle = {start: end for start, end in ends.items() if start > trunk}, MIN_POSE_ANGLE
     if not common:
         raise ParameterError(
