@@ -120,11 +120,11 @@ def carry_passengers(
     contact = Contact.find(frames, points, triangles, distances.normals, matrices)
     places = push_out(target, contact, places, np.concatenate(triangles))
     for mesh, own, start in zip(meshes, triangles, starts[:-1], strict=True):
-        rows = slice(start, start + mesh.n_vertices)
-        if mesh.name not in kinds and _is_torn(frames, points[rows], places[rows], own - start):
+        part = slice(start, start + mesh.n_vertices)
+        if mesh.name not in kinds and _is_torn(frames, points[part], places[part], own - start):
             _log.info("%s: keeps its shape, since the body has no place for it, such as a mouth for teeth", mesh.name)
-            rotation, scale, shift = _similarity_around(frames, points[rows])
-            places[rows], matrices[rows] = scale * points[rows] @ rotation.T + shift, scale * rotation.T
+            rotation, scale, shift = _similarity_around(frames, points[part])
+            places[part], matrices[part] = scale * points[part] @ rotation.T + shift, scale * rotation.T
     kind_of = [kinds.get(mesh.name) for mesh in meshes]
     positions, linear_maps = np.empty_like(places), np.empty_like(matrices)
     for of_group in dict.fromkeys(kind_of):  # meshes of one kind together: an iris joins the eyeball of another mesh
@@ -153,7 +153,8 @@ def _is_torn(frames: BodyFrames, points: FloatArray, places: FloatArray, triangl
 def _similarity_around(frames: BodyFrames, points: FloatArray) -> tuple[FloatArray, float, FloatArray]:
     """Rotation, scale and shift, see `fit_similarity`, of the body around a mesh."""
     centre = points.mean(axis=0)
-    radius = max(np.linalg.norm(points - centre, axis=1).max(), frames.tree.query(centre, k=[_LEAST_SAMPLES])[0][0])
+    reach = np.asarray(frames.tree.query(centre, k=[_LEAST_SAMPLES])[0])
+    radius = max(np.linalg.norm(points - centre, axis=1).max(), reach[0])
     near = frames.samples[frames.tree.query_ball_point(centre, radius)]
     return fit_similarity(frames.point_map.images.positions[near], frames.point_map.target.positions[near])
 

@@ -128,8 +128,8 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     confidence = carried.result.confidence
     doubt = [] if confidence is None or confidence.verdict == SURE else [_DOUBT]
     stages.record(_figures(dressed) | {"trusted_area": carried.result.quality.trusted_area})
-    warnings = [*body_warnings(carried.result), *_up_warning(carried.result.point_map, request.body)]
-    return _summary(request, dressed), [*split, *landmark_notes, *carried.notes, *warnings, *notes, *doubt]
+    warnings = [*body_warnings(carried.result), *(doubt or _up_warning(carried.result.point_map, request.body))]
+    return _summary(request, dressed), [*split, *landmark_notes, *carried.notes, *notes, *warnings]
 
 
 def _require_paths(request: RigRequest) -> None:
