@@ -12,10 +12,7 @@ from scipy import sparse
 
 from cagemap.character.doubled_pieces import doubled_pieces, pieces_in_surface
 from cagemap.character.normals import with_shape_normals
-from cagemap.character.own_parts import (
-    parts_of_one_kind,
-    with_nearest_values,
-)
+from cagemap.character.own_parts import parts_of_one_kind, with_nearest_values
 from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.passengers import carried_parts, hidden_passenger
 from cagemap.character.retarget import retarget_all

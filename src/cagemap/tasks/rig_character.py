@@ -230,10 +230,10 @@ def _up_warning(point_map: PointMap, path: Path) -> list[str]:
     up = BodyFrames(point_map).rotation[1]
     if up[1] > _MIN_UPRIGHT_COSINE:
         return []
-    axis = "XYZ"[np.abs(up).argmax()]
-    sign = "-" if up["XYZ".index(axis)] < 0 else ""
+    number = int(np.abs(up).argmax())
+    axis = ("-" if up[number] < 0 else "") + "XYZ"[number]
     return [
-        f"{path}: what is up in the character is {sign}{axis} here, but glTF has Y up: if the body lies down in other "
+        f"{path}: what is up in the character is {axis} here, but glTF has Y up: if the body lies down in other "
         "programs, rotate it before"
     ]
 
