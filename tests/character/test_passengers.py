@@ -142,6 +142,29 @@ def test_frames_do_not_stretch_where_the_map_collapses(body: ControlMesh) -> Non
     assert stretches[:, 0].max() <= 1.1 * FrameConfig().max_stretch
 
 
+def test_a_small_part_keeps_its_shape_where_the_map_would_tear_it(body: ControlMesh) -> None:
+    """Teeth in an open mouth, on a body whose mouth is closed."""
+    triangles, centre = cage_triangles(body)[0], body.positions[0]
+    around = np.linalg.norm(body.positions - centre, axis=1) < 0.15
+    noise = np.random.default_rng(0).uniform(-1.0, 1.0, body.positions.shape)
+    source = surface(body.positions, triangles)
+    target = surface(body.positions + around[:, None] * noise, triangles)
+    point_map = PointMap.from_vertices(target, source, np.arange(target.n))
+    along, across = np.meshgrid(np.linspace(-0.2, 0.2, 9), np.linspace(-0.03, 0.03, 3))  # a strip: no rigid piece
+    row = np.arange(8)[:, None] + [0, 1, 10, 9]
+    strip = ControlMesh.from_faces(
+        centre + np.column_stack([along.ravel(), across.ravel(), 0.02 + 0 * along.ravel()]),
+        np.concatenate([row, row + 9]),
+    )
+    carried, corners = carry_passenger(point_map, strip), strip.face_indices.reshape(-1, 4)
+    lengths = [np.linalg.norm(np.diff(of[corners], axis=1), axis=2) for of in (strip.positions, carried.positions)]
+    ratio = lengths[1].sum() / lengths[0].sum()
+    np.testing.assert_allclose(lengths[1], ratio * lengths[0], rtol=1e-6)
+    assert ratio == pytest.approx(1.0, abs=0.3)
+    offsets = np.linalg.norm(carried.carry_offsets(strip.positions), axis=1)
+    np.testing.assert_allclose(offsets, ratio * np.linalg.norm(strip.positions, axis=1), rtol=1e-6)
+
+
 def test_layers_keep_their_order(body: ControlMesh) -> None:
     point_map = swollen(body)
     layers = carry_passengers(point_map, [dressed(body, height) for height in (0.04, 0.08, 0.12)])

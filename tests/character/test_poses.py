@@ -10,7 +10,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from cagemap.character.poses import (
     MIN_BONE_ANGLE,
+    MIN_POSE_ANGLE,
     aligned_pose,
+    fit_rotation_and_scale,
     least_rotation,
     parent_transforms,
     pose_at,
@@ -149,10 +151,47 @@ def test_a_bent_back_is_a_pose_and_no_turned_rig() -> None:
     np.testing.assert_allclose(aligned_pose(straight, bent)[:, 3], bent.bind[:, 3], atol=1e-9)
 
 
+def test_a_spine_alone_does_not_say_that_a_rig_is_turned() -> None:
+    """Joints of `quaternius_Pug.fbx`, and where a pig has them, which must not be turned over."""
+    places = {
+        "Hips": ((0, 1.58, -0.64), (-0.02, 2.91, -2.3)),
+        "Torso": ((0, 1.56, -0.01), (-0.02, 3.06, -0.71)),
+        "Neck": ((0, 2.0, 1.06), (-0.06, 3.28, 2.48)),
+        "Head": ((0, 2.25, 1.39), (-0.02, 3.19, 3.49)),
+        "FrontLowLeg.L": ((0.42, 0.66, 0.87), (1.2, 1.33, 1.93)),
+        "FrontLowLeg.R": ((-0.44, 0.66, 0.87), (-1.24, 1.45, 1.92)),
+    }
+    binds = np.tile(np.eye(4), (2, len(places), 1, 1))
+    binds[:, :, 3, :3] = np.array([*places.values()]).swapaxes(0, 1)
+    parents = np.array([-1, 0, 1, 2, 1, 1])
+    pug, pig = (Rig(tuple(places), parents, parent_transforms(bind, parents), bind) for bind in binds)
+    turn, _ = fit_rotation_and_scale(pug, pig, {joint: joint for joint in range(len(places))})
+    np.testing.assert_allclose(turn, np.eye(3), atol=0.3)
+
+
 def test_bones_that_point_nearly_alike_stay_as_they_are() -> None:
     low = person()
     for angle, kept in ((0.9 * MIN_BONE_ANGLE, True), (1.1 * MIN_BONE_ANGLE, False)):
         assert np.allclose(aligned_pose(low, raised(low, angle)), low.bind) == kept
+
+
+def test_animals_in_another_pose_come_together() -> None:
+    """A fox that runs in its bind pose; one whose paws point elsewhere is another animal in the same pose."""
+    low = replace(person(), names=("Hips", "Torso", "Neck", "Head", *"efghijk"))  # of limbs no humanoid names
+    for angle, kept in ((0.9 * MIN_POSE_ANGLE, True), (1.1 * MIN_POSE_ANGLE, False)):
+        high = raised(low, angle, "h")
+        posed = aligned_pose(low, high)[:, 3]
+        np.testing.assert_allclose(posed, low.bind[:, 3] if kept else high.bind[:, 3], atol=1e-9)
+        animation = dance(low)
+        (again,), posed_otherwise = retarget_all((animation,), low, high)
+        assert posed_otherwise != kept
+        if not kept:
+            np.testing.assert_allclose(pose_at(high, again, 0.5)[:, 3], pose_at(low, animation, 0.5)[:, 3], atol=1e-7)
+
+
+def test_a_rig_of_one_joint_has_one_pose() -> None:
+    rig = Rig(("root",), np.array([-1]), np.eye(4)[None], np.eye(4)[None])
+    np.testing.assert_array_equal(aligned_pose(rig, rig), rig.bind)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.8])

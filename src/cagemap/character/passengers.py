@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress, pairwise
@@ -17,9 +18,18 @@ from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.alignment import fit_similarity
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import fan_triangles
+
+_log = logging.getLogger(__name__)
+
+# A mesh whose edges become longer on average than its surroundings by this factor is torn if it is small: at least 3.3
+# for teeth and tongues on bodies with closed mouths, at most 1.3 for other parts (docs/lab/passengers.md).
+_MAX_STRETCH = 2.0
+_MAX_TORN_RADIUS = 0.1  # of a small mesh, in sqrt(area)
+_LEAST_SAMPLES = 64  # of the body around a mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +119,12 @@ def carry_passengers(
     places, matrices = frames.carry(points, distances)
     contact = Contact.find(frames, points, triangles, distances.normals, matrices)
     places = push_out(target, contact, places, np.concatenate(triangles))
+    for mesh, own, start in zip(meshes, triangles, starts[:-1], strict=True):
+        part = slice(start, start + mesh.n_vertices)
+        if mesh.name not in kinds and _is_torn(frames, points[part], places[part], own - start):
+            _log.info("%s: keeps its shape, since the body has no place for it, such as a mouth for teeth", mesh.name)
+            rotation, scale, shift = _similarity_around(frames, points[part])
+            places[part], matrices[part] = scale * points[part] @ rotation.T + shift, scale * rotation.T
     kind_of = [kinds.get(mesh.name) for mesh in meshes]
     positions, linear_maps = np.empty_like(places), np.empty_like(matrices)
     for of_group in dict.fromkeys(kind_of):  # meshes of one kind together: an iris joins the eyeball of another mesh
@@ -124,6 +140,23 @@ def carry_passengers(
         )
         for rows in (slice(start, end) for start, end in pairwise(starts.tolist()))
     ]
+
+
+def _is_torn(frames: BodyFrames, points: FloatArray, places: FloatArray, triangles: IndexArray) -> bool:
+    """Whether the map tears a small mesh: teeth of an open mouth on a body whose mouth is closed."""
+    if len(points) < 3 or np.linalg.norm(points - points.mean(axis=0), axis=1).max() > _MAX_TORN_RADIUS:
+        return False
+    lengths = [np.linalg.norm(np.diff(of[triangles], axis=1), axis=2).sum() for of in (points, places)]
+    return bool(lengths[1] > _MAX_STRETCH * _similarity_around(frames, points)[1] * lengths[0])
+
+
+def _similarity_around(frames: BodyFrames, points: FloatArray) -> tuple[FloatArray, float, FloatArray]:
+    """Rotation, scale and shift, see `fit_similarity`, of the body around a mesh."""
+    centre = points.mean(axis=0)
+    reach = np.asarray(frames.tree.query(centre, k=[_LEAST_SAMPLES])[0])
+    radius = max(np.linalg.norm(points - centre, axis=1).max(), reach[0])
+    near = frames.samples[frames.tree.query_ball_point(centre, radius)]
+    return fit_similarity(frames.point_map.images.positions[near], frames.point_map.target.positions[near])
 
 
 def carried_parts(

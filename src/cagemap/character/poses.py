@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cagemap.character.bones import humanoid_joints
+from cagemap.character.bones import BODY_SIDES, humanoid_joints
 from cagemap.character.values import Animation, Channel, Interpolation, Rig, Track
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
@@ -16,6 +16,11 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 MAX_TURN_ERROR = 0.5
 # Radians; bones whose directions differ by less have one pose. Different bodies alone make 10 degrees.
 MIN_BONE_ANGLE = np.radians(20.0)
+# Radians; where no bone of an animal differs by more, the poses are the same: a wolf's paw and a
+# fox's differ by 36 degrees (docs/lab/characters.md).
+MIN_POSE_ANGLE = np.radians(45.0)
+# Of the direction to a child with an axis of its joint, where the joint's bone ends at that child.
+MIN_BONE_COSINE = 0.99
 # Weight of the joints' axes beside their positions: decides the rotation where all joints lie on a line.
 AXES_WEIGHT = 1e-9
 # Joints whose positions in the body do not depend on the pose.
@@ -188,39 +193,72 @@ def aligned_pose(rig: Rig, reference: Rig) -> FloatArray:
 
     Limbs, fingers, spine and neck turn by the least rotation that gives each bone the direction of the reference's
     bone. A bone that needs less than `MIN_BONE_ANGLE` keeps its direction, unless a bone above it was turned. Lengths
-    stay.
+    stay. Of animals, without humanoid limbs, all bones turn after the first joint with several children, if one of them
+    needs `MIN_POSE_ANGLE`.
 
     Raises
     ------
     ParameterError
-        If the rigs have no humanoid bone in common.
+        If the rigs have neither a humanoid bone in common nor the same names.
     """
     bones, reference_bones = humanoid_joints(rig), humanoid_joints(reference)
-    common = {bone: (reference_bones[bone], bones[bone]) for bone in bones if bone in reference_bones}
+    shared = [bone for bone in bones if bone in reference_bones]
+    common = {reference_bones[bone]: bones[bone] for bone in shared}
+    ends = {
+        reference_bones[start]: reference_bones[end]
+        for start, end in BONE_ENDS.items()
+        if start in reference_bones and end in reference_bones
+    }
+    least_angle = 0.0
+    if rig.names == reference.names and not any(bone.startswith(BODY_SIDES) for bone in shared):
+        common, ends = {joint: joint for joint in range(len(rig.names))}, bone_ends(reference)
+        limbs_begin = [joint for joint in common if (rig.parents == joint).sum() > 1]
+        trunk = min(limbs_begin, default=0)
+        ends, least_angle = {start: end for start, end in ends.items() if start > trunk}, MIN_POSE_ANGLE
     if not common:
         raise ParameterError(
             "poses: expected two rigs with humanoid bones in common, got none; name joints as VRM, Mixamo, Rigify, "
             "MakeHuman, Unreal or Character Creator do"
         )
-    bend = fit_rotation_and_scale(reference, rig, dict(common.values()))[0]
-    ends = {
-        common[start][1]: (common[end][1], (reference.heads[common[end][0]] - reference.heads[common[start][0]]) @ bend)
-        for start, end in BONE_ENDS.items()
+    turn = fit_rotation_and_scale(reference, rig, common)[0]
+    directions = {
+        common[start]: (common[end], (reference.heads[end] - reference.heads[start]) @ turn)
+        for start, end in ends.items()
         if start in common and end in common
     }
+    angles = [
+        Rotation.from_matrix(least_rotation(rig.heads[end] - rig.heads[joint], direction)).magnitude()
+        for joint, (end, direction) in directions.items()
+    ]
+    if max(angles, default=0.0) < least_angle:
+        return rig.bind.copy()
     local, posed = parent_transforms(rig.bind, rig.parents), rig.bind.copy()
     inverse, is_turned = np.linalg.inv(rig.bind), np.zeros(len(rig.parents), dtype=np.bool_)
     for joint, parent in enumerate(rig.parents):
         if parent >= 0:
             posed[joint], is_turned[joint] = local[joint] @ posed[parent], is_turned[parent]
-        if joint in ends:
-            end, direction = ends[joint]
+        if joint in directions:
+            end, direction = directions[joint]
             current = (rig.heads[end] - rig.heads[joint]) @ (inverse[joint] @ posed[joint])[:3, :3]
             bend = least_rotation(current, direction)
             is_turned[joint] |= Rotation.from_matrix(bend).magnitude() > MIN_BONE_ANGLE
             if is_turned[joint]:
                 posed[joint, :3, :3] = posed[joint, :3, :3] @ bend
     return posed
+
+
+def bone_ends(rig: Rig) -> dict[int, int]:
+    """The child at the end of each bone: along an axis, or the only child."""
+    axes = rotations_of(rig.bind)
+    ends: dict[int, int] = {}
+    for joint in range(len(rig.names)):
+        children = np.flatnonzero(rig.parents == joint)
+        directions = rig.heads[children] - rig.heads[joint]
+        lengths = np.linalg.norm(directions, axis=1)
+        cosines = np.abs(directions @ axes[joint].T).max(axis=1, initial=0.0) / np.where(lengths > 0, lengths, np.inf)
+        if len(children) == 1 or (len(children) and cosines.max() > MIN_BONE_COSINE):
+            ends[joint] = int(children[cosines.argmax()])
+    return ends
 
 
 def least_rotation(start: FloatArray, end: FloatArray) -> FloatArray:
@@ -240,8 +278,10 @@ def fit_rotation_and_scale(source: Rig, target: Rig, pairs: Mapping[int, int]) -
     if not pairs:
         return np.eye(3), 1.0
     bones = humanoid_joints(source)
-    joint_lists = [[bones[bone] for bone in names if bones.get(bone) in pairs] for names in (_TORSO, _PELVIS)]
-    joint_sets = [np.array(joints) for joints in joint_lists if len(joints) > 3] or [np.array(list(pairs))]
+    listed = [[bone for bone in names if bones.get(bone) in pairs] for names in (_TORSO, _PELVIS)]
+    # Spine and head alone are nearly on a line: any rotation about it fits.
+    found = [names for names in listed if len(names) > 3 and any(name.startswith(BODY_SIDES) for name in names)]
+    joint_sets = [np.array([bones[name] for name in names]) for names in found] or [np.array(list(pairs))]
     # Both must agree: a bent back turns the torso alone.
     fits = [
         _fit_rotation(source, target, source_joints, np.array([pairs[joint] for joint in source_joints.tolist()]))

@@ -89,7 +89,7 @@ def retarget_all(animations: Sequence[Animation], source: Rig, target: Rig) -> t
 
 def bind_pose_difference(target: Rig, source: Rig) -> FloatArray | None:
     """The target's bind pose (j, 4, 4) turned into the source's (T pose, A pose); None if they are equal or unknown."""
-    if not humanoid_joints(source):
+    if not humanoid_joints(source) and source.names != target.names:
         return None
     pose = aligned_pose(target, source)
     return None if np.allclose(pose, target.bind) else pose

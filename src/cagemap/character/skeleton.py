@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from cagemap.character.poses import (
+    bone_ends,
     fit_rotation_and_scale,
     least_rotation,
     parent_transforms,
@@ -22,8 +23,6 @@ from cagemap.numerics.arrays import FloatArray, box_diagonal
 from cagemap.surface.alignment import fit_similarity
 from cagemap.transfer.skin import carry_joints
 
-# Of the direction to a child with an axis of its joint, where the joint's bone ends at that child.
-MIN_BONE_COSINE = 0.99
 # Joints' axes, or transforms, that differ less are equal.
 AXES_TOLERANCE = 1e-6
 
@@ -95,7 +94,7 @@ def _rest_pose(rig: Rig) -> Animation:
 def _align_bones(rig: Rig, heads: FloatArray, turns: FloatArray) -> FloatArray:
     """Rotations of the joints' axes (j, 3, 3), corrected so that bones point to their ends."""
     aligned = turns.copy()
-    for joint, child in _bone_ends(rig).items():
+    for joint, child in bone_ends(rig).items():
         aligned[joint] = turns[joint] @ least_rotation(
             (rig.heads[child] - rig.heads[joint]) @ turns[joint], heads[child] - heads[joint]
         )
@@ -106,17 +105,3 @@ def _has_common_axes(rig: Rig) -> bool:
     """Whether all joints have the same axes, as VRM 0.x requires."""
     axes = rotations_of(rig.bind)
     return bool(np.abs(axes - axes[:1]).max(initial=0.0) < AXES_TOLERANCE)
-
-
-def _bone_ends(rig: Rig) -> dict[int, int]:
-    """The child at the end of each bone: along an axis, or the only child."""
-    axes = rotations_of(rig.bind)
-    ends: dict[int, int] = {}
-    for joint in range(len(rig.names)):
-        children = np.flatnonzero(rig.parents == joint)
-        directions = rig.heads[children] - rig.heads[joint]
-        lengths = np.linalg.norm(directions, axis=1)
-        cosines = np.abs(directions @ axes[joint].T).max(axis=1, initial=0.0) / np.where(lengths > 0, lengths, np.inf)
-        if len(children) == 1 or (len(children) and cosines.max() > MIN_BONE_COSINE):
-            ends[joint] = int(children[cosines.argmax()])
-    return ends

@@ -57,7 +57,8 @@ class Repairs(Brief):
 
     def sentences_of_body(self) -> tuple[str, ...]:
         """`sentences` for `cagemap rig`, which keeps the file's mesh and moves other pieces along with the body."""
-        pieces = f"{count_noun(self.pieces, 'other piece')} ({count_noun(self.pieces_vertices, 'vertex')})"
+        share = f"{100 * self.pieces_share:.1f} % of the area"
+        pieces = f"{count_noun(self.pieces, 'other piece')} ({count_noun(self.pieces_vertices, 'vertex')}, {share})"
         changes = replace(self, pieces=0, slivers=0, openings=0).sentences()
         others = [f"for the match alone: {sentence}" for sentence in changes]
         return *[f"{pieces} not matched, but moved along with the body"][: self.pieces], *others

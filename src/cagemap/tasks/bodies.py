@@ -16,12 +16,16 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.mesh_report import count_noun
 from cagemap.mesh.parts import MIN_BODY_EXTENT
 from cagemap.mesh.repairs import RepairedMesh
 from cagemap.mesh.topology import used_vertices
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
+from cagemap.numerics.threads import kept
 from cagemap.pipeline import choose_level, match, prepare_surfaces
 from cagemap.spectral import Surface
+from cagemap.subdivision.face_varying import interpolate_linearly
+from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.tasks.carry_arrays import carry_shapes
 from cagemap.tasks.match_parts import lost_landmark_notes, ready_mesh
 from cagemap.tasks.progress import Stages
@@ -33,6 +37,8 @@ BODY_VERTICES = 100_000
 _MAX_OTHER_PIECES = 0.1
 # Least share of equal triangles of two shapes of one mesh: programs split concave quads along the other diagonal.
 _LEAST_EQUAL_FACES = 0.95
+_MIN_FACES = 4  # of a body: a tetrahedron
+_OTHER_PART = "Or choose another part (rig: --body-part, --like-part; face: --part)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +49,19 @@ class Bodies:
     ready: tuple[RepairedMesh, RepairedMesh]
     result: MatchResult
     notes: tuple[str, ...] = ()  # on landmarks that are not on the matched pieces
+
+    @kept
+    def shown_map(self) -> PointMap:
+        """The map, with the faces of the target's cage flat, as files show them: clothes are outside these."""
+        point_map, refinement = self.result.point_map, self.result.target.refinement
+        if refinement.is_plain:
+            return point_map
+        control, triangles = refinement.control, point_map.target.triangles
+        count, level = control.n_vertices, refinement.finest_level
+        linear = interpolate_linearly(control, control.face_indices, count, level, refinement.scheme)
+        positions = np.zeros_like(point_map.target.positions)
+        positions[triangles] = (linear.matrix @ control.positions)[linear.corners]
+        return PointMap(TriangleSurface.from_faces(positions, triangles), point_map.images)
 
     def rows(self, side: int) -> IndexArray:
         """For every vertex of a matched mesh (0: target, 1: source), a vertex of the given mesh at its place."""
@@ -107,6 +126,11 @@ def _map_of_equal_faces(target: Surface, source: Surface) -> MatchResult | None:
 
 
 def _ready_body(part: Part) -> RepairedMesh:
+    if part.mesh.n_faces < _MIN_FACES:
+        raise ParameterError(
+            f"{part.mesh.name}: expected a body, but {part.name} has only {count_noun(part.mesh.n_faces, 'face')}. "
+            f"Export the whole body. {_OTHER_PART}."
+        )
     ready = ready_mesh(part.mesh)
     with_faces = part.mesh.positions[used_vertices(part.mesh)]
     extents = [box_diagonal(points) for points in (ready.mesh.positions, with_faces)]
@@ -114,8 +138,7 @@ def _ready_body(part: Part) -> RepairedMesh:
         raise ParameterError(
             f"{part.mesh.name}: expected a surface in one piece, but {part.name} has {ready.repairs.pieces + 1} "
             f"pieces, and the one that is matched spans only {extents[0] / extents[1]:.0%} of it. If faces under the "
-            "clothes were deleted, export the whole body; or choose another part (rig: --body-part, --like-part; "
-            "face: --part)."
+            f"clothes were deleted, export the whole body. {_OTHER_PART}."
         )
     return ready
 

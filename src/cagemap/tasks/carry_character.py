@@ -84,7 +84,7 @@ def carry_character(
     to_carry = [*chosen, pieces] if pieces.mesh.n_faces else chosen
     stages("passengers")
     to_place = [*to_carry, *(declined if loose or others else [])]
-    placed = dict(zip(to_place, carried_parts(result, to_place, kinds=kinds), strict=True))  # on the target
+    placed = dict(zip(to_place, carried_parts(matched.shown_map, to_place, kinds=kinds), strict=True))  # on the target
     compared = compare_parts(
         [placed[part] for part in to_place if part is not pieces],
         pieces,

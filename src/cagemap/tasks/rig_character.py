@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from cagemap.character.body_frames import BodyFrames
 from cagemap.character.passenger_pieces import PassengerKind
-from cagemap.character.poses import pose_at
+from cagemap.character.poses import fit_rotation_and_scale, pose_at
 from cagemap.character.roles import find_body, find_continuing_parts
 from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.errors import FormatError, ParameterError, values_of
@@ -19,6 +20,7 @@ from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.character import character_of, read_animations
 from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document, write_document
 from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.expressions import with_scaled_lengths
 from cagemap.files.gltf.material_images import png_bytes
 from cagemap.files.gltf.nodes import read_nodes
 from cagemap.files.gltf.parts import Scene, read_scene
@@ -33,6 +35,7 @@ from cagemap.files.usd.convert import document_and_character
 from cagemap.files.usd.space import similar_space
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd, usd_modules
 from cagemap.maps.hypotheses.confidence import SURE
+from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.cage_points import CagePoints, NamedPoints, on_cage
 from cagemap.mesh.checks import check_mesh
@@ -57,6 +60,9 @@ from cagemap.tasks.rig_materials import (
 _log = logging.getLogger(__name__)
 
 _DOUBT = "the bodies may be matched wrongly: look at the result, and give --landmarks where it is wrong"
+
+# Of the character's up with that of the body; less if the file has another axis up.
+_MIN_UPRIGHT_COSINE = 0.5
 
 
 def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
@@ -107,6 +113,9 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
         )
     elif request.size is not None:
         notes.append(f"--size is not used: {of.name} of {request.like} has no material whose textures could be baked")
+    if source.rig is not None and dressed.rig is not None:
+        pairs = {joint: joint for joint in range(len(source.rig.names))}
+        document = with_scaled_lengths(document, fit_rotation_and_scale(source.rig, dressed.rig, pairs)[1])
     stages("write")
     images = {slot: png_bytes(image) for slot, (_, image) in baked.items()}
     pieces_of = {part.name: of.name for part in carried.passengers if part not in source.parts}
@@ -125,8 +134,8 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     confidence = carried.result.confidence
     doubt = [] if confidence is None or confidence.verdict == SURE else [_DOUBT]
     stages.record(_figures(dressed) | {"trusted_area": carried.result.quality.trusted_area})
-    warnings = body_warnings(carried.result)
-    return _summary(request, dressed), [*split, *landmark_notes, *carried.notes, *warnings, *notes, *doubt]
+    warnings = [*body_warnings(carried.result), *(doubt or _up_warning(carried.result.point_map, request.body))]
+    return _summary(request, dressed), [*split, *landmark_notes, *carried.notes, *notes, *warnings]
 
 
 def _require_paths(request: RigRequest) -> None:
@@ -219,6 +228,19 @@ def _split_body(path: Path, character: Character, body: Part) -> list[str]:
     return [
         f"{path}: {body.name} alone is matched as the body, but {first_few(others)} continues it. Join these parts in "
         "the modelling program (Blender: Ctrl+J, then Merge by Distance)"
+    ]
+
+
+def _up_warning(point_map: PointMap, path: Path) -> list[str]:
+    """A warning if the target is turned over against the source, whose Y axis is up: OBJ files may have Z up."""
+    up = BodyFrames(point_map).rotation[1]
+    if up[1] > _MIN_UPRIGHT_COSINE:
+        return []
+    number = int(np.abs(up).argmax())
+    axis = ("-" if up[number] < 0 else "") + "XYZ"[number]
+    return [
+        f"{path}: what is up in the character is {axis} here, but glTF has Y up: if the body lies down in other "
+        "programs, rotate it before"
     ]
 
 

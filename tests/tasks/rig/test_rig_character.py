@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from examples.shapes import grid
+from examples.shapes import cube, grid
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
@@ -29,16 +29,17 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
-from cagemap.subdivision import with_options
+from cagemap.subdivision import refine, with_options
 from cagemap.tasks.bodies import Bodies, match_bodies
 from cagemap.tasks.carry_character import _set_aside, carry_character
 from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
-from cagemap.tasks.rig_character import _kinds, _landmarks, _split_body, character_body, read_body
+from cagemap.tasks.rig_character import _kinds, _landmarks, _split_body, _up_warning, character_body, read_body
 
 from command_line import Run
 from example_character import ball, bare_body, write_character
+from example_rigs import body_moved
 from plain_meshes import far_apart, marks_at
 from refusals import refuses
 from rigged import image_error, part_named, rig_done, same_order
@@ -283,7 +284,9 @@ def test_a_loose_piece_of_the_body_is_said_to_be_carried_along(run: Run, files: 
     write_mesh("B.glb", replace(whole, name="body"), force=True)
     outcome = run("rig", "B.glb", "--like", "C.glb", "-o", "OUT.glb")
     assert outcome.code == 0
-    assert f"1 other piece ({button.n_vertices} vertices) not matched, but moved along with the body" in outcome.err
+    assert (
+        f"1 other piece ({button.n_vertices} vertices, 0.1 % of the area) not matched, but moved along" in outcome.err
+    )
     assert "--part" not in outcome.err
     assert ", 1 animation\n" in outcome.out
 
@@ -549,6 +552,58 @@ def test_bodies_with_the_same_faces_are_paired_by_number_unless_landmarks_are_gi
     matched = match_bodies(*parts, marks_at(far_apart(body.positions, 5)), Stages())
     assert matched.notes == ()
     assert np.abs(matched.result.point_map.images.positions - matched.result.point_map.source.positions).max() > 1e-6
+
+
+def test_spring_bones_have_the_size_of_the_body(run: Run, files: Character, body: ControlMesh) -> None:
+    """Radii and offsets of VRM 1 and 0 on a body of twice the size; numbers of nodes and UV offsets stay."""
+    document = read_document("C.glb")
+    sphere, joint = {"offset": [0, 0.5, 0], "radius": 1}, {"node": 1, "hitRadius": 0.25, "stiffness": 1.0}
+    uv, eyes = {"material": 0, "offset": [0.5, 0.5]}, {"offsetFromHeadBone": [0.0, 0.5, 0.0]}
+    document.json["extensions"] = {
+        "VRMC_springBone": {"colliders": [{"node": 1, "shape": {"sphere": sphere}}], "springs": [{"joints": [joint]}]},
+        "VRMC_vrm": {"lookAt": eyes, "expressions": {"custom": {"blush": {"textureTransformBinds": [uv]}}}},
+        "VRM": {"secondaryAnimation": {"colliderGroups": [{"node": 1, "colliders": [{"offset": {"x": 0.5}}]}]}},
+    }
+    write_document("C.glb", document, force=True)
+    write_mesh("B.glb", body.with_positions(2 * body.positions), force=True)
+    rig_done(run)
+    made = read_document("OUT.glb").json["extensions"]
+    (collider,), (spring,) = made["VRMC_springBone"]["colliders"], made["VRMC_springBone"]["springs"]
+    assert collider["shape"]["sphere"]["offset"] == pytest.approx([0, 1, 0], rel=1e-3)
+    assert collider["shape"]["sphere"]["radius"] == pytest.approx(2, rel=1e-3)
+    assert collider["node"] == spring["joints"][0]["node"] == spring["joints"][0]["stiffness"] == 1
+    assert spring["joints"][0]["hitRadius"] == pytest.approx(0.5, rel=1e-3)
+    assert made["VRMC_vrm"]["lookAt"]["offsetFromHeadBone"] == pytest.approx([0, 1, 0], rel=1e-3)
+    assert made["VRMC_vrm"]["expressions"]["custom"]["blush"]["textureTransformBinds"] == [uv]
+    (group,) = made["VRM"]["secondaryAnimation"]["colliderGroups"]
+    assert group["colliders"][0]["offset"]["x"] == pytest.approx(1, rel=1e-3)
+
+
+def test_clothes_are_outside_the_flat_faces_of_a_cage() -> None:
+    """An OBJ body is matched subdivided and written as it is: its faces came through the clothes."""
+    cage = refine(cube(), 3)
+    faces = cage.finest.faces
+    skin, shirt = (
+        with_options(ControlMesh.from_faces(size * cage.finest.positions, faces), "none") for size in (1.0, 1.02)
+    )
+    source = Character((Part("body", skin), Part("shirt", shirt)))
+    made = carry_character(Character((Part("body", cage.control),)), source).character
+    cloth, half = part_named(made, "shirt").mesh.positions, np.abs(cage.control.positions).max()
+    assert np.abs(cloth).max(axis=1).min() > half
+
+
+def test_a_body_with_another_axis_up_is_named() -> None:
+    x_turn, y_turn = (Rotation.from_rotvec(angle).as_matrix() for angle in ([np.pi / 2, 0, 0], [0, 2.0, 0]))
+    for turn, words in ((np.eye(3), []), (y_turn, []), (x_turn, ["-Z here"]), (x_turn.T, ["Z here"])):
+        found = _up_warning(body_moved(2.0, turn, np.ones(3)), Path("B.obj"))
+        assert [word in text for word, text in zip(words, found, strict=True)] == [True] * len(words)
+
+
+def test_a_body_of_one_triangle_is_refused() -> None:
+    """The mesh of `saturday06_skinned_morph_vrm0.vrm`."""
+    body = Part("Cube", ControlMesh.from_faces(np.eye(3), np.array([[0, 1, 2]]), name="C.vrm"))
+    message = r"C\.vrm: expected a body, but Cube has only 1 face\. .*--like-part"
+    refuses(ParameterError, message, match_bodies, body, body, Landmarks.none(), Stages())
 
 
 @pytest.mark.slow

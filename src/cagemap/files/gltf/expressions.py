@@ -1,9 +1,16 @@
-"""Numbers of meshes and blend shapes in VRM's extensions, after meshes were replaced."""
+"""Numbers of meshes and blend shapes, and lengths, in VRM's extensions, for a character on another body."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
+
+from cagemap.files.gltf.entries import Document
+
+# Lengths in metres of VRM 1 and 0: of spring bones, colliders and the point between the eyes.
+_LENGTHS = ("hitRadius", "radius", "offset", "tail", "offsetFromHeadBone", "firstPersonBoneOffset")
 
 
 class ReplacedMesh(NamedTuple):
@@ -41,6 +48,25 @@ def renumber_expressions(extensions: Any, replaced: Sequence[ReplacedMesh]) -> l
                 if name == "VRMC_vrm":  # its schema has no empty lists
                     del expression[binds]
     return empty
+
+
+def with_scaled_lengths(document: Document, factor: float) -> Document:
+    """The document with the radii and offsets of VRM's spring bones, colliders and eyes multiplied by a factor."""
+    top = json.loads(json.dumps(document.json))
+    extensions = _table(top, "extensions")
+    of_vrm = [_table(_table(extensions, "VRMC_vrm"), "lookAt"), _table(extensions, "VRMC_springBone")]
+    of_vrm += [_table(_table(extensions, "VRM"), key) for key in ("firstPerson", "secondaryAnimation")]
+    for table in of_vrm:
+        table |= _scaled(table, factor)
+    return replace(document, json=top)
+
+
+def _scaled(value: Any, factor: float, *, is_length: bool = False) -> Any:
+    if isinstance(value, dict):
+        return {key: _scaled(one, factor, is_length=is_length or key in _LENGTHS) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_scaled(one, factor, is_length=is_length) for one in value]
+    return factor * value if is_length and isinstance(value, float | int) else value
 
 
 def _expressions(vrm: dict[str, Any]) -> list[tuple[str, dict[str, Any], str]]:
