@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -108,6 +108,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
         giver = max(source.parts, key=lambda one: len(one.shapes.keys() & part.shapes.keys()))
         if giver.shapes.keys() & part.shapes.keys():
             pieces_of[part.name] = giver.name
+    dressed = _with_shape_weights(dressed, source, pieces_of)
     rigged_document = character_glb(dressed, document, images, pieces_of)
     if request.report is not None:
         stages("report")
@@ -121,6 +122,19 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     stages.record(_figures(dressed) | {"trusted_area": carried.result.quality.trusted_area})
     warnings = body_warnings(carried.result)
     return _summary(request, dressed), [*split, *landmark_notes, *carried.notes, *warnings, *notes, *doubt]
+
+
+def _with_shape_weights(character: Character, source: Character, pieces_of: Mapping[str, str]) -> Character:
+    """A character with the source's weights of blend shapes; ``pieces_of``: parts with those of other parts."""
+    stated = {part.name: part.shape_weights for part in source.parts}
+    parts = [
+        replace(part, shape_weights=stated.get(pieces_of.get(part.name, part.name), {})) for part in character.parts
+    ]
+    animations = []
+    for one in character.animations:
+        copies = [replace(t, part=name) for name, of in pieces_of.items() for t in one.shape_tracks if t.part == of]
+        animations.append(replace(one, shape_tracks=(*one.shape_tracks, *copies)))
+    return replace(character, parts=tuple(parts), animations=tuple(animations))
 
 
 def _require_paths(request: RigRequest) -> None:

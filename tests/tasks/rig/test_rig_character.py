@@ -18,9 +18,8 @@ from cagemap.character.poses import pose_at
 from cagemap.character.values import Character, Part, Rig, skinned_positions
 from cagemap.errors import ParameterError
 from cagemap.files.gltf.binary import Binary
-from cagemap.files.gltf.character import read_character, read_shape_keys
+from cagemap.files.gltf.character import read_character
 from cagemap.files.gltf.document import read_document, write_document
-from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.meshes.formats import read_mesh, read_whole, write_mesh
@@ -43,7 +42,7 @@ from example_character import ball, bare_body, write_character
 from plain_meshes import far_apart, marks_at
 from refusals import refuses
 from rigged import image_error, part_named, rig_done, same_order
-from usd_characters import with_shape_weights
+from usd_characters import shape_keys, with_shape_weights
 
 
 def test_the_same_body_gets_back_what_the_character_has(files: Character) -> None:
@@ -132,7 +131,7 @@ def test_animated_shapes_need_no_skeleton(run: Run, files: Character) -> None:
     animation = {"name": "talk", "samplers": [sampler], "channels": [channel]}
     write_document("C.glb", binary.document(document.json | {"animations": [animation]}), force=True)
     assert "\n  1 animation\n" in run.done("rig B.glb --like C.glb -o OUT.glb").out
-    ((times_found, values, _),) = read_shape_keys(read_scene(read_document("OUT.glb")), 0).values()
+    ((times_found, values, _),) = shape_keys(read_document("OUT.glb"), 0).values()
     np.testing.assert_allclose(times_found, [0.0, 1.0])
     np.testing.assert_allclose(values.ravel(), [0.25, 0.75])
 
@@ -332,21 +331,21 @@ def test_pieces_that_are_carried_keep_the_weights_of_their_body(run: Run, files:
     mesh = replace(with_options(join_meshes([body, lash]), "none"), face_objects=None, object_names=(), name="body")
     shapes = {"blink": np.ones((mesh.n_vertices, 3))}
     rows = sparse.csr_array(np.tile([[1.0, 0.0]], (mesh.n_vertices, 1)))
-    document = character_glb(replace(files, parts=(Part("body", mesh, rows, shapes),)))
-    write_document("C.glb", with_shape_weights(document, "nod", np.array([[0.0], [1.0]])), force=True)
+    made = replace(files, parts=(Part("body", mesh, rows, shapes),))
+    write_document("C.glb", character_glb(with_shape_weights(made, "nod", np.array([[0.0], [1.0]]))), force=True)
     rig_done(run)
-    keys = read_shape_keys(read_scene(read_document("OUT.glb")), 0)
+    keys = shape_keys(read_document("OUT.glb"), 0)
     assert list(keys) == [("body", "blink"), ("body pieces", "blink")]
 
 
 def test_own_lashes_keep_the_weights_of_the_shapes_of_their_skin(run: Run, files: Character, body: ControlMesh) -> None:
     skin = replace(files.parts[0], shapes={"blink": np.ones((body.n_vertices, 3))})
-    document = character_glb(replace(files, parts=(skin,)))
-    write_document("C.glb", with_shape_weights(document, "nod", np.array([[0.0], [1.0]])), force=True)
+    made = with_shape_weights(replace(files, parts=(skin,)), "nod", np.array([[0.0], [1.0]]))
+    write_document("C.glb", character_glb(made), force=True)
     lash = Part("lash", ball("lash", body.positions[np.argmax(body.positions[:, 2])], 0.1))
     write_document("B.glb", character_glb(Character((Part("body", body), lash))), force=True)
     rig_done(run)
-    keys = read_shape_keys(read_scene(read_document("OUT.glb")), 0)
+    keys = shape_keys(read_document("OUT.glb"), 0)
     assert list(keys) == [("body", "blink"), ("lash", "blink")]
 
 

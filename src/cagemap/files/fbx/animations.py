@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import ufbx
 
-from cagemap.files.fbx.meshes import finite_array, get, keep_alive, list_attribute
+from cagemap.files.fbx.meshes import FbxMesh, finite_array, get, keep_alive, list_attribute
 from cagemap.files.gltf.binary import Binary, add_channel
 from cagemap.numerics.arrays import FloatArray
 
@@ -24,7 +24,7 @@ def animation_entry(
     nodes: Sequence[Mapping[str, Any]],
     before: Mapping[int, Mapping[str, Any]],
     numbers: Mapping[int, int],
-    channels: Mapping[int, list[tuple[int, int, list[float]]]],
+    meshes: Mapping[int, FbxMesh],
     note: Callable[[str], None],
 ) -> dict[str, Any]:
     """Entry of ``animations`` for an animation stack; without channels if nothing moves.
@@ -32,8 +32,7 @@ def animation_entry(
     ``nodes``: entries of the nodes, at rest.
     ``before``: transforms in the file of nodes whose entries were changed; used where no track moves such a node.
     ``numbers``: number of each node by its ``typed_id``.
-    ``channels``: by ``element_id`` of a blend channel, for each node with its mesh: the node, number of the shape,
-        weights of all its shapes at rest.
+    ``meshes``: meshes by the numbers of their nodes.
     """
     name = get(stack, "name")
     where = f"animation {name}: keys"
@@ -56,9 +55,7 @@ def animation_entry(
         for (node, path), (times, values) in sampled.items()
         if np.abs(values - nodes[node][path]).max() > _SAME_VALUE
     ]
-    tracks += [
-        (node, "weights", times, values.ravel()) for node, (times, values) in _weights(baked, channels, where).items()
-    ]
+    tracks += _weights(baked, meshes, where)
     begin = min((float(times.min()) for _, _, times, _ in tracks), default=0.0)
     if begin < 0.0:  # which glTF does not allow
         note(f"animation {name} begins {-begin:g} s before 0 and is moved to begin at 0")
@@ -70,25 +67,23 @@ def animation_entry(
 
 
 def _weights(
-    baked: Any, channels: Mapping[int, list[tuple[int, int, list[float]]]], where: str
-) -> dict[int, tuple[FloatArray, FloatArray]]:
-    """Times (k,) and weights (k, shapes) of the shapes of every mesh node with moving shapes."""
-    keys_of: dict[int, dict[int, tuple[FloatArray, FloatArray]]] = {}
-    for element in list_attribute(baked, "elements"):
-        for node, place, _ in channels.get(get(element, "element_id"), []):
-            for prop in list_attribute(element, "props"):
+    baked: Any, meshes: Mapping[int, FbxMesh], where: str
+) -> Iterator[tuple[int, str, FloatArray, FloatArray]]:
+    """Node, path, times (k,) and weights (k shapes,) of the shapes of every mesh with moving shapes."""
+    props = {get(one, "element_id"): list_attribute(one, "props") for one in list_attribute(baked, "elements")}
+    for node, mesh in meshes.items():
+        keys = {}
+        for place, channel in enumerate(mesh.channels):
+            for prop in props.get(get(channel, "element_id"), []):
                 if get(prop, "name") == "DeformPercent":
-                    times, values = _keys(prop, "keys", where)
-                    keys_of.setdefault(node, {})[place] = times, values[:, 0] / 100.0
-    at_rest = {node: amounts for users in channels.values() for node, _, amounts in users}
-    tracks = {}
-    for node, keys in keys_of.items():
-        times = np.unique(np.concatenate([key_times for key_times, _ in keys.values()]))
-        amounts = np.tile(at_rest[node], (len(times), 1))
-        for place, (key_times, values) in keys.items():
-            amounts[:, place] = np.interp(times, key_times, values)
-        tracks[node] = times, amounts
-    return tracks
+                    keys[place] = _keys(prop, "keys", where)
+        if keys:
+            times = np.unique(np.concatenate([key_times for key_times, _ in keys.values()]))
+            rest = [mesh.part.shape_weights.get(name, 0.0) for name in mesh.part.shapes]
+            amounts = np.tile(rest, (len(times), 1))
+            for place, (key_times, values) in keys.items():
+                amounts[:, place] = np.interp(times, key_times, values[:, 0] / 100.0)
+            yield node, "weights", times, amounts.ravel()
 
 
 def _keys(value: Any, name: str, where: str) -> tuple[FloatArray, FloatArray]:

@@ -137,13 +137,10 @@ class _Scene:
             "scenes": [{"nodes": [n for n, node in enumerate(self._nodes) if self._parent(node) is None]}],
             "nodes": entries,
         }
-        channels: dict[int, list[tuple[int, int, list[float]]]] = {}
-        for number, node in enumerate(self._nodes):
-            if "mesh" in entries[number] and (mesh := self._mesh(node)) is not None:
-                for place, channel in enumerate(mesh.channels):
-                    channels.setdefault(get(channel, "element_id"), []).append((number, place, mesh.amounts))
+        shown = {n: self._mesh(node) for n, node in enumerate(self._nodes) if "mesh" in entries[n]}
+        meshes = {number: mesh for number, mesh in shown.items() if mesh is not None}
         moving = [
-            animation_entry(self._binary, self._scene, stack, entries, before, self._number, channels, self._note)
+            animation_entry(self._binary, self._scene, stack, entries, before, self._number, meshes, self._note)
             for stack in list_attribute(self._scene, "anim_stacks")
         ]
         helpers = {n for n, node in enumerate(self._nodes) if get(node, "is_scale_helper") and "mesh" not in entries[n]}
@@ -242,8 +239,7 @@ class _Scene:
     def _mesh_entry(self, mesh: FbxMesh, materials: tuple[int, ...]) -> dict[str, Any]:
         slots = range(len(mesh.part.mesh.material_names))
         numbers = [materials[slot] if slot < len(materials) else None for slot in slots]
-        entry = mesh_entry(self._binary, mesh.part, numbers)
-        return entry | ({"weights": mesh.amounts} if any(mesh.amounts) else {})
+        return mesh_entry(self._binary, mesh.part, numbers)
 
     def _skin_entry(self, mesh: FbxMesh) -> dict[str, Any]:
         inverse = mesh.inverse_bind.reshape(-1, 16).astype("<f4")

@@ -78,12 +78,6 @@ class FbxMesh:
     inverse_bind: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 4)), repr=False)
     channels: tuple[Any, ...] = ()  # the blend channel of each shape
 
-    @property
-    def amounts(self) -> list[float]:
-        """Weight of each shape at rest."""
-        weights = [get(channel, "weight") for channel in self.channels]
-        return finite_array(weights, f"mesh {self.part.name}: amounts of shapes").tolist()
-
 
 def node_name(node: Any) -> str:
     """Name of a node; a child that ufbx adds to hold the mesh (a scale helper) has the name instead of the node."""
@@ -135,7 +129,9 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
         colors = finite_array(colors, f"mesh {name}: colors").clip(0.0, 1.0)
         colors[:, :3] = decode_srgb(colors[:, :3])
     offsets_of_shapes = {word: offsets for word, (offsets, _) in shapes.items()}
-    part = Part(name, control, shapes=offsets_of_shapes, normals=normals, colors=colors)
+    stated = finite_array([get(channel, "weight") for _, channel in shapes.values()], f"mesh {name}: amounts of shapes")
+    weights = dict(zip(shapes, stated.tolist(), strict=True)) if stated.any() else {}
+    part = Part(name, control, shapes=offsets_of_shapes, normals=normals, colors=colors, shape_weights=weights)
     return _with_skin(mesh, FbxMesh(part, channels=tuple(channel for _, channel in shapes.values())), note)
 
 

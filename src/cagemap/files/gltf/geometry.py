@@ -79,8 +79,12 @@ def mesh_entry(binary: Binary, part: Part, materials: Sequence[int | None]) -> d
             primitive["extras"] = {STARTS: np.column_stack([turned, own_starts[turned]]).tolist()}
         material = materials[number] if mesh.face_materials is not None else None
         primitives.append(primitive if material is None else primitive | {"material": material})
-    named = {"extras": {"targetNames": list(part.shapes)}} if part.shapes else {}
-    return {"primitives": primitives} | named
+    entry: dict[str, Any] = {"primitives": primitives}
+    if part.shapes:
+        entry["extras"] = {"targetNames": list(part.shapes)}
+    if part.shapes and part.shape_weights:
+        entry["weights"] = [part.shape_weights.get(name, 0.0) for name in part.shapes]
+    return entry
 
 
 def _fan_starts(mesh: ControlMesh, numbers: IndexArray, order: IndexArray) -> IndexArray:

@@ -22,7 +22,7 @@ from cagemap.files.gltf.nodes import (
     read_skin,
     snap_to_exact,
 )
-from cagemap.files.gltf.primitives import VertexArrays, read_vertex_arrays
+from cagemap.files.gltf.primitives import VertexArrays, node_shapes, read_vertex_arrays
 from cagemap.files.text import make_distinct
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
@@ -83,6 +83,7 @@ def read_scene(document: Document) -> Scene:
             text = "%s: the copies of %s by %s are left out; export each copy as a node of its own to keep it"
             _log.warning(text, document.file, name or nodes.names[node], _INSTANCES)
         if arrays is not None:
+            arrays = replace(arrays, shape_weights=_shape_weights(document, node))
             part = _part_in_world(document, nodes, skins, joints, node, arrays)
             parts += [] if part is None else [part]
     if not parts:
@@ -96,6 +97,15 @@ def _with_distinct_names(parts: list[ReadPart]) -> list[ReadPart]:
         replace(read_part, part=replace(read_part.part, name=name, mesh=replace(read_part.part.mesh, name=name)))
         for name, read_part in zip(names, parts, strict=True)
     ]
+
+
+def _shape_weights(document: Document, node: int) -> dict[str, float]:
+    """Stated weights of a node's blend shapes; none if they are not those of all shapes."""
+    entry, names = document.entry("nodes", node), node_shapes(document, node)
+    stated = entry.get("weights", document.entry("meshes", entry["mesh"]).get("weights"))
+    if not names or not isinstance(stated, list) or len(stated) != len(names):
+        return {}
+    return dict(zip(names, document.numbers(stated, f"nodes {node}: weights", len(names)).tolist(), strict=True))
 
 
 def _part_in_world(
@@ -212,7 +222,7 @@ def transform_part(part: Part, matrix: FloatArray) -> Part:
         normals, colors = (None if one is None else one[corners] for one in (normals, colors))
         shape_normals = {name: offsets[corners] for name, offsets in shape_normals.items()}
     shapes = {name: offsets @ linear for name, offsets in part.shapes.items()}
-    return Part(part.name, mesh, part.weights, shapes, normals, shape_normals, colors)
+    return replace(part, mesh=mesh, shapes=shapes, normals=normals, shape_normals=shape_normals, colors=colors)
 
 
 def transform_normals(normals: FloatArray, linear: FloatArray) -> FloatArray:
@@ -254,6 +264,7 @@ def _weld_part(arrays: VertexArrays, weights: sparse.csr_array | None, node: int
         None if arrays.normals is None else arrays.normals[stored],
         {name: offsets[stored] for name, offsets in arrays.shape_normals.items()},
         None if arrays.colors is None else arrays.colors[stored],
+        arrays.shape_weights,
     )
     return ReadPart(part, node, given.n_vertices, welded.notes if mesh.file_copies is not None else ())
 

@@ -38,6 +38,7 @@ class VertexArrays:
     normals: FloatArray | None = field(default=None, repr=False)  # (n, 3)
     shape_normals: dict[str, FloatArray] = field(default_factory=dict, repr=False)  # offsets (n, 3) by name of a shape
     colors: FloatArray | None = field(default=None, repr=False)  # (n, 4) linear, with opacity
+    shape_weights: dict[str, float] = field(default_factory=dict, repr=False)  # at rest, by name
 
 
 def material_names(document: Document) -> tuple[str, ...]:
@@ -45,8 +46,9 @@ def material_names(document: Document) -> tuple[str, ...]:
     return document.unique_names("materials", "material")
 
 
-def mesh_shapes(document: Document, number: int) -> tuple[str, ...]:
-    """`shape_names` of all morph targets of a mesh; a primitive without them does not move."""
+def node_shapes(document: Document, node: int) -> tuple[str, ...]:
+    """`shape_names` of all morph targets of a node's mesh; a primitive without them does not move."""
+    number = int(document.entry("nodes", node)["mesh"])
     primitives = document.entries("primitives", document.entry("meshes", number))
     return shape_names(document, number, max(len(document.entries("targets", one)) for one in primitives))
 

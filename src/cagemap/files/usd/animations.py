@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.character.poses import interpolate_keys, rest_tracks
-from cagemap.character.values import Animation, Rig, Track
-from cagemap.files.gltf.character import ShapeKeys, animation_names, read_shape_keys
-from cagemap.files.gltf.parts import Scene
+from cagemap.character.values import Animation, Interpolation, Part, Rig, Track
 from cagemap.files.usd.skeleton import define_skeleton, joint_paths
 from cagemap.files.usd.stages import identifiers, pxr
 from cagemap.mesh.mesh_report import first_few
@@ -23,36 +21,40 @@ _RATES = (24, 25, 30, 24000 / 1001, 23.976, 30000 / 1001, 29.97, 48, 50, 60)
 _FRAME_ROUNDING = 2e-4
 # Frames before the next key at which a stepped value is written once more, since USD interpolates.
 _STEP = 1e-3
+# Times (k,), values (k, q) or (k, 3, q), and interpolation, as in `Track`.
+_Keys = tuple[FloatArray, FloatArray, Interpolation]
 # Keys of a blend shape whose weight is 0.
-_REST: ShapeKeys = np.zeros(1), np.zeros((1, 1)), "LINEAR"
+_REST: _Keys = np.zeros(1), np.zeros((1, 1)), "LINEAR"
 SKELETON, _ANIMATIONS = "/Asset/skeleton", "/Asset/animations"
 
 
-def write_rig(stage: Any, rig: Rig, animations: Sequence[Animation], scene: Scene) -> list[str]:
+def write_rig(stage: Any, rig: Rig, animations: Sequence[Animation], parts: Sequence[Part]) -> list[str]:
     """Write a skeleton and its animations, with the first one bound; returns notes.
 
     Joints have no scale in the bind pose. Splines are sampled at every frame.
-
-    ``scene``: the document of the same animations, with the weights of blend shapes.
     """
     rig, animations = remove_scale(rig, animations)
     paths = joint_paths(rig.names, [rig.names[parent] if parent >= 0 else "" for parent in rig.parents])
     skeleton = define_skeleton(stage, SKELETON, paths, rig.bind, rig.local)
     skeleton.CreateJointNamesAttr(rig.names)
-    notes, tracks = [], {one.name: one.tracks for one in animations}
-    numbers = {name: number for number, name in enumerate(animation_names(scene.document))}
-    clips: dict[str, tuple[tuple[Track, ...], dict[str, ShapeKeys]]] = {}
-    for name in dict.fromkeys([*tracks, *numbers]) or ["rest"]:
-        keys_of, weights = read_shape_keys(scene, numbers.get(name)), dict[str, ShapeKeys]()
-        for (_, shape), keys in keys_of.items():
-            weights.setdefault(shape, keys)
-        shapes = ((one.part.name, shape) for one in scene.parts for shape in one.part.shapes if shape in weights)
-        others = [f"{one[1]} of {one[0]}" for one in shapes if not _same_keys(keys_of.get(one, _REST), weights[one[1]])]
+    notes = []
+    clips: dict[str, tuple[tuple[Track, ...], dict[str, _Keys]]] = {}
+    for animation in animations or [Animation("rest", ())]:
+        name, weights = animation.name, dict[str, _Keys]()
+        keys_of = [_shape_keys(part, animation) for part in parts]
+        for keys_of_part in keys_of:
+            weights = keys_of_part | weights  # the first part with a shape decides
+        others = [
+            f"{shape} of {part.name}"
+            for part, keys_of_part in zip(parts, keys_of, strict=True)
+            for shape in part.shapes
+            if shape in weights and not _same_keys(keys_of_part.get(shape, _REST), weights[shape])
+        ]
         if others:
             text = f"other parts decide the weights of {first_few(others)}"
             notes.append(f"{name}: {text}, since USD has one weight for shapes of one name")
-        if tracks.get(name) or weights:
-            clips[name] = tracks.get(name, ()), weights
+        if animation.tracks or weights:
+            clips[name] = animation.tracks, weights
     if not clips:
         return notes
     times = np.concatenate(
@@ -81,7 +83,19 @@ def write_rig(stage: Any, rig: Rig, animations: Sequence[Animation], scene: Scen
     return notes
 
 
-def _same_keys(first: ShapeKeys, second: ShapeKeys) -> bool:
+def _shape_keys(part: Part, animation: Animation) -> dict[str, _Keys]:
+    """Weights of a part's blend shapes in an animation, else at rest; without shapes that stay at 0."""
+    stated = {name: part.shape_weights.get(name, 0.0) for name in part.shapes}
+    keys: dict[str, _Keys] = {
+        name: (np.zeros(1), np.array([[weight]]), "LINEAR") for name, weight in stated.items() if weight
+    }
+    for track in animation.shape_tracks_of(part):
+        columns = np.moveaxis(track.values_of(part.shapes), -1, 0)[..., None]
+        keys |= {name: (track.times, one, track.interpolation) for name, one in zip(part.shapes, columns, strict=True)}
+    return keys
+
+
+def _same_keys(first: _Keys, second: _Keys) -> bool:
     """Whether two weights have the same keys, or are 0 throughout."""
     return all(map(np.array_equal, first[:2], second[:2])) or not (first[1].any() or second[1].any())
 
@@ -99,7 +113,7 @@ def remove_scale(rig: Rig, animations: Sequence[Animation]) -> tuple[Rig, tuple[
     local[:, :3, :3] *= factor["scale"][:, None, None]
     local[:, 3, :3] *= above[:, None]
     return replace(rig, bind=bind, local=local), tuple(
-        Animation(one.name, tuple(replace(t, values=t.values * factor[t.channel][t.joint]) for t in one.tracks))
+        replace(one, tracks=tuple(replace(t, values=t.values * factor[t.channel][t.joint]) for t in one.tracks))
         for one in animations
     )
 
@@ -116,7 +130,7 @@ def _write_animation(
     rig: Rig,
     paths: Sequence[str],
     tracks: Sequence[Track],
-    weights: Mapping[str, ShapeKeys],
+    weights: Mapping[str, _Keys],
     rate: float,
 ) -> Any:
     """Write a `SkelAnimation` of the joints that tracks move, and of blend shapes."""
@@ -141,7 +155,7 @@ def _write_animation(
     return animation.GetPrim()
 
 
-def _samples(rows: Sequence[ShapeKeys], rate: float, *, quaternions: bool = False) -> Iterator[tuple[Any, FloatArray]]:
+def _samples(rows: Sequence[_Keys], rate: float, *, quaternions: bool = False) -> Iterator[tuple[Any, FloatArray]]:
     """Time codes of the keys of all rows, and values (rows, q) at each; without later keys, one default value."""
     timed = [_sample_times(times, interpolation, rate) for times, _, interpolation in rows if len(times) > 1]
     times = np.unique(np.concatenate(timed)) if timed else np.zeros(1)

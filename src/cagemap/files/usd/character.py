@@ -64,7 +64,7 @@ def write_usd_character(
 
     Notes say what USD has no place for.
 
-    ``scene``: the same character as a glTF document: its materials, images and weights of blend shapes are written.
+    ``scene``: the same character as a glTF document: its materials and images are written.
     ``character``: in metres with Y up, as ``scene``.
     ``space``: to write it in, whose transform is a similarity without a mirror; default: metres with Y up.
     ``kept``: resolved paths of files that no image replaces, such as images of the character's file.
@@ -84,7 +84,7 @@ def write_usd_character(
     if any(part.shape_normals for part in character.parts):
         notes.append("normals of blend shapes are left out; programs compute them")
     if rig is not None:
-        notes += write_rig(stage, rig, character.animations, scene)
+        notes += write_rig(stage, rig, character.animations, character.parts)
     sizes, numbers = {}, material_names(scene.document)
     labels = identifiers((part.name for part in character.parts), ("skeleton", "animations", "materials"))
     for label, part in zip(labels, character.parts, strict=True):
