@@ -190,12 +190,16 @@ class _Scene:
         materials = tuple(self._materials.number(material, uv_sets) for material in list_attribute(node, "materials"))
         if (instance, materials) not in self._mesh_of:
             self._mesh_of[instance, materials] = len(self._meshes)
-            self._meshes.append(self._mesh_entry(mesh, materials))
+            slots = range(len(mesh.part.mesh.material_names))
+            numbers = [materials[slot] if slot < len(materials) else None for slot in slots]
+            self._meshes.append(mesh_entry(self._binary, mesh.part, numbers))
         entry["mesh"] = self._mesh_of[instance, materials]
         if mesh.bones:
             if instance not in self._skin_of:
                 self._skin_of[instance] = len(self._skins)
-                self._skins.append(self._skin_entry(mesh))
+                joints = [self._number[bone] for bone in mesh.bones]
+                inverse = self._binary.accessor(mesh.inverse_bind.reshape(-1, 16).astype("<f4"))
+                self._skins.append({"joints": joints, "inverseBindMatrices": inverse})
             entry["skin"] = self._skin_of[instance]
         return entry
 
@@ -235,13 +239,3 @@ class _Scene:
         if instance not in self._read:
             self._read[instance] = read_fbx_mesh(node, self._note)
         return self._read[instance]
-
-    def _mesh_entry(self, mesh: FbxMesh, materials: tuple[int, ...]) -> dict[str, Any]:
-        slots = range(len(mesh.part.mesh.material_names))
-        numbers = [materials[slot] if slot < len(materials) else None for slot in slots]
-        return mesh_entry(self._binary, mesh.part, numbers)
-
-    def _skin_entry(self, mesh: FbxMesh) -> dict[str, Any]:
-        inverse = mesh.inverse_bind.reshape(-1, 16).astype("<f4")
-        joints = [self._number[bone] for bone in mesh.bones]
-        return {"joints": joints, "inverseBindMatrices": self._binary.accessor(np.ascontiguousarray(inverse))}

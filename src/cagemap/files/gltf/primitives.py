@@ -110,14 +110,14 @@ def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArra
         join_meshes([arrays.control for arrays in read]),
         np.concatenate([np.pad(arrays.joints, ((0, 0), (0, width - arrays.joints.shape[1]))) for arrays in read]),
         np.concatenate([np.pad(arrays.weights, ((0, 0), (0, width - arrays.weights.shape[1]))) for arrays in read]),
-        _join_offsets([arrays.shapes for arrays in read], sizes),
+        join_offsets([arrays.shapes for arrays in read], sizes),
         np.concatenate(normals) if len(normals) == len(read) else None,
-        _join_offsets([arrays.shape_normals for arrays in read], sizes) if len(normals) == len(read) else {},
+        join_offsets([arrays.shape_normals for arrays in read], sizes) if len(normals) == len(read) else {},
         np.concatenate(list(white)) if colored else None,
     )
 
 
-def _join_offsets(offsets: Sequence[Mapping[str, FloatArray]], sizes: Sequence[int]) -> dict[str, FloatArray]:
+def join_offsets(offsets: Sequence[Mapping[str, FloatArray]], sizes: Sequence[int]) -> dict[str, FloatArray]:
     """Offsets by name of several groups of vertices as one; 0 where a group has none."""
     names = dict.fromkeys(name for of_group in offsets for name in of_group)
     return {

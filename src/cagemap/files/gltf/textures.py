@@ -77,7 +77,8 @@ def with_images(document: Document, images: Mapping[tuple[str, str], bytes]) -> 
         # Extensions of a texture refer to other images.
         texture = {key: value for key, value in texture.items() if key != "extensions"}
         image = texture.get("source")
-        if "index" not in holder or _users(top, holder["index"]) > 1:
+        users = [one for material in top["materials"] for _, one in texture_slots(material)]
+        if "index" not in holder or sum(one["index"] == holder["index"] for one in users) > 1:
             holder["index"] = len(textures)
             textures.append(texture)
         if image is None or sum(entry.get("source") == image for entry in textures) > 1:
@@ -86,12 +87,6 @@ def with_images(document: Document, images: Mapping[tuple[str, str], bytes]) -> 
         pictures[image] = {key: value for key, value in pictures[image].items() if key not in ("uri", "name")} | picture
         textures[holder["index"]] = texture | {"source": image}
     return binary.document(top)
-
-
-def _users(top: dict[str, Any], texture: int) -> int:
-    """Number of slots that use a texture."""
-    slots = (holder for material in top["materials"] for _, holder in texture_slots(material))
-    return sum(holder["index"] == texture for holder in slots)
 
 
 def _slot(material: dict[str, Any], slot: str, document: Document) -> dict[str, Any]:
@@ -135,14 +130,18 @@ def with_materials_of(document: Document, given: Document, names: Sequence[str])
     return binary.document(top), dict(zip(names, added, strict=True))
 
 
+def _add_image(binary: Binary, top: dict[str, Any], data: bytes) -> int:
+    entry = {"bufferView": binary.view(data), "mimeType": image_type(image_suffix(data) or ".png")}
+    top.setdefault("images", []).append(entry)
+    return len(top["images"]) - 1
+
+
 def _with_texture(binary: Binary, top: dict[str, Any], given: Document, number: int) -> int:
     """Add a texture of ``given`` with its sampler and image; returns its number."""
     entry = json.loads(json.dumps(given.entry("textures", number)))
     for holder in (entry, *entry.get("extensions", {}).values()):
         if holder.get("source") is not None:
-            data, suffix = image_bytes(given, holder["source"])
-            top.setdefault("images", []).append({"bufferView": binary.view(data), "mimeType": image_type(suffix)})
-            holder["source"] = len(top["images"]) - 1
+            holder["source"] = _add_image(binary, top, image_bytes(given, holder["source"])[0])
     if entry.get("sampler") is not None:
         top.setdefault("samplers", []).append(given.entry("samplers", entry["sampler"]))
         entry["sampler"] = len(top["samplers"]) - 1
@@ -160,7 +159,8 @@ class AddedTextures:
     def image(self, data: bytes, suffix: str) -> int | None:
         """Number of an image; of another format than PNG and JPEG as PNG. None if it cannot be read."""
         if data not in self._images:
-            self._images[data] = self._add_image(data, suffix)
+            stored = png_or_jpeg(data, suffix)
+            self._images[data] = None if stored is None else _add_image(self._binary, self._top, stored)
         return self._images[data]
 
     def texture(self, image: int, wraps: tuple[int, int], transform: dict[str, Any] | None = None) -> dict[str, Any]:
@@ -178,14 +178,6 @@ class AddedTextures:
             self._binary.extensions.add("KHR_texture_transform")
             holder["extensions"] = {"KHR_texture_transform": transform}
         return holder
-
-    def _add_image(self, data: bytes, suffix: str) -> int | None:
-        stored = png_or_jpeg(data, suffix)
-        if stored is None:
-            return None
-        images: list[Any] = self._top.setdefault("images", [])
-        images.append({"bufferView": self._binary.view(stored), "mimeType": image_type(image_suffix(stored) or ".png")})
-        return len(images) - 1
 
 
 def png_or_jpeg(data: bytes, suffix: str) -> bytes | None:

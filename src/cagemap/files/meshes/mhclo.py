@@ -58,7 +58,9 @@ def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Binding
     for first in range(int(sizes.max())):
         rows = np.flatnonzero(sizes > first)
         triple = np.stack([corners[begin[rows] + (first + k) % sizes[rows]] for k in range(3)], axis=1)
-        inside = _coordinates(base.positions, triple, positions[rows])
+        frames = triangle_frames(base.positions, triple)
+        across = np.einsum("nkd,nd->nk", frames[:, 1:], positions[rows] - frames[:, 0])
+        inside = np.column_stack([1 - across.sum(axis=1), across])
         outside = np.maximum(-inside.min(axis=1), 0.0)
         closer = outside < best[rows] - 1e-12
         better = rows[closer]
@@ -67,13 +69,6 @@ def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Binding
     scales = np.stack([(base.positions[:, axis].argmin(), base.positions[:, axis].argmax()) for axis in range(3)])
     ends = base.positions[scales, np.arange(3)[:, None]]
     return Binding(vertices, weights, offsets, scales.astype(np.int64), np.abs(ends[:, 0] - ends[:, 1]))
-
-
-def _coordinates(places: FloatArray, triangles: IndexArray, points: FloatArray) -> FloatArray:
-    """(n, 3) barycentric coordinates of points (n, 3), projected to the planes of triangles."""
-    frames = triangle_frames(places, triangles)
-    inside = np.einsum("nkd,nd->nk", frames[:, 1:], points - frames[:, 0])
-    return np.column_stack([1 - inside.sum(axis=1), inside])
 
 
 def check_mhclo_path(file: Path) -> None:

@@ -141,16 +141,12 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> Character:
 def _is_animated(prim: Any) -> bool:
     """Whether the points, visibility or transform of a prim, or of one above it, change with time."""
     prims = map(prim.GetStage().GetPrimAtPath, prim.GetPath().GetPrefixes())
-    attributes = {attribute: attribute.GetName() for one in prims for attribute in one.GetAttributes()}
-    shown = [one for one, name in attributes.items() if name.startswith("xformOp:") or name in _SHOWN]
-    return any(map(_changes, shown))
-
-
-def _changes(attribute: Any) -> bool:
-    """Whether the time samples of an attribute differ."""
-    values = map(attribute.Get, attribute.GetTimeSamples())
-    first = next(values, None)
-    return any(value != first for value in values)
+    for attribute in (attribute for one in prims for attribute in one.GetAttributes()):
+        if attribute.GetName().startswith("xformOp:") or attribute.GetName() in _SHOWN:
+            values = [attribute.Get(code) for code in attribute.GetTimeSamples()]
+            if any(value != values[0] for value in values):
+                return True
+    return False
 
 
 def _normals(where: str, prim: Any, control: ControlMesh) -> FloatArray | None:
@@ -250,10 +246,7 @@ def _channels(animation: Any) -> dict[Channel, Any]:
 
 
 def _samples(attribute: Any, rows: int, start: float, rate: float) -> tuple[FloatArray, FloatArray]:
-    """Times in seconds since a time code, and values (k, rows, ...) of an attribute; none if it has no such values.
-
-    ``rate``: time codes per second.
-    """
+    """Times in seconds since a time code, and values (k, rows, ...) of an attribute; none if it has no such values."""
     codes = attribute.GetTimeSamples() or [pxr.Usd.TimeCode.Default()]
     values = [attribute.Get(code) for code in codes]
     if not rows or any(value is None or len(value) != rows for value in values):

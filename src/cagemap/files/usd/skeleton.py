@@ -76,7 +76,11 @@ def write_usd_skeleton(stage: Any, prim: Any, skeleton: Skeleton, to_root: Float
     top = prim.GetPath().GetPrefixes()[0]
     paths = joint_paths(skeleton.names, skeleton.parents)
     order = sorted(range(len(paths)), key=lambda joint: (paths[joint].count("/"), joint))
-    binds = _binds(skeleton, to_root)[order]
+    axes = np.eye(3) if skeleton.axes is None else skeleton.axes
+    binds = np.tile(np.eye(4), (len(paths), 1, 1))
+    binds[:, :3, :3] = rotations_of(np.broadcast_to(axes @ to_root[:3, :3], (len(paths), 3, 3)))
+    binds[:, 3, :3] = transform_points(skeleton.heads, to_root)
+    binds = binds[order]
     path = top.AppendChild("skeleton")
     if stage.GetPrimAtPath(path):  # a skeleton of the asset, which is not changed
         path = top.AppendChild("cagemap_skeleton")
@@ -120,16 +124,6 @@ def joint_paths(names: Sequence[str], parents: Sequence[str]) -> list[str]:
         return "/".join(reversed(parts))
 
     return [path(joint) for joint in range(len(names))]
-
-
-def _binds(skeleton: Skeleton, to_root: FloatArray) -> FloatArray:
-    """(j, 4, 4) bind transforms, from the heads and the axes as rotations."""
-    count = len(skeleton.names)
-    axes = np.tile(np.eye(3), (count, 1, 1)) if skeleton.axes is None else skeleton.axes
-    binds = np.tile(np.eye(4), (count, 1, 1))
-    binds[:, :3, :3] = rotations_of(axes @ to_root[:3, :3])
-    binds[:, 3, :3] = transform_points(skeleton.heads, to_root)
-    return binds
 
 
 def _matrices(values: FloatArray) -> Any:

@@ -91,21 +91,18 @@ def write_subsets(stage: Any, prim: Any, mesh: ControlMesh, materials: Mapping[s
             bound = prim.GetPrim()
         if color is None:
             continue
-        path = f"/Asset/materials/{label}"
-        material = _colored_material(stage, path, name, color) if materials is None else materials[name]
+        if materials is None:
+            material, surface = define_material(stage, f"/Asset/materials/{label}")
+            material.GetPrim().SetDisplayName(name)
+            if np.isfinite(color).all():
+                value = pxr.Gf.Vec3f(*map(float, color))
+                surface.CreateInput("diffuseColor", pxr.Sdf.ValueTypeNames.Color3f).Set(value)
+        else:
+            material = materials[name]
         pxr.UsdShade.MaterialBindingAPI.Apply(bound).Bind(material)
     if mesh.face_materials is not None:
         pxr.UsdGeom.Subset.SetFamilyType(prim, "materialBind", "nonOverlapping")
         pxr.UsdGeom.Scope.Define(stage, "/Asset/materials")
-
-
-def _colored_material(stage: Any, path: str, name: str, color: FloatArray) -> Any:
-    material, surface = define_material(stage, path)
-    material.GetPrim().SetDisplayName(name)
-    if np.isfinite(color).all():
-        value = pxr.Gf.Vec3f(*map(float, color))
-        surface.CreateInput("diffuseColor", pxr.Sdf.ValueTypeNames.Color3f).Set(value)
-    return material
 
 
 def interpolation(mesh: ControlMesh, count: int, place: str | None = None) -> str | None:

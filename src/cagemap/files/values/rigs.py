@@ -145,7 +145,10 @@ def _shapes_of(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str
     if arrays is not None:
         return {name: _checked_offsets(file, name, array, rest) for name, array in to_part(arrays, rows).items()}
     if not is_usd(file):
-        return {file.stem: _read_shape(file, rest, rows)}
+        mesh = read_mesh(file)
+        if rows is not None and mesh.n_vertices == rows.whole.n_vertices:
+            return {file.stem: np.asarray(_read_offset(file, mesh, rows.whole)[rows.vertices])}
+        return {file.stem: _read_offset(file, mesh, rest)}
     shapes = {n: values for n, values in read_attributes(file, rest).items() if n.startswith(BLEND_SHAPE)}
     if any(values.shape != (rest.n_vertices, 3) for values in shapes.values()):
         raise FormatError(
@@ -153,13 +156,6 @@ def _shapes_of(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str
             "Give the shapes of this mesh."
         )
     return {name.removeprefix(BLEND_SHAPE): np.asarray(values, dtype=np.float64) for name, values in shapes.items()}
-
-
-def _read_shape(file: Path, rest: ControlMesh, rows: FileRows | None) -> FloatArray:
-    mesh = read_mesh(file)
-    if rows is not None and mesh.n_vertices == rows.whole.n_vertices:
-        return np.asarray(_read_offset(file, mesh, rows.whole)[rows.vertices])
-    return _read_offset(file, mesh, rest)
 
 
 def _read_offset(file: Path, mesh: ControlMesh, rest: ControlMesh) -> FloatArray:
