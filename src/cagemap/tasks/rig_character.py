@@ -19,12 +19,12 @@ from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.character import character_of, read_animations
 from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document, write_document
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.material_images import png_bytes
 from cagemap.files.gltf.nodes import read_nodes
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import with_materials_of
 from cagemap.files.gltf.write import character_glb
+from cagemap.files.images.image import png_bytes
 from cagemap.files.inner_texture import color_image, material_document
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh, read_whole, referred_files

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ import numpy as np
 import ufbx
 
 from cagemap.errors import FormatError
-from cagemap.files.fbx.animations import animation_entry
 from cagemap.files.fbx.materials import Materials
 from cagemap.files.fbx.meshes import (
     FbxMesh,
@@ -26,7 +25,7 @@ from cagemap.files.fbx.meshes import (
     row_matrix,
 )
 from cagemap.files.fbx.read import REFUSED
-from cagemap.files.gltf.binary import Binary
+from cagemap.files.gltf.binary import Binary, add_channel
 from cagemap.files.gltf.document import glb_bytes
 from cagemap.files.gltf.geometry import mesh_entry, uv_sets_in_order
 from cagemap.files.gltf.nodes import REST, decompose_transform, is_invertible, transform
@@ -50,6 +49,9 @@ _SPACE: dict[str, Any] = {
 }
 # Relative to the largest number of a transform: joints that differ by less are in their bind pose.
 _MOVED = 1e-4
+_CHANNELS = {"translation": "translation_keys", "rotation": "rotation_keys", "scale": "scale_keys"}
+# Tracks whose values differ by less from those at rest are left out.
+_SAME_VALUE = 1e-6
 _LEFT_OUT = {
     "nurbs_surfaces": "NURBS surface",
     "nurbs_curves": "curve",
@@ -139,10 +141,8 @@ class _Scene:
         }
         shown = {n: self._mesh(node) for n, node in enumerate(self._nodes) if "mesh" in entries[n]}
         meshes = {number: mesh for number, mesh in shown.items() if mesh is not None}
-        moving = [
-            animation_entry(self._binary, self._scene, stack, entries, before, self._number, meshes, self._note)
-            for stack in list_attribute(self._scene, "anim_stacks")
-        ]
+        stacks = list_attribute(self._scene, "anim_stacks")
+        moving = [self._animation(stack, entries, before, meshes) for stack in stacks]
         helpers = {n for n, node in enumerate(self._nodes) if get(node, "is_scale_helper") and "mesh" not in entries[n]}
         for entry in moving:
             kept = [channel for channel in entry["channels"] if channel["target"]["node"] not in helpers]
@@ -166,6 +166,50 @@ class _Scene:
         }
         document = self._binary.document(top | {name: entries for name, entries in lists.items() if entries})
         return glb_bytes(document)
+
+    def _animation(
+        self, stack: Any, entries: list[dict[str, Any]], before: dict[int, dict[str, Any]], meshes: dict[int, FbxMesh]
+    ) -> dict[str, Any]:
+        """Entry of an animation stack; without channels if nothing moves. ``before``: as by `_in_bind_pose`."""
+        name = get(stack, "name")
+        where = f"animation {name}: keys"
+        baked = keep_alive(
+            ufbx.bake_anim(
+                self._scene,
+                get(stack, "anim"),
+                trim_start_time=True,
+                key_reduction_enabled=True,
+                key_reduction_rotation=True,
+            )
+        )
+        sampled = {
+            (node, path): (np.zeros(1), np.array([stated[path]]))
+            for node, stated in before.items()
+            for path in _CHANNELS
+        }
+        for moved in list_attribute(baked, "nodes"):
+            node = self._number.get(get(moved, "typed_id"))
+            for path, keys in _CHANNELS.items():
+                times, values = _keys(moved, keys, where)
+                if node is not None and len(times):
+                    sampled[node, path] = times, values
+        tracks = [
+            (node, path, times, values)
+            for (node, path), (times, values) in sampled.items()
+            if np.abs(values - entries[node][path]).max() > _SAME_VALUE
+        ]
+        tracks += _weights(baked, meshes, where)
+        begin = min((float(times.min()) for _, _, times, _ in tracks), default=0.0)
+        if begin < 0.0:  # which glTF does not allow
+            self._note(f"animation {name} begins {-begin:g} s before 0 and is moved to begin at 0")
+        entry: dict[str, Any] = {"name": name, "samplers": [], "channels": []}
+        for node, path, times, values in tracks:
+            sampler = {
+                "input": self._binary.times(times - min(begin, 0.0)),
+                "output": self._binary.accessor(values.astype("<f4")),
+            }
+            add_channel(entry, node, path, sampler)
+        return entry
 
     def _parent(self, node: Any) -> int | None:
         parent = get(node, "parent")
@@ -239,3 +283,32 @@ class _Scene:
         if instance not in self._read:
             self._read[instance] = read_fbx_mesh(node, self._note)
         return self._read[instance]
+
+
+def _weights(
+    baked: Any, meshes: Mapping[int, FbxMesh], where: str
+) -> Iterator[tuple[int, str, FloatArray, FloatArray]]:
+    """Node, path, times (k,) and weights (k shapes,) of the shapes of every mesh with moving shapes."""
+    props = {get(one, "element_id"): list_attribute(one, "props") for one in list_attribute(baked, "elements")}
+    for node, mesh in meshes.items():
+        keys = {}
+        for place, channel in enumerate(mesh.channels):
+            for prop in props.get(get(channel, "element_id"), []):
+                if get(prop, "name") == "DeformPercent":
+                    keys[place] = _keys(prop, "keys", where)
+        if keys:
+            times = np.unique(np.concatenate([key_times for key_times, _ in keys.values()]))
+            rest = [mesh.part.shape_weights.get(name, 0.0) for name in mesh.part.shapes]
+            amounts = np.tile(rest, (len(times), 1))
+            for place, (key_times, values) in keys.items():
+                amounts[:, place] = np.interp(times, key_times, values[:, 0] / 100.0)
+            yield node, "weights", times, amounts.ravel()
+
+
+def _keys(value: Any, name: str, where: str) -> tuple[FloatArray, FloatArray]:
+    """Times (k,) and values (k, q) of keys; the last one of several at the same time."""
+    keys = list_attribute(value, name)
+    times = np.array([get(key, "time") for key in keys], dtype=np.float64)
+    values = finite_array([list(get(key, "value")) for key in keys], where)
+    last = np.append(np.diff(times.astype("<f4")) > 0.0, True)[: len(times)]
+    return times[last], values[last]

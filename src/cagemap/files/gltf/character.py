@@ -39,16 +39,11 @@ def character_of(document: Document) -> Character:
     """
     scene = read_scene(document)
     rig = None if scene.joints is None else scene.joints.rig
-    if any(_has_tangents(document, read_part.node) for read_part in scene.parts):
+    meshes = [document.entry("meshes", document.entry("nodes", one.node)["mesh"]) for one in scene.parts]
+    primitives = [primitive for mesh in meshes for primitive in document.entries("primitives", mesh)]
+    if any("TANGENT" in target for primitive in primitives for target in document.entries("targets", primitive)):
         _log.warning("%s: tangents of blend shapes are left out; programs compute them", document.file)
     return Character(tuple(read_part.part for read_part in scene.parts), rig, read_animations(scene))
-
-
-def _has_tangents(document: Document, node: int) -> bool:
-    """Whether morph targets of a node's mesh, which was read, have tangents."""
-    primitives = document.entries("primitives", document.entry("meshes", document.entry("nodes", node)["mesh"]))
-    targets = (target for primitive in primitives for target in document.entries("targets", primitive))
-    return any("TANGENT" in target for target in targets)
 
 
 def humanoid_bones(document: Document) -> dict[str, str]:

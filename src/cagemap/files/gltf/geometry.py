@@ -88,10 +88,7 @@ def mesh_entry(binary: Binary, part: Part, materials: Sequence[int | None]) -> d
 
 
 def _fan_starts(mesh: ControlMesh, numbers: IndexArray, order: IndexArray) -> IndexArray:
-    """(m,) corner at which each face's fan begins, so that consecutive fans have different first vertices.
-
-    Otherwise readers would join two fans. Every second face begins at its first corner, and most others do too.
-    """
+    """(m,) corner at which each face's fan begins: consecutive fans have different first vertices."""
     first = mesh.face_offsets[:-1]
     moved = order[1::2]
     heads = np.append(numbers[first[order[::2]]], -1)

@@ -18,7 +18,7 @@ from cagemap.files.atomic import write_whole
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import MIRROR, REPEAT, WITHOUT_IMAGE, image_number, texture_slots
-from cagemap.files.images.image import Image, Pixels, image_of_bytes, write_image
+from cagemap.files.images.image import Image, Pixels, image_of_bytes
 from cagemap.files.ownership import seal
 from cagemap.numerics.arrays import FloatArray
 
@@ -86,21 +86,15 @@ def material_images(document: Document, material: str, only: str | None = None) 
     return tuple(image for image in images if image is not None)
 
 
-def _content_with_mark(name: str, data: bytes) -> bytes:
-    """The content of a file of this name if cagemap wrote it."""
-    with tempfile.TemporaryDirectory() as folder:
-        written = Path(folder) / name
-        written.write_bytes(data)
-        seal(written)
-        return written.read_bytes()
-
-
 def write_numbered(file: Path, data: bytes) -> Path:
     """Write a file; its name gets a number if a file of that name has another content. Returns the path."""
+    with tempfile.TemporaryDirectory() as folder:
+        marked = Path(folder) / file.name
+        marked.write_bytes(data)
+        seal(marked)
+        contents = data, marked.read_bytes()
     files = (file.with_stem(f"{file.stem}{number or ''}") for number in itertools.count())
-    free = next(
-        path for path in files if not path.exists() or path.read_bytes() in (data, _content_with_mark(file.name, data))
-    )
+    free = next(path for path in files if not path.exists() or path.read_bytes() in contents)
     if not free.exists():
         write_whole(free, data)
     return free
@@ -109,14 +103,6 @@ def write_numbered(file: Path, data: bytes) -> Path:
 def read_material_image(document: Document, found: MaterialImage) -> Image:
     """The pixels of a material's image."""
     return image_of_bytes(*image_bytes(document, found.image), f"{document.file}: images {found.image}")
-
-
-def png_bytes(image: Image) -> bytes:
-    """An image as a PNG file."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "image.png"
-        write_image(file, image)
-        return file.read_bytes()
 
 
 def with_copied_materials(

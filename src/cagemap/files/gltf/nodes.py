@@ -177,10 +177,7 @@ def is_invertible(matrices: FloatArray) -> NDArray[np.bool_]:
 
 
 def _to_world(inverse: FloatArray, world: FloatArray, rank: IndexArray) -> FloatArray:
-    """Transform of stored positions to the world on which most joints at rest agree; else that of the topmost joint.
-
-    If the nodes at rest are in the bind pose, all joints place them alike.
-    """
+    """Transform of stored positions to the world on which most joints at rest agree; else that of the topmost joint."""
     placed, frame = inverse @ world, _frame(inverse)
     order = np.argsort(rank)
     corners = (frame @ placed[order])[:, :, :3].reshape(len(order), 12)
@@ -246,10 +243,7 @@ def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...]) -> Jo
 
 
 def _with_bound(rig: Rig, joints: IndexArray, skin: Skin, taken: tuple[str, ...]) -> tuple[Rig, IndexArray]:
-    """The rig with further joints where a skin binds its joints (k,) in another pose, and the skin's joints in it.
-
-    ``taken``: names that further joints do not get.
-    """
+    """The rig with further joints, not named as ``taken``, where a skin binds its joints (k,) in another pose."""
     changes, frame = skin.inverse_bind @ rig.bind[joints], _frame(skin.inverse_bind)
     other = [snap_to_exact(change, skin.to_world, frame) is not skin.to_world for change in changes]
     moved = np.flatnonzero(other)

@@ -12,6 +12,7 @@ from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document, image_bytes, image_suffix, image_type
 from cagemap.files.gltf.primitives import material_names
+from cagemap.files.images.image import image_of_bytes, png_bytes
 from cagemap.files.text import make_distinct
 from cagemap.numerics.arrays import FloatArray
 
@@ -184,9 +185,6 @@ def png_or_jpeg(data: bytes, suffix: str) -> bytes | None:
     """The content of an image file, converted to PNG unless it is PNG or JPEG; None if it cannot be read."""
     if image_suffix(data) in (".png", ".jpg"):
         return data
-    from cagemap.files.gltf.material_images import png_bytes
-    from cagemap.files.images.image import image_of_bytes
-
     try:
         return png_bytes(image_of_bytes(data, suffix, "texture"))
     except FormatError:

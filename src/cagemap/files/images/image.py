@@ -24,7 +24,7 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.images.parts import apply_orientation, fit_to_display_window, require_one_picture, shown_size
 from cagemap.files.ownership import mark
-from cagemap.files.text import require_file, text_name
+from cagemap.files.text import require_file, require_suffix, text_name
 from cagemap.mesh.udim import FIRST_TILE
 from cagemap.numerics.arrays import array_of
 from cagemap.numerics.kinds import kinds_checked
@@ -101,6 +101,14 @@ def image_of_bytes(data: bytes, suffix: str, name: str) -> Image:
             return read_image(file)
         except FormatError as error:
             raise FormatError(str(error).replace(str(file), name)) from None
+
+
+def png_bytes(image: Image) -> bytes:
+    """An image as a PNG file."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "image.png"
+        write_image(file, image)
+        return file.read_bytes()
 
 
 def _read(file: Path) -> Image:
@@ -238,10 +246,7 @@ def _holds(pixels: Pixels, path: Path) -> bool:
 
 
 def _reserve(path: Path, size: int) -> None:
-    """Reserve disk space for a file: on a full disk, the JPEG library ends the whole process.
-
-    Nothing is reserved if the file system cannot do it.
-    """
+    """Reserve disk space for a file, where possible: on a full disk, the JPEG library ends the whole process."""
     if hasattr(os, "posix_fallocate"):
         with path.open("rb+") as stream:
             try:
@@ -274,11 +279,7 @@ def _premultiply_pixels(pixels: Pixels) -> Pixels:
 def check_image_name(file: Path) -> None:
     """Refuse a name without a suffix of an image format, or one that is not UTF-8."""
     text_name(file.absolute())
-    if file.suffix.lower() not in _FORMATS:
-        raise FormatError(
-            f"{file}: expected an image name ending in {', '.join(_FORMATS)}, got {file.suffix.lower() or 'no suffix'}"
-            ". Give another name."
-        )
+    require_suffix(file, _FORMATS, "an image name")
 
 
 def check_writable(path: str | Path, dtype: np.dtype[Any], channels: int) -> None:

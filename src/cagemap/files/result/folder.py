@@ -36,7 +36,7 @@ from cagemap.files.result.manifest import (
     stored_quality,
     version_entries,
 )
-from cagemap.files.result.maps import level_arrays, level_entries, read_level_maps
+from cagemap.files.result.maps import level_arrays, read_level_maps, stored_levels
 from cagemap.files.schema import ResultRecord, SideRecord, parse_record, to_json
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
@@ -159,7 +159,12 @@ def read_result(folder: str | Path) -> MatchResult:
     root = Path(folder)
     manifest = read_manifest(root)
     record = parse_record(ResultRecord, manifest, root / MANIFEST, REMEDY)
-    archive = _read_arrays(root / ARRAYS, record.files.get(ARRAYS))
+    path, checksum = root / ARRAYS, record.files.get(ARRAYS)
+    if not path.is_file():
+        raise FormatError(f"{path}: is missing, so the result is incomplete. {REMEDY}")
+    archive = Archive(path, read_npz(path, REMEDY), REMEDY)
+    if checksum is not None and stated_checksum(path) not in (None, checksum):
+        archive.refuse(f"belongs to another {MANIFEST} than the one beside it")
     sizes: dict[str, int] = {}
     sides = [
         _read_side(root, prefix, entry, archive, sizes)
@@ -236,8 +241,16 @@ def _read_side(root: Path, prefix: str, entry: SideRecord, archive: Archive, siz
         f"c{number}": control.n_vertices,
         f"n{number}": next(islice(vertex_counts(control, scheme), entry.level, None)),
     }
-    specs = {f"{prefix}_{name}": spec for name, spec in _side_specs(number).items()}
-    arrays = archive.take(specs, sizes)
+    specs = {
+        "vertices": ArraySpec((f"n{number}", 3)),
+        "faces": ArraySpec((f"m{number}", "3|4"), below=f"n{number}"),
+        "eigenvalues": ArraySpec((f"k{number}",), optional=True),
+        "landmarks": ArraySpec(("p",), below=f"c{number}"),
+        "landmark_corners": ArraySpec(("p", 3), below=f"c{number}", optional=True),
+        "landmark_weights": ArraySpec(("p", 3), optional=True),
+        "mask": ArraySpec((f"n{number}",), optional=True, share=True),
+    }
+    arrays = archive.take({f"{prefix}_{name}": spec for name, spec in specs.items()}, sizes)
     points = points_from_arrays(archive, arrays, f"{prefix}_landmark_")
     return _Side(
         prefix,
@@ -250,18 +263,6 @@ def _read_side(root: Path, prefix: str, entry: SideRecord, archive: Archive, siz
         CagePoints.of_vertices(arrays[f"{prefix}_landmarks"]) if points is None else points,
         arrays.get(f"{prefix}_mask"),
     )
-
-
-def _side_specs(number: int) -> dict[str, ArraySpec]:
-    return {
-        "vertices": ArraySpec((f"n{number}", 3)),
-        "faces": ArraySpec((f"m{number}", "3|4"), below=f"n{number}"),
-        "eigenvalues": ArraySpec((f"k{number}",), optional=True),
-        "landmarks": ArraySpec(("p",), below=f"c{number}"),
-        "landmark_corners": ArraySpec(("p", 3), below=f"c{number}", optional=True),
-        "landmark_weights": ArraySpec(("p", 3), optional=True),
-        "mask": ArraySpec((f"n{number}",), optional=True, share=True),
-    }
 
 
 def _check_parts(root: Path, arrays: dict[str, Any], source_triangles: IndexArray, record: ResultRecord) -> None:
@@ -297,14 +298,5 @@ def _manifest(result: MatchResult) -> dict[str, Any]:
         for prefix, side in (("target", result.target), ("source", result.source))
     }
     fixed = {**version_entries(), **sides, "landmark_names": list(result.landmarks.names)}
-    fixed["level_maps"] = level_entries(result)
+    fixed["level_maps"] = [dict(zip(("target", "source"), one.levels, strict=True)) for one in stored_levels(result)]
     return fixed | {name: value for name, value in result.manifest.items() if name not in {*fixed, "files"}}
-
-
-def _read_arrays(path: Path, checksum: str | None) -> Archive:
-    if not path.is_file():
-        raise FormatError(f"{path}: is missing, so the result is incomplete. {REMEDY}")
-    archive = Archive(path, read_npz(path, REMEDY), REMEDY)
-    if checksum is not None and stated_checksum(path) not in (None, checksum):
-        archive.refuse(f"belongs to another {MANIFEST} than the one beside it")
-    return archive

@@ -32,7 +32,7 @@ from cagemap.files.usd.prims import (
 )
 from cagemap.files.usd.read import UsdMesh, prims_of, read_usd_meshes
 from cagemap.files.usd.shader_inputs import color_uv_name
-from cagemap.files.usd.shaders import MaterialUser, with_materials
+from cagemap.files.usd.shaders import with_materials
 from cagemap.files.usd.skeleton import joint_names, joint_parents, joints_of
 from cagemap.files.usd.space import stage_units, to_metres
 from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, pxr
@@ -69,13 +69,13 @@ def document_and_character(path: str | Path, meshes: Sequence[UsdMesh] | None = 
         stage, meshes = open_stage(file), read_usd_meshes(file) if meshes is None else meshes
         character = _read(file, stage, meshes)
         plain = replace(character_glb(character), file=file)
-        users = dict[str, list[MaterialUser]]()
+        uv_sets, double_sided = dict[str, list[tuple[str, ...]]](), set[str]()
         for part, mesh in zip(character.parts, meshes, strict=True):
-            double_sided = bool(pxr.UsdGeom.Mesh(stage.GetPrimAtPath(mesh.path)).GetDoubleSidedAttr().Get())
-            user = MaterialUser(tuple(one.name for one in uv_sets_in_order(part.mesh)), double_sided)
+            if pxr.UsdGeom.Mesh(stage.GetPrimAtPath(mesh.path)).GetDoubleSidedAttr().Get():
+                double_sided |= set(part.mesh.material_names) - uv_sets.keys()  # by the first mesh of a material
             for name in part.mesh.material_names:
-                users.setdefault(name, []).append(user)
-        document = with_materials(plain, stage, users)
+                uv_sets.setdefault(name, []).append(tuple(one.name for one in uv_sets_in_order(part.mesh)))
+        document = with_materials(plain, stage, uv_sets, double_sided)
     return document, character
 
 

@@ -99,7 +99,9 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
         meshes = tuple(_read_prim(file, prim, labels) for prim in drop_flattened(file, meshes_with_points(stage)))
     if not meshes:
         what = f"got {len(prims)} without points" if prims else "got none"
-        open_sets = _variants_without_choice(stage)
+        sets = [(prim, prim.GetVariantSets()) for prim in stage.Traverse()]
+        names = [(prim, of_prim, name) for prim, of_prim in sets for name in of_prim.GetNames()]
+        open_sets = [f"{prim.GetPath()} ({n})" for prim, of_prim, n in names if not of_prim.GetVariantSelection(n)]
         remedy = (
             f"Choose one of the variants of {', '.join(open_sets)}."
             if open_sets and not prims
@@ -118,12 +120,10 @@ def meshes_with_points(stage: Any) -> list[Any]:
 
 def _is_final(prim: Any) -> bool:
     """Whether a prim is visible, not a preview by its purpose, and not a prototype of a point instancer."""
-    above = prim.GetParent()
-    while above:
-        if above.IsA(pxr.UsdGeom.PointInstancer):
-            return False
-        above = above.GetParent()
+    above = map(prim.GetStage().GetPrimAtPath, prim.GetPath().GetParentPath().GetPrefixes())
     imageable = pxr.UsdGeom.Imageable(prim)
+    if any(one.IsA(pxr.UsdGeom.PointInstancer) for one in above):
+        return False
     return str(imageable.ComputePurpose()) not in _STAND_INS and str(imageable.ComputeVisibility()) != "invisible"
 
 
@@ -144,16 +144,6 @@ def material_labels(stage: Any) -> dict[str, str]:
         labels[path] = label_of[source]
         taken.add(labels[path])
     return labels
-
-
-def _variants_without_choice(stage: Any) -> list[str]:
-    """Variant sets of a stage without a chosen variant."""
-    return [
-        f"{prim.GetPath()} ({name})"
-        for prim in stage.Traverse()
-        for name in prim.GetVariantSets().GetNames()
-        if not prim.GetVariantSets().GetVariantSelection(name)
-    ]
 
 
 def read_usd(path: str | Path, *, mixed: bool = False) -> ControlMesh:

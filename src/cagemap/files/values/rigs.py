@@ -88,12 +88,6 @@ def scene_skeleton(file: Path, control: ControlMesh | None) -> Skeleton | None:
     return gltf_skeleton(file) if file.suffix.lower() in SCENE_SUFFIXES else None
 
 
-def check_skeleton_path(file: Path) -> None:
-    """Refuse a name that is not one of a JSON file, as `write_skeleton` writes it."""
-    if file.suffix.lower() != ".json":
-        raise FormatError(f"{file}: expected a name ending in .json for joints, got {file.suffix or 'no suffix'}")
-
-
 def write_skeleton(path: str | Path, skeleton: Skeleton, *, force: bool = False) -> None:
     """Write joints in the JSON form of `read_skeleton`, with cagemap's mark."""
     joints = [
