@@ -17,9 +17,9 @@ from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document, image_bytes
-from cagemap.files.gltf.material_images import material_images, with_copied_materials
 from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.textures import material_images, with_copied_materials
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import read_image, write_image
 

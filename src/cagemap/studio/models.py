@@ -11,7 +11,7 @@ import numpy as np
 
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
 from cagemap.files.fbx.read import fbx_as_glb
-from cagemap.files.gltf.material_images import write_numbered
+from cagemap.files.gltf.textures import write_numbered
 from cagemap.files.images.image import Pixels, png_bytes, read_image, tile_files, write_image
 from cagemap.files.inner_texture import SUFFIXES, extract_texture, material_document
 from cagemap.files.meshes.formats import read_whole

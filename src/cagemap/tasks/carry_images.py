@@ -12,7 +12,7 @@ from cagemap.errors import ParameterError
 from cagemap.files.atomic import all_or_nothing
 from cagemap.files.gltf.document import GLTF_SUFFIXES
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.material_images import MaterialImage, write_numbered
+from cagemap.files.gltf.textures import MaterialImage, write_numbered
 from cagemap.files.images.image import (
     Image,
     check_writable,

@@ -21,9 +21,9 @@ from cagemap.files.gltf.nodes import moved_nodes
 from cagemap.files.gltf.parts import Scene, transform_part
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.ownership import mark
-from cagemap.files.usd.animations import SKELETON, write_rig
 from cagemap.files.usd.materials import WRITTEN, uv_primvar, write_materials
 from cagemap.files.usd.prims import faces_by_name
+from cagemap.files.usd.skeleton import SKELETON, write_rig
 from cagemap.files.usd.space import StageSpace, to_metres
 from cagemap.files.usd.stages import identifiers, open_stage, pxr
 from cagemap.files.usd.write import check_usd_path, export_layer, new_stage

@@ -21,7 +21,6 @@ from cagemap.files.gltf.nodes import is_invertible
 from cagemap.files.gltf.parts import transform_part
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.text import make_distinct
-from cagemap.files.usd.animations import remove_scale
 from cagemap.files.usd.prims import (
     BLEND_SHAPE,
     JOINT_WEIGHTS,
@@ -33,7 +32,7 @@ from cagemap.files.usd.prims import (
 from cagemap.files.usd.read import UsdMesh, prims_of, read_usd_meshes
 from cagemap.files.usd.shader_inputs import color_uv_name
 from cagemap.files.usd.shaders import with_materials
-from cagemap.files.usd.skeleton import joint_names, joint_parents, joints_of
+from cagemap.files.usd.skeleton import joint_names, joint_parents, joints_of, remove_scale
 from cagemap.files.usd.space import stage_units, to_metres
 from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, pxr
 from cagemap.files.usd.transforms import is_similarity, local_to_world

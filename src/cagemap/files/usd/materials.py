@@ -11,9 +11,17 @@ from typing import Any
 import numpy as np
 
 from cagemap.files.gltf.entries import Document, image_bytes
-from cagemap.files.gltf.material_images import MaterialImage, material_images
 from cagemap.files.gltf.primitives import material_names
-from cagemap.files.gltf.textures import CLAMP, MIRROR, REPEAT, WITHOUT_IMAGE, scale_and_angle, texture_slots
+from cagemap.files.gltf.textures import (
+    CLAMP,
+    MIRROR,
+    REPEAT,
+    WITHOUT_IMAGE,
+    MaterialImage,
+    material_images,
+    scale_and_angle,
+    texture_slots,
+)
 from cagemap.files.images.image import image_of_bytes, png_bytes
 from cagemap.files.ownership import is_own, mark
 from cagemap.files.usd.results import connect_texture, define_material, uv_reader
