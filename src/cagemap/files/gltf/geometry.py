@@ -16,7 +16,7 @@ from cagemap.character.values import Part
 from cagemap.files.gltf.binary import NGONS, STARTS, VERTICES, Binary, corners_from
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.srgb import decode_srgb
 from cagemap.surface.alignment import Z_UP, nearest_axis_rotation
 from cagemap.surface.triangles import fan_triangles, normalize_rows, vertex_normals
@@ -33,7 +33,9 @@ def mesh_entry(binary: Binary, part: Part, materials: Sequence[int | None]) -> d
     mesh, normals, colors = part.mesh, part.normals, part.colors
     sets = uv_sets_in_order(mesh)
     hard = [] if normals is None else [normal_groups(mesh, normals)]
-    hard += [_equal_rows(of_corners) for of_corners in (colors, *part.shape_normals.values()) if of_corners is not None]
+    for of_corners in (colors, *part.shape_normals.values()):
+        if of_corners is not None:  # the number of each row's value among the distinct rows
+            hard.append(np.unique(of_corners, axis=0, return_inverse=True)[1].ravel().astype(np.int64))
     first, numbers = _split([mesh.face_indices, *(uv_set.uv_indices for uv_set in sets), *hard])
     numbers_of = np.zeros(mesh.n_faces, dtype=np.int64) if mesh.face_materials is None else mesh.face_materials
     polygons = bool((mesh.face_sizes != 3).any())
@@ -113,11 +115,6 @@ Z_TO_Y = np.block([[Z_UP, np.zeros((3, 1))], [np.zeros((1, 3)), np.eye(1)]])
 def is_z_up(mesh: ControlMesh) -> bool:
     """Whether +Z is the axis of a mesh nearest to its file's up axis."""
     return mesh.upright is not None and np.array_equal(nearest_axis_rotation(mesh.upright), Z_UP)
-
-
-def _equal_rows(values: FloatArray) -> IndexArray:
-    """(c,) number of each row's value among the distinct rows."""
-    return np.unique(values, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
 
 def _split(indices: Sequence[IndexArray]) -> tuple[IndexArray, IndexArray]:

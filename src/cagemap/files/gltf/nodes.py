@@ -56,7 +56,10 @@ def read_nodes(document: Document) -> Nodes:
                 world[number] = local[number] @ world[parents[number]]
     if not np.isfinite(world).all():
         document.refuse("nodes", "their transforms are too large")
-    in_scene = frozenset(_descendants(_roots(document, parents), children))
+    roots = np.flatnonzero(parents < 0).tolist()
+    if document.entries("scenes"):  # without scenes, all roots are displayed
+        roots = document.entries("nodes", document.entry("scenes", document.json.get("scene", 0)), "scenes")
+    in_scene = frozenset(_descendants(roots, children))
     return Nodes(tuple(order), in_scene, parents, local, world, document.unique_names("nodes", "node"))
 
 
@@ -72,13 +75,6 @@ def _descendants(roots: list[int], children: list[list[int]]) -> list[int]:
         ordered.append(number)
         open_nodes.extend(reversed(children[number]))
     return ordered
-
-
-def _roots(document: Document, parents: IndexArray) -> list[int]:
-    """Root nodes of the displayed scene; all root nodes if there are no scenes."""
-    if not document.entries("scenes"):
-        return np.flatnonzero(parents < 0).tolist()
-    return document.entries("nodes", document.entry("scenes", document.json.get("scene", 0)), "scenes")
 
 
 def _local(document: Document, number: int) -> FloatArray:

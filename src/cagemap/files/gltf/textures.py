@@ -23,8 +23,11 @@ from cagemap.files.ownership import seal
 from cagemap.files.text import make_distinct
 from cagemap.numerics.arrays import FloatArray
 
+_log = logging.getLogger(__name__)
+
 _COLOR = "baseColorTexture"
 WEBP = "EXT_texture_webp"
+_TRANSFORM = "KHR_texture_transform"
 REPEAT, CLAMP, MIRROR = 10497, 33071, 33648  # wrap modes of samplers
 
 # Factors in place of an image that is left out: those of the image would make the surface a mirror, or glow.
@@ -111,7 +114,7 @@ def _slot(material: dict[str, Any], slot: str, document: Document) -> dict[str, 
 
 
 # Extensions of materials and textures, or their beginnings.
-_OF_MATERIALS = ("KHR_materials_", "KHR_texture_transform", WEBP)
+_OF_MATERIALS = ("KHR_materials_", _TRANSFORM, WEBP)
 
 
 def with_materials_of(document: Document, given: Document, names: Sequence[str]) -> tuple[Document, dict[str, str]]:
@@ -183,8 +186,8 @@ class AddedTextures:
             textures.append(entry)
         holder: dict[str, Any] = {"index": textures.index(entry)}
         if transform:
-            self._binary.extensions.add("KHR_texture_transform")
-            holder["extensions"] = {"KHR_texture_transform": transform}
+            self._binary.extensions.add(_TRANSFORM)
+            holder["extensions"] = {_TRANSFORM: transform}
         return holder
 
 
@@ -196,11 +199,6 @@ def png_or_jpeg(data: bytes, suffix: str) -> bytes | None:
         return png_bytes(image_of_bytes(data, suffix, "texture"))
     except FormatError:
         return None
-
-
-_log = logging.getLogger(__name__)
-
-_TRANSFORM = "KHR_texture_transform"
 
 
 @dataclass(frozen=True, eq=False)

@@ -127,7 +127,10 @@ class _Made:
         self._mesh_of_node = {node: self._nodes[node].pop("mesh") for node in self._node_of_part.values()}
         self._nodes_of_parts: list[int] = []
         self._given_node: dict[int, int] = {}  # of new nodes with pieces of its mesh
-        self._roots = self._scene_roots()
+        if not self.top.get("scenes"):  # without scenes, all roots are displayed
+            roots = [int(node) for node in scene.nodes.order if scene.nodes.parents[node] < 0]
+            self.top |= {"scene": 0, "scenes": [{"nodes": roots}]}
+        self._roots: list[Any] = self.top["scenes"][self.top.get("scene", 0)].setdefault("nodes", [])
         for node in self._mesh_of_node:
             for name in ("skin", "weights"):
                 self._nodes[node].pop(name, None)
@@ -257,14 +260,6 @@ class _Made:
         if empty := renumber_expressions(self.top.get("extensions"), replaced):
             text = "%s: expressions that move no shape any more, since their meshes or shapes are not carried: %s"
             _log.warning(text, self._scene.document.file, whole_characters(first_few(empty)))
-
-    def _scene_roots(self) -> list[Any]:
-        """Root nodes of the displayed scene."""
-        if not self.top.get("scenes"):  # without scenes, all roots are displayed
-            roots = [int(node) for node in self._scene.nodes.order if self._scene.nodes.parents[node] < 0]
-            self.top |= {"scene": 0, "scenes": [{"nodes": roots}]}
-        listed: list[Any] = self.top["scenes"][self.top.get("scene", 0)].setdefault("nodes", [])
-        return listed
 
     def _new_node(self, entry: dict[str, Any], parent: int | None) -> int:
         self._nodes.append(entry)

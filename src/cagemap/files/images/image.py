@@ -198,7 +198,9 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
         given = unpremultiply(replace(given, pixels=pixels))
         pixels = given.pixels
     elif file.suffix.lower() not in _TIFF and not given.associated and spec.channelnames[-1] == "A":
-        pixels = _premultiply_pixels(pixels)
+        alpha = pixels[..., -1:]  # colours are multiplied by it, except where it is 0
+        colors = pixels[..., :-1] * np.where(alpha > 0, alpha, 1)
+        pixels = np.concatenate([colors.astype(pixels.dtype), alpha], axis=2)
     spec.attribute("oiio:UnassociatedAlpha", 0 if given.associated else 1)
     spec.attribute("png:compressionLevel", 4)  # a quarter of the time of 9, a few per cent larger
     if given.color_space:
@@ -267,13 +269,6 @@ def unpremultiply(image: Image) -> Image:
             colors = np.rint(np.minimum(colors, full))
         pixels = np.concatenate([colors.astype(pixels.dtype), pixels[..., -1:]], axis=2)
     return replace(image, pixels=pixels, associated=False)
-
-
-def _premultiply_pixels(pixels: Pixels) -> Pixels:
-    """Colours multiplied by alpha, the last channel, except where it is 0; in floats."""
-    alpha = pixels[..., -1:]
-    colors = pixels[..., :-1] * np.where(alpha > 0, alpha, 1)
-    return np.concatenate([colors.astype(pixels.dtype), alpha], axis=2)
 
 
 def check_image_name(file: Path) -> None:

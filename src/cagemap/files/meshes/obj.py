@@ -7,7 +7,6 @@ import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +80,13 @@ def read_obj(path: str | Path) -> ControlMesh:
     objects, face_objects = _read_names(statements, face_rows, _OBJECT)
     _warn_of_equal_objects(statements, corners, face_indices, objects, face_objects)
     groups, face_groups = _read_names(statements, face_rows, _GROUP)
+    tag_rows = statements.rows(_TAG)
+
+    def fail(row: int, expected: str) -> FormatError:
+        return statements.fail(int(tag_rows[row]), expected, "See the formats page of the documentation.")
+
+    tag_lines, triangles = [statements.lines[row] for row in tag_rows], bool(np.all(corners.sizes == 3))
+    tags = parse_tags(tag_lines, fail, len(positions), len(corners.sizes), triangles=triangles)
     known: dict[str, tuple[float, float, float]] = {}
     for library in material_files(file, text) if names else ():
         known = read_material_colors(library) | known  # the first file with a name wins
@@ -101,7 +107,7 @@ def read_obj(path: str | Path) -> ControlMesh:
         face_groups=face_groups,
         group_names=groups,
         name=file.name,
-        **_read_tags(statements, len(positions), corners.sizes),
+        **tags,
     )
 
 
@@ -318,16 +324,6 @@ def _read_vertex_colors(statements: _Statements, n_vertices: int) -> FloatArray 
             int(rows[bad]), "'v', three coordinates and three colour values", "Export the mesh again."
         ) from None
     return to_unit_range(np.array(table, dtype=np.float64))
-
-
-def _read_tags(statements: _Statements, n_vertices: int, sizes: IndexArray) -> dict[str, Any]:
-    rows = statements.rows(_TAG)
-
-    def fail(row: int, expected: str) -> FormatError:
-        return statements.fail(int(rows[row]), expected, "See the formats page of the documentation.")
-
-    lines, triangles = [statements.lines[row] for row in rows], bool(np.all(sizes == 3))
-    return parse_tags(lines, fail, n_vertices, len(sizes), triangles=triangles)
 
 
 def material_files(path: Path, text: str) -> list[Path]:

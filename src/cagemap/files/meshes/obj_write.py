@@ -13,7 +13,7 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import all_or_nothing, require_replaceable, write_whole
-from cagemap.files.meshes.colors import NO_IMAGES, color_statements, read_material_statements, write_materials
+from cagemap.files.meshes.colors import NO_IMAGES, read_material_statements, write_materials
 from cagemap.files.meshes.obj import MATERIAL_FILE_LINE, material_files, read_obj
 from cagemap.files.meshes.obj_tags import format_tags
 from cagemap.files.ownership import mark
@@ -58,7 +58,11 @@ def write_obj(
     parts = [*head, _format_vertices(mesh), uvs, *_format_faces(mesh), format_tags(mesh)]
     with all_or_nothing():
         if is_own:
-            statements = color_statements(mesh.material_names, mesh.material_colors)
+            colors = np.full((len(names), 3), np.nan) if mesh.material_colors is None else mesh.material_colors
+            statements = {  # a mesh whose materials were removed may have more colours than names
+                name: ["Kd {!r} {!r} {!r}".format(*color.tolist())] if np.isfinite(color).all() else []
+                for name, color in zip(mesh.material_names, colors[: len(names)], strict=True)
+            }
             write_materials(library, statements, images, force=force)
         write_whole(file, "".join(parts), force=force)
 

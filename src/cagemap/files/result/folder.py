@@ -41,7 +41,7 @@ from cagemap.files.schema import ResultRecord, SideRecord, parse_record, to_json
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult, SpectralMap
-from cagemap.mesh import ControlMesh, Scheme
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import kinds_checked
@@ -194,9 +194,9 @@ def read_result(folder: str | Path) -> MatchResult:
         check,
         read_level_maps(archive, record.level_maps, (target, source), point_map, functional_map),
         stored_confidence(record.confidence, point_map, counts[0], other_answers),
-        masks=Masks(sides[0].mask, sides[1].mask),
+        masks=Masks(*(side.arrays.get("mask") for side in sides)),
         shared=_record_of(Masks, arrays.get("target_shared"), arrays.get("source_shared")),
-        known_spectral=_record_of(SpectralMap, functional_map, *(side.eigenvalues for side in sides)),
+        known_spectral=_record_of(SpectralMap, functional_map, *(side.arrays.get("eigenvalues") for side in sides)),
         provenance={name: value for name, value in manifest.items() if name not in _TYPED},
     )
 
@@ -212,22 +212,18 @@ class _Side:
 
     prefix: str
     control: ControlMesh
-    scheme: Scheme
     level: int
-    vertices: FloatArray
-    faces: IndexArray
-    eigenvalues: FloatArray | None
+    arrays: dict[str, Any]  # checked, by name without the prefix
     points: CagePoints
-    mask: FloatArray | None
 
     def surface(self, archive: Archive, record: ResultRecord) -> Surface:
         """The surface, refined again; refuses stored vertices and faces that differ from it."""
-        count = None if self.eigenvalues is None else len(self.eigenvalues)
-        refinement = refine(self.control, self.level, self.scheme)
-        surface = Surface(refinement, stored_basis(record.bases.get(self.prefix), count))
+        eigenvalues = self.arrays.get("eigenvalues")
+        basis = stored_basis(record.bases.get(self.prefix), None if eigenvalues is None else len(eigenvalues))
+        surface = Surface(refine(self.control, self.level, self.control.scheme), basis)
         size = float(np.ptp(self.control.positions, axis=0).max())
-        same_faces = np.array_equal(surface.faces, self.faces)
-        if not same_faces or np.abs(surface.vertices - self.vertices).max() > _DRIFT * size:
+        same_faces = np.array_equal(surface.faces, self.arrays["faces"])
+        if not same_faces or np.abs(surface.vertices - self.arrays["vertices"]).max() > _DRIFT * size:
             archive.refuse(f"{self.prefix}_vertices or faces are not those of the control mesh")
         return surface
 
@@ -250,19 +246,11 @@ def _read_side(root: Path, prefix: str, entry: SideRecord, archive: Archive, siz
         "landmark_weights": ArraySpec(("p", 3), optional=True),
         "mask": ArraySpec((f"n{number}",), optional=True, share=True),
     }
-    arrays = archive.take({f"{prefix}_{name}": spec for name, spec in specs.items()}, sizes)
-    points = points_from_arrays(archive, arrays, f"{prefix}_landmark_")
-    return _Side(
-        prefix,
-        control,
-        scheme,
-        entry.level,
-        arrays[f"{prefix}_vertices"],
-        arrays[f"{prefix}_faces"],
-        arrays.get(f"{prefix}_eigenvalues"),
-        CagePoints.of_vertices(arrays[f"{prefix}_landmarks"]) if points is None else points,
-        arrays.get(f"{prefix}_mask"),
-    )
+    checked = archive.take({f"{prefix}_{name}": spec for name, spec in specs.items()}, sizes)
+    points = points_from_arrays(archive, checked, f"{prefix}_landmark_")
+    arrays = {name.removeprefix(f"{prefix}_"): array for name, array in checked.items()}
+    points = CagePoints.of_vertices(arrays["landmarks"]) if points is None else points
+    return _Side(prefix, control, entry.level, arrays, points)
 
 
 def _check_parts(root: Path, arrays: dict[str, Any], source_triangles: IndexArray, record: ResultRecord) -> None:

@@ -29,7 +29,6 @@ from cagemap.files.usd.stages import identifiers, open_stage, pxr
 from cagemap.files.usd.write import check_usd_path, export_layer, new_stage
 from cagemap.files.usd.write_mesh import (
     write_blend_shapes,
-    write_corner_colors,
     write_subsets,
     write_topology,
     write_uvs,
@@ -115,9 +114,7 @@ def _to_space(character: Character, space: StageSpace) -> Character:
 
 def _write_part(stage: Any, path: str, part: Part, materials: Mapping[str, Any], *, skinned: bool) -> Any:
     mesh, prim = part.mesh, pxr.UsdGeom.Mesh.Define(stage, path)
-    write_topology(prim, mesh)
-    if part.colors is not None:
-        write_corner_colors(prim, part.colors)
+    write_topology(prim, mesh, part.colors)
     if mesh.scheme is None or isinstance(mesh.scheme, Plain):  # subdivision surfaces have normals of their own
         smooth = vertex_normals(mesh.positions, cage_triangles(mesh)[0])[mesh.face_indices]
         normals, interpolation = smooth if part.normals is None else part.normals, "faceVarying"

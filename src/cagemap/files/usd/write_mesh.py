@@ -23,8 +23,11 @@ from cagemap.numerics.srgb import decode_srgb
 CORNERS = "faceVarying"
 
 
-def write_topology(prim: Any, mesh: ControlMesh) -> None:
-    """Write points, faces, subdivision, creases and vertex colours of a mesh."""
+def write_topology(prim: Any, mesh: ControlMesh, colors: FloatArray | None = None) -> None:
+    """Write points, faces, subdivision, creases and vertex colours of a mesh.
+
+    ``colors``: linear, with opacity (c, 4), of the face corners; in place of those of vertices.
+    """
     points = pxr.Vt.Vec3fArray.FromNumpy(mesh.positions.astype(np.float32))
     prim.CreatePointsAttr(points)
     prim.CreateExtentAttr(pxr.UsdGeom.PointBased.ComputeExtent(points))
@@ -45,18 +48,15 @@ def write_topology(prim: Any, mesh: ControlMesh) -> None:
         prim.CreateCornerSharpnessesAttr(_floats(mesh.corner_sharpness))
     if mesh.hole_faces is not None and len(mesh.hole_faces):
         prim.CreateHoleIndicesAttr(_ints(mesh.hole_faces))
-    if mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
+    if colors is not None:
+        of_corners = np.ascontiguousarray(colors[:, :3], dtype=np.float32)
+        prim.CreateDisplayColorPrimvar(CORNERS).Set(pxr.Vt.Vec3fArray.FromNumpy(of_corners))
+        if (colors[:, 3] < 1.0).any():
+            prim.CreateDisplayOpacityPrimvar(CORNERS).Set(_floats(colors[:, 3]))
+    elif mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
         color = prim.CreateDisplayColorPrimvar("vertex")
         linear = decode_srgb(np.clip(mesh.vertex_colors, 0.0, 1.0))
         color.Set(pxr.Vt.Vec3fArray.FromNumpy(linear.astype(np.float32)))
-
-
-def write_corner_colors(prim: Any, colors: FloatArray) -> None:
-    """Write linear colours with opacity (c, 4) of the face corners, in place of those of vertices."""
-    color = prim.CreateDisplayColorPrimvar(CORNERS)
-    color.Set(pxr.Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(colors[:, :3], dtype=np.float32)))
-    if (colors[:, 3] < 1.0).any():
-        prim.CreateDisplayOpacityPrimvar(CORNERS).Set(_floats(colors[:, 3]))
 
 
 def _camel_case(word: str) -> str:
