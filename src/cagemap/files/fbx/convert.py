@@ -205,7 +205,7 @@ class _Scene:
         entry: dict[str, Any] = {"name": name, "samplers": [], "channels": []}
         for node, path, times, values in tracks:
             sampler = {
-                "input": self._binary.times(times - min(begin, 0.0)),
+                "input": self._binary.accessor((times - min(begin, 0.0)).astype("<f4"), bounds=True),
                 "output": self._binary.accessor(values.astype("<f4")),
             }
             add_channel(entry, node, path, sampler)

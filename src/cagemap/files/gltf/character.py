@@ -170,9 +170,10 @@ def animation_entries(
     entries = []
 
     def add(entry: dict[str, Any], node: int, path: str, track: Track | ShapeTrack, values: FloatArray) -> None:
-        key = np.asarray(track.times, "<f4").tobytes()
+        times = track.times.astype("<f4")
+        key = times.tobytes()
         if key not in numbers:
-            numbers[key] = binary.times(track.times)
+            numbers[key] = binary.accessor(times, bounds=True)
         output = binary.accessor(values.astype("<f4"))
         add_channel(entry, node, path, {"input": numbers[key], "interpolation": track.interpolation, "output": output})
 

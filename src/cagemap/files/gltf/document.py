@@ -79,9 +79,8 @@ def _decompress_primitive(given: Document, binary: Binary, primitive: dict[str, 
         if columns > 4:
             given.refuse(where, "its Draco data has attributes of more than four columns")
         kept: dict[str, Any] = {name: entry[name] for name in ("name", "normalized", "extras") if name in entry}
-        if {"min", "max"} <= set(entry) and kind == "f4":
-            kept |= {end: getattr(array, end)(axis=0).tolist() for end in ("min", "max")}
-        return binary.accessor(array.reshape(-1) if columns == 1 else array.reshape(-1, columns), target, **kept)
+        table = array.reshape(-1) if columns == 1 else array.reshape(-1, columns)
+        return binary.accessor(table, target, bounds={"min", "max"} <= set(entry) and kind == "f4", **kept)
 
     changed = {name: add(attributes.get(name), values, VERTICES) for name, values in named.items()}
     indices = add(primitive.get("indices"), np.asarray(decoded.faces, np.uint32).reshape(-1), INDICES)

@@ -50,7 +50,7 @@ def mesh_entry(binary: Binary, part: Part, materials: Sequence[int | None]) -> d
     written = np.where(np.any(stated != 0.0, axis=1, keepdims=True), stated, smooth)
     written[~written.any(axis=1)] = [0.0, 0.0, 1.0]
     attributes = {
-        "POSITION": binary.places(mesh.positions[vertices]),
+        "POSITION": binary.accessor(mesh.positions[vertices].astype("<f4"), VERTICES, bounds=True),
         "NORMAL": binary.accessor(written.astype("<f4"), VERTICES),
     }
     for number, uv_set in enumerate(sets):

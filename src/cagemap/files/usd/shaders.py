@@ -144,7 +144,11 @@ class _Materials:
             found = self._find_image(entry["name"], surface, slot, pairs) if pairs else None
             table = base if slot in ("baseColorTexture", "metallicRoughnessTexture") else entry
             if pairs and found is None:
-                self._reset_factors(entry, table, slot, pairs)
+                defaults = WITHOUT_IMAGE.get(slot, {})
+                names = [of.removesuffix("Color") for of in pairs]
+                table |= {key: value for key, value in defaults.items() if key.startswith(tuple(names))}
+                if slot == "emissiveTexture":
+                    entry.pop("extensions", None)
             elif found is not None and slot:
                 if not all(_is_plain(texture, slot) for texture in pairs.values()):
                     text = "%s: %s: the image of its %s is taken as it is, without scale, bias or colour space of USD"
@@ -185,16 +189,6 @@ class _Materials:
         else:
             return image, wraps
         return None
-
-    def _reset_factors(self, entry: dict[str, Any], table: dict[str, Any], slot: str, pairs: dict[str, Any]) -> None:
-        """Replace the factors of images that are left out by the defaults of UsdPreviewSurface."""
-        table |= {
-            name: value
-            for name, value in WITHOUT_IMAGE.get(slot, {}).items()
-            if any(name.startswith(of.removesuffix("Color")) for of in pairs)
-        }
-        if slot == "emissiveTexture":
-            entry.pop("extensions", None)
 
     def _pack_channels(self, surface: Any, pairs: dict[str, Any]) -> tuple[bytes, tuple[int, int]] | None:
         """Roughness in green and metallic in blue, of images that are placed in one way; None if they are not."""
