@@ -127,12 +127,11 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
 def _with_shape_weights(character: Character, source: Character, pieces_of: Mapping[str, str]) -> Character:
     """A character with the source's weights of blend shapes; ``pieces_of``: parts with those of other parts."""
     stated = {part.name: part.shape_weights for part in source.parts}
-    parts = [
-        replace(part, shape_weights=stated.get(pieces_of.get(part.name, part.name), {})) for part in character.parts
-    ]
+    givers = {name: of for name, of in pieces_of.items() if name not in stated}
+    parts = [replace(part, shape_weights=stated.get(givers.get(part.name, part.name), {})) for part in character.parts]
     animations = []
     for one in character.animations:
-        copies = [replace(t, part=name) for name, of in pieces_of.items() for t in one.shape_tracks if t.part == of]
+        copies = [replace(t, part=name) for name, of in givers.items() for t in one.shape_tracks if t.part == of]
         animations.append(replace(one, shape_tracks=(*one.shape_tracks, *copies)))
     return replace(character, parts=tuple(parts), animations=tuple(animations))
 

@@ -347,6 +347,15 @@ def test_own_lashes_keep_the_weights_of_the_shapes_of_their_skin(run: Run, files
     rig_done(run)
     keys = shape_keys(read_document("OUT.glb"), 0)
     assert list(keys) == [("body", "blink"), ("lash", "blink")]
+    given = Part("lash", lash.mesh, None, {"blink": np.ones((lash.mesh.n_vertices, 3))})
+    made = with_shape_weights(replace(made, parts=(skin, given)), "nod", np.array([[0.0], [1.0]]))
+    write_document("C.glb", character_glb(made), force=True)
+    (animation,) = rig_done(run).animations
+    assert [track.part for track in animation.shape_tracks] == ["body"]  # that part is at rest in the character
+    made = with_shape_weights(made, "nod", np.array([[0.0], [1.0]]), "lash")
+    write_document("C.glb", character_glb(made), force=True)
+    (animation,) = rig_done(run).animations
+    assert [track.part for track in animation.shape_tracks] == ["lash"]
 
 
 @pytest.mark.parametrize("influences", [1, None])

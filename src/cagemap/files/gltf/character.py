@@ -178,7 +178,7 @@ def animation_entries(
         add_channel(entry, node, path, {"input": numbers[key], "interpolation": track.interpolation, "output": output})
 
     for animation in character.animations:
-        old = named.get(animation.name, {})
+        old = named.pop(animation.name, {})
         entry = {name: value for name, value in old.items() if name not in ("samplers", "channels")}
         entry |= _other_channels(old, set(joints))
         for track in animation.tracks:

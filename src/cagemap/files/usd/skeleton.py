@@ -160,8 +160,8 @@ def write_rig(stage: Any, rig: Rig, animations: Sequence[Animation], parts: Sequ
     for animation in animations or [Animation("rest", ())]:
         name, weights = animation.name, dict[str, _Keys]()
         keys_of = [_shape_keys(part, animation) for part in parts]
-        for keys_of_part in keys_of:
-            weights = keys_of_part | weights  # the first part with a shape decides
+        for shape, keys in (item for keys_of_part in keys_of for item in keys_of_part.items()):
+            weights.setdefault(shape, keys)  # the first part with a shape decides
         others = [
             f"{shape} of {part.name}"
             for part, keys_of_part in zip(parts, keys_of, strict=True)
