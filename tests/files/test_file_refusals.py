@@ -17,7 +17,7 @@ from examples.shapes import creature, cube
 from cagemap.files.gltf.character import character_of
 from cagemap.files.gltf.document import read_document
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.material_images import with_copied_materials
+from cagemap.files.gltf.textures import with_copied_materials
 from cagemap.files.images.image import image_of_bytes, read_image, read_texture, write_image
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.landmarks.points import read_points

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from test_obj import assert_same_arrays
 
 from cagemap.errors import FormatError, ParameterError
-from cagemap.files.gltf.material_images import material_images, read_material_image
+from cagemap.files.gltf.textures import material_images, read_material_image
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.obj import read_obj
 from cagemap.files.meshes.obj_materials import obj_document, obj_images

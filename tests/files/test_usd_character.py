@@ -16,11 +16,10 @@ from cagemap.character.poses import interpolate_keys, pose_at, world_transforms
 from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
-from cagemap.files.gltf.character import read_shape_keys
 from cagemap.files.gltf.entries import Document, image_bytes
-from cagemap.files.gltf.material_images import material_images, with_copied_materials
-from cagemap.files.gltf.parts import Scene, read_scene
+from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.textures import material_images, with_copied_materials
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.images.image import read_image, write_image
 
@@ -39,7 +38,7 @@ from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest
 
 from refusals import refuses
-from usd_characters import lively, painted, posed, with_shape_weights
+from usd_characters import lively, painted, posed, shape_keys, with_shape_weights
 from usd_scenes import complaints, stage_at
 
 
@@ -48,9 +47,9 @@ def _written(path: Path, made: Character, document: Document | None = None, **op
     return write_usd_character(path, made, read_scene(document), **options)
 
 
-def _as_gltf_says(made: Character, scene: Scene, number: int, seconds: float) -> dict[str, np.ndarray]:
+def _as_gltf_says(made: Character, document: Document, number: int, seconds: float) -> dict[str, np.ndarray]:
     """Skinned and shaped points of all parts, by linear blend skinning as glTF defines it."""
-    keys = read_shape_keys(scene, number)
+    keys = shape_keys(document, number)
     transforms = pose_at(made.rig, made.animations[number], seconds)
     found = {}
     for part in made.parts:
@@ -68,15 +67,15 @@ def test_usd_skins_and_shapes_as_gltf_does(tmp_path: Path, suffix: str) -> None:
     """At keys and between them, to 1e-5 of the size; of a spline between frames to 1e-4."""
     made = lively()
     weights = np.array([[0.0, 0.0], [1.0, 0.25], [0.5, 1.0]])
-    document = with_shape_weights(character_glb(made), "walk | fast", weights)
+    made = with_shape_weights(made, "walk | fast", weights)
+    document = character_glb(made)
     path = tmp_path / f"OUT.{suffix}"
     notes = _written(path, made, document)
     assert notes == ["USD plays one animation, walk | fast; bind steps, spline in /Asset/animations to play them"]
     assert complaints(path) == []
-    scene = read_scene(document)
     for number, animation in enumerate(made.animations):
         for seconds in (0.0, 0.25, 0.5, 1.0, 1.37, 2.0):
-            expected = _as_gltf_says(made, scene, number, seconds)
+            expected = _as_gltf_says(made, document, number, seconds)
             found = posed(path, animation.name, seconds)
             assert found.keys() == expected.keys()
             for name, points in expected.items():
@@ -236,32 +235,27 @@ def test_shapes_without_a_rig_and_weights_at_rest(tmp_path: Path) -> None:
     """A skeleton of one joint holds the weights that the file states."""
     made = replace(lively(), rig=None, animations=())
     made = replace(made, parts=tuple(replace(part, weights=None) for part in made.parts))
-    document = character_glb(made)
-    top = json.loads(json.dumps(document.json))
-    top["meshes"][0]["weights"] = [0.5, 0.0]
+    body = replace(made.parts[0], shape_weights={"raise": 0.5})
     path = tmp_path / "OUT.usda"
-    _written(path, made, Document(top, document.buffers, document.file))
+    _written(path, replace(made, parts=(body, *made.parts[1:])))
     assert complaints(path) == []
-    body = made.parts[0]
     shaped = body.mesh.positions + 0.5 * body.shapes["raise"]
     np.testing.assert_allclose(posed(path, "rest", 0.0)["body"], shaped, atol=1e-5)
     again = usd_document(path)
     assert "animations" not in again.json
-    assert read_shape_keys(read_scene(again), None).keys() == {("body", "raise")}
+    assert shape_keys(again, None).keys() == {("body", "raise")}
 
 
 def test_parts_that_follow_the_weights_of_others_are_named(tmp_path: Path) -> None:
     """A lash at rest has the shape of a half closed lid."""
     made = lively()
     body = made.parts[0]
-    lash, raised = replace(body, name="lash"), replace(body, name="lid")
+    lash, raised = replace(body, name="lash"), replace(body, name="lid", shape_weights={"raise": 0.5})
     made = replace(made, parts=(raised, lash), animations=())
-    document = character_glb(made)
-    document.json["meshes"][0]["weights"] = [0.5, 0.0]
     said = "rest: other parts decide the weights of raise of lash, since USD has one weight for shapes of one name"
-    assert _written(tmp_path / "OUT.usda", made, document) == [said]
-    document.json["meshes"][1]["weights"] = [0.5, 0.0]
-    assert _written(tmp_path / "SAME.usda", made, document) == []
+    assert _written(tmp_path / "OUT.usda", made) == [said]
+    made = replace(made, parts=(raised, replace(raised, name="lash")))
+    assert _written(tmp_path / "SAME.usda", made) == []
 
 
 def test_a_layer_over_a_character_plays_as_it_does(tmp_path: Path) -> None:

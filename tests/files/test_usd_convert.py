@@ -12,7 +12,7 @@ from examples.shapes import cube
 from cagemap.character.poses import pose_at
 from cagemap.character.values import skinned_positions
 from cagemap.errors import FormatError
-from cagemap.files.gltf.character import animation_names, character_of, read_shape_keys
+from cagemap.files.gltf.character import animation_names, character_of
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
@@ -32,16 +32,15 @@ from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest
 
 from refusals import refuses
-from usd_characters import lively, painted, posed, with_shape_weights
+from usd_characters import lively, painted, posed, shape_keys, with_shape_weights
 from usd_scenes import skinned_points, stage_at, usd_mesh
 
 
 def test_a_written_character_comes_back(tmp_path: Path) -> None:
     """Names, rest pose, weights, shapes, all animations and their weights of shapes."""
-    made = lively()
     weights = np.array([[0.0, 0.0], [1.0, 0.25], [0.5, 1.0]])
-    document = with_shape_weights(character_glb(made), "walk | fast", weights)
-    write_usd_character(tmp_path / "C.usdz", made, read_scene(document))
+    made = with_shape_weights(lively(), "walk | fast", weights)
+    write_usd_character(tmp_path / "C.usdz", made, read_scene(character_glb(made)))
     given = usd_document(tmp_path / "C.usdz")
     write_document(tmp_path / "C.glb", given)
     found = character_of(read_document(tmp_path / "C.glb"))
@@ -63,7 +62,7 @@ def test_a_written_character_comes_back(tmp_path: Path) -> None:
                 expected = skinned_positions(part, made.rig, pose_at(made.rig, before, seconds))
                 got = skinned_positions(back, found.rig, pose_at(found.rig, after, seconds))
                 np.testing.assert_allclose(got, expected, atol=1e-4, err_msg=f"{before.name} {seconds}")
-    keys = read_shape_keys(read_scene(given), 0)
+    keys = shape_keys(given, 0)
     for place, shape in enumerate(("raise", "wide")):
         times, values, _ = keys["body", shape]
         np.testing.assert_allclose(times, [0, 1, 2], atol=1e-6)
@@ -72,17 +71,14 @@ def test_a_written_character_comes_back(tmp_path: Path) -> None:
 
 def test_static_weights_of_a_clip_stay_in_it(tmp_path: Path) -> None:
     """Also of a clip without motion; only those of a file's one clip are at rest."""
-    made = lively()
+    made = with_shape_weights(lively(), "walk | fast", np.array([[1, 0.5]]))
     walk, steps, _ = made.animations
-    document = with_shape_weights(
-        character_glb(replace(made, animations=(walk, steps))), walk.name, np.array([[1, 0.5]])
-    )
     made = replace(made, animations=(replace(walk, tracks=()), steps))
-    write_usd_character(tmp_path / "C.usda", made, read_scene(document))
+    write_usd_character(tmp_path / "C.usda", made, read_scene(character_glb(made)))
     found = usd_document(tmp_path / "C.usda")
-    keys = {name: read_shape_keys(read_scene(found), number) for number, name in enumerate(animation_names(found))}
+    keys = {name: shape_keys(found, number) for number, name in enumerate(animation_names(found))}
     assert {name: values.item() for (_, name), (_, values, _) in keys[walk.name].items()} == {"raise": 1.0, "wide": 0.5}
-    assert keys[steps.name] == read_shape_keys(read_scene(found), None) == {}
+    assert keys[steps.name] == shape_keys(found, None) == {}
 
 
 @pytest.mark.parametrize("is_animated", [False, True])
@@ -90,16 +86,16 @@ def test_weights_at_rest_that_all_clips_have_come_back(tmp_path: Path, is_animat
     """One shape is at 0.5 throughout; a clip moves the other one, or none does."""
     made = lively()
     walk = made.animations[0].name
-    document = character_glb(made)
     if is_animated:
-        document = with_shape_weights(document, walk, np.array([[0.5, 0.0], [0.5, 1.0], [0.5, 0.0]]))
-    (mesh,) = (document.json["meshes"][one["mesh"]] for one in document.json["nodes"] if one.get("name") == "body")
-    mesh["weights"] = [0.5, 0.0]
+        made = with_shape_weights(made, walk, np.array([[0.5, 0.0], [0.5, 1.0], [0.5, 0.0]]))
+    body = replace(made.parts[0], shape_weights={"raise": 0.5, "wide": 0.0})
+    made = replace(made, parts=(body, *made.parts[1:]))
+    document = character_glb(made)
     write_usd_character(tmp_path / "C.usda", made, read_scene(document))
     found = usd_document(tmp_path / "C.usda")
     assert animation_names(found) == animation_names(document)
     for number in (None, *range(len(made.animations))):
-        keys = read_shape_keys(read_scene(found), number)
+        keys = shape_keys(found, number)
         assert set(np.ravel(keys["body", "raise"][1])) == {0.5}
         assert (("body", "wide") in keys) == (is_animated and number == 0)
     moving = [

@@ -12,9 +12,9 @@ import pytest
 from examples.shapes import cube
 
 from cagemap.files.gltf.character import character_of
-from cagemap.files.gltf.material_images import material_images, read_material_image
 from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.textures import material_images, read_material_image
 from cagemap.files.inner_texture import color_texture, material_document
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.mesh import ControlMesh

@@ -77,7 +77,7 @@ def retarget(animation: Animation, source: Rig, target: Rig, *, reference: Float
             else:
                 values = _convert_scales(track, joints, bind_poses, turn)
             tracks.append(replace(track, joint=joints[1], values=values))
-    return Animation(animation.name, tuple(tracks))
+    return replace(animation, tracks=tuple(tracks))
 
 
 def retarget_all(animations: Sequence[Animation], source: Rig, target: Rig) -> tuple[tuple[Animation, ...], bool]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -67,11 +68,45 @@ class Track:
 
 
 @dataclass(frozen=True, eq=False)
+class ShapeTrack:
+    """Weights of blend shapes of one part over time.
+
+    Attributes
+    ----------
+    part : str
+    shapes : tuple of str
+    times : (k,) float64
+        Seconds, increasing.
+    values : (k, s) float64
+        With 'CUBICSPLINE' (k, 3, s), see `Track`.
+    interpolation : str
+    """
+
+    part: str
+    shapes: tuple[str, ...]
+    times: FloatArray = field(repr=False)
+    values: FloatArray = field(repr=False)
+    interpolation: Interpolation = "LINEAR"
+
+    def values_of(self, shapes: Iterable[str]) -> FloatArray:
+        """Values with a column for each of the given shapes, 0 where the track has none of that name."""
+        number = {name: column for column, name in enumerate(self.shapes)}
+        zero = np.zeros(self.values.shape[:-1])
+        columns = [self.values[..., number[name]] if name in number else zero for name in shapes]
+        return np.stack(columns, axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
 class Animation:
     """Tracks that are played together."""
 
     name: str
     tracks: tuple[Track, ...] = field(repr=False)
+    shape_tracks: tuple[ShapeTrack, ...] = field(default=(), repr=False)
+
+    def shape_tracks_of(self, part: Part) -> tuple[ShapeTrack, ...]:
+        """Tracks of blend shapes that a part has."""
+        return tuple(one for one in self.shape_tracks if one.part == part.name and part.shapes.keys() & set(one.shapes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +122,8 @@ class Part:
         Of the rig's joints; rows sum to 1.
     shapes : dict of str to (n, 3) float64
         Offsets of the vertices.
+    shape_weights : dict of str to float
+        Weights of shapes at rest, if the file has them; 0 for others.
     normals : (c, 3) float64 or None
         Unit normal of every face corner, if the file has them; see `cagemap.character.normals.move_vertices`.
     shape_normals : dict of str to (c, 3) float64
@@ -103,6 +140,7 @@ class Part:
     normals: FloatArray | None = field(default=None, repr=False)
     shape_normals: dict[str, FloatArray] = field(default_factory=dict, repr=False)
     colors: FloatArray | None = field(default=None, repr=False)
+    shape_weights: dict[str, float] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -302,15 +302,10 @@ def require_no_input(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
     """Refuse an output that is also an input, by whatever path."""
     input_files = list(inputs)
     for output in outputs:
-        for input_file in input_files:
-            if _same_file(output, input_file):
-                raise FormatError(f"{output}: is an input too ({input_file}), and would be lost. Give another name.")
-
-
-def _same_file(a: Path, b: Path) -> bool:
-    if os.path.exists(a) and os.path.exists(b):
-        return os.path.samefile(a, b)
-    return _resolve_links(a) == _resolve_links(b)
+        for file in input_files:
+            exist = os.path.exists(output) and os.path.exists(file)
+            if os.path.samefile(output, file) if exist else _resolve_links(output) == _resolve_links(file):
+                raise FormatError(f"{output}: is an input too ({file}), and would be lost. Give another name.")
 
 
 def _resolve_links(path: str | Path) -> Path:

@@ -9,14 +9,14 @@ import numpy as np
 from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
-from cagemap.files.gltf.material_images import (
+from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.textures import (
     MaterialImage,
     material_images,
-    png_bytes,
     read_material_image,
     write_numbered,
 )
-from cagemap.files.gltf.primitives import material_names
+from cagemap.files.images.image import png_bytes
 from cagemap.files.meshes.obj_materials import obj_document
 from cagemap.files.meshes.ply import ply_document, ply_image
 from cagemap.files.usd.convert import usd_document

@@ -99,13 +99,10 @@ def _find(data: mmap.mmap | bytes) -> int | None:
 
 
 def _checksum(data: mmap.mmap | bytes, place: int) -> bytes:
-    """SHA-256 of a file without the checksum itself, in hexadecimal.
-
-    Of a zip archive only the directory is hashed, which has a checksum of every member. In a PNG the four bytes after
-    the mark depend on it and are left out.
-    """
+    """SHA-256 of a file without the checksum itself, in hexadecimal; of a zip archive of its directory alone."""
     view = memoryview(data)
     try:
+        # In a PNG the four bytes after the mark depend on it and are left out.
         following = place + _DIGITS + (4 if view[: len(_PNG)] == _PNG else 0)
         digest = hashlib.sha256(view[_zip_directory(data) : place])
         digest.update(view[following:])

@@ -7,7 +7,7 @@ import os
 import stat
 import tomllib
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -30,6 +30,13 @@ def require_file(path: Path, what: str) -> None:
         raise FormatError(f"{path}: expected {what}, got a device or a pipe. Save it to a file first.")
     if not os.access(path, os.R_OK):
         raise _unreadable(path, PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
+
+
+def require_suffix(path: Path, suffixes: Collection[str], what: str = "a name") -> None:
+    """Refuse the name of a file to write that ends in none of the suffixes."""
+    if path.suffix.lower() not in suffixes:
+        got = path.suffix.lower() or "no suffix"
+        raise FormatError(f"{path}: expected {what} ending in {', '.join(suffixes)}, got {got}. Give another name.")
 
 
 def _unreadable(path: Path, error: Exception) -> FormatError:

@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.files.gltf.document import glb_bytes, read_document
-from cagemap.files.gltf.material_images import png_bytes
 from cagemap.files.gltf.textures import with_images
 from cagemap.files.gltf.write import write_glb
-from cagemap.files.images.image import UDIM_MARK, read_image
+from cagemap.files.images.image import UDIM_MARK, png_bytes, read_image
 from cagemap.files.meshes.colors import read_material_statements
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.meshes.obj import MATERIAL_FILE_LINE, material_files

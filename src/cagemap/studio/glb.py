@@ -35,7 +35,7 @@ def pack_glb(parts: Sequence[MeshPart], images: Mapping[str, bytes] = MappingPro
         if not len(part.corners):
             continue
         attributes = {
-            name: binary.places(values) if name == "POSITION" else binary.accessor(_to_gltf(name, values), VERTICES)
+            name: binary.accessor(_to_gltf(name, values), VERTICES, bounds=name == "POSITION")
             for name, values in part.attributes.items()
         }
         mode = _LINE_MODE if part.corners.shape[1] == 2 else _TRIANGLE_MODE

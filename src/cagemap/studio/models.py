@@ -11,8 +11,8 @@ import numpy as np
 
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
 from cagemap.files.fbx.read import fbx_as_glb
-from cagemap.files.gltf.material_images import png_bytes, write_numbered
-from cagemap.files.images.image import Pixels, read_image, tile_files, write_image
+from cagemap.files.gltf.textures import write_numbered
+from cagemap.files.images.image import Pixels, png_bytes, read_image, tile_files, write_image
 from cagemap.files.inner_texture import SUFFIXES, extract_texture, material_document
 from cagemap.files.meshes.formats import read_whole
 from cagemap.mesh import ControlMesh

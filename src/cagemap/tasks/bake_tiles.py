@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.material_images import MaterialImage
+from cagemap.files.gltf.textures import MaterialImage
 from cagemap.files.images.image import (
     UDIM_MARK,
     Image,

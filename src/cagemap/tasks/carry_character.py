@@ -197,6 +197,18 @@ def with_part(character: Character, part: Part, made: Part) -> Character:
     return replace(character, parts=tuple(made if candidate is part else candidate for candidate in character.parts))
 
 
+def with_shape_weights(character: Character, source: Character, pieces_of: Mapping[str, str]) -> Character:
+    """A character with the source's weights of blend shapes; ``pieces_of``: parts with those of other parts."""
+    stated = {part.name: part.shape_weights for part in source.parts if part.shapes}
+    givers = {name: of for name, of in pieces_of.items() if name not in stated}
+    parts = [replace(part, shape_weights=stated.get(givers.get(part.name, part.name), {})) for part in character.parts]
+    animations = []
+    for one in character.animations:
+        copies = [replace(t, part=name) for name, of in givers.items() for t in one.shape_tracks if t.part == of]
+        animations.append(replace(one, shape_tracks=(*one.shape_tracks, *copies)))
+    return replace(character, parts=tuple(parts), animations=tuple(animations))
+
+
 def _select_passengers(
     source: Character, source_body: Part, target: Character, target_body: Part, names: Sequence[str] | None
 ) -> tuple[list[Part], list[str]]:

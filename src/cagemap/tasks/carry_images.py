@@ -12,8 +12,16 @@ from cagemap.errors import ParameterError
 from cagemap.files.atomic import all_or_nothing
 from cagemap.files.gltf.document import GLTF_SUFFIXES
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.material_images import MaterialImage, png_bytes, write_numbered
-from cagemap.files.images.image import Image, check_writable, pixel_type, read_image_form, tile_pattern, udim_path
+from cagemap.files.gltf.textures import MaterialImage, write_numbered
+from cagemap.files.images.image import (
+    Image,
+    check_writable,
+    pixel_type,
+    png_bytes,
+    read_image_form,
+    tile_pattern,
+    udim_path,
+)
 from cagemap.files.inner_texture import material_document, tinted_materials, write_texture
 from cagemap.files.meshes.formats import MESH_SUFFIXES, read_mesh
 from cagemap.files.meshes.ply import ply_image

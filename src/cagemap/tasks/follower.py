@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.files.meshes.mhclo import bind_on, write_mhclo
+from cagemap.files.meshes.mhclo import bind, write_mhclo
 from cagemap.files.values.part_numbering import FileRows
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -42,7 +42,9 @@ def write_follower(
     ``rows``: of the file ``obj``, whose numbering the rows have; None if that is the numbering of ``positions``.
     """
     require_whole(rows)
-    binding = bind_on(positions, result.source, triangles)
+    finest, of_finest = result.source.refinement.finest, result.source.finest_triangles.triangles
+    faces = finest.face_parents[triangles // (len(of_finest) // finest.n_faces)]
+    binding = bind(positions, result.source.control, faces)
     offsets, file_vertices = binding.offsets, result.source.control.file_vertices
     if file_vertices is not None:
         binding = replace(

@@ -32,8 +32,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 
 if TYPE_CHECKING:  # a match without masks starts without images and their library
     from cagemap.files.images.image import Pixels
-from cagemap.files.values.attributes import Attributes
-from cagemap.files.values.part_numbering import FileRows, to_file
+from cagemap.files.values.part_numbering import Attributes, FileRows, to_file
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.options import refuse_unread

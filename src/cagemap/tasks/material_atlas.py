@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.material_images import read_material_image
 from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.textures import read_material_image
 from cagemap.files.images.image import Image, Pixels
 from cagemap.files.inner_texture import color_image, color_texture, is_of_set_in_use
 from cagemap.mesh import ControlMesh

@@ -13,7 +13,7 @@ import numpy as np
 from cagemap.errors import CagemapError, FormatError, ParameterError
 from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.material_images import read_material_image
+from cagemap.files.gltf.textures import read_material_image
 from cagemap.files.images.image import UDIM_MARK, Image, Pixels, read_image, read_texture
 from cagemap.files.inner_texture import material_document, repeated_texture
 from cagemap.files.meshes.formats import MESH_SUFFIXES, read_mesh

@@ -11,18 +11,17 @@ import numpy as np
 from cagemap.character.bones import mirrored_joints
 from cagemap.character.joints import Skeleton
 from cagemap.character.passengers import MAX_BODY_DISTANCE
-from cagemap.errors import FormatError, ParameterError, values_of
+from cagemap.errors import ParameterError, values_of
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.meshes.formats import read_whole
 from cagemap.files.meshes.mhclo import FOLLOWER_SUFFIXES
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
-from cagemap.files.result.maps import SUFFIXES as MAP_SUFFIXES
 from cagemap.files.result.maps import write_map
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd.space import between_spaces
 from cagemap.files.usd.write import UsdResults
-from cagemap.files.values.attributes import Attributes, read_attributes, write_attributes
-from cagemap.files.values.part_numbering import FileRows, file_rows, other_rows, to_file
+from cagemap.files.values.attributes import read_attributes, write_attributes
+from cagemap.files.values.part_numbering import Attributes, FileRows, file_rows, other_rows, to_file
 from cagemap.files.values.rigs import (
     check_shapes,
     read_shapes,
@@ -254,14 +253,6 @@ def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stage
             text += "\n" + write_usd_results(request.usd, request.result, result, shaped, force=request.force)
     note_transfer(request.result, {"kind": "blend-shapes", "files": request.blend_shapes, "output": request.output})
     return text, []
-
-
-def check_map_path(file: Path) -> None:
-    """Refuse a file name that `write_point_map` would refuse, before any work is done."""
-    suffixes = (*MAP_SUFFIXES, *FOLLOWER_SUFFIXES)
-    if file.suffix.lower() not in suffixes:
-        got = file.suffix or "no suffix"
-        raise FormatError(f"{file}: expected a name ending in {', '.join(suffixes)}, got {got}")
 
 
 def write_point_map(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:

@@ -21,12 +21,12 @@ from cagemap.files.gltf.character import character_of, read_animations
 from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document, write_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.expressions import with_scaled_lengths
-from cagemap.files.gltf.material_images import png_bytes
 from cagemap.files.gltf.nodes import read_nodes
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import with_materials_of
 from cagemap.files.gltf.write import character_glb
+from cagemap.files.images.image import png_bytes
 from cagemap.files.inner_texture import color_image, material_document
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh, read_whole, referred_files
@@ -44,7 +44,7 @@ from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.report import CarriedData, CarriedItem, Weights, check_page_path, write_report
-from cagemap.tasks.carry_character import CarriedCharacter, carry_character, with_part
+from cagemap.tasks.carry_character import CarriedCharacter, carry_character, with_part, with_shape_weights
 from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import comma_words, files_read
@@ -123,6 +123,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
         giver = max(source.parts, key=lambda one: len(one.shapes.keys() & part.shapes.keys()))
         if giver.shapes.keys() & part.shapes.keys():
             pieces_of[part.name] = giver.name
+    dressed = with_shape_weights(dressed, source, pieces_of)
     rigged_document = character_glb(dressed, document, images, pieces_of)
     if request.report is not None:
         stages("report")

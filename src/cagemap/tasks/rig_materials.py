@@ -9,14 +9,14 @@ import numpy as np
 from cagemap.character.own_parts import nearest_rows
 from cagemap.character.values import Character, Part
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.material_images import (
+from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.textures import (
     MaterialImage,
     material_images,
     read_material_image,
     with_copied_materials,
+    with_materials_of,
 )
-from cagemap.files.gltf.primitives import material_names
-from cagemap.files.gltf.textures import with_materials_of
 from cagemap.files.images.image import Image
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh

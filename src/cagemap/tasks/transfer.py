@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,16 +23,18 @@ from cagemap.files.atomic import (
 from cagemap.files.gltf.document import SCENE_SUFFIXES
 from cagemap.files.images.image import check_image_name
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
+from cagemap.files.meshes.mhclo import FOLLOWER_SUFFIXES
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import input_file, note_transfer, read_files
-from cagemap.files.text import require_file
+from cagemap.files.result.maps import SUFFIXES as MAP_SUFFIXES
+from cagemap.files.text import require_file, require_suffix
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd.space import from_mesh_space, states_units, transform_mesh
 from cagemap.files.usd.stages import is_usd
 from cagemap.files.usd.write import UsdResults, check_usd_path
-from cagemap.files.values.attributes import Attributes, check_attribute_path, read_attributes, write_attributes
-from cagemap.files.values.part_numbering import FileRows, file_rows, other_rows
-from cagemap.files.values.rigs import check_shapes_path, check_skeleton_path
+from cagemap.files.values.attributes import read_attributes, write_attributes
+from cagemap.files.values.part_numbering import Attributes, FileRows, file_rows, other_rows
+from cagemap.files.values.rigs import check_shapes_path
 from cagemap.maps.quality import unshared_warnings
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
@@ -54,7 +57,7 @@ from cagemap.tasks.masks import ASSUMED_AT_VERTICES, keep_base, to_file_values, 
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import refuse_unread
 from cagemap.tasks.requests.transfer import IMAGE_KINDS, READ_BY, TransferRequest, require_map_names
-from cagemap.tasks.rig import check_map_path, transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
+from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
 from cagemap.tasks.usd_output import left_out_warnings, texture_reference, write_usd_results
 from cagemap.transfer import carry_uvs, transfer_of
 
@@ -64,11 +67,11 @@ Carrier = Callable[[TransferRequest, MatchResult, Stages], SummaryAndWarnings]
 # Checks of the output's name, by the data that it will contain.
 _NAME_CHECKS: dict[str, Callable[[Path], None]] = {
     **dict.fromkeys(("texture", "maps", *IMAGE_KINDS), check_image_name),
-    **dict.fromkeys(("attribute", "weights"), check_attribute_path),
+    **dict.fromkeys(("attribute", "weights"), partial(require_suffix, suffixes=VALUE_SUFFIXES)),
     **dict.fromkeys(("source_uvs", "passenger"), check_mesh_path),
-    "joints": check_skeleton_path,
+    "joints": partial(require_suffix, suffixes=(".json",)),
     "blend_shapes": check_shapes_path,
-    "write_map": check_map_path,
+    "write_map": partial(require_suffix, suffixes=(*MAP_SUFFIXES, *FOLLOWER_SUFFIXES)),
 }
 
 

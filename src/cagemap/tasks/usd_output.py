@@ -11,8 +11,7 @@ from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.read import left_out_of_gltf
 from cagemap.files.images.image import UDIM_MARK
 from cagemap.files.result.manifest import input_file
-from cagemap.files.usd.left_out import left_out_of_usd
-from cagemap.files.usd.read import objects_of, read_usd_meshes
+from cagemap.files.usd.read import left_out_of_usd, objects_of, read_usd_meshes
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
 from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
 from cagemap.files.values.part_numbering import FileRows, file_rows, to_file

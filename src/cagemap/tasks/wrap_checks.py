@@ -13,9 +13,10 @@ from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.images.image import check_writable, read_image_form, texture_files, tile_files
 from cagemap.files.meshes.formats import MESH_SUFFIXES, check_mesh_path, read_whole
-from cagemap.files.meshes.mhclo import check_mhclo_path
+from cagemap.files.meshes.mhclo import FOLLOWER_SUFFIXES
 from cagemap.files.result.folder import ARRAYS
 from cagemap.files.result.manifest import MANIFEST
+from cagemap.files.text import require_suffix
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import FileRows, rows_of
 from cagemap.mesh import ControlMesh
@@ -74,7 +75,7 @@ def check_wrap(request: WrapRequest) -> None:
     if not request.blend_shapes:
         check_mesh_path(request.output)
     if request.mhclo is not None:
-        check_mhclo_path(request.mhclo)
+        require_suffix(request.mhclo, FOLLOWER_SUFFIXES)
     texture = request.texture or request.detail_texture
     if request.baked is None or texture is None:
         return

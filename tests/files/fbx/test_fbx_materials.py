@@ -10,7 +10,7 @@ from cagemap.character.poses import parent_transforms
 from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import read_document
 from cagemap.files.gltf.entries import image_bytes, read_accessor
-from cagemap.files.gltf.material_images import material_images
+from cagemap.files.gltf.textures import material_images
 from cagemap.files.meshes.formats import read_mesh
 
 from fbx_scenes import (

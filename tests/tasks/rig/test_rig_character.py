@@ -15,12 +15,11 @@ from scipy.spatial.transform import Rotation
 
 from cagemap import tasks
 from cagemap.character.poses import pose_at
-from cagemap.character.values import Character, Part, Rig, skinned_positions
+from cagemap.character.values import Animation, Character, Part, Rig, ShapeTrack, skinned_positions
 from cagemap.errors import ParameterError
 from cagemap.files.gltf.binary import Binary
-from cagemap.files.gltf.character import character_of, read_character, read_shape_keys
+from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import read_document, write_document
-from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import read_mesh, read_whole, write_mesh
 from cagemap.mesh import ControlMesh
@@ -32,6 +31,7 @@ from cagemap.mesh.schemes import Plain
 from cagemap.subdivision import refine, with_options
 from cagemap.tasks.bodies import Bodies, match_bodies
 from cagemap.tasks.carry_character import _set_aside, carry_character
+from cagemap.tasks.carry_character import with_shape_weights as carried_shape_weights
 from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
@@ -43,7 +43,7 @@ from example_rigs import body_moved
 from plain_meshes import far_apart, marks_at
 from refusals import refuses
 from rigged import image_error, part_named, rig_done, same_order
-from usd_characters import with_shape_weights
+from usd_characters import shape_keys, with_shape_weights
 
 
 def test_the_same_body_gets_back_what_the_character_has(files: Character) -> None:
@@ -152,7 +152,7 @@ def test_animated_shapes_need_no_skeleton(run: Run, files: Character) -> None:
     animation = {"name": "talk", "samplers": [sampler], "channels": [channel]}
     write_document("C.glb", binary.document(document.json | {"animations": [animation]}), force=True)
     assert "\n  1 animation\n" in run.done("rig B.glb --like C.glb -o OUT.glb").out
-    ((times_found, values, _),) = read_shape_keys(read_scene(read_document("OUT.glb")), 0).values()
+    ((times_found, values, _),) = shape_keys(read_document("OUT.glb"), 0).values()
     np.testing.assert_allclose(times_found, [0.0, 1.0])
     np.testing.assert_allclose(values.ravel(), [0.25, 0.75])
 
@@ -354,22 +354,44 @@ def test_pieces_that_are_carried_keep_the_weights_of_their_body(run: Run, files:
     mesh = replace(with_options(join_meshes([body, lash]), "none"), face_objects=None, object_names=(), name="body")
     shapes = {"blink": np.ones((mesh.n_vertices, 3))}
     rows = sparse.csr_array(np.tile([[1.0, 0.0]], (mesh.n_vertices, 1)))
-    document = character_glb(replace(files, parts=(Part("body", mesh, rows, shapes),)))
-    write_document("C.glb", with_shape_weights(document, "nod", np.array([[0.0], [1.0]])), force=True)
+    made = replace(files, parts=(Part("body", mesh, rows, shapes),))
+    write_document("C.glb", character_glb(with_shape_weights(made, "nod", np.array([[0.0], [1.0]]))), force=True)
     rig_done(run)
-    keys = read_shape_keys(read_scene(read_document("OUT.glb")), 0)
+    keys = shape_keys(read_document("OUT.glb"), 0)
     assert list(keys) == [("body", "blink"), ("body pieces", "blink")]
 
 
 def test_own_lashes_keep_the_weights_of_the_shapes_of_their_skin(run: Run, files: Character, body: ControlMesh) -> None:
     skin = replace(files.parts[0], shapes={"blink": np.ones((body.n_vertices, 3))})
-    document = character_glb(replace(files, parts=(skin,)))
-    write_document("C.glb", with_shape_weights(document, "nod", np.array([[0.0], [1.0]])), force=True)
+    made = with_shape_weights(replace(files, parts=(skin,)), "nod", np.array([[0.0], [1.0]]))
+    write_document("C.glb", character_glb(made), force=True)
     lash = Part("lash", ball("lash", body.positions[np.argmax(body.positions[:, 2])], 0.1))
     write_document("B.glb", character_glb(Character((Part("body", body), lash))), force=True)
     rig_done(run)
-    keys = read_shape_keys(read_scene(read_document("OUT.glb")), 0)
+    keys = shape_keys(read_document("OUT.glb"), 0)
     assert list(keys) == [("body", "blink"), ("lash", "blink")]
+    given = Part("lash", lash.mesh, None, {"blink": np.ones((lash.mesh.n_vertices, 3))})
+    made = with_shape_weights(replace(made, parts=(skin, given)), "nod", np.array([[0.0], [1.0]]))
+    write_document("C.glb", character_glb(made), force=True)
+    (animation,) = rig_done(run).animations
+    assert [track.part for track in animation.shape_tracks] == ["body"]  # that part is at rest in the character
+    made = with_shape_weights(made, "nod", np.array([[0.0], [1.0]]), "lash")
+    write_document("C.glb", character_glb(made), force=True)
+    (animation,) = rig_done(run).animations
+    assert [track.part for track in animation.shape_tracks] == ["lash"]
+
+
+def test_an_own_part_named_like_one_without_shapes_has_the_weights_of_the_part_that_gave_them() -> None:
+    mesh = ball("lash", np.zeros(3), 0.1)
+    track = ShapeTrack("skin", ("blink",), np.arange(2.0), np.array([[0.0], [1.0]]))
+    skin = Part("skin", mesh, shapes={"blink": np.ones((mesh.n_vertices, 3))}, shape_weights={"blink": 0.5})
+    source = Character((skin, Part("lash", mesh)), None, (Animation("wink", (), (track,)),))
+    made = replace(source, parts=(skin, replace(skin, name="lash", shape_weights={})))
+    found = carried_shape_weights(made, source, {"lash": "skin"})
+    assert [part.shape_weights for part in found.parts] == 2 * [{"blink": 0.5}]
+    (animation,) = found.animations
+    assert [one.part for one in animation.shape_tracks] == ["skin", "lash"]
+    np.testing.assert_array_equal(animation.shape_tracks[1].values, track.values)
 
 
 @pytest.mark.parametrize("influences", [1, None])

@@ -10,9 +10,9 @@ import pytest
 
 from cagemap.character.values import Character, Part
 from cagemap.files.gltf.document import read_document, write_document
-from cagemap.files.gltf.material_images import material_images, png_bytes, read_material_image
+from cagemap.files.gltf.textures import material_images, read_material_image
 from cagemap.files.gltf.write import character_glb
-from cagemap.files.images.image import Image, write_image
+from cagemap.files.images.image import Image, png_bytes, write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ import numpy as np
 import ufbx
 
 from cagemap.errors import FormatError
-from cagemap.files.fbx.animations import animation_entry
 from cagemap.files.fbx.materials import Materials
 from cagemap.files.fbx.meshes import (
     FbxMesh,
@@ -26,7 +25,7 @@ from cagemap.files.fbx.meshes import (
     row_matrix,
 )
 from cagemap.files.fbx.read import REFUSED
-from cagemap.files.gltf.binary import Binary
+from cagemap.files.gltf.binary import Binary, add_channel
 from cagemap.files.gltf.document import glb_bytes
 from cagemap.files.gltf.geometry import mesh_entry, uv_sets_in_order
 from cagemap.files.gltf.nodes import REST, decompose_transform, is_invertible, transform
@@ -50,6 +49,9 @@ _SPACE: dict[str, Any] = {
 }
 # Relative to the largest number of a transform: joints that differ by less are in their bind pose.
 _MOVED = 1e-4
+_CHANNELS = {"translation": "translation_keys", "rotation": "rotation_keys", "scale": "scale_keys"}
+# Tracks whose values differ by less from those at rest are left out.
+_SAME_VALUE = 1e-6
 _LEFT_OUT = {
     "nurbs_surfaces": "NURBS surface",
     "nurbs_curves": "curve",
@@ -137,15 +139,10 @@ class _Scene:
             "scenes": [{"nodes": [n for n, node in enumerate(self._nodes) if self._parent(node) is None]}],
             "nodes": entries,
         }
-        channels: dict[int, list[tuple[int, int, list[float]]]] = {}
-        for number, node in enumerate(self._nodes):
-            if "mesh" in entries[number] and (mesh := self._mesh(node)) is not None:
-                for place, channel in enumerate(mesh.channels):
-                    channels.setdefault(get(channel, "element_id"), []).append((number, place, mesh.amounts))
-        moving = [
-            animation_entry(self._binary, self._scene, stack, entries, before, self._number, channels, self._note)
-            for stack in list_attribute(self._scene, "anim_stacks")
-        ]
+        shown = {n: self._mesh(node) for n, node in enumerate(self._nodes) if "mesh" in entries[n]}
+        meshes = {number: mesh for number, mesh in shown.items() if mesh is not None}
+        stacks = list_attribute(self._scene, "anim_stacks")
+        moving = [self._animation(stack, entries, before, meshes) for stack in stacks]
         helpers = {n for n, node in enumerate(self._nodes) if get(node, "is_scale_helper") and "mesh" not in entries[n]}
         for entry in moving:
             kept = [channel for channel in entry["channels"] if channel["target"]["node"] not in helpers]
@@ -170,6 +167,50 @@ class _Scene:
         document = self._binary.document(top | {name: entries for name, entries in lists.items() if entries})
         return glb_bytes(document)
 
+    def _animation(
+        self, stack: Any, entries: list[dict[str, Any]], before: dict[int, dict[str, Any]], meshes: dict[int, FbxMesh]
+    ) -> dict[str, Any]:
+        """Entry of an animation stack; without channels if nothing moves. ``before``: as by `_in_bind_pose`."""
+        name = get(stack, "name")
+        where = f"animation {name}: keys"
+        baked = keep_alive(
+            ufbx.bake_anim(
+                self._scene,
+                get(stack, "anim"),
+                trim_start_time=True,
+                key_reduction_enabled=True,
+                key_reduction_rotation=True,
+            )
+        )
+        sampled = {
+            (node, path): (np.zeros(1), np.array([stated[path]]))
+            for node, stated in before.items()
+            for path in _CHANNELS
+        }
+        for moved in list_attribute(baked, "nodes"):
+            node = self._number.get(get(moved, "typed_id"))
+            for path, keys in _CHANNELS.items():
+                times, values = _keys(moved, keys, where)
+                if node is not None and len(times):
+                    sampled[node, path] = times, values
+        tracks = [
+            (node, path, times, values)
+            for (node, path), (times, values) in sampled.items()
+            if np.abs(values - entries[node][path]).max() > _SAME_VALUE
+        ]
+        tracks += _weights(baked, meshes, where)
+        begin = min((float(times.min()) for _, _, times, _ in tracks), default=0.0)
+        if begin < 0.0:  # which glTF does not allow
+            self._note(f"animation {name} begins {-begin:g} s before 0 and is moved to begin at 0")
+        entry: dict[str, Any] = {"name": name, "samplers": [], "channels": []}
+        for node, path, times, values in tracks:
+            sampler = {
+                "input": self._binary.accessor((times - min(begin, 0.0)).astype("<f4"), bounds=True),
+                "output": self._binary.accessor(values.astype("<f4")),
+            }
+            add_channel(entry, node, path, sampler)
+        return entry
+
     def _parent(self, node: Any) -> int | None:
         parent = get(node, "parent")
         return None if parent is None else self._number.get(get(parent, "typed_id"))
@@ -193,12 +234,16 @@ class _Scene:
         materials = tuple(self._materials.number(material, uv_sets) for material in list_attribute(node, "materials"))
         if (instance, materials) not in self._mesh_of:
             self._mesh_of[instance, materials] = len(self._meshes)
-            self._meshes.append(self._mesh_entry(mesh, materials))
+            slots = range(len(mesh.part.mesh.material_names))
+            numbers = [materials[slot] if slot < len(materials) else None for slot in slots]
+            self._meshes.append(mesh_entry(self._binary, mesh.part, numbers))
         entry["mesh"] = self._mesh_of[instance, materials]
         if mesh.bones:
             if instance not in self._skin_of:
                 self._skin_of[instance] = len(self._skins)
-                self._skins.append(self._skin_entry(mesh))
+                joints = [self._number[bone] for bone in mesh.bones]
+                inverse = self._binary.accessor(mesh.inverse_bind.reshape(-1, 16).astype("<f4"))
+                self._skins.append({"joints": joints, "inverseBindMatrices": inverse})
             entry["skin"] = self._skin_of[instance]
         return entry
 
@@ -239,13 +284,31 @@ class _Scene:
             self._read[instance] = read_fbx_mesh(node, self._note)
         return self._read[instance]
 
-    def _mesh_entry(self, mesh: FbxMesh, materials: tuple[int, ...]) -> dict[str, Any]:
-        slots = range(len(mesh.part.mesh.material_names))
-        numbers = [materials[slot] if slot < len(materials) else None for slot in slots]
-        entry = mesh_entry(self._binary, mesh.part, numbers)
-        return entry | ({"weights": mesh.amounts} if any(mesh.amounts) else {})
 
-    def _skin_entry(self, mesh: FbxMesh) -> dict[str, Any]:
-        inverse = mesh.inverse_bind.reshape(-1, 16).astype("<f4")
-        joints = [self._number[bone] for bone in mesh.bones]
-        return {"joints": joints, "inverseBindMatrices": self._binary.accessor(np.ascontiguousarray(inverse))}
+def _weights(
+    baked: Any, meshes: Mapping[int, FbxMesh], where: str
+) -> Iterator[tuple[int, str, FloatArray, FloatArray]]:
+    """Node, path, times (k,) and weights (k shapes,) of the shapes of every mesh with moving shapes."""
+    props = {get(one, "element_id"): list_attribute(one, "props") for one in list_attribute(baked, "elements")}
+    for node, mesh in meshes.items():
+        keys = {}
+        for place, channel in enumerate(mesh.channels):
+            for prop in props.get(get(channel, "element_id"), []):
+                if get(prop, "name") == "DeformPercent":
+                    keys[place] = _keys(prop, "keys", where)
+        if keys:
+            times = np.unique(np.concatenate([key_times for key_times, _ in keys.values()]))
+            rest = [mesh.part.shape_weights.get(name, 0.0) for name in mesh.part.shapes]
+            amounts = np.tile(rest, (len(times), 1))
+            for place, (key_times, values) in keys.items():
+                amounts[:, place] = np.interp(times, key_times, values[:, 0] / 100.0)
+            yield node, "weights", times, amounts.ravel()
+
+
+def _keys(value: Any, name: str, where: str) -> tuple[FloatArray, FloatArray]:
+    """Times (k,) and values (k, q) of keys; the last one of several at the same time."""
+    keys = list_attribute(value, name)
+    times = np.array([get(key, "time") for key in keys], dtype=np.float64)
+    values = finite_array([list(get(key, "value")) for key in keys], where)
+    last = np.append(np.diff(times.astype("<f4")) > 0.0, True)[: len(times)]
+    return times[last], values[last]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import ufbx
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from cagemap.character.values import Part
@@ -78,12 +78,6 @@ class FbxMesh:
     inverse_bind: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 4)), repr=False)
     channels: tuple[Any, ...] = ()  # the blend channel of each shape
 
-    @property
-    def amounts(self) -> list[float]:
-        """Weight of each shape at rest."""
-        weights = [get(channel, "weight") for channel in self.channels]
-        return finite_array(weights, f"mesh {self.part.name}: amounts of shapes").tolist()
-
 
 def node_name(node: Any) -> str:
     """Name of a node; a child that ufbx adds to hold the mesh (a scale helper) has the name instead of the node."""
@@ -115,12 +109,20 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
         points[corners],
         scheme=Plain(),
         name=name,
-        **_materials(mesh, kept),
     )
+    slots = index_attribute(mesh, "face_material")
+    if len(slots) and list_attribute(mesh, "materials"):
+        names = tuple(f"slot {slot}" for slot in range(int(slots[kept].max()) + 1))
+        control = replace(control, face_materials=slots[kept], material_names=names)
     if loose := control.n_vertices - len(np.unique(control.face_indices)):
         vertices = count_noun(loose, "vertex")
         note(f"{name}: {vertices} of no face left out; later vertices have other numbers than in the file")
-    control = control.with_uv_sets([_uv_set(one, corners, name) for one in list_attribute(mesh, "uv_sets")])
+    sets = []
+    for uv_set in list_attribute(mesh, "uv_sets"):
+        uvs, title = get(uv_set, "vertex_uv"), get(uv_set, "name")
+        values = finite_array(vector_attribute(uvs, "values", columns=2), f"mesh {name}: UVs {title}")
+        sets.append(UvSet(title, values, index_attribute(uvs, "indices")[corners]))
+    control = control.with_uv_sets(sets)
     creased = [get(mesh, "edge_crease"), get(mesh, "vertex_crease", "values")]
     if any(np.any(np.array(one, dtype=np.float64) > 0.0) for one in creased if len(one)):
         note(f"{name}: creases are left out; OBJ and USD files keep them")
@@ -135,25 +137,10 @@ def read_fbx_mesh(node: Any, note: Callable[[str], None]) -> FbxMesh | None:
         colors = finite_array(colors, f"mesh {name}: colors").clip(0.0, 1.0)
         colors[:, :3] = decode_srgb(colors[:, :3])
     offsets_of_shapes = {word: offsets for word, (offsets, _) in shapes.items()}
-    part = Part(name, control, shapes=offsets_of_shapes, normals=normals, colors=colors)
+    stated = finite_array([get(channel, "weight") for _, channel in shapes.values()], f"mesh {name}: amounts of shapes")
+    weights = dict(zip(shapes, stated.tolist(), strict=True)) if stated.any() else {}
+    part = Part(name, control, shapes=offsets_of_shapes, normals=normals, colors=colors, shape_weights=weights)
     return _with_skin(mesh, FbxMesh(part, channels=tuple(channel for _, channel in shapes.values())), note)
-
-
-def _materials(mesh: Any, kept: NDArray[np.bool_]) -> dict[str, Any]:
-    slots = index_attribute(mesh, "face_material")
-    if not len(slots) or not list_attribute(mesh, "materials"):
-        return {}
-    numbers = slots[kept]
-    return {
-        "face_materials": numbers,
-        "material_names": tuple(f"slot {slot}" for slot in range(int(numbers.max()) + 1)),
-    }
-
-
-def _uv_set(uv_set: Any, corners: IndexArray, mesh: str) -> UvSet:
-    uvs, name = get(uv_set, "vertex_uv"), get(uv_set, "name")
-    values = finite_array(vector_attribute(uvs, "values", columns=2), f"mesh {mesh}: UVs {name}")
-    return UvSet(name, values, index_attribute(uvs, "indices")[corners])
 
 
 def _corner_values(values: Any, corners: IndexArray) -> FloatArray | None:

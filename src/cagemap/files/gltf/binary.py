@@ -53,23 +53,21 @@ class Binary:
         self._length += len(self._chunks[-1])
         return len(self._views) - 1
 
-    def accessor(self, array: NDArray[Any], target: int | None = None, **extra: Any) -> int:
-        """Add an array (n,) or (n, q) of single precision or whole numbers; returns its accessor's number."""
-        data = np.ascontiguousarray(array)
-        return self._add({"bufferView": self.view(data.tobytes(), target)} | _form(data) | extra)
+    def accessor(self, array: NDArray[Any], target: int | None = None, *, bounds: bool = False, **extra: Any) -> int:
+        """Add an array (n,) or (n, q) of single precision or whole numbers; returns its accessor's number.
 
-    def places(self, values: FloatArray) -> int:
-        """Add positions (n, 3), with the bounds that glTF requires; returns the accessor's number."""
-        table = values.astype("<f4")
-        return self.accessor(table, VERTICES, min=table.min(axis=0).tolist(), max=table.max(axis=0).tolist())
+        ``bounds``: state them, as glTF requires of positions and times.
+        """
+        data = np.ascontiguousarray(array)
+        form = _form(data) | (_bounds(data) if bounds else {})
+        return self._add({"bufferView": self.view(data.tobytes(), target)} | form | extra)
 
     def offsets(self, values: FloatArray) -> int:
         """Add offsets (n, 3) of a blend shape, sparse if that is shorter; returns the accessor's number."""
         table = values.astype("<f4")
-        bounds = {"min": table.min(axis=0).tolist(), "max": table.max(axis=0).tolist()}
         rows = np.flatnonzero(table.any(axis=1))
         if 16 * len(rows) > 12 * len(table):
-            return self.accessor(table, VERTICES, **bounds)
+            return self.accessor(table, VERTICES, bounds=True)
         rows = rows if len(rows) else np.zeros(1, dtype=np.int64)
         numbers = _shrink_indices(rows)
         sparse = {
@@ -77,12 +75,7 @@ class Binary:
             "indices": {"bufferView": self.view(numbers.tobytes()), "componentType": _form(numbers)["componentType"]},
             "values": {"bufferView": self.view(table[rows].tobytes())},
         }
-        return self._add(_form(table) | bounds | {"sparse": sparse})
-
-    def times(self, seconds: FloatArray) -> int:
-        """Add times of keys (k,), with the bounds that glTF requires; returns the accessor's number."""
-        table = np.asarray(seconds, "<f4")
-        return self.accessor(table, min=[float(table.min())], max=[float(table.max())])
+        return self._add(_form(table) | _bounds(table) | {"sparse": sparse})
 
     def indices(self, corners: IndexArray) -> int:
         """Add vertex indices of triangles, (3 t,); returns the accessor's number."""
@@ -109,6 +102,10 @@ def _form(array: NDArray[Any]) -> dict[str, Any]:
     columns = 1 if array.ndim == 1 else array.shape[1]
     kind = COMPONENTS[f"{array.dtype.kind}{array.dtype.itemsize}"]
     return {"componentType": kind, "count": len(array), "type": SHAPES[columns]}
+
+
+def _bounds(table: NDArray[Any]) -> dict[str, Any]:
+    return {end: np.atleast_1d(getattr(table, end)(axis=0)).tolist() for end in ("min", "max")}
 
 
 def _shrink_indices(numbers: IndexArray) -> NDArray[Any]:

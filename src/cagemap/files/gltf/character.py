@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cagemap.character.poses import quaternion_product
-from cagemap.character.values import Animation, Channel, Character, Interpolation, Track
+from cagemap.character.values import Animation, Channel, Character, Interpolation, ShapeTrack, Track
 from cagemap.files.gltf.binary import Binary, add_channel
 from cagemap.files.gltf.document import read_document
 from cagemap.files.gltf.entries import Document, read_accessor
 from cagemap.files.gltf.nodes import Joints, read_nodes, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene
-from cagemap.files.gltf.primitives import mesh_shapes
+from cagemap.files.gltf.primitives import node_shapes
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
 
 _log = logging.getLogger(__name__)
@@ -40,16 +40,11 @@ def character_of(document: Document, *, props: bool = False) -> Character:
     """
     scene = read_scene(document, props=props)
     rig = None if scene.joints is None else scene.joints.rig
-    if any(_has_tangents(document, read_part.node) for read_part in scene.parts):
+    meshes = [document.entry("meshes", document.entry("nodes", one.node)["mesh"]) for one in scene.parts]
+    primitives = [primitive for mesh in meshes for primitive in document.entries("primitives", mesh)]
+    if any("TANGENT" in target for primitive in primitives for target in document.entries("targets", primitive)):
         _log.warning("%s: tangents of blend shapes are left out; programs compute them", document.file)
     return Character(tuple(read_part.part for read_part in scene.parts), rig, read_animations(scene))
-
-
-def _has_tangents(document: Document, node: int) -> bool:
-    """Whether morph targets of a node's mesh, which was read, have tangents."""
-    primitives = document.entries("primitives", document.entry("meshes", document.entry("nodes", node)["mesh"]))
-    targets = (target for primitive in primitives for target in document.entries("targets", primitive))
-    return any("TANGENT" in target for target in targets)
 
 
 def humanoid_bones(document: Document) -> dict[str, str]:
@@ -72,54 +67,30 @@ def humanoid_bones(document: Document) -> dict[str, str]:
 
 
 def read_animations(scene: Scene) -> tuple[Animation, ...]:
-    """Animations of the joints; channels of other nodes and of morph weights are only in the document."""
+    """Animations of joints and blend shapes; channels of other nodes are only in the document."""
     document = scene.document
     animations = []
     for number, name in enumerate(animation_names(document)):
         entry, where = document.entry("animations", number), f"animations {number}"
         tracks = [] if scene.joints is None else _tracks(document, scene.joints, entry, where)
-        animations.append(Animation(name, tuple(tracks)))
+        animations.append(Animation(name, tuple(tracks), tuple(_shape_tracks(scene, entry, where))))
     return tuple(animations)
 
 
-# Times (k,), values (k, 1) or (k, 3, 1), and interpolation of a blend shape's weight, as in `Track`.
-ShapeKeys = tuple[FloatArray, FloatArray, Interpolation]
-
-
-def read_shape_keys(scene: Scene, animation: int | None) -> dict[tuple[str, str], ShapeKeys]:
-    """Weights of blend shapes, by part and shape: keys of an animation, else the stated weight.
-
-    Shapes that stay at 0 are left out. ``animation``: its number; None for the stated weights alone.
-    """
-    document, where = scene.document, f"animations {animation}"
-    keys: dict[tuple[str, str], ShapeKeys] = {}
-    names_of: dict[int, list[tuple[str, str]]] = {}
-    for one in scene.parts:
-        node = document.entry("nodes", one.node)
-        mesh = document.entry("meshes", node["mesh"])
-        names_of[one.node] = [(one.part.name, name) for name in mesh_shapes(document, int(node["mesh"]))]
-        count = len(names_of[one.node])
-        stated = document.numbers(
-            node.get("weights", mesh.get("weights", [0.0] * count)), f"nodes {one.node}: weights", count
-        )
-        keys |= {
-            name: (np.zeros(1), weight.reshape(1, 1), "LINEAR")
-            for name, weight in zip(names_of[one.node], stated, strict=True)
-            if weight
-        }
-    entry: dict[str, Any] = {} if animation is None else document.entry("animations", animation)
-    for number, path, sampler in _channels(document, entry, where):
-        names = names_of.get(number, [])
+def _shape_tracks(scene: Scene, entry: dict[str, Any], where: str) -> Iterator[ShapeTrack]:
+    """Weights of blend shapes of an animation; those of another number of shapes than the mesh has are left out."""
+    document = scene.document
+    names_of = {one.node: (one.part.name, node_shapes(document, one.node)) for one in scene.parts}
+    for node, path, sampler in _channels(document, entry, where):
+        part, names = names_of.get(node, ("", ()))
         if path != "weights" or not names:
             continue
         times, last, interpolation = _keys(document, sampler, where)
-        between = (3,) if interpolation == "CUBICSPLINE" else ()
-        count = len(times) * len(names) * int(np.prod(between))
-        values = read_accessor(document, sampler.get("output"), where, ("SCALAR",), count).astype(np.float64)
-        values = values.reshape(len(times), *between, len(names))
-        values = values[last]
-        keys |= {name: (times[last], values[..., [place]], interpolation) for place, name in enumerate(names)}
-    return keys
+        shape = (len(times), 3, len(names)) if interpolation == "CUBICSPLINE" else (len(times), len(names))
+        count = int(np.prod(shape))
+        if document.entry("accessors", sampler["output"], where)["count"] == count:
+            values = read_accessor(document, sampler["output"], where, ("SCALAR",), count).astype(np.float64)
+            yield ShapeTrack(part, names, times[last], values.reshape(shape)[last], interpolation)
 
 
 def _channels(document: Document, entry: dict[str, Any], where: str) -> Iterator[tuple[int, str, dict[str, Any]]]:
@@ -184,37 +155,40 @@ def _track(
 
 def animation_entries(
     binary: Binary,
-    animations: Sequence[Animation],
-    nodes: Sequence[int],
+    character: Character,
+    joints: Sequence[int],
+    parts: Sequence[int],
     above: Mapping[int, FloatArray],
-    before: Sequence[Any],
     given: Document,
-    shapes: Mapping[int, tuple[Sequence[str], Sequence[str]]],
 ) -> list[dict[str, Any]]:
-    """Entries of ``animations``: tracks of joints, and the given document's other channels.
+    """Entries of ``animations``: tracks of joints and blend shapes, and the given document's channels of other nodes.
 
-    ``nodes``: node of each joint.
+    ``joints``, ``parts``: node of each joint and part.
     ``above``: transforms by node, see `cagemap.files.gltf.nodes.Joints`.
-    ``before``: entries of ``given``, in its order.
-    ``given``: the document of these entries.
-    ``shapes``: names of blend shapes by node, in the given document and now; weights of new ones are 0.
     """
-    named = dict(zip(animation_names(given), before, strict=True))
-    times: dict[bytes, int] = {}
+    named = dict(zip(animation_names(given), given.entries("animations"), strict=True))
+    numbers: dict[bytes, int] = {}
     entries = []
-    for animation in animations:
+
+    def add(entry: dict[str, Any], node: int, path: str, track: Track | ShapeTrack, values: FloatArray) -> None:
+        times = track.times.astype("<f4")
+        key = times.tobytes()
+        if key not in numbers:
+            numbers[key] = binary.accessor(times, bounds=True)
+        output = binary.accessor(values.astype("<f4"))
+        add_channel(entry, node, path, {"input": numbers[key], "interpolation": track.interpolation, "output": output})
+
+    for animation in character.animations:
         old = named.pop(animation.name, {})
         entry = {name: value for name, value in old.items() if name not in ("samplers", "channels")}
-        entry |= _other_channels(binary, old, set(nodes), shapes, given)
+        entry |= _other_channels(old, set(joints))
         for track in animation.tracks:
-            node = nodes[track.joint]
-            key = np.asarray(track.times, "<f4").tobytes()
-            if key not in times:
-                times[key] = binary.times(track.times)
-            output = transform_track(track, np.asarray(np.linalg.inv(above.get(node, np.eye(4))))).values
-            values = binary.accessor(output.reshape(-1, output.shape[-1]).astype("<f4"))
-            sampler = {"input": times[key], "interpolation": track.interpolation, "output": values}
-            add_channel(entry, node, track.channel, sampler)
+            node = joints[track.joint]
+            values = transform_track(track, np.asarray(np.linalg.inv(above.get(node, np.eye(4))))).values
+            add(entry, node, track.channel, track, values.reshape(-1, values.shape[-1]))
+        for part, node in zip(character.parts, parts, strict=True):
+            for shape_track in animation.shape_tracks_of(part):
+                add(entry, node, "weights", shape_track, shape_track.values_of(part.shapes).ravel())
         if entry["channels"]:
             entries.append({"name": animation.name} | entry)
     return entries
@@ -237,43 +211,16 @@ def animation_lengths(document: Document) -> tuple[float, ...]:
     return tuple(lengths)
 
 
-def _other_channels(
-    binary: Binary,
-    entry: dict[str, Any],
-    joints: set[int],
-    shapes: Mapping[int, tuple[Sequence[str], Sequence[str]]],
-    given: Document,
-) -> dict[str, list[Any]]:
-    """Channels of an animation that move no joints, with their samplers."""
-    samplers: list[Any] = []
-    channels: list[Any] = []
-    for channel in entry.get("channels", []):
-        target = channel.get("target", {})
-        node, path = target.get("node"), target.get("path")
-        sampler = entry["samplers"][channel["sampler"]]
-        if node in joints and path != "weights":
-            continue
-        if path == "weights" and node is not None:
-            before, now = shapes.get(node, ((), ()))
-            keys = given.entry("accessors", sampler["input"])["count"]
-            keys *= 3 if sampler.get("interpolation") == "CUBICSPLINE" else 1
-            count = given.entry("accessors", sampler["output"])["count"]
-            if not set(before) & set(now) or count != keys * len(before):
-                continue
-            if list(before) != list(now):
-                values = read_accessor(given, sampler["output"], "animations", ("SCALAR",)).astype(np.float64)
-                table = reorder_columns(values.reshape(-1, len(before)), before, now)
-                sampler = sampler | {"output": binary.accessor(table.astype("<f4").ravel())}
-        samplers.append(sampler)
-        channels.append(channel | {"sampler": len(samplers) - 1})
-    return {"samplers": samplers, "channels": channels}
-
-
-def reorder_columns(values: FloatArray, before: Sequence[str], now: Sequence[str]) -> FloatArray:
-    """Columns (k, before) in the order of other names (k, now); 0 for names that were not there before."""
-    number = {name: place for place, name in enumerate(before)}
-    columns = [values[:, number[name]] if name in number else np.zeros(len(values)) for name in now]
-    return np.column_stack(columns)
+def _other_channels(entry: dict[str, Any], joints: set[int]) -> dict[str, list[Any]]:
+    """Channels of an animation that move neither joints nor blend shapes of a node, with their samplers."""
+    channels = [
+        channel
+        for channel in entry.get("channels", [])
+        if (target := channel.get("target", {})).get("node") is None
+        or (target.get("path") != "weights" and target["node"] not in joints)
+    ]
+    samplers = [entry["samplers"][channel["sampler"]] for channel in channels]
+    return {"samplers": samplers, "channels": [one | {"sampler": place} for place, one in enumerate(channels)]}
 
 
 def transform_track(track: Track, above: FloatArray) -> Track:

@@ -29,7 +29,7 @@ from cagemap.files.gltf.entries import (
     view_bytes,
 )
 from cagemap.files.ownership import mark
-from cagemap.files.text import read_bytes, whole_characters
+from cagemap.files.text import read_bytes, require_suffix, whole_characters
 from cagemap.numerics.arrays import shown
 
 
@@ -79,9 +79,8 @@ def _decompress_primitive(given: Document, binary: Binary, primitive: dict[str, 
         if columns > 4:
             given.refuse(where, "its Draco data has attributes of more than four columns")
         kept: dict[str, Any] = {name: entry[name] for name in ("name", "normalized", "extras") if name in entry}
-        if {"min", "max"} <= set(entry) and kind == "f4":
-            kept |= {end: getattr(array, end)(axis=0).tolist() for end in ("min", "max")}
-        return binary.accessor(array.reshape(-1) if columns == 1 else array.reshape(-1, columns), target, **kept)
+        table = array.reshape(-1) if columns == 1 else array.reshape(-1, columns)
+        return binary.accessor(table, target, bounds={"min", "max"} <= set(entry) and kind == "f4", **kept)
 
     changed = {name: add(attributes.get(name), values, VERTICES) for name, values in named.items()}
     indices = add(primitive.get("indices"), np.asarray(decoded.faces, np.uint32).reshape(-1), INDICES)
@@ -144,7 +143,10 @@ def read_document(path: str | Path) -> Document:
     asset = document.table(document.json, "asset", "glTF")
     if str(asset.get("version", "")).partition(".")[0] != "2":
         document.refuse("asset", f"expected glTF version 2.0, got {shown(asset.get('version'))}", "Export it as 2.0.")
-    _require_understood(document)
+    for name in document.entries("extensionsRequired"):
+        if not is_known_extension(name):
+            remedy, word = _WAYS_ROUND.get(str(name), "Export it without this extension"), whole_characters(str(name))
+            raise FormatError(f"{file}: requires the extension {word}, which cagemap does not read. {remedy}.")
     require_structure(document)
     buffers = tuple(_buffer(document, number, blob) for number in range(len(document.entries("buffers"))))
     return decompress_draco(Document(document.json, buffers, file))
@@ -194,14 +196,6 @@ def _parse_json(file: Path, text: bytes) -> dict[str, Any]:
     if not isinstance(parsed, dict) or "asset" not in parsed:
         raise FormatError(f"{file}: expected glTF, a JSON object with an asset, got other JSON. {REMEDY}")
     return parsed
-
-
-def _require_understood(document: Document) -> None:
-    for name in document.entries("extensionsRequired"):
-        if not is_known_extension(name):
-            remedy = _WAYS_ROUND.get(str(name), "Export it without this extension")
-            word = whole_characters(str(name))
-            raise FormatError(f"{document.file}: requires the extension {word}, which cagemap does not read. {remedy}.")
 
 
 def _buffer(document: Document, number: int, blob: bytes | None) -> bytes:
@@ -276,10 +270,8 @@ def _dump_json(document: Document) -> bytes:
 
 def write_document(path: str | Path, document: Document, *, force: bool = False) -> None:
     """Write a document as one file with buffers and images: `.glb` and `.vrm` binary, `.gltf` as text."""
-    suffix = Path(path).suffix.lower()
-    if suffix not in GLTF_SUFFIXES:
-        raise FormatError(f"{path}: expected a name ending in {', '.join(GLTF_SUFFIXES)}. Give another name.")
-    if suffix != ".gltf":
+    require_suffix(Path(path), GLTF_SUFFIXES)
+    if Path(path).suffix.lower() != ".gltf":
         write_whole(path, glb_bytes(document), force=force)
         return
     whole = pack_document(document)

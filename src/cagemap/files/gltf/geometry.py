@@ -16,7 +16,7 @@ from cagemap.character.values import Part
 from cagemap.files.gltf.binary import NGONS, STARTS, VERTICES, Binary, corners_from
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.srgb import decode_srgb
 from cagemap.surface.alignment import Z_UP, nearest_axis_rotation
 from cagemap.surface.triangles import fan_triangles, normalize_rows, vertex_normals
@@ -33,7 +33,9 @@ def mesh_entry(binary: Binary, part: Part, materials: Sequence[int | None]) -> d
     mesh, normals, colors = part.mesh, part.normals, part.colors
     sets = uv_sets_in_order(mesh)
     hard = [] if normals is None else [normal_groups(mesh, normals)]
-    hard += [_equal_rows(of_corners) for of_corners in (colors, *part.shape_normals.values()) if of_corners is not None]
+    for of_corners in (colors, *part.shape_normals.values()):
+        if of_corners is not None:  # the number of each row's value among the distinct rows
+            hard.append(np.unique(of_corners, axis=0, return_inverse=True)[1].ravel().astype(np.int64))
     first, numbers = _split([mesh.face_indices, *(uv_set.uv_indices for uv_set in sets), *hard])
     numbers_of = np.zeros(mesh.n_faces, dtype=np.int64) if mesh.face_materials is None else mesh.face_materials
     polygons = bool((mesh.face_sizes != 3).any())
@@ -48,7 +50,7 @@ def mesh_entry(binary: Binary, part: Part, materials: Sequence[int | None]) -> d
     written = np.where(np.any(stated != 0.0, axis=1, keepdims=True), stated, smooth)
     written[~written.any(axis=1)] = [0.0, 0.0, 1.0]
     attributes = {
-        "POSITION": binary.places(mesh.positions[vertices]),
+        "POSITION": binary.accessor(mesh.positions[vertices].astype("<f4"), VERTICES, bounds=True),
         "NORMAL": binary.accessor(written.astype("<f4"), VERTICES),
     }
     for number, uv_set in enumerate(sets):
@@ -79,15 +81,16 @@ def mesh_entry(binary: Binary, part: Part, materials: Sequence[int | None]) -> d
             primitive["extras"] = {STARTS: np.column_stack([turned, own_starts[turned]]).tolist()}
         material = materials[number] if mesh.face_materials is not None else None
         primitives.append(primitive if material is None else primitive | {"material": material})
-    named = {"extras": {"targetNames": list(part.shapes)}} if part.shapes else {}
-    return {"primitives": primitives} | named
+    entry: dict[str, Any] = {"primitives": primitives}
+    if part.shapes:
+        entry["extras"] = {"targetNames": list(part.shapes)}
+    if part.shapes and part.shape_weights:
+        entry["weights"] = [part.shape_weights.get(name, 0.0) for name in part.shapes]
+    return entry
 
 
 def _fan_starts(mesh: ControlMesh, numbers: IndexArray, order: IndexArray) -> IndexArray:
-    """(m,) corner at which each face's fan begins, so that consecutive fans have different first vertices.
-
-    Otherwise readers would join two fans. Every second face begins at its first corner, and most others do too.
-    """
+    """(m,) corner at which each face's fan begins: consecutive fans have different first vertices."""
     first = mesh.face_offsets[:-1]
     moved = order[1::2]
     heads = np.append(numbers[first[order[::2]]], -1)
@@ -112,11 +115,6 @@ Z_TO_Y = np.block([[Z_UP, np.zeros((3, 1))], [np.zeros((1, 3)), np.eye(1)]])
 def is_z_up(mesh: ControlMesh) -> bool:
     """Whether +Z is the axis of a mesh nearest to its file's up axis."""
     return mesh.upright is not None and np.array_equal(nearest_axis_rotation(mesh.upright), Z_UP)
-
-
-def _equal_rows(values: FloatArray) -> IndexArray:
-    """(c,) number of each row's value among the distinct rows."""
-    return np.unique(values, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
 
 def _split(indices: Sequence[IndexArray]) -> tuple[IndexArray, IndexArray]:

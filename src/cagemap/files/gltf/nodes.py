@@ -57,7 +57,10 @@ def read_nodes(document: Document) -> Nodes:
                 world[number] = local[number] @ world[parents[number]]
     if not np.isfinite(world).all():
         document.refuse("nodes", "their transforms are too large")
-    in_scene = frozenset(_descendants(_roots(document, parents), children))
+    roots = np.flatnonzero(parents < 0).tolist()
+    if document.entries("scenes"):  # without scenes, all roots are displayed
+        roots = document.entries("nodes", document.entry("scenes", document.json.get("scene", 0)), "scenes")
+    in_scene = frozenset(_descendants(roots, children))
     return Nodes(tuple(order), in_scene, parents, local, world, document.unique_names("nodes", "node"))
 
 
@@ -73,13 +76,6 @@ def _descendants(roots: list[int], children: list[list[int]]) -> list[int]:
         ordered.append(number)
         open_nodes.extend(reversed(children[number]))
     return ordered
-
-
-def _roots(document: Document, parents: IndexArray) -> list[int]:
-    """Root nodes of the displayed scene; all root nodes if there are no scenes."""
-    if not document.entries("scenes"):
-        return np.flatnonzero(parents < 0).tolist()
-    return document.entries("nodes", document.entry("scenes", document.json.get("scene", 0)), "scenes")
 
 
 def _local(document: Document, number: int) -> FloatArray:
@@ -178,10 +174,7 @@ def is_invertible(matrices: FloatArray) -> NDArray[np.bool_]:
 
 
 def _to_world(inverse: FloatArray, world: FloatArray, rank: IndexArray) -> FloatArray:
-    """Transform of stored positions to the world on which most joints at rest agree; else that of the topmost joint.
-
-    If the nodes at rest are in the bind pose, all joints place them alike.
-    """
+    """Transform of stored positions to the world on which most joints at rest agree; else that of the topmost joint."""
     placed, frame = inverse @ world, _frame(inverse)
     order = np.argsort(rank)
     corners = (frame @ placed[order])[:, :, :3].reshape(len(order), 12)
@@ -247,10 +240,7 @@ def read_joints(document: Document, nodes: Nodes, skins: tuple[Skin, ...], *, pr
 
 
 def _with_bound(rig: Rig, joints: IndexArray, skin: Skin, taken: tuple[str, ...]) -> tuple[Rig, IndexArray]:
-    """The rig with further joints where a skin binds its joints (k,) in another pose, and the skin's joints in it.
-
-    ``taken``: names that further joints do not get.
-    """
+    """The rig with further joints, not named as ``taken``, where a skin binds its joints (k,) in another pose."""
     changes, frame = skin.inverse_bind @ rig.bind[joints], _frame(skin.inverse_bind)
     other = [snap_to_exact(change, skin.to_world, frame) is not skin.to_world for change in changes]
     moved = np.flatnonzero(other)

@@ -22,9 +22,8 @@ from cagemap.files.gltf.nodes import (
     read_skin,
     snap_to_exact,
 )
-from cagemap.files.gltf.primitives import VertexArrays, read_vertex_arrays
+from cagemap.files.gltf.primitives import VertexArrays, node_shapes, read_vertex_arrays
 from cagemap.files.text import make_distinct
-from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import merged_corners, reversed_corners
 from cagemap.mesh.mesh_report import first_few
@@ -84,19 +83,24 @@ def read_scene(document: Document, *, props: bool = False) -> Scene:
             text = "%s: the copies of %s by %s are left out; export each copy as a node of its own to keep it"
             _log.warning(text, document.file, name or nodes.names[node], _INSTANCES)
         if arrays is not None:
+            arrays = replace(arrays, shape_weights=_shape_weights(document, node))
             part = _part_in_world(document, nodes, skins, joints, node, arrays)
             parts += [] if part is None else [part]
     if not parts:
         raise FormatError(f"{document.file}: expected triangles in the scene, got none. Export it with its meshes.")
-    return Scene(document, nodes, joints, tuple(_with_distinct_names(parts)))
-
-
-def _with_distinct_names(parts: list[ReadPart]) -> list[ReadPart]:
     names = make_distinct([read_part.part.name for read_part in parts])
-    return [
-        replace(read_part, part=replace(read_part.part, name=name, mesh=replace(read_part.part.mesh, name=name)))
-        for name, read_part in zip(names, parts, strict=True)
-    ]
+    for number, (name, one) in enumerate(zip(names, parts, strict=True)):
+        parts[number] = replace(one, part=replace(one.part, name=name, mesh=replace(one.part.mesh, name=name)))
+    return Scene(document, nodes, joints, tuple(parts))
+
+
+def _shape_weights(document: Document, node: int) -> dict[str, float]:
+    """Stated weights of a node's blend shapes; none if they are not those of all shapes."""
+    entry, names = document.entry("nodes", node), node_shapes(document, node)
+    stated = entry.get("weights", document.entry("meshes", entry["mesh"]).get("weights"))
+    if not names or not isinstance(stated, list) or len(stated) != len(names):
+        return {}
+    return dict(zip(names, document.numbers(stated, f"nodes {node}: weights", len(names)).tolist(), strict=True))
 
 
 def _part_in_world(
@@ -118,7 +122,9 @@ def _part_in_world(
             (np.ones(count), (np.arange(count), np.full(count, above))), shape=(count, len(joints.rig.names))
         )
         rest = nodes.world[np.flatnonzero(joints.joint_of == above)[0]]
-        to_world = _bind_transform(arrays, to_world, joints.rig.bind[above], rest)
+        if is_invertible(rest[None]).all():  # the joint in the bind pose instead of the file's
+            in_bind_pose = to_world @ np.linalg.inv(rest) @ joints.rig.bind[above]
+            to_world = snap_to_exact(in_bind_pose, to_world, _homogeneous_rows(arrays))
     if abs(np.linalg.det(to_world[:3, :3])) < 1e-12 * max(np.abs(to_world[:3, :3]).max(), 1e-30) ** 3:
         _log.warning("%s: %s is scaled to nothing and left out", document.file, arrays.control.name)
         return None
@@ -127,10 +133,7 @@ def _part_in_world(
 
 
 def _weights(document: Document, arrays: VertexArrays, of: IndexArray, joints: Joints, node: int) -> sparse.csr_array:
-    """(n, j) weights of the rig's joints; rows sum to 1. Vertices without weights follow the skin's first joint.
-
-    ``of``: joints of the rig, by number in the skin.
-    """
+    """(n, j) weights of the rig's joints, from the skin's joints ``of``; vertices without any follow the first one."""
     used = arrays.weights > 0.0
     numbers = np.where(used, arrays.joints, 0)
     if numbers.max(initial=0) >= len(of) or numbers.min(initial=0) < 0:
@@ -151,13 +154,6 @@ def _weights(document: Document, arrays: VertexArrays, of: IndexArray, joints: J
     table.sum_duplicates()
     table.eliminate_zeros()
     return table
-
-
-def _bind_transform(arrays: VertexArrays, world: FloatArray, bind: FloatArray, rest: FloatArray) -> FloatArray:
-    """A node's transform to world space, with its joint in the bind pose instead of the pose ``rest`` of the file."""
-    if not is_invertible(rest[None]).all():
-        return world
-    return snap_to_exact(world @ np.linalg.inv(rest) @ bind, world, _homogeneous_rows(arrays))
 
 
 def _homogeneous_rows(arrays: VertexArrays) -> FloatArray:
@@ -213,7 +209,7 @@ def transform_part(part: Part, matrix: FloatArray) -> Part:
         normals, colors = (None if one is None else one[corners] for one in (normals, colors))
         shape_normals = {name: offsets[corners] for name, offsets in shape_normals.items()}
     shapes = {name: offsets @ linear for name, offsets in part.shapes.items()}
-    return Part(part.name, mesh, part.weights, shapes, normals, shape_normals, colors)
+    return replace(part, mesh=mesh, shapes=shapes, normals=normals, shape_normals=shape_normals, colors=colors)
 
 
 def transform_normals(normals: FloatArray, linear: FloatArray) -> FloatArray:
@@ -239,14 +235,20 @@ def _weld_part(arrays: VertexArrays, weights: sparse.csr_array | None, node: int
     """The part with copies of a vertex welded; weights and offsets are those of the first copy."""
     given = arrays.control
     offsets = np.column_stack(list(arrays.shapes.values())) if arrays.shapes else None
-    welded = weld_mesh(_with_stored_vertices(given), offsets=offsets)
+    # Welding keeps UVs: another set has the stored vertex of every corner.
+    numbers = np.column_stack([np.arange(given.n_vertices, dtype=np.float64), np.zeros(given.n_vertices)])
+    sets = (*given.all_uv_sets, UvSet("", numbers, given.face_indices))
+    welded = weld_mesh(given.with_uv_sets(sets), offsets=offsets)
     mesh = welded.mesh
     if mesh.file_vertices is None:
         mesh = extract_faces(mesh, np.arange(mesh.n_faces))
     kept = mesh.file_vertices
     assert kept is not None
-    mesh, stored = _take_stored_vertices(mesh)
-    mesh = _with_merged_uvs(mesh)
+    *others, last = mesh.all_uv_sets
+    stored = last.uvs[last.uv_indices, 0].astype(np.int64)
+    # Equal texture coordinates of a vertex are merged, so that a hard edge alone makes no UV seam.
+    merged = ((one.name, merged_corners(mesh.face_indices, one.uvs[one.uv_indices])) for one in others)
+    mesh = mesh.with_uv_sets([UvSet(name, *uvs) for name, uvs in merged])
     part = Part(
         given.name,
         mesh,
@@ -255,23 +257,6 @@ def _weld_part(arrays: VertexArrays, weights: sparse.csr_array | None, node: int
         None if arrays.normals is None else arrays.normals[stored],
         {name: offsets[stored] for name, offsets in arrays.shape_normals.items()},
         None if arrays.colors is None else arrays.colors[stored],
+        arrays.shape_weights,
     )
     return ReadPart(part, node, given.n_vertices, welded.notes if mesh.file_copies is not None else ())
-
-
-def _with_stored_vertices(mesh: ControlMesh) -> ControlMesh:
-    """The mesh with an added UV set that holds each corner's stored vertex, since welding keeps UVs."""
-    numbers = np.column_stack([np.arange(mesh.n_vertices), np.zeros(mesh.n_vertices)]).astype(np.float64)
-    return mesh.with_uv_sets((*mesh.all_uv_sets, UvSet("", numbers, mesh.face_indices)))
-
-
-def _take_stored_vertices(mesh: ControlMesh) -> tuple[ControlMesh, IndexArray]:
-    """The mesh without the UV set of `_with_stored_vertices`, and the stored vertex (c,) of every corner from it."""
-    *others, last = mesh.all_uv_sets
-    return mesh.with_uv_sets(others), last.uvs[last.uv_indices, 0].astype(np.int64)
-
-
-def _with_merged_uvs(mesh: ControlMesh) -> ControlMesh:
-    """The mesh with equal texture coordinates of a vertex merged, so that a hard edge alone makes no UV seam."""
-    merged = ((one.name, merged_corners(mesh.face_indices, one.uvs[one.uv_indices])) for one in mesh.all_uv_sets)
-    return mesh.with_uv_sets([UvSet(name, *uvs) for name, uvs in merged])

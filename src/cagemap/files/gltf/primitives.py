@@ -38,6 +38,7 @@ class VertexArrays:
     normals: FloatArray | None = field(default=None, repr=False)  # (n, 3)
     shape_normals: dict[str, FloatArray] = field(default_factory=dict, repr=False)  # offsets (n, 3) by name of a shape
     colors: FloatArray | None = field(default=None, repr=False)  # (n, 4) linear, with opacity
+    shape_weights: dict[str, float] = field(default_factory=dict, repr=False)  # at rest, by name
 
 
 def material_names(document: Document) -> tuple[str, ...]:
@@ -45,8 +46,9 @@ def material_names(document: Document) -> tuple[str, ...]:
     return document.unique_names("materials", "material")
 
 
-def mesh_shapes(document: Document, number: int) -> tuple[str, ...]:
-    """`shape_names` of all morph targets of a mesh; a primitive without them does not move."""
+def node_shapes(document: Document, node: int) -> tuple[str, ...]:
+    """`shape_names` of all morph targets of a node's mesh; a primitive without them does not move."""
+    number = int(document.entry("nodes", node)["mesh"])
     primitives = document.entries("primitives", document.entry("meshes", number))
     return shape_names(document, number, max(len(document.entries("targets", one)) for one in primitives))
 
@@ -108,14 +110,14 @@ def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArra
         join_meshes([arrays.control for arrays in read]),
         np.concatenate([np.pad(arrays.joints, ((0, 0), (0, width - arrays.joints.shape[1]))) for arrays in read]),
         np.concatenate([np.pad(arrays.weights, ((0, 0), (0, width - arrays.weights.shape[1]))) for arrays in read]),
-        _join_offsets([arrays.shapes for arrays in read], sizes),
+        join_offsets([arrays.shapes for arrays in read], sizes),
         np.concatenate(normals) if len(normals) == len(read) else None,
-        _join_offsets([arrays.shape_normals for arrays in read], sizes) if len(normals) == len(read) else {},
+        join_offsets([arrays.shape_normals for arrays in read], sizes) if len(normals) == len(read) else {},
         np.concatenate(list(white)) if colored else None,
     )
 
 
-def _join_offsets(offsets: Sequence[Mapping[str, FloatArray]], sizes: Sequence[int]) -> dict[str, FloatArray]:
+def join_offsets(offsets: Sequence[Mapping[str, FloatArray]], sizes: Sequence[int]) -> dict[str, FloatArray]:
     """Offsets by name of several groups of vertices as one; 0 where a group has none."""
     names = dict.fromkeys(name for of_group in offsets for name in of_group)
     return {

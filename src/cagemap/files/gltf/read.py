@@ -18,7 +18,7 @@ from cagemap.files.gltf.character import animation_lengths, animation_names, hum
 from cagemap.files.gltf.document import GLTF_SUFFIXES, read_document
 from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.parts import Scene, read_scene
-from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.primitives import join_offsets, material_names
 from cagemap.files.gltf.textures import image_number, texture_slots
 from cagemap.files.text import whole_characters
 from cagemap.mesh import ControlMesh
@@ -83,11 +83,7 @@ def gltf_weights(path: str | Path) -> FloatArray:
 def gltf_shapes(path: str | Path) -> dict[str, FloatArray]:
     """Offsets (n, 3) of blend shapes by name, at the vertices of `read_gltf`; equal names are merged."""
     parts = [read_part.part for read_part in read_scene(read_document(path)).parts]
-    names = dict.fromkeys(name for part in parts for name in part.shapes)
-    return {
-        name: np.concatenate([part.shapes.get(name, np.zeros((part.mesh.n_vertices, 3))) for part in parts])
-        for name in names
-    }
+    return join_offsets([part.shapes for part in parts], [part.mesh.n_vertices for part in parts])
 
 
 def gltf_skeleton(path: str | Path) -> Skeleton:

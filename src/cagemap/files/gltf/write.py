@@ -17,14 +17,14 @@ from cagemap.character.values import Character, Part, Rig
 from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
 from cagemap.files.gltf.binary import NGONS, Binary, remove_unused
-from cagemap.files.gltf.character import animation_entries, character_of, reorder_columns
+from cagemap.files.gltf.character import animation_entries, character_of
 from cagemap.files.gltf.document import glb_bytes, read_document, write_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.expressions import ReplacedMesh, renumber_expressions
 from cagemap.files.gltf.geometry import Z_TO_Y, is_z_up, mesh_entry
 from cagemap.files.gltf.nodes import REST, decompose_transform, read_nodes, scale_signs
 from cagemap.files.gltf.parts import Scene, read_scene, transform_part
-from cagemap.files.gltf.primitives import material_names, mesh_shapes
+from cagemap.files.gltf.primitives import material_names, node_shapes
 from cagemap.files.gltf.read import left_out_of_gltf
 from cagemap.files.gltf.textures import with_images
 from cagemap.files.text import whole_characters
@@ -127,8 +127,12 @@ class _Made:
         self._node_of_joint = {name: node for node, name in enumerate(scene.nodes.names)}
         # mesh numbers in the given document
         self._mesh_of_node = {node: self._nodes[node].pop("mesh") for node in self._node_of_part.values()}
+        self._nodes_of_parts: list[int] = []
         self._given_node: dict[int, int] = {}  # of nodes with pieces of its mesh
-        self._roots = self._scene_roots()
+        if not self.top.get("scenes"):  # without scenes, all roots are displayed
+            roots = [int(node) for node in scene.nodes.order if scene.nodes.parents[node] < 0]
+            self.top |= {"scene": 0, "scenes": [{"nodes": roots}]}
+        self._roots: list[Any] = self.top["scenes"][self.top.get("scene", 0)].setdefault("nodes", [])
         for node in self._mesh_of_node:
             for name in ("skin", "weights"):
                 self._nodes[node].pop(name, None)
@@ -159,9 +163,10 @@ class _Made:
     def part(self, part: Part, rig: Rig | None) -> None:
         """Add a part's mesh to its node."""
         node = self._node_of_part.get(part.name)
+        has_shapes = node is not None and bool(node_shapes(self._scene.document, node))
         if node is None:
             node = self._new_node({"name": part.name}, None)
-        if part.name in self._pieces_of and not self._shapes_before(node):
+        if part.name in self._pieces_of and not has_shapes:
             given = self._node_of_part[self._pieces_of[part.name]]
             self._given_node[node], self._mesh_of_node[node] = given, self._mesh_of_node[given]
         skinned = part.weights is not None and rig is not None
@@ -176,6 +181,7 @@ class _Made:
         if skinned:
             entry["skin"] = 0
         entry["mesh"] = self._mesh_number(node, mesh_data)
+        self._nodes_of_parts.append(node)
 
     def _copy_variants(self, name: str, number: int, made: dict[str, Any]) -> None:
         """Copy material variants of a given mesh to a new one, by material; warn of what its primitives lose."""
@@ -199,7 +205,6 @@ class _Made:
     def _mesh_number(self, node: int, made: dict[str, Any]) -> int:
         """Add a mesh; one that only this node used is replaced, and keeps its name, extras and extensions."""
         number = self._mesh_of_node.get(node, -1)
-        made = made | self._stated_weights(node, made)
         if [one for one, of in self._mesh_of_node.items() if of == number and one not in self._given_node] != [node]:
             self._meshes.append(made)
             return len(self._meshes) - 1
@@ -229,48 +234,14 @@ class _Made:
         return numbers
 
     def animations(self, character: Character) -> None:
-        """Replace the tracks of joints."""
+        """Replace the tracks of joints and blend shapes."""
         above = {} if self._scene.joints is None else dict(enumerate(self._scene.joints.above))
-        nodes = [] if character.rig is None else [self._node_of_joint[name] for name in character.rig.names]
-        before = self.top.get("animations", [])
-        for channels in (entry.get("channels", []) for entry in before):
-            weights = [one for one in channels if one.get("target", {}).get("path") == "weights"]
-            for node, of in self._given_node.items():
-                own = [one for one in weights if one["target"].get("node") == of]
-                channels += [one | {"target": one["target"] | {"node": node}} for one in own]
-        shapes = {
-            node: (self._shapes_before(node), self._shapes(self._meshes[entry["mesh"]]))
-            for node, entry in enumerate(self._nodes)
-            if "mesh" in entry
-        }
+        joints = [] if character.rig is None else [self._node_of_joint[name] for name in character.rig.names]
         given = self._scene.document
-        entries = animation_entries(self._binary, character.animations, nodes, above, before, given, shapes)
+        entries = animation_entries(self._binary, character, joints, self._nodes_of_parts, above, given)
         self.top.pop("animations", None)
         if entries:
             self.top["animations"] = entries
-
-    def _shapes(self, mesh: dict[str, Any]) -> list[str]:
-        """Names of the blend shapes of a new mesh."""
-        names: list[str] = mesh.get("extras", {}).get("targetNames", [])
-        return names
-
-    def _shapes_before(self, node: int) -> tuple[str, ...]:
-        """Names of the blend shapes of a node's mesh in the given document."""
-        number = self._mesh_of_node.get(node)
-        return () if number is None else mesh_shapes(self._scene.document, number)
-
-    def _stated_weights(self, node: int, made: dict[str, Any]) -> dict[str, list[float]]:
-        """The field ``weights`` of a new mesh, by the names of blend shapes in the given document."""
-        names, before = self._shapes(made), self._shapes_before(node)
-        if not names or not before:
-            return {}
-        document = self._scene.document
-        mesh = document.entry("meshes", self._mesh_of_node[node])
-        stated = document.entry("nodes", self._given_node.get(node, node)).get("weights", mesh.get("weights"))
-        if not isinstance(stated, list) or len(stated) != len(before):
-            return {}
-        weights = reorder_columns(document.numbers(stated, f"nodes {node}: weights", len(before))[None], before, names)
-        return {"weights": weights[0].tolist()}
 
     def document(self) -> Document:
         """The finished document."""
@@ -285,20 +256,13 @@ class _Made:
         replaced = []
         for node, number in self._mesh_of_node.items():
             now = self._nodes[node].get("mesh")
-            shapes = () if now is None else self._shapes(self._meshes[now])
+            shapes = () if now is None else self._meshes[now].get("extras", {}).get("targetNames", ())
             before = self._given_node.get(node, node)
-            replaced.append(ReplacedMesh(before, number, node, now, self._shapes_before(node), shapes))
+            shapes_before = node_shapes(self._scene.document, before)
+            replaced.append(ReplacedMesh(before, number, node, now, shapes_before, shapes))
         if empty := renumber_expressions(self.top.get("extensions"), replaced):
             text = "%s: expressions that move no shape any more, since their meshes or shapes are not carried: %s"
             _log.warning(text, self._scene.document.file, whole_characters(first_few(empty)))
-
-    def _scene_roots(self) -> list[Any]:
-        """Root nodes of the displayed scene."""
-        if not self.top.get("scenes"):  # without scenes, all roots are displayed
-            roots = [int(node) for node in self._scene.nodes.order if self._scene.nodes.parents[node] < 0]
-            self.top |= {"scene": 0, "scenes": [{"nodes": roots}]}
-        listed: list[Any] = self.top["scenes"][self.top.get("scene", 0)].setdefault("nodes", [])
-        return listed
 
     def _new_node(self, entry: dict[str, Any], parent: int | None) -> int:
         self._nodes.append(entry)

@@ -176,17 +176,15 @@ def _ends(points: CagePoints) -> list[int | dict[str, Any]]:
 
 
 def _compare_names(path: Path, landmarks: Landmarks, target: str, source: str) -> tuple[str, ...]:
-    """Refuse exchanged meshes; returns notes on names that differ.
-
-    Meshes are exchanged if both names are those of the other side; or, for two different cages, if more names match
-    crossed than straight, or both cages do. A name up to the first '_' is the cage's by custom (``base_neutral.obj``).
-    """
+    """Refuse exchanged meshes; returns notes on names that differ."""
     file_target, file_source = _stem(landmarks.target_name), _stem(landmarks.source_name)
     if not file_target or not file_source:
         return (f"{path.name} does not name its two meshes, so the direction of its pairs could not be checked",)
     here_target, here_source = _stem(target), _stem(source)
     if file_target == here_target and file_source == here_source:
         return ()
+    # Exchanged are meshes if both names are those of the other side; or, for two different cages, if more names match
+    # crossed than straight, or both cages do. A name up to the first '_' is the cage's by custom (base_neutral.obj).
     one_cage = _cage(here_target) == _cage(here_source)
     crossed = (file_source == here_target) + (file_target == here_source)
     straight = (file_target == here_target) + (file_source == here_source)

@@ -107,10 +107,7 @@ def _wrap(path: Path, data: list[Any], mesh: ControlMesh | None) -> Named:
 
 
 def _markups(path: Path, markups: list[Any]) -> NamedPoints:
-    """Points and curves of 3D Slicer's markups, in LPS as its mesh files; RAS has x and y negated.
-
-    Points of an open or closed curve become the curve, not landmarks.
-    """
+    """Points and curves of 3D Slicer's markups, in LPS as its mesh files; RAS has x and y negated."""
     all_points: Named = []
     curves: list[NamedCurve] = []
     for markup in markups:
@@ -158,10 +155,8 @@ def _fiducials(path: Path, text: str) -> Named:
 
 
 def _table(path: Path, text: str) -> Named:
-    """Points of a table. Its header names the columns name, x, y, z or name, vertex; the default is name, x, y, z.
-
-    A row that begins with # is a comment; below a header only if it is shorter, or holds cagemap's mark.
-    """
+    """Points of a table with columns name, x, y, z (also without a header) or name, vertex."""
+    # A row that begins with # is a comment; below a header only if it is shorter, or holds cagemap's mark.
     all_rows = [row for row in _rows(path, text) if row]
     rows = [row for row in all_rows if not row[0].startswith("#")]
     head = [cell.strip().lower() for cell in rows[0]] if rows else []

@@ -118,16 +118,6 @@ def read_material_statements(path: Path) -> dict[str, list[str]]:
     return statements
 
 
-def color_statements(names: Sequence[str], colors: FloatArray | None) -> dict[str, list[str]]:
-    """Statement ``Kd`` of every material; none for unknown colours."""
-    return {
-        name: ["Kd {!r} {!r} {!r}".format(*colors[i].tolist())]
-        if colors is not None and np.isfinite(colors[i]).all()
-        else []
-        for i, name in enumerate(names)
-    }
-
-
 def write_materials(
     path: Path, statements: Mapping[str, Sequence[str]], images: Mapping[str, str] = NO_IMAGES, *, force: bool = False
 ) -> None:

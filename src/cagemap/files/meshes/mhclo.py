@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
 from cagemap.files.ownership import mark
+from cagemap.files.text import require_suffix
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.spectral import Surface
 from cagemap.surface.triangles import triangle_frames
 
 FOLLOWER_SUFFIXES = (".mhclo", ".proxy")
@@ -37,13 +36,6 @@ class Binding:
         return np.einsum("nk,nkd->nd", self.weights, base[self.vertices]) + self.offsets * factors
 
 
-def bind_on(positions: FloatArray, base: Surface, triangle: IndexArray) -> Binding:
-    """Bind each vertex to the control face of its finest triangle (n,) of a surface."""
-    finest = base.refinement.finest
-    per_face = len(base.finest_triangles.triangles) // finest.n_faces
-    return bind(positions, base.control, finest.face_parents[triangle // per_face])
-
-
 def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Binding:
     """Bind a mesh to the control vertices of a base mesh near its surface.
 
@@ -58,7 +50,9 @@ def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Binding
     for first in range(int(sizes.max())):
         rows = np.flatnonzero(sizes > first)
         triple = np.stack([corners[begin[rows] + (first + k) % sizes[rows]] for k in range(3)], axis=1)
-        inside = _coordinates(base.positions, triple, positions[rows])
+        frames = triangle_frames(base.positions, triple)
+        across = np.einsum("nkd,nd->nk", frames[:, 1:], positions[rows] - frames[:, 0])
+        inside = np.column_stack([1 - across.sum(axis=1), across])
         outside = np.maximum(-inside.min(axis=1), 0.0)
         closer = outside < best[rows] - 1e-12
         better = rows[closer]
@@ -69,23 +63,10 @@ def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Binding
     return Binding(vertices, weights, offsets, scales.astype(np.int64), np.abs(ends[:, 0] - ends[:, 1]))
 
 
-def _coordinates(places: FloatArray, triangles: IndexArray, points: FloatArray) -> FloatArray:
-    """(n, 3) barycentric coordinates of points (n, 3), projected to the planes of triangles."""
-    frames = triangle_frames(places, triangles)
-    inside = np.einsum("nkd,nd->nk", frames[:, 1:], points - frames[:, 0])
-    return np.column_stack([1 - inside.sum(axis=1), inside])
-
-
-def check_mhclo_path(file: Path) -> None:
-    """Refuse a file name that `write_mhclo` would refuse, before any work is done."""
-    if file.suffix.lower() not in FOLLOWER_SUFFIXES:
-        raise FormatError(f"{file}: expected a name ending in .mhclo or .proxy, got {file.suffix or 'no suffix'}")
-
-
 def write_mhclo(path: str | Path, binding: Binding, obj: Path, *, force: bool = False) -> None:
     """Write a ``.mhclo`` (clothes) or ``.proxy`` (the body) file for the mesh in ``obj``."""
     file = Path(path)
-    check_mhclo_path(file)
+    require_suffix(file, FOLLOWER_SUFFIXES)
     name = file.stem
     lines = [
         f"# {mark()}",

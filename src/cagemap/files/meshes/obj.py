@@ -5,10 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +80,18 @@ def read_obj(path: str | Path) -> ControlMesh:
     objects, face_objects = _read_names(statements, face_rows, _OBJECT)
     _warn_of_equal_objects(statements, corners, face_indices, objects, face_objects)
     groups, face_groups = _read_names(statements, face_rows, _GROUP)
+    tag_rows = statements.rows(_TAG)
+
+    def fail(row: int, expected: str) -> FormatError:
+        return statements.fail(int(tag_rows[row]), expected, "See the formats page of the documentation.")
+
+    tag_lines, triangles = [statements.lines[row] for row in tag_rows], bool(np.all(corners.sizes == 3))
+    tags = parse_tags(tag_lines, fail, len(positions), len(corners.sizes), triangles=triangles)
+    known: dict[str, tuple[float, float, float]] = {}
+    for library in material_files(file, text) if names else ():
+        known = read_material_colors(library) | known  # the first file with a name wins
+    unknown = (np.nan, np.nan, np.nan)
+    colors = np.array([known.get(name, unknown) for name in names], dtype=np.float64) if names else None
     return ControlMesh(
         positions=positions,
         face_offsets=offsets_of(corners.sizes),
@@ -90,14 +100,14 @@ def read_obj(path: str | Path) -> ControlMesh:
         uv_indices=uv_indices,
         face_materials=face_materials,
         material_names=names,
-        material_colors=_read_colors(file, text, names) if names else None,
+        material_colors=colors,
         vertex_colors=_read_vertex_colors(statements, len(positions)),
         face_objects=face_objects,
         object_names=objects,
         face_groups=face_groups,
         group_names=groups,
         name=file.name,
-        **_read_tags(statements, len(positions), corners.sizes),
+        **tags,
     )
 
 
@@ -165,10 +175,8 @@ class _Corners:
 
 
 def _read_corners(statements: _Statements, rows: IndexArray) -> _Corners:
-    """Read the corners ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn`` of every face, in any mixture.
-
-    The text of all faces is one array of bytes: corners and numbers begin where the class of bytes changes.
-    """
+    """Read the corners ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn`` of every face, in any mixture."""
+    # The text of all faces is one array of bytes: corners and numbers begin where the class of bytes changes.
     bodies = [statements.lines[row].partition("#")[0].partition(" ")[2] for row in rows]
     text = "\n".join(bodies) + "\n"
     data = np.frombuffer(text.encode("utf-8"), dtype=np.uint8)
@@ -289,11 +297,7 @@ def _warn_of_equal_objects(
 
 
 def _read_vertex_colors(statements: _Statements, n_vertices: int) -> FloatArray | None:
-    """(n, 3) colours from ``v`` lines of six or seven numbers, else from polypaint; None without colours.
-
-    A line of seven numbers has an opacity last, or the position's weight before the colour. It is the weight if all
-    fourth numbers are 1 and some last ones are not.
-    """
+    """(n, 3) colours from ``v`` lines of six or seven numbers, else from polypaint; None without colours."""
     texts = [statements.lines[row] for row in statements.rows(_POSITION)]
     several = max((text.count(" ") for text in texts), default=0) >= 6
     lines = [text.partition("#")[0].split()[4:] for text in texts] if several else []
@@ -307,6 +311,7 @@ def _read_vertex_colors(statements: _Statements, n_vertices: int) -> FloatArray 
         return read_polypaint([statements.lines[row] for row in painted], n_vertices, fail)
     unknown = [np.nan, np.nan, np.nan]
     try:
+        # Of seven numbers, the last is an opacity, or the fourth the position's weight: if all of these are 1.
         fours = [[float(field) for field in fields] for fields in colored if len(fields) == 4]
         weighted = bool(fours) and all(four[0] == 1 for four in fours) and any(four[3] != 1 for four in fours)
         first = {3: 0, 4: int(weighted)}
@@ -319,25 +324,6 @@ def _read_vertex_colors(statements: _Statements, n_vertices: int) -> FloatArray 
             int(rows[bad]), "'v', three coordinates and three colour values", "Export the mesh again."
         ) from None
     return to_unit_range(np.array(table, dtype=np.float64))
-
-
-def _read_tags(statements: _Statements, n_vertices: int, sizes: IndexArray) -> dict[str, Any]:
-    rows = statements.rows(_TAG)
-
-    def fail(row: int, expected: str) -> FormatError:
-        return statements.fail(int(rows[row]), expected, "See the formats page of the documentation.")
-
-    lines, triangles = [statements.lines[row] for row in rows], bool(np.all(sizes == 3))
-    return parse_tags(lines, fail, n_vertices, len(sizes), triangles=triangles)
-
-
-def _read_colors(path: Path, text: str, names: Sequence[str]) -> FloatArray:
-    """(q, 3) diffuse colours of materials from the ``mtllib`` files; the first file with a name wins."""
-    known: dict[str, tuple[float, float, float]] = {}
-    for file in material_files(path, text):
-        known = read_material_colors(file) | known
-    unknown = (np.nan, np.nan, np.nan)
-    return np.array([known.get(name, unknown) for name in names], dtype=np.float64)
 
 
 def material_files(path: Path, text: str) -> list[Path]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import all_or_nothing, require_replaceable, write_whole
-from cagemap.files.meshes.colors import NO_IMAGES, color_statements, read_material_statements, write_materials
+from cagemap.files.meshes.colors import NO_IMAGES, read_material_statements, write_materials
 from cagemap.files.meshes.obj import MATERIAL_FILE_LINE, material_files, read_obj
 from cagemap.files.meshes.obj_tags import format_tags
 from cagemap.files.ownership import mark
@@ -41,9 +41,11 @@ def write_obj(
     ``like``: OBJ file with the mesh's materials; its ``.mtl`` files, with their images, are named instead.
     """
     file = Path(path)
-    if images and (mesh.face_materials is None or "" in mesh.material_names):
-        mesh = _all_named(mesh)
-    mesh = replace(mesh, material_names=make_distinct(mesh.material_names))
+    names = mesh.material_names
+    if images and mesh.face_materials is None:
+        mesh, names = replace(mesh, face_materials=np.zeros(mesh.n_faces, np.int64)), ("",)
+    names = tuple(name or _UNNAMED for name in names) if images else names
+    mesh = replace(mesh, material_names=make_distinct(names))
     for name in (*mesh.material_names, *mesh.object_names, *mesh.group_names):
         check_writable_name(name)
     library, has_materials = file.with_suffix(".mtl"), mesh.face_materials is not None
@@ -56,16 +58,13 @@ def write_obj(
     parts = [*head, _format_vertices(mesh), uvs, *_format_faces(mesh), format_tags(mesh)]
     with all_or_nothing():
         if is_own:
-            statements = color_statements(mesh.material_names, mesh.material_colors)
+            colors = np.full((len(names), 3), np.nan) if mesh.material_colors is None else mesh.material_colors
+            statements = {  # a mesh whose materials were removed may have more colours than names
+                name: ["Kd {!r} {!r} {!r}".format(*color.tolist())] if np.isfinite(color).all() else []
+                for name, color in zip(mesh.material_names, colors[: len(names)], strict=True)
+            }
             write_materials(library, statements, images, force=force)
         write_whole(file, "".join(parts), force=force)
-
-
-def _all_named(mesh: ControlMesh) -> ControlMesh:
-    """The mesh with a named material on every face."""
-    if mesh.face_materials is None:
-        return replace(mesh, face_materials=np.zeros(mesh.n_faces, np.int64), material_names=(_UNNAMED,))
-    return replace(mesh, material_names=tuple(name or _UNNAMED for name in mesh.material_names))
 
 
 def obj_files(path: Path, mesh: ControlMesh, like: str | Path | None = None) -> list[Path]:
@@ -202,10 +201,7 @@ def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMe
 
 
 def _libraries(text: str, original: Path, folder: Path) -> str:
-    """``mtllib`` lines for a copy of an OBJ file in a folder: one for each material file that exists.
-
-    Paths are relative to the folder without symbolic links, on another drive absolute.
-    """
+    """``mtllib`` lines for a copy of an OBJ file in a folder: one for each material file that exists."""
     files = material_files(original.parent.resolve() / original.name, text)
     with suppress(ValueError):  # another drive
         files = [Path(os.path.relpath(file, folder.resolve())) for file in files]

@@ -250,7 +250,12 @@ def write_ply(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> No
     if colors is not None:  # grey for materials without one
         faces = _as_bytes(encode_srgb(np.where(np.isfinite(colors), colors, UNKNOWN_COLOR)))
     header = _header(mesh, vertices is not None, faces is not None).encode("ascii")
-    write_whole(path, header + _binary_vertices(mesh, vertices) + _binary_faces(mesh, faces), force=force)
+    fields: list[Any] = [("place", "<f8", (3,)), *([] if vertices is None else [("color", "u1", (3,))])]
+    table = np.zeros(mesh.n_vertices, dtype=fields)
+    table["place"] = mesh.positions
+    if vertices is not None:
+        table["color"] = vertices
+    write_whole(path, header + table.tobytes() + _binary_faces(mesh, faces), force=force)
 
 
 def _count_type(mesh: ControlMesh) -> tuple[str, str]:
@@ -280,14 +285,6 @@ def _header(mesh: ControlMesh, colored_vertices: bool, colored_faces: bool) -> s
 def _as_bytes(colors: FloatArray) -> NDArray[np.uint8]:
     """(n, 3) colours as bytes."""
     return np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8)
-
-
-def _binary_vertices(mesh: ControlMesh, colors: NDArray[np.uint8] | None) -> bytes:
-    if colors is None:
-        return mesh.positions.astype("<f8").tobytes()
-    table = np.zeros(mesh.n_vertices, dtype=[("place", "<f8", (3,)), ("color", "u1", (3,))])
-    table["place"], table["color"] = mesh.positions, colors
-    return table.tobytes()
 
 
 def _binary_faces(mesh: ControlMesh, colors: NDArray[np.uint8] | None) -> bytes:

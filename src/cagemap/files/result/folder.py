@@ -36,12 +36,12 @@ from cagemap.files.result.manifest import (
     stored_quality,
     version_entries,
 )
-from cagemap.files.result.maps import level_arrays, level_entries, read_level_maps
+from cagemap.files.result.maps import level_arrays, read_level_maps, stored_levels
 from cagemap.files.schema import ResultRecord, SideRecord, parse_record, to_json
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult, SpectralMap
-from cagemap.mesh import ControlMesh, Scheme
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import kinds_checked
@@ -159,7 +159,12 @@ def read_result(folder: str | Path) -> MatchResult:
     root = Path(folder)
     manifest = read_manifest(root)
     record = parse_record(ResultRecord, manifest, root / MANIFEST, REMEDY)
-    archive = _read_arrays(root / ARRAYS, record.files.get(ARRAYS))
+    path, checksum = root / ARRAYS, record.files.get(ARRAYS)
+    if not path.is_file():
+        raise FormatError(f"{path}: is missing, so the result is incomplete. {REMEDY}")
+    archive = Archive(path, read_npz(path, REMEDY), REMEDY)
+    if checksum is not None and stated_checksum(path) not in (None, checksum):
+        archive.refuse(f"belongs to another {MANIFEST} than the one beside it")
     sizes: dict[str, int] = {}
     sides = [
         _read_side(root, prefix, entry, archive, sizes)
@@ -189,9 +194,9 @@ def read_result(folder: str | Path) -> MatchResult:
         check,
         read_level_maps(archive, record.level_maps, (target, source), point_map, functional_map),
         stored_confidence(record.confidence, point_map, counts[0], other_answers),
-        masks=Masks(sides[0].mask, sides[1].mask),
+        masks=Masks(*(side.arrays.get("mask") for side in sides)),
         shared=_record_of(Masks, arrays.get("target_shared"), arrays.get("source_shared")),
-        known_spectral=_record_of(SpectralMap, functional_map, *(side.eigenvalues for side in sides)),
+        known_spectral=_record_of(SpectralMap, functional_map, *(side.arrays.get("eigenvalues") for side in sides)),
         provenance={name: value for name, value in manifest.items() if name not in _TYPED},
     )
 
@@ -207,22 +212,18 @@ class _Side:
 
     prefix: str
     control: ControlMesh
-    scheme: Scheme
     level: int
-    vertices: FloatArray
-    faces: IndexArray
-    eigenvalues: FloatArray | None
+    arrays: dict[str, Any]  # checked, by name without the prefix
     points: CagePoints
-    mask: FloatArray | None
 
     def surface(self, archive: Archive, record: ResultRecord) -> Surface:
         """The surface, refined again; refuses stored vertices and faces that differ from it."""
-        count = None if self.eigenvalues is None else len(self.eigenvalues)
-        refinement = refine(self.control, self.level, self.scheme)
-        surface = Surface(refinement, stored_basis(record.bases.get(self.prefix), count))
+        eigenvalues = self.arrays.get("eigenvalues")
+        basis = stored_basis(record.bases.get(self.prefix), None if eigenvalues is None else len(eigenvalues))
+        surface = Surface(refine(self.control, self.level, self.control.scheme), basis)
         size = float(np.ptp(self.control.positions, axis=0).max())
-        same_faces = np.array_equal(surface.faces, self.faces)
-        if not same_faces or np.abs(surface.vertices - self.vertices).max() > _DRIFT * size:
+        same_faces = np.array_equal(surface.faces, self.arrays["faces"])
+        if not same_faces or np.abs(surface.vertices - self.arrays["vertices"]).max() > _DRIFT * size:
             archive.refuse(f"{self.prefix}_vertices or faces are not those of the control mesh")
         return surface
 
@@ -236,24 +237,7 @@ def _read_side(root: Path, prefix: str, entry: SideRecord, archive: Archive, siz
         f"c{number}": control.n_vertices,
         f"n{number}": next(islice(vertex_counts(control, scheme), entry.level, None)),
     }
-    specs = {f"{prefix}_{name}": spec for name, spec in _side_specs(number).items()}
-    arrays = archive.take(specs, sizes)
-    points = points_from_arrays(archive, arrays, f"{prefix}_landmark_")
-    return _Side(
-        prefix,
-        control,
-        scheme,
-        entry.level,
-        arrays[f"{prefix}_vertices"],
-        arrays[f"{prefix}_faces"],
-        arrays.get(f"{prefix}_eigenvalues"),
-        CagePoints.of_vertices(arrays[f"{prefix}_landmarks"]) if points is None else points,
-        arrays.get(f"{prefix}_mask"),
-    )
-
-
-def _side_specs(number: int) -> dict[str, ArraySpec]:
-    return {
+    specs = {
         "vertices": ArraySpec((f"n{number}", 3)),
         "faces": ArraySpec((f"m{number}", "3|4"), below=f"n{number}"),
         "eigenvalues": ArraySpec((f"k{number}",), optional=True),
@@ -262,6 +246,11 @@ def _side_specs(number: int) -> dict[str, ArraySpec]:
         "landmark_weights": ArraySpec(("p", 3), optional=True),
         "mask": ArraySpec((f"n{number}",), optional=True, share=True),
     }
+    checked = archive.take({f"{prefix}_{name}": spec for name, spec in specs.items()}, sizes)
+    points = points_from_arrays(archive, checked, f"{prefix}_landmark_")
+    arrays = {name.removeprefix(f"{prefix}_"): array for name, array in checked.items()}
+    points = CagePoints.of_vertices(arrays["landmarks"]) if points is None else points
+    return _Side(prefix, control, entry.level, arrays, points)
 
 
 def _check_parts(root: Path, arrays: dict[str, Any], source_triangles: IndexArray, record: ResultRecord) -> None:
@@ -297,14 +286,5 @@ def _manifest(result: MatchResult) -> dict[str, Any]:
         for prefix, side in (("target", result.target), ("source", result.source))
     }
     fixed = {**version_entries(), **sides, "landmark_names": list(result.landmarks.names)}
-    fixed["level_maps"] = level_entries(result)
+    fixed["level_maps"] = [dict(zip(("target", "source"), one.levels, strict=True)) for one in stored_levels(result)]
     return fixed | {name: value for name, value in result.manifest.items() if name not in {*fixed, "files"}}
-
-
-def _read_arrays(path: Path, checksum: str | None) -> Archive:
-    if not path.is_file():
-        raise FormatError(f"{path}: is missing, so the result is incomplete. {REMEDY}")
-    archive = Archive(path, read_npz(path, REMEDY), REMEDY)
-    if checksum is not None and stated_checksum(path) not in (None, checksum):
-        archive.refuse(f"belongs to another {MANIFEST} than the one beside it")
-    return archive

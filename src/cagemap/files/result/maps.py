@@ -6,7 +6,6 @@ Vertex numbers count from 0, except in ``.vts``, where they count from 1 by conv
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from cagemap.files.atomic import atomic_path
 from cagemap.files.npz import Archive, ArraySpec, lie_in_triangles, read_npy, read_npz, write_npy, write_npz
 from cagemap.files.ownership import mark
 from cagemap.files.schema import LevelMapRecord
-from cagemap.files.text import read_text, require_file
+from cagemap.files.text import read_text, require_file, require_suffix
 from cagemap.maps.functional_maps import LevelMap
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
@@ -168,8 +167,9 @@ def _dense(file: Path, text: str) -> sparse.csr_array:
         )
     numbers, known = np.empty(n * m), 0
     try:
-        for piece in _pieces(text, end):
-            values = np.array(piece.split(), dtype=np.float64)
+        while end < len(text):  # in pieces, since all words at once take much memory
+            start, end = end, _line_end(text, end + _PIECE)
+            values = np.array(text[start:end].split(), dtype=np.float64)
             if known + len(values) > n * m:
                 raise ValueError(f"more than {n} x {m} numbers")
             numbers[known : known + len(values)] = values
@@ -187,14 +187,6 @@ def _size_line(text: str) -> tuple[str, int]:
     start = 0 if comments is None else comments.end()
     end = _line_end(text, start)
     return text[start:end], end
-
-
-def _pieces(text: str, start: int) -> Iterator[str]:
-    """Pieces of a text from ``start`` on, cut at line ends, since all words at once take much memory."""
-    while start < len(text):
-        end = _line_end(text, start + _PIECE)
-        yield text[start:end]
-        start = end
 
 
 def _line_end(text: str, start: int) -> int:
@@ -235,8 +227,7 @@ def write_map(path: str | Path, point_map: PointMap, *, force: bool = False) -> 
     """Write a map in a format of `read_images`, by suffix; ``.npy`` and ``.vts`` have the nearest corners."""
     file = Path(path)
     suffix = file.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise FormatError(f"{file}: expected a name ending in {', '.join(SUFFIXES)}, got {suffix or 'no suffix'}")
+    require_suffix(file, SUFFIXES)
     nearest = point_map.images.corners[np.arange(point_map.target.n), point_map.barycentric.argmax(axis=1)]
     with atomic_path(file, force=force) as temporary:
         if suffix == ".npy":
@@ -262,11 +253,6 @@ def stored_levels(result: MatchResult) -> tuple[LevelMap, ...]:
     if any(level_map.points is None for level_map in result.level_maps):
         return ()
     return result.level_maps
-
-
-def level_entries(result: MatchResult) -> list[dict[str, int]]:
-    """Entries of a manifest for the stored level maps."""
-    return [{"target": level_map.levels[0], "source": level_map.levels[1]} for level_map in stored_levels(result)]
 
 
 def level_arrays(result: MatchResult) -> dict[str, NDArray[Any]]:

@@ -82,17 +82,12 @@ def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> M
         confidence=_least_confidence(parts),
         masks=masks,
         shared=shared,
-        known_spectral=_merged_spectral(parts),
+        known_spectral=SpectralMap(
+            block_diag(*(part.functional_map for part in parts)),
+            np.concatenate([part.spectral.target_eigenvalues for part in parts]),
+            np.concatenate([part.spectral.source_eigenvalues for part in parts]),
+        ),
         provenance=provenance,
-    )
-
-
-def _merged_spectral(parts: Sequence[MatchResult]) -> SpectralMap:
-    """Functional maps of the parts as diagonal blocks of one."""
-    return SpectralMap(
-        block_diag(*(part.functional_map for part in parts)),
-        np.concatenate([part.spectral.target_eigenvalues for part in parts]),
-        np.concatenate([part.spectral.source_eigenvalues for part in parts]),
     )
 
 
@@ -119,10 +114,7 @@ def _merged_landmarks(parts: Sequence[MatchResult]) -> Landmarks:
 
 
 def _least_confidence(parts: Sequence[MatchResult]) -> Confidence | None:
-    """The confidence of the least sure part; None if landmarks decided all maps.
-
-    Its answers' positions are left out.
-    """
+    """The confidence of the least sure part, without positions; None if landmarks decided all maps."""
     known, start = [], 0
     for part in parts:
         if part.confidence is not None:

@@ -21,15 +21,14 @@ from cagemap.files.gltf.nodes import moved_nodes
 from cagemap.files.gltf.parts import Scene, transform_part
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.ownership import mark
-from cagemap.files.usd.animations import SKELETON, write_rig
 from cagemap.files.usd.materials import WRITTEN, uv_primvar, write_materials
 from cagemap.files.usd.prims import faces_by_name
+from cagemap.files.usd.skeleton import SKELETON, write_rig
 from cagemap.files.usd.space import StageSpace, to_metres
 from cagemap.files.usd.stages import identifiers, open_stage, pxr
 from cagemap.files.usd.write import check_usd_path, export_layer, new_stage
 from cagemap.files.usd.write_mesh import (
     write_blend_shapes,
-    write_corner_colors,
     write_subsets,
     write_topology,
     write_uvs,
@@ -64,7 +63,7 @@ def write_usd_character(
 
     Notes say what USD has no place for.
 
-    ``scene``: the same character as a glTF document: its materials, images and weights of blend shapes are written.
+    ``scene``: the same character as a glTF document: its materials and images are written.
     ``character``: in metres with Y up, as ``scene``.
     ``space``: to write it in, whose transform is a similarity without a mirror; default: metres with Y up.
     ``kept``: resolved paths of files that no image replaces, such as images of the character's file.
@@ -84,7 +83,7 @@ def write_usd_character(
     if any(part.shape_normals for part in character.parts):
         notes.append("normals of blend shapes are left out; programs compute them")
     if rig is not None:
-        notes += write_rig(stage, rig, character.animations, scene)
+        notes += write_rig(stage, rig, character.animations, character.parts)
     sizes, numbers = {}, material_names(scene.document)
     labels = identifiers((part.name for part in character.parts), ("skeleton", "animations", "materials"))
     for label, part in zip(labels, character.parts, strict=True):
@@ -115,9 +114,7 @@ def _to_space(character: Character, space: StageSpace) -> Character:
 
 def _write_part(stage: Any, path: str, part: Part, materials: Mapping[str, Any], *, skinned: bool) -> Any:
     mesh, prim = part.mesh, pxr.UsdGeom.Mesh.Define(stage, path)
-    write_topology(prim, mesh)
-    if part.colors is not None:
-        write_corner_colors(prim, part.colors)
+    write_topology(prim, mesh, part.colors)
     if mesh.scheme is None or isinstance(mesh.scheme, Plain):  # subdivision surfaces have normals of their own
         smooth = vertex_normals(mesh.positions, cage_triangles(mesh)[0])[mesh.face_indices]
         normals, interpolation = smooth if part.normals is None else part.normals, "faceVarying"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,9 +12,8 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.character.poses import parent_transforms
-from cagemap.character.values import Animation, Channel, Character, Part, Rig, Track
+from cagemap.character.values import Animation, Channel, Character, Part, Rig, ShapeTrack, Track
 from cagemap.errors import FormatError
-from cagemap.files.gltf.binary import Binary, add_channel
 from cagemap.files.gltf.character import to_rig_space
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.geometry import uv_sets_in_order
@@ -23,7 +21,6 @@ from cagemap.files.gltf.nodes import is_invertible
 from cagemap.files.gltf.parts import transform_part
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.text import make_distinct
-from cagemap.files.usd.animations import remove_scale
 from cagemap.files.usd.prims import (
     BLEND_SHAPE,
     JOINT_WEIGHTS,
@@ -34,8 +31,8 @@ from cagemap.files.usd.prims import (
 )
 from cagemap.files.usd.read import UsdMesh, prims_of, read_usd_meshes
 from cagemap.files.usd.shader_inputs import color_uv_name
-from cagemap.files.usd.shaders import MaterialUser, with_materials
-from cagemap.files.usd.skeleton import joint_names, joint_parents, joints_of
+from cagemap.files.usd.shaders import with_materials
+from cagemap.files.usd.skeleton import joint_names, joint_parents, joints_of, remove_scale
 from cagemap.files.usd.space import stage_units, to_metres
 from cagemap.files.usd.stages import damage_as_error, open_each_once, open_stage, pxr
 from cagemap.files.usd.transforms import is_similarity, local_to_world
@@ -69,38 +66,29 @@ def document_and_character(path: str | Path, meshes: Sequence[UsdMesh] | None = 
     file = Path(path)
     with damage_as_error(file), open_each_once():
         stage, meshes = open_stage(file), read_usd_meshes(file) if meshes is None else meshes
-        character, weights = _read(file, stage, meshes)
+        character = _read(file, stage, meshes)
         plain = replace(character_glb(character), file=file)
-        users = dict[str, list[MaterialUser]]()
+        uv_sets, double_sided = dict[str, list[tuple[str, ...]]](), set[str]()
         for part, mesh in zip(character.parts, meshes, strict=True):
-            double_sided = bool(pxr.UsdGeom.Mesh(stage.GetPrimAtPath(mesh.path)).GetDoubleSidedAttr().Get())
-            user = MaterialUser(tuple(one.name for one in uv_sets_in_order(part.mesh)), double_sided)
+            if pxr.UsdGeom.Mesh(stage.GetPrimAtPath(mesh.path)).GetDoubleSidedAttr().Get():
+                double_sided |= set(part.mesh.material_names) - uv_sets.keys()  # by the first mesh of a material
             for name in part.mesh.material_names:
-                users.setdefault(name, []).append(user)
-        document = with_materials(_with_shape_weights(plain, character, weights), stage, users)
+                uv_sets.setdefault(name, []).append(tuple(one.name for one in uv_sets_in_order(part.mesh)))
+        document = with_materials(plain, stage, uv_sets, double_sided)
     return document, character
 
 
-# Times in seconds, and weights (k, shapes) of named blend shapes, by animation; with the name "" those at rest.
-_ShapeWeights = dict[str, tuple[FloatArray, dict[str, FloatArray]]]
-
-
-def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character, _ShapeWeights]:
+def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> Character:
     prims = [stage.GetPrimAtPath(mesh.path) for mesh in meshes]
     bound = [pxr.UsdSkel.BindingAPI(prim).GetInheritedSkeleton() for prim in prims]
     skeletons = {str(one.GetPath()): one for one in bound if one}
     if len(skeletons) > 1:
         raise FormatError(f"{file}: expected one skeleton, got {', '.join(skeletons)}. Export one character alone.")
     to_world, rig = to_metres(stage_units(file)), None
-    animations, weights = tuple[Animation, ...](), _ShapeWeights()
     rig_to_world = to_world
     for skeleton in skeletons.values():
         rig_to_world = local_to_world(skeleton.GetPrim()) @ to_world
         rig = _rig(file, skeleton, rig_to_world)
-        animations, weights = _animations(file, stage, skeleton, rig, rig_to_world)
-        if animations and not is_similarity(rig_to_world):
-            text = "%s: %s: its transform scales unevenly, so that joints move otherwise than in USD; apply its scale"
-            _log.warning(text, file, skeleton.GetPath())
     animated = [one for one in (*prims, *(one.GetPrim() for one in skeletons.values())) if _is_animated(one)]
     if animated:
         text = "%s: the animation of %s is left out: only that of joints and weights of blend shapes is kept"
@@ -137,24 +125,27 @@ def _read(file: Path, stage: Any, meshes: Sequence[UsdMesh]) -> tuple[Character,
             _log.warning(text, file, mesh.path)
         part = Part(name, control, table, shapes, normals, shape_normals, mesh.colors)
         parts.append(transform_part(part, mesh_to_world))
-    if rig is not None:
-        rig, animations = remove_scale(rig, animations)
-    return Character(tuple(parts), rig, animations), weights
+    if rig is None:
+        return Character(tuple(parts))
+    (skeleton,) = skeletons.values()
+    animations, rest = _animations(file, stage, skeleton, rig, rig_to_world, parts)
+    if animations and not is_similarity(rig_to_world):
+        text = "%s: %s: its transform scales unevenly, so that joints move otherwise than in USD; apply its scale"
+        _log.warning(text, file, skeleton.GetPath())
+    at_rest = ({name: rest[name] for name in part.shapes if name in rest} for part in parts)
+    parts = [replace(part, shape_weights=weights) for part, weights in zip(parts, at_rest, strict=True)]
+    return Character(tuple(parts), *remove_scale(rig, animations))
 
 
 def _is_animated(prim: Any) -> bool:
     """Whether the points, visibility or transform of a prim, or of one above it, change with time."""
     prims = map(prim.GetStage().GetPrimAtPath, prim.GetPath().GetPrefixes())
-    attributes = {attribute: attribute.GetName() for one in prims for attribute in one.GetAttributes()}
-    shown = [one for one, name in attributes.items() if name.startswith("xformOp:") or name in _SHOWN]
-    return any(map(_changes, shown))
-
-
-def _changes(attribute: Any) -> bool:
-    """Whether the time samples of an attribute differ."""
-    values = map(attribute.Get, attribute.GetTimeSamples())
-    first = next(values, None)
-    return any(value != first for value in values)
+    for attribute in (attribute for one in prims for attribute in one.GetAttributes()):
+        if attribute.GetName().startswith("xformOp:") or attribute.GetName() in _SHOWN:
+            values = [attribute.Get(code) for code in attribute.GetTimeSamples()]
+            if any(value != values[0] for value in values):
+                return True
+    return False
 
 
 def _normals(where: str, prim: Any, control: ControlMesh) -> FloatArray | None:
@@ -194,14 +185,14 @@ def _rig(file: Path, skeleton: Any, rig_to_world: FloatArray) -> Rig:
 
 
 def _animations(
-    file: Path, stage: Any, skeleton: Any, rig: Rig, rig_to_world: FloatArray
-) -> tuple[tuple[Animation, ...], _ShapeWeights]:
-    """Animations of a skeleton's joints, the bound one first, and their weights of blend shapes."""
+    file: Path, stage: Any, skeleton: Any, rig: Rig, rig_to_world: FloatArray, parts: Sequence[Part]
+) -> tuple[tuple[Animation, ...], dict[str, float]]:
+    """Animations of a skeleton, the bound one first, and weights of blend shapes that are the same in all of them."""
     bound = pxr.UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource()
     prims = [*([bound] if bound else []), *prims_of(stage, pxr.UsdSkel.Animation)]
     prims = [pxr.UsdSkel.Animation(prim) for prim in dict.fromkeys(prims)]
     joints = [str(joint) for joint in skeleton.GetJointsAttr().Get()]
-    found, weights = [], _ShapeWeights()
+    found = []
     given = [attribute for one in prims for attribute in (*_channels(one).values(), one.GetBlendShapeWeightsAttr())]
     rate = stage.GetTimeCodesPerSecond()
     if any(one.GetNumTimeSamples() > 1 for one in given) and not 0.0 < rate < np.inf:
@@ -220,24 +211,28 @@ def _animations(
                         keys = to_rig_space(keys, channel, rig_to_world)
                     kept = slice(None) if np.ptp(keys, axis=0).any() else slice(1)
                     tracks.append(Track(joints.index(joint), channel, times[kept], keys[kept]))
-        shapes = [str(shape) for shape in animation.GetBlendShapesAttr().Get() or []]
+        shapes = tuple(str(shape) for shape in animation.GetBlendShapesAttr().Get() or [])
         times, values = _samples(animation.GetBlendShapeWeightsAttr(), len(shapes), start, rate)
-        if len(times):
-            weights[name] = times, dict(zip(shapes, values.T, strict=True))
-        found.append(Animation(name, tuple(tracks)))
-    if len(prims) > 1 or bound:
-        weights = _with_rest(weights, len(prims))
-    return tuple(one for one in found if one.tracks or one.name in weights), weights
+        shape_tracks = [ShapeTrack(part.name, shapes, times, values) for part in parts if len(times)]
+        found.append(Animation(name, tuple(tracks), tuple(shape_tracks)))
+    rest = _common_weights(found) if len(prims) > 1 or bound else {}
+    is_at_rest = [all(rest.keys() >= set(track.shapes) for track in one.shape_tracks) for one in found]
+    found = [replace(one, shape_tracks=()) if still else one for one, still in zip(found, is_at_rest, strict=True)]
+    return tuple(one for one in found if one.tracks or one.shape_tracks), rest
 
 
-def _with_rest(weights: _ShapeWeights, count: int) -> _ShapeWeights:
-    """Weights of ``count`` clips; those that are constant, and equal in all clips, are at rest, named ''."""
-    clips = [values for _, values in weights.values()]
-    constant = [{name: row[0] for name, row in values.items() if not np.ptp(row)} for values in clips]
-    common = set.intersection(*(set(values.items()) for values in constant)) if len(clips) == count else set()
-    rest = {name: np.array([value]) for name, value in common}
-    kept = {name: clip for name, clip in weights.items() if clip[1].keys() - rest.keys()}
-    return kept | ({"": (np.zeros(1), rest)} if rest else {})
+def _common_weights(animations: Sequence[Animation]) -> dict[str, float]:
+    """Weights of blend shapes that are constant, and equal in all animations."""
+    constant = [
+        {
+            (name, float(row[0]))
+            for track in one.shape_tracks
+            for name, row in zip(track.shapes, track.values.T, strict=True)
+            if not np.ptp(row)
+        }
+        for one in animations
+    ]
+    return dict(sorted(set.intersection(*constant)))
 
 
 def _channels(animation: Any) -> dict[Channel, Any]:
@@ -250,37 +245,10 @@ def _channels(animation: Any) -> dict[Channel, Any]:
 
 
 def _samples(attribute: Any, rows: int, start: float, rate: float) -> tuple[FloatArray, FloatArray]:
-    """Times in seconds since a time code, and values (k, rows, ...) of an attribute; none if it has no such values.
-
-    ``rate``: time codes per second.
-    """
+    """Times in seconds since a time code, and values (k, rows, ...) of an attribute; none if it has no such values."""
     codes = attribute.GetTimeSamples() or [pxr.Usd.TimeCode.Default()]
     values = [attribute.Get(code) for code in codes]
     if not rows or any(value is None or len(value) != rows for value in values):
         return np.zeros(0), np.zeros((0, rows))
     times = np.array([0.0 if len(codes) == 1 else (code - start) / rate for code in codes])
     return times, np.array([np.array(value) for value in values], dtype=np.float64)
-
-
-def _with_shape_weights(document: Document, character: Character, weights: _ShapeWeights) -> Document:
-    """The document with weights of blend shapes, in its meshes those at rest."""
-    binary, top = Binary(document), json.loads(json.dumps(document.json))
-    nodes = {entry["name"]: number for number, entry in enumerate(top["nodes"]) if "mesh" in entry}
-    for name, (times, values) in weights.items():
-        entries = top.setdefault("animations", [])
-        entry = next((one for one in entries if one["name"] == name), None)
-        if entry is None:
-            entry = {"name": name, "samplers": [], "channels": []}
-            entries.append(entry)
-        for part in character.parts:
-            if not set(part.shapes) & set(values):
-                continue
-            table = np.column_stack([values.get(shape, np.zeros(len(times))) for shape in part.shapes])
-            if not name:
-                top["meshes"][top["nodes"][nodes[part.name]]["mesh"]]["weights"] = table[0].tolist()
-                continue
-            sampler = {"input": binary.times(times), "output": binary.accessor(table.astype("<f4").ravel())}
-            add_channel(entry, nodes[part.name], "weights", sampler)
-        if not entry["channels"]:
-            entries.remove(entry)
-    return binary.document({key: value for key, value in top.items() if key != "animations" or value})

@@ -11,10 +11,18 @@ from typing import Any
 import numpy as np
 
 from cagemap.files.gltf.entries import Document, image_bytes
-from cagemap.files.gltf.material_images import MaterialImage, material_images, png_bytes
 from cagemap.files.gltf.primitives import material_names
-from cagemap.files.gltf.textures import CLAMP, MIRROR, REPEAT, WITHOUT_IMAGE, scale_and_angle, texture_slots
-from cagemap.files.images.image import image_of_bytes
+from cagemap.files.gltf.textures import (
+    CLAMP,
+    MIRROR,
+    REPEAT,
+    WITHOUT_IMAGE,
+    MaterialImage,
+    material_images,
+    scale_and_angle,
+    texture_slots,
+)
+from cagemap.files.images.image import image_of_bytes, png_bytes
 from cagemap.files.ownership import is_own, mark
 from cagemap.files.usd.results import connect_texture, define_material, uv_reader
 from cagemap.files.usd.stages import identifiers, pxr
@@ -63,7 +71,8 @@ def write_materials(
         for wanted, slot, channels, scale, bias in _inputs(document, entry, name, holders):
             if slot not in used:
                 if slot not in (_NORMAL, _OCCLUSION) and not (slot in holders and slot in WITHOUT_IMAGE):
-                    _set_constant(surface, wanted, scale)
+                    kind, value = ("Color3f", tuple(scale.tolist())) if len(scale) == 3 else ("Float", float(scale[0]))
+                    surface.CreateInput(wanted, getattr(pxr.Sdf.ValueTypeNames, kind)).Set(value)
                 continue
             number = used[slot].image
             if number not in file_of:
@@ -111,14 +120,6 @@ def _inputs(
     if mode == "MASK":
         inputs.append(("opacityThreshold", "", "", np.array([number(entry, "alphaCutoff", 0.5)]), 0.0))
     return inputs
-
-
-def _set_constant(surface: Any, name: str, value: FloatArray) -> None:
-    types = pxr.Sdf.ValueTypeNames
-    if len(value) == 3:
-        surface.CreateInput(name, types.Color3f).Set(tuple(value.tolist()))
-    else:
-        surface.CreateInput(name, types.Float).Set(float(value[0]))
 
 
 def _scaling(scale: FloatArray, bias: float) -> dict[str, object]:

@@ -287,7 +287,9 @@ def face_sets(where: str, prim: Any, n_faces: int, labels: Mapping[str, str]) ->
         name = labels.get(path, path)
         if name not in names:
             names.append(name)
-            colors.append(_diffuse_color(material))
+            surface = material.ComputeSurfaceSource()[0]
+            color = setting_of(surface, "diffuseColor", None) if surface else None
+            colors.append(np.full(3, np.nan) if color is None else np.array(color, dtype=np.float64))
         return names.index(name)
 
     bound = bound_material(prim)
@@ -305,7 +307,9 @@ def face_sets(where: str, prim: Any, n_faces: int, labels: Mapping[str, str]) ->
         if material_of_subset and (not bound or material_of_subset.GetPath() != bound.GetPath()):
             materials[faces] = number(material_of_subset)
         elif subset.GetFamilyNameAttr().Get() != "materialBind":
-            groups.append((_group_name(subset.GetPrim()), faces))
+            title = str(subset.GetPrim().GetDisplayName())
+            is_word = title.split() == [title]  # one with blanks would be several groups
+            groups.append((title if is_word else str(subset.GetPrim().GetName()), faces))
     result: dict[str, Any] = {}
     if names:
         unbound = materials < 0
@@ -319,12 +323,6 @@ def face_sets(where: str, prim: Any, n_faces: int, labels: Mapping[str, str]) ->
     return result
 
 
-def _group_name(subset: Any) -> str:
-    """Display name of a subset; one with blanks would be several groups, so its identifier is taken."""
-    shown = str(subset.GetDisplayName())
-    return shown if shown.split() == [shown] else str(subset.GetName())
-
-
 def _make_groups_disjoint(groups: list[tuple[str, IndexArray]], n_faces: int) -> dict[str, Any]:
     """Disjoint groups from overlapping ones: the given names first, then combinations."""
     names, inside = [name for name, _ in groups], np.zeros((n_faces, len(groups)), dtype=np.bool_)
@@ -336,13 +334,6 @@ def _make_groups_disjoint(groups: list[tuple[str, IndexArray]], n_faces: int) ->
     number_of = {title: number for number, title in enumerate(dict.fromkeys([*names, *in_order]))}
     numbers = np.array([number_of[title] for title in titles], dtype=np.int64)
     return {"face_groups": numbers[which.ravel()], "group_names": tuple(number_of)}
-
-
-def _diffuse_color(material: Any) -> FloatArray:
-    """Constant diffuse colour of a UsdPreviewSurface; NaN without one."""
-    surface = material.ComputeSurfaceSource()[0]
-    value = setting_of(surface, "diffuseColor", None) if surface else None
-    return np.full(3, np.nan) if value is None else np.array(value, dtype=np.float64)
 
 
 def faces_by_name(mesh: ControlMesh) -> list[tuple[str, IndexArray, FloatArray | None]]:

@@ -23,11 +23,15 @@ from cagemap.files.usd.prims import (
     display_colors,
     face_sets,
     index_array,
+    is_uv_set,
     primvar_arrays,
     read_value,
+    skinning_attribute,
     transform_points,
     uv_primvars,
+    value_primvars,
 )
+from cagemap.files.usd.shader_inputs import bound_material, color_uv_name
 from cagemap.files.usd.stages import damage_as_error, open_stage, pxr
 from cagemap.files.usd.transforms import drop_flattened, is_mirrored, is_similarity, local_to_world
 from cagemap.mesh import ControlMesh, Scheme
@@ -95,7 +99,9 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
         meshes = tuple(_read_prim(file, prim, labels) for prim in drop_flattened(file, meshes_with_points(stage)))
     if not meshes:
         what = f"got {len(prims)} without points" if prims else "got none"
-        open_sets = _variants_without_choice(stage)
+        sets = [(prim, prim.GetVariantSets()) for prim in stage.Traverse()]
+        names = [(prim, of_prim, name) for prim, of_prim in sets for name in of_prim.GetNames()]
+        open_sets = [f"{prim.GetPath()} ({n})" for prim, of_prim, n in names if not of_prim.GetVariantSelection(n)]
         remedy = (
             f"Choose one of the variants of {', '.join(open_sets)}."
             if open_sets and not prims
@@ -114,12 +120,10 @@ def meshes_with_points(stage: Any) -> list[Any]:
 
 def _is_final(prim: Any) -> bool:
     """Whether a prim is visible, not a preview by its purpose, and not a prototype of a point instancer."""
-    above = prim.GetParent()
-    while above:
-        if above.IsA(pxr.UsdGeom.PointInstancer):
-            return False
-        above = above.GetParent()
+    above = map(prim.GetStage().GetPrimAtPath, prim.GetPath().GetParentPath().GetPrefixes())
     imageable = pxr.UsdGeom.Imageable(prim)
+    if any(one.IsA(pxr.UsdGeom.PointInstancer) for one in above):
+        return False
     return str(imageable.ComputePurpose()) not in _STAND_INS and str(imageable.ComputeVisibility()) != "invisible"
 
 
@@ -142,16 +146,6 @@ def material_labels(stage: Any) -> dict[str, str]:
     return labels
 
 
-def _variants_without_choice(stage: Any) -> list[str]:
-    """Variant sets of a stage without a chosen variant."""
-    return [
-        f"{prim.GetPath()} ({name})"
-        for prim in stage.Traverse()
-        for name in prim.GetVariantSets().GetNames()
-        if not prim.GetVariantSets().GetVariantSelection(name)
-    ]
-
-
 def read_usd(path: str | Path, *, mixed: bool = False) -> ControlMesh:
     """Read a control mesh from a USD file; several prims become objects of one mesh in world space.
 
@@ -168,7 +162,9 @@ def join_usd_meshes(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool 
         if change == "mirrors" or not is_similarity(meshes[0].to_world):
             text = "%s: the transform of %s %s it, but the points are taken as they are; apply it to them"
             logger.warning(text, file, meshes[0].path, change)
-        upright = upright_rotation(meshes[0].to_world[:3, :3] @ meshes[0].world_upright)
+        # The nearest rotation; of a map that mirrors, left and right are exchanged.
+        left, _, right = np.linalg.svd(meshes[0].to_world[:3, :3] @ meshes[0].world_upright)
+        upright = left @ right @ np.diag([np.linalg.det(left @ right), 1.0, 1.0])
         return replace(meshes[0].control, upright=upright, name=file.name)
     schemes = {mesh.control.scheme: mesh.path for mesh in meshes}
     whole = replace(join_meshes([place_in_world(mesh).control for mesh in meshes]), name=file.name)
@@ -182,12 +178,6 @@ def join_usd_meshes(path: str | Path, meshes: Sequence[UsdMesh], *, mixed: bool 
             f"{', '.join(words.values())}). Match the one that is meant (`find_part` NAME)."
         )
     return whole
-
-
-def upright_rotation(linear: FloatArray) -> FloatArray:
-    """The rotation (3, 3) nearest to a linear map of rows; of a map that mirrors, left and right are exchanged."""
-    left, _, right = np.linalg.svd(linear)
-    return np.asarray(left @ right @ np.diag([np.linalg.det(left @ right), 1.0, 1.0]))
 
 
 def one_mesh(path: str | Path, meshes: tuple[UsdMesh, ...], control: ControlMesh | None) -> UsdMesh:
@@ -343,3 +333,35 @@ def _reverse_orientation(mesh: UsdMesh) -> UsdMesh:
         attributes = {name: rows[mirrored] if len(rows) == len(mirrored) else rows for name, rows in attributes.items()}
     colors = None if mesh.colors is None else mesh.colors[mirrored]
     return replace(mesh, control=turned, attributes=attributes, colors=colors)
+
+
+def left_out_of_usd(path: str | Path) -> list[str]:
+    """What `read_usd` leaves out: primvars, weights, blend shapes, skeletons, animations, images of materials.
+
+    Nothing is logged, since the file has been read before.
+    """
+    with damage_as_error(path):
+        stage = open_stage(path, warn=False)
+        prims = drop_flattened(Path(path), meshes_with_points(stage), warn=False)
+        bindings = list(map(pxr.UsdSkel.BindingAPI, prims))
+        has_skeleton = any(one.GetInheritedSkeleton() for one in bindings)
+        tracks = (one for prim in prims_of(stage, pxr.UsdSkel.Animation) for one in prim.GetAttributes())
+        held = {
+            "skinning weights": any(skinning_attribute(prim, "primvars:skel:jointWeights") for prim in prims),
+            "blend shapes": any(one.GetBlendShapesAttr().Get() for one in bindings),
+            "skeleton": has_skeleton,
+            "animations": has_skeleton and any(one.GetNumTimeSamples() > 1 for one in tracks),
+            "images of materials": any(map(_has_images, prims)),
+        }
+        values = [(one, prim) for prim in prims for one, _ in value_primvars(prim, ("displayColor",))]
+        primvars = {one.GetPrimvarName() for one, prim in values if not is_uv_set(one, color_uv_name(prim))}
+    return [*sorted(primvars), *(name for name, is_there in held.items() if is_there)]
+
+
+def _has_images(prim: Any) -> bool:
+    """Whether a material of a mesh, or of a subset of its faces, has an image."""
+    subsets = pxr.UsdGeom.Subset.GetAllGeomSubsets(pxr.UsdGeom.Imageable(prim))
+    bound = (bound_material(one) for one in (prim, *(subset.GetPrim() for subset in subsets)))
+    inside = pxr.Usd.TraverseInstanceProxies()
+    shaders = (one for material in bound if material for one in pxr.Usd.PrimRange(material.GetPrim(), inside))
+    return any(pxr.UsdShade.Shader(one).GetIdAttr().Get() == "UsdUVTexture" for one in shaders)

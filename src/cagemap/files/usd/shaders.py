@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import logging
 import zipfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document
-from cagemap.files.gltf.material_images import png_bytes
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import REPEAT, WITHOUT_IMAGE, AddedTextures, png_or_jpeg
-from cagemap.files.images.image import UDIM_MARK, Image, Pixels, image_of_bytes
+from cagemap.files.images.image import UDIM_MARK, Image, Pixels, image_of_bytes, png_bytes
 from cagemap.files.usd.materials import STRENGTH, WRAP_WORDS
 from cagemap.files.usd.read import material_labels
 from cagemap.files.usd.shader_inputs import setting_of, shader_of, source_of, uv_name, uv_transform
@@ -40,27 +39,22 @@ _CHANNELS = ("r", "g", "b")
 _WRAP_MODES = {word: mode for mode, word in WRAP_WORDS.items()}
 
 
-@dataclass(frozen=True)
-class MaterialUser:
-    """A mesh that has a material."""
-
-    uv_sets: tuple[str, ...]  # names of its UV sets, in the order of the document
-    double_sided: bool
-
-
-def with_materials(document: Document, stage: Any, users: Mapping[str, Sequence[MaterialUser]]) -> Document:
+def with_materials(
+    document: Document, stage: Any, uv_sets: Mapping[str, Sequence[tuple[str, ...]]], double_sided: Collection[str]
+) -> Document:
     """The document with factors, images and opacity of the materials of a stage.
 
-    ``users``: by name of a material; the first mesh tells whether it is double-sided, and the numbers of UV sets.
+    ``uv_sets``: names of the UV sets of each mesh that has a material, by its name.
+    ``double_sided``: names of materials.
     """
     named = {label: stage.GetPrimAtPath(path) for path, label in material_labels(stage).items()}
     made = _Materials(document)
     for entry, name in zip(made.top.get("materials", []), material_names(document), strict=True):
-        entry |= {"doubleSided": True} if users[name][0].double_sided else {}
+        entry |= {"doubleSided": True} if name in double_sided else {}
         material = pxr.UsdShade.Material(named[name]) if name in named else None
         surface = material.ComputeSurfaceSource()[0] if material else None
         if surface and surface.GetIdAttr().Get() == "UsdPreviewSurface":
-            made.fill(entry, surface, [user.uv_sets for user in users[name]])
+            made.fill(entry, surface, uv_sets[name])
         elif material and material.GetSurfaceOutputs():
             text = "%s: %s: has no UsdPreviewSurface: its colours and images are left out; add one to keep them"
             _log.warning(text, document.file, name)
@@ -150,7 +144,11 @@ class _Materials:
             found = self._find_image(entry["name"], surface, slot, pairs) if pairs else None
             table = base if slot in ("baseColorTexture", "metallicRoughnessTexture") else entry
             if pairs and found is None:
-                self._reset_factors(entry, table, slot, pairs)
+                defaults = WITHOUT_IMAGE.get(slot, {})
+                names = [of.removesuffix("Color") for of in pairs]
+                table |= {key: value for key, value in defaults.items() if key.startswith(tuple(names))}
+                if slot == "emissiveTexture":
+                    entry.pop("extensions", None)
             elif found is not None and slot:
                 if not all(_is_plain(texture, slot) for texture in pairs.values()):
                     text = "%s: %s: the image of its %s is taken as it is, without scale, bias or colour space of USD"
@@ -169,10 +167,7 @@ class _Materials:
     def _find_image(
         self, material: str, surface: Any, slot: str, pairs: dict[str, Any]
     ) -> tuple[bytes, tuple[int, int]] | None:
-        """Image of a slot and its wrap modes; None, with a warning, if glTF has no place for it.
-
-        ``pairs``: texture shaders by input.
-        """
+        """Image of texture shaders by input, and its wrap modes; None, with a warning, if glTF has no place for it."""
         outputs = _SLOTS.get(slot, {"opacity": "a"})
         images = {self._image_and_wraps(texture) for texture in pairs.values()}
         named = {name: source_of(surface, name).GetBaseName() for name in pairs}
@@ -195,21 +190,8 @@ class _Materials:
             return image, wraps
         return None
 
-    def _reset_factors(self, entry: dict[str, Any], table: dict[str, Any], slot: str, pairs: dict[str, Any]) -> None:
-        """Replace the factors of images that are left out by the defaults of UsdPreviewSurface."""
-        table |= {
-            name: value
-            for name, value in WITHOUT_IMAGE.get(slot, {}).items()
-            if any(name.startswith(of.removesuffix("Color")) for of in pairs)
-        }
-        if slot == "emissiveTexture":
-            entry.pop("extensions", None)
-
     def _pack_channels(self, surface: Any, pairs: dict[str, Any]) -> tuple[bytes, tuple[int, int]] | None:
-        """An image with roughness in green and metallic in blue, of channels of other images; None if they differ.
-
-        They differ if one cannot be read, or if they are repeated or placed in different ways.
-        """
+        """Roughness in green and metallic in blue, of images that are placed in one way; None if they are not."""
         texels: dict[str, Pixels] = {}
         places = []
         for name, texture in pairs.items():

@@ -160,14 +160,15 @@ def write_usd_over(
             stage.SetMetadata(name, target_stage.GetMetadata(name))
     top = prims[0].GetPath().GetPrefixes()[0]
     layer.defaultPrim = (target_stage.GetDefaultPrim() or target_stage.GetPrimAtPath(top)).GetName()
-    if _needs_skeleton(results) and not any(p.IsA(pxr.UsdSkel.Root) for p in _ancestors(prims[0])):
+    above_first = map(target_stage.GetPrimAtPath, prims[0].GetPath().GetPrefixes())
+    if _needs_skeleton(results) and not any(prim.IsA(pxr.UsdSkel.Root) for prim in above_first):
         if prims[0].GetPath() == top:
             text = "%s: %s is the topmost prim; USD poses only meshes below a SkelRoot: put it below such a prim"
             _log.warning(text, target, top)
         else:
             stage.OverridePrim(top).SetTypeName("SkelRoot")
     for prim, prim_path in zip(prims, prim_paths, strict=True):
-        for above in reversed(_ancestors(prim)):
+        for above in map(target_stage.GetPrimAtPath, prim.GetPath().GetPrefixes()):
             if above.IsInstance():  # prims below an instance cannot be overridden
                 stage.OverridePrim(above.GetPath()).SetInstanceable(False)
         to_world = local_to_world(prim)
@@ -184,14 +185,6 @@ def write_usd_over(
     del stage  # otherwise it searches the sublayer relative to the unsaved layer, and warns
     layer.subLayerPaths = [Path(os.path.relpath(Path(target).resolve(), file.resolve().parent)).as_posix()]
     return _save(layer, file, prim_paths, force=force)
-
-
-def _ancestors(prim: Any) -> list[Any]:
-    ancestors = []
-    while prim and not prim.IsPseudoRoot():
-        ancestors.append(prim)
-        prim = prim.GetParent()
-    return ancestors
 
 
 def check_usd_path(file: Path, *, package: bool = False) -> None:

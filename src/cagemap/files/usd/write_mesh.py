@@ -23,8 +23,11 @@ from cagemap.numerics.srgb import decode_srgb
 CORNERS = "faceVarying"
 
 
-def write_topology(prim: Any, mesh: ControlMesh) -> None:
-    """Write points, faces, subdivision, creases and vertex colours of a mesh."""
+def write_topology(prim: Any, mesh: ControlMesh, colors: FloatArray | None = None) -> None:
+    """Write points, faces, subdivision, creases and vertex colours of a mesh.
+
+    ``colors``: linear, with opacity (c, 4), of the face corners; in place of those of vertices.
+    """
     points = pxr.Vt.Vec3fArray.FromNumpy(mesh.positions.astype(np.float32))
     prim.CreatePointsAttr(points)
     prim.CreateExtentAttr(pxr.UsdGeom.PointBased.ComputeExtent(points))
@@ -45,18 +48,15 @@ def write_topology(prim: Any, mesh: ControlMesh) -> None:
         prim.CreateCornerSharpnessesAttr(_floats(mesh.corner_sharpness))
     if mesh.hole_faces is not None and len(mesh.hole_faces):
         prim.CreateHoleIndicesAttr(_ints(mesh.hole_faces))
-    if mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
+    if colors is not None:
+        of_corners = np.ascontiguousarray(colors[:, :3], dtype=np.float32)
+        prim.CreateDisplayColorPrimvar(CORNERS).Set(pxr.Vt.Vec3fArray.FromNumpy(of_corners))
+        if (colors[:, 3] < 1.0).any():
+            prim.CreateDisplayOpacityPrimvar(CORNERS).Set(_floats(colors[:, 3]))
+    elif mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
         color = prim.CreateDisplayColorPrimvar("vertex")
         linear = decode_srgb(np.clip(mesh.vertex_colors, 0.0, 1.0))
         color.Set(pxr.Vt.Vec3fArray.FromNumpy(linear.astype(np.float32)))
-
-
-def write_corner_colors(prim: Any, colors: FloatArray) -> None:
-    """Write linear colours with opacity (c, 4) of the face corners, in place of those of vertices."""
-    color = prim.CreateDisplayColorPrimvar(CORNERS)
-    color.Set(pxr.Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(colors[:, :3], dtype=np.float32)))
-    if (colors[:, 3] < 1.0).any():
-        prim.CreateDisplayOpacityPrimvar(CORNERS).Set(_floats(colors[:, 3]))
 
 
 def _camel_case(word: str) -> str:
@@ -91,21 +91,18 @@ def write_subsets(stage: Any, prim: Any, mesh: ControlMesh, materials: Mapping[s
             bound = prim.GetPrim()
         if color is None:
             continue
-        path = f"/Asset/materials/{label}"
-        material = _colored_material(stage, path, name, color) if materials is None else materials[name]
+        if materials is None:
+            material, surface = define_material(stage, f"/Asset/materials/{label}")
+            material.GetPrim().SetDisplayName(name)
+            if np.isfinite(color).all():
+                value = pxr.Gf.Vec3f(*map(float, color))
+                surface.CreateInput("diffuseColor", pxr.Sdf.ValueTypeNames.Color3f).Set(value)
+        else:
+            material = materials[name]
         pxr.UsdShade.MaterialBindingAPI.Apply(bound).Bind(material)
     if mesh.face_materials is not None:
         pxr.UsdGeom.Subset.SetFamilyType(prim, "materialBind", "nonOverlapping")
         pxr.UsdGeom.Scope.Define(stage, "/Asset/materials")
-
-
-def _colored_material(stage: Any, path: str, name: str, color: FloatArray) -> Any:
-    material, surface = define_material(stage, path)
-    material.GetPrim().SetDisplayName(name)
-    if np.isfinite(color).all():
-        value = pxr.Gf.Vec3f(*map(float, color))
-        surface.CreateInput("diffuseColor", pxr.Sdf.ValueTypeNames.Color3f).Set(value)
-    return material
 
 
 def interpolation(mesh: ControlMesh, count: int, place: str | None = None) -> str | None:

@@ -19,15 +19,13 @@ from cagemap.files.gltf.read import gltf_weights
 from cagemap.files.npz import read_npy, read_npz, write_npy, write_npz
 from cagemap.files.ownership import mark
 from cagemap.files.schema import Record, parse_json, parse_record, to_json
-from cagemap.files.text import is_number, read_text, require_file
+from cagemap.files.text import is_number, read_text, require_file, require_suffix
 from cagemap.files.usd.prims import JOINT_WEIGHTS
 from cagemap.files.usd.read import one_mesh, place_in_world, read_usd_meshes
 from cagemap.files.usd.stages import is_usd
-from cagemap.files.values.part_numbering import FileRows, prim_rows, to_part
+from cagemap.files.values.part_numbering import Attributes, FileRows, prim_rows, to_part
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, as_float64
-
-Attributes = dict[str, NDArray[Any]]
 
 
 def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: FileRows | None = None) -> Attributes:
@@ -90,7 +88,7 @@ def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]], *
     groups. An ``.npy`` or ``.csv`` stores no mark of cagemap: an existing one is replaced only with ``force``.
     """
     file = Path(path)
-    check_attribute_path(file)
+    require_suffix(file, VALUE_SUFFIXES)
     suffix = file.suffix.lower()
     if suffix == ".npy" and len(attributes) != 1:
         raise FormatError(f"{file}: an .npy holds one array, got {sorted(attributes)}. Write an .npz.")
@@ -106,14 +104,6 @@ def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]], *
             temporary.write_text(groups_text(attributes, file), encoding="utf-8")
         else:
             _write_csv(temporary, attributes)
-
-
-def check_attribute_path(file: Path) -> None:
-    """Refuse a file name that `write_attributes` would refuse, before any work is done."""
-    if file.suffix.lower() not in VALUE_SUFFIXES:
-        raise FormatError(
-            f"{file}: expected a name ending in {', '.join(VALUE_SUFFIXES)}, got {file.suffix or 'no suffix'}"
-        )
 
 
 def _read_csv(file: Path) -> Attributes:

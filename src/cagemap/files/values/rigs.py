@@ -88,12 +88,6 @@ def scene_skeleton(file: Path, control: ControlMesh | None) -> Skeleton | None:
     return gltf_skeleton(file) if file.suffix.lower() in SCENE_SUFFIXES else None
 
 
-def check_skeleton_path(file: Path) -> None:
-    """Refuse a name that is not one of a JSON file, as `write_skeleton` writes it."""
-    if file.suffix.lower() != ".json":
-        raise FormatError(f"{file}: expected a name ending in .json for joints, got {file.suffix or 'no suffix'}")
-
-
 def write_skeleton(path: str | Path, skeleton: Skeleton, *, force: bool = False) -> None:
     """Write joints in the JSON form of `read_skeleton`, with cagemap's mark."""
     joints = [
@@ -145,7 +139,10 @@ def _shapes_of(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str
     if arrays is not None:
         return {name: _checked_offsets(file, name, array, rest) for name, array in to_part(arrays, rows).items()}
     if not is_usd(file):
-        return {file.stem: _read_shape(file, rest, rows)}
+        mesh = read_mesh(file)
+        if rows is not None and mesh.n_vertices == rows.whole.n_vertices:
+            return {file.stem: np.asarray(_read_offset(file, mesh, rows.whole)[rows.vertices])}
+        return {file.stem: _read_offset(file, mesh, rest)}
     shapes = {n: values for n, values in read_attributes(file, rest).items() if n.startswith(BLEND_SHAPE)}
     if any(values.shape != (rest.n_vertices, 3) for values in shapes.values()):
         raise FormatError(
@@ -153,13 +150,6 @@ def _shapes_of(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str
             "Give the shapes of this mesh."
         )
     return {name.removeprefix(BLEND_SHAPE): np.asarray(values, dtype=np.float64) for name, values in shapes.items()}
-
-
-def _read_shape(file: Path, rest: ControlMesh, rows: FileRows | None) -> FloatArray:
-    mesh = read_mesh(file)
-    if rows is not None and mesh.n_vertices == rows.whole.n_vertices:
-        return np.asarray(_read_offset(file, mesh, rows.whole)[rows.vertices])
-    return _read_offset(file, mesh, rest)
 
 
 def _read_offset(file: Path, mesh: ControlMesh, rest: ControlMesh) -> FloatArray:
