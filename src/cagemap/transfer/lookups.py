@@ -27,8 +27,6 @@ _LEVEL_SLACK = 0.1
 _PLANNED_AT_ONCE = 1 << 15
 # Texels that are rasterised at a time.
 _BAND_TEXELS = 1 << 18
-# Texels of the background that are compared.
-_BACKGROUND_TEXELS = 10_000
 # Largest distance, in texels, from a texel beside an island to the island's texel that replaces it.
 _PADDING = 3
 
@@ -75,18 +73,17 @@ def mip_levels(spans: FloatArray) -> NDArray[np.int64]:
 def pad_islands(laid: Texture, tiles: Collection[int]) -> tuple[Texture, dict[int, NDArray[np.bool_]]]:
     """The texture without background beside its islands, and (h, w) by tile its texels in the layout and beside it.
 
-    Lookups at borders of islands read the texels beside them. Those of the background's colour, which is the median of
-    the other texels, get the nearest island's: the texture has no padding there.
+    Lookups at borders of islands read the texels beside them. Without padding, most of these have the background's
+    colour, which is their median: they get the nearest island's.
     """
     coverage, inside, padded = covered_texels(laid, tiles), covered_texels(laid, tiles, gutter=0.0), dict(laid.tiles)
     for tile, covered in coverage.items():
         pixels, beside = laid.tiles[tile], covered & ~inside[tile]
-        outside = np.flatnonzero(~covered)
-        if not len(outside):
-            continue
-        colors = np.sort(pixels.reshape(-1, laid.channels)[outside[:: len(outside) // _BACKGROUND_TEXELS + 1]], axis=0)
-        background = colors[len(colors) // 2]  # unlike NumPy's median, values of the image; NaN are the largest
-        beside[beside] = np.isclose(pixels[beside], background, rtol=0, atol=0, equal_nan=True).all(axis=1)
+        colors = pixels[beside]
+        background = np.sort(colors, axis=0)[len(colors) // 2 :][
+            :1
+        ]  # NumPy's median is not always a value; NaN are last
+        beside[beside] = np.isclose(colors, background, rtol=0, atol=0, equal_nan=True).all(axis=1)
         if beside.any():
             grown, padded[tile] = pixels.copy(), pixels.copy()
             dilate(grown, inside[tile], distance=_PADDING)
