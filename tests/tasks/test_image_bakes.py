@@ -14,6 +14,7 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.mesh import ControlMesh
 from cagemap.subdivision.refinement import finest_mesh
+from cagemap.tasks import carry_images
 from cagemap.tasks.material_atlas import _tile_image
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest
@@ -71,6 +72,15 @@ def test_a_detail_that_leaves_source_out_is_reported_and_no_other(place: Path) -
     for name, flat in (("fine", False), ("cage", True)):
         *_, warnings = transfer(f"{name}.png", bake=("normal",), detail=place / f"{name}.obj", size=8)
         assert any("stays flat there" in text for text in warnings) == flat
+
+
+def test_the_source_is_no_detail_of_itself(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_mesh(place / "fine.obj", finest_mesh(identity_result().source.refinement))
+    monkeypatch.setattr(carry_images, "input_file", lambda *_: Path("fine.obj"))
+    for kind in ("normal", "displacement"):
+        refuses(
+            ParameterError, "no detail over itself", transfer, "o.png", bake=("ao", kind), detail=place / "fine.obj"
+        )
 
 
 def waves(size: int = 32) -> np.ndarray:

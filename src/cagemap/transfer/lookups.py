@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -70,7 +69,7 @@ def mip_levels(spans: FloatArray) -> NDArray[np.int64]:
     return np.asarray(np.maximum(shorter, longer), dtype=np.int64)
 
 
-def pad_islands(laid: Texture, tiles: Collection[int]) -> tuple[Texture, dict[int, NDArray[np.bool_]]]:
+def pad_islands(laid: Texture, tiles: list[int]) -> tuple[Texture, dict[int, NDArray[np.bool_]]]:
     """The texture without background beside its islands, and (h, w) by tile its texels in the layout and beside it.
 
     Lookups at borders of islands read the texels beside them. Without padding, most of these have the background's
@@ -97,9 +96,7 @@ def plain_lookups(laid: Texture, kind: Filter) -> MipMaps:
     return MipMaps.build(padded, np.zeros(0, dtype=np.int64), coverage, kind=kind)
 
 
-def covered_texels(
-    laid: Texture, tiles: Collection[int], *, gutter: float = GUTTER_RADIUS
-) -> dict[int, NDArray[np.bool_]]:
+def covered_texels(laid: Texture, tiles: list[int], gutter: float = GUTTER_RADIUS) -> dict[int, NDArray[np.bool_]]:
     """(h, w) by tile: texels covered by a texture's triangles and a border ``gutter`` texels wide."""
     neighbors = triangle_neighbors(laid.uv_triangles) if tiles else np.zeros((0, 3), dtype=np.int32)
     coverage = {}
