@@ -45,15 +45,13 @@ def plan_lookups(
     most one texel of the source: its centre alone is sampled.
     """
     centers = locate_centers(mapped)
-    levels = np.zeros(len(centers), dtype=np.int64)
+    texels = laid.corner_texels() * (kind != "nearest")  # labels are not averaged: one sample of the texture itself
+    spans = texel_spans(mapped, layout.corners, texels, centers)
     covering = np.unique(np.concatenate([*layout.band_triangles, *layout.border_triangles]))
+    levels = np.zeros(len(spans), dtype=np.int64)
+    levels[covering] = mip_levels(spans[covering])
     reached = np.concatenate([centers[covering], mapped.start_triangles[mapped.target_triangles[covering]].ravel()])
     padded, coverage = pad_islands(laid, np.unique(laid.triangle_tiles[reached]).tolist())
-    if kind == "nearest":
-        ones = np.ones((len(centers), 2), dtype=np.int32)
-        return MipMaps.build(padded, levels, coverage, kind=kind), ones, ones[:, 0] > 0
-    spans = texel_spans(mapped, layout.corners, laid.corner_texels(), centers)
-    levels[covering] = mip_levels(spans[covering])
     crisp = np.asarray((spans * layout.supersample <= UNSCALED).all(axis=1))
     mips = MipMaps.build(padded, levels, coverage, exact=exact, kind=kind)
     return mips, samples_for(spans / 2.0 ** levels[:, None]), crisp
@@ -84,9 +82,9 @@ def pad_islands(laid: Texture, tiles: list[int]) -> tuple[Texture, dict[int, NDA
         ]  # NumPy's median is not always a value; NaN are last
         beside[beside] = np.isclose(colors, background, rtol=0, atol=0, equal_nan=True).all(axis=1)
         if beside.any():
-            grown, padded[tile] = pixels.copy(), pixels.copy()
-            dilate(grown, inside[tile], distance=_PADDING)
-            padded[tile][beside] = grown[beside]
+            padded[tile] = pixels.copy()
+            dilate(padded[tile], inside[tile], distance=_PADDING)
+            np.copyto(padded[tile], pixels, where=~beside[..., None])
     return replace(laid, tiles=padded), coverage
 
 
