@@ -278,7 +278,8 @@ def carry_material_colors(request: TransferRequest, result: MatchResult, stages:
 
 def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Bake normals, displacement, ambient occlusion and colours of a detailed mesh or the source."""
-    kinds = _kinds(request, input_file(request.result, result.manifest, "source"))
+    is_plain = result.source.refinement.is_plain
+    kinds = _kinds(request, input_file(request.result, result.manifest, "source") if is_plain else None)
     images = {kind: map_path(request.output, kind if len(kinds) > 1 else "") for kind in kinds}
     of_bases = (base_size(request, kind) for kind in kinds)
     size = request.size or next((found for found in of_bases if found is not None), None)
@@ -335,7 +336,7 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
 
 
 def _kinds(request: TransferRequest, source: Path | None) -> list[BakeKind]:
-    """Checked kinds of images to bake; ``source``: the source's file."""
+    """Checked kinds of images to bake; ``source``: file of a plain source."""
     kinds = list(dict.fromkeys(request.bake))
     unknown = [kind for kind in kinds if kind not in KINDS]
     if unknown:
