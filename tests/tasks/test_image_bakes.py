@@ -14,8 +14,10 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.mesh import ControlMesh
 from cagemap.subdivision.refinement import finest_mesh
+from cagemap.tasks.match import run_match
 from cagemap.tasks.material_atlas import _tile_image
 from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.transfer import run_transfer
 from cagemap.tasks.wrap import WrapRequest, run_wrap
@@ -71,6 +73,17 @@ def test_a_detail_that_leaves_source_out_is_reported_and_no_other(place: Path) -
     for name, flat in (("fine", False), ("cage", True)):
         *_, warnings = transfer(f"{name}.png", bake=("normal",), detail=place / f"{name}.obj", size=8)
         assert any("stays flat there" in text for text in warnings) == flat
+
+
+def test_a_plain_source_is_no_detail_of_itself(place: Path) -> None:
+    for name, side in (("target.obj", "target"), ("source.obj", "source")):
+        write_mesh(place / name, finest_mesh(getattr(identity_result(), side).refinement))
+    run_match(MatchRequest(place / "target.obj", place / "source.obj", place / "R", scheme="none"), Stages())
+    request = TransferRequest(place / "R", place / "o.png", detail=Path("source.obj"), size=8, rays=1)
+    run_transfer(replace(request, bake=("ao",)), Stages())
+    for kind in ("normal", "displacement"):
+        baked = replace(request, bake=("ao", kind), force=True)
+        refuses(ParameterError, "no detail over itself", run_transfer, baked, Stages())
 
 
 def waves(size: int = 32) -> np.ndarray:

@@ -22,11 +22,21 @@ from cagemap.subdivision import Level, refine
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import triangle_areas, triangle_neighbors
 from cagemap.tasks.bake_tiles import layout_tiles
-from cagemap.transfer import BakeOptions, bake_face_colors, bake_texture, prepare_transfer, target_tiles, unwrap
+from cagemap.transfer import (
+    BakeOptions,
+    bake_detail_texture,
+    bake_face_colors,
+    bake_texture,
+    detail_over,
+    prepare_transfer,
+    target_tiles,
+    unwrap,
+)
 from cagemap.transfer import baking as bake_module
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.masks import bake_mask
-from cagemap.transfer.texture import OVERHANG, tile_cells
+from cagemap.transfer.masks import bake_mask, painted_mask
+from cagemap.transfer.texels import lay_out, rasterize_band
+from cagemap.transfer.texture import OVERHANG, Filter, tile_cells
 from cagemap.transfer.textured_surface import TexturedSurface
 
 from bake_images import BARE, noise, ramps
@@ -91,6 +101,28 @@ def test_no_colour_crosses_a_seam() -> None:
     # Elsewhere at most two neighbouring islands mix, by half a texel: never more than half of a foreign colour.
     filled = baked.any(axis=2)
     assert np.abs(baked.astype(float) - 250 * truth)[filled & pure].max() <= 125 + 1
+
+
+@pytest.mark.parametrize("background", [0.0, 0.75, np.nan])
+@pytest.mark.parametrize("kind", ["smooth", "linear", "nearest"])
+def test_the_background_of_a_texture_without_padding_does_not_show(kind: Filter, background: float) -> None:
+    source, target = (refine(unwrap(torus(6, 4), padding=padding), 3).finest for padding in (1 / 32, 1 / 50))
+    surface, size = TexturedSurface.from_level(source), 256
+    texture = np.full((size, size, 1), background, dtype=np.float32)
+    neighbors = triangle_neighbors(surface.layout()[1])
+    cells = rasterize_band(lay_out(surface.corner_uvs(), neighbors, size, size, band_rows=size, gutter=0.0), 0)
+    texture[cells >= 0] = np.where(source.positions[surface.triangles[cells[cells >= 0], 0], :1] > 0, 0.25, 0.5)
+    transfer = prepare_transfer(target, source, identity_map(source))
+    for count in (size, 2 * size, size // 4):
+        baked = bake_texture(transfer, texture, size=count, options=BakeOptions(filter=kind))
+        assert 0.25 - 1e-4 <= baked.min() <= baked.max() <= 0.5 + 1e-4
+    detail = detail_over(transfer.point_map.source, source.positions, surface.triangles)
+    baked = bake_detail_texture(
+        transfer, detail, texture, *surface.layout(), size=size, options=BakeOptions(filter=kind)
+    )
+    assert 0.25 - 1e-4 <= baked.min() <= baked.max() <= 0.5 + 1e-4
+    mask = painted_mask(source, texture)
+    assert 0.25 - 1e-6 <= mask.min() <= mask.max() <= 0.5 + 1e-6
 
 
 def test_surface_points_are_carried_not_texture_coordinates() -> None:

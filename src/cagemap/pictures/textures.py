@@ -23,9 +23,8 @@ def sample_texture(texture: FloatArray, uv: FloatArray) -> FloatArray:
     uv = repeated_uvs(uv)
     x = np.clip(uv[:, 0] * width - 0.5, 0.0, width - 1.0)
     y = np.clip((1.0 - uv[:, 1]) * height - 0.5, 0.0, height - 1.0)
-    column, row = np.minimum(x.astype(np.int64), width - 2), np.minimum(y.astype(np.int64), height - 2)
-    column, row = np.maximum(column, 0), np.maximum(row, 0)
-    next_column, next_row = np.minimum(column + 1, width - 1), np.minimum(row + 1, height - 1)
+    column, row = x.astype(np.int64), y.astype(np.int64)
+    next_column, next_row = np.ceil(x).astype(np.int64), np.ceil(y).astype(np.int64)
     s, t = (x - column)[:, None], (y - row)[:, None]
     upper = texture[row, column] * (1 - s) + texture[row, next_column] * s
     lower = texture[next_row, column] * (1 - s) + texture[next_row, next_column] * s

@@ -25,7 +25,7 @@ from cagemap.files.images.image import (
 from cagemap.files.inner_texture import material_document, tinted_materials, write_texture
 from cagemap.files.meshes.formats import MESH_SUFFIXES, read_mesh
 from cagemap.files.meshes.ply import ply_image
-from cagemap.files.result.manifest import note_transfer
+from cagemap.files.result.manifest import input_file, note_transfer
 from cagemap.files.usd.results import preview_inputs, unbound_maps
 from cagemap.files.usd.write import UsdResults
 from cagemap.maps.result import MatchResult
@@ -286,7 +286,8 @@ def carry_material_colors(request: TransferRequest, result: MatchResult, stages:
 
 def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Bake normals, displacement, ambient occlusion and colours of a detailed mesh or the source."""
-    kinds = _kinds(request)
+    is_plain = result.source.refinement.is_plain
+    kinds = _kinds(request, input_file(request.result, result.manifest, "source") if is_plain else None)
     images = {kind: map_path(request.output, kind if len(kinds) > 1 else "") for kind in kinds}
     of_bases = (base_size(request, kind) for kind in kinds)
     size = request.size or next((found for found in of_bases if found is not None), None)
@@ -342,8 +343,8 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     return "\n".join(lines), warnings
 
 
-def _kinds(request: TransferRequest) -> list[BakeKind]:
-    """Checked kinds of images to bake."""
+def _kinds(request: TransferRequest, source: Path | None) -> list[BakeKind]:
+    """Checked kinds of images to bake; ``source``: file of a plain source."""
     kinds = list(dict.fromkeys(request.bake))
     unknown = [kind for kind in kinds if kind not in KINDS]
     if unknown:
@@ -353,7 +354,7 @@ def _kinds(request: TransferRequest) -> list[BakeKind]:
     if request.detail_texture is not None and request.detail is None:
         raise ParameterError("--detail-texture: expected --detail, the mesh that the image belongs to")
     flat = [kind for kind in kinds if kind in OFFSETS]
-    if flat and request.detail is None:
+    if flat and (request.detail is None or (source is not None and request.detail.resolve() == source.resolve())):
         raise ParameterError(
             f"--bake {','.join(flat)}: expected --detail, a detailed mesh that lies on the source, since a surface has "
             "no detail over itself. To bake the source onto a cage that is wrapped on it, use `cagemap wrap "

@@ -67,7 +67,7 @@ from cagemap.transfer.detail import (
     detailed_share,
 )
 from cagemap.transfer.displacement import Displacement
-from cagemap.transfer.lookups import smooth_tiles
+from cagemap.transfer.lookups import plain_lookups
 from cagemap.transfer.rays import ambient_occlusion
 from cagemap.transfer.texture import Filter, Pixels, lay_texture
 from cagemap.wrap import Wrapped, missing_detail, wrapped_transfer
@@ -219,16 +219,16 @@ def bake_detail(
     """
     lines, request, image = [], bakes.request, bakes.texture
     space, green = request.space, request.green
-    smooth = None
-    if image is not None and image.filter == "smooth":
-        smooth = smooth_tiles(lay_texture(image.texture, image.uvs, image.uv_triangles))
+    lookups = None
+    if image is not None:
+        lookups = plain_lookups(lay_texture(image.texture, image.uvs, image.uv_triangles), image.filter)
 
     def bake(
         kind: BakeKind, values: FloatArray | None, dtype: np.dtype[Any], scale: float, *, options: BakeOptions
     ) -> Pixels | Image | Displacement:
         given: dict[str, Any] = {"size": bakes.size_of(kind), "dtype": dtype, "options": options}
         if kind == "texture" and image is not None:
-            given |= {"options": replace(options, filter=image.filter), "smooth": smooth}
+            given |= {"options": replace(options, filter=image.filter), "lookups": lookups}
             pixels = bake_detail_texture(transfer, detail, image.texture, image.uvs, image.uv_triangles, **given)
             return replace(image.first, pixels=pixels)
         if kind == "normal":

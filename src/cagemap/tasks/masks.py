@@ -88,8 +88,7 @@ def mask_file(text: str | None) -> Path | None:
     if text is None:
         return None
     path = Path(text.removeprefix(INVERT_PREFIX))
-    suffix = path.suffix.lower()
-    return path if suffix in MASK_SUFFIXES else None
+    return path if path.suffix.lower() in MASK_SUFFIXES else None
 
 
 def mask_inputs(request: Masked) -> dict[str, Path]:

@@ -94,9 +94,8 @@ def check_files(request: WrapRequest) -> None:
     inputs = [file for result in request.results for file in (result, result / MANIFEST, result / ARRAYS)]
     given = files_read(request, *WRITTEN["wrap"])
     inputs += [*(file for path in given for file in texture_files(path)), *mask_inputs(request).values()]
-    if request.blend_shapes:
-        if request.output.exists() and not request.output.is_dir():
-            raise ParameterError(f"{request.output}: --blend-shapes writes a folder of OBJ files, got a file")
+    if request.blend_shapes and request.output.exists() and not request.output.is_dir():
+        raise ParameterError(f"{request.output}: --blend-shapes writes a folder of OBJ files, got a file")
     outputs = [*outputs_beside(request), *([] if request.blend_shapes else [request.output])]
     check_outputs(outputs, inputs, force=request.force)
 

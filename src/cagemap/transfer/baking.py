@@ -183,12 +183,7 @@ def bake_texture(
     kept = output_dtype(dtype, laid.dtype)
     bake, mips = bake_of_texture(transfer, laid, size, kept, options)
     scale = unit(kept) / unit(laid.dtype)
-
-    def shade(samples: TexelSamples) -> FloatArray:
-        values = mips.look_up(samples)
-        return values if scale == 1.0 else values * scale
-
-    return bake.run(shade, laid.channels)
+    return bake.run(mips.look_up, laid.channels, lambda values: scale * values)
 
 
 def make_layout(transfer: Transfer, size: int | tuple[int, int], options: BakeOptions) -> Layout:

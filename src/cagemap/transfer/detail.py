@@ -38,10 +38,11 @@ from cagemap.transfer.baking import (
 from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.exact_corners import corner_samples, make_lookups_exact, surface_targets
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.lookups import plan_samples, smooth_tiles
+from cagemap.transfer.lookups import plain_lookups, plan_samples
+from cagemap.transfer.mip_maps import MipMaps
 from cagemap.transfer.rays import MAX_DETAIL_DISTANCE, NormalHits, intersect_normals
 from cagemap.transfer.texels import Layout, texel_coordinates
-from cagemap.transfer.texture import Pixels, SmoothTile, lay_texture, look_up
+from cagemap.transfer.texture import Pixels, lay_texture
 from cagemap.transfer.vectors import (
     Green,
     Space,
@@ -224,13 +225,13 @@ def bake_detail_texture(
     size: int | tuple[int, int],
     dtype: DTypeLike | None = None,
     options: BakeOptions | None = None,
-    smooth: Mapping[int, SmoothTile] | None = None,
+    lookups: MipMaps | None = None,
 ) -> Pixels:
     """Bake the detail's own texture, as of a scan; the filter "nearest" is for labels.
 
     ``texture`` (h, w, c), or such arrays by UDIM number, has the coordinates ``uvs`` (p, 2) at the corners
-    ``uv_triangles`` (t, 3) of the detail's triangles. ``smooth``: `smooth_tiles` of the texture, made once for several
-    tiles of the target. ``dtype`` is by default the texture's; other parameters are as in `bake_detail_normals`.
+    ``uv_triangles`` (t, 3) of the detail's triangles. ``lookups``: `plain_lookups` of the texture, made once for
+    several tiles of the target. ``dtype`` is by default the texture's; others are as in `bake_detail_normals`.
     ParameterError if the number of rows of ``uv_triangles`` is not that of triangles, or as `bake_texture`.
     """
     options = options or BakeOptions()
@@ -241,21 +242,20 @@ def bake_detail_texture(
         )
     laid = lay_texture(texture, uvs, uv_triangles)
     kept = output_dtype(dtype, laid.dtype)
-    scale, nearest = unit(kept) / unit(laid.dtype), options.filter == "nearest"
-    if smooth is None and options.filter == "smooth":
-        smooth = smooth_tiles(laid)
+    scale = unit(kept) / unit(laid.dtype)
+    values = lookups or plain_lookups(laid, options.filter)
 
     def shade(samples: TexelSamples) -> FloatArray:
         foot = _normal_hits(transfer, detail, samples).foot
         on_detail = replace(samples, triangle=foot.triangle, barycentric=foot.barycentric)
-        return scale * look_up(laid, on_detail, smooth, nearest=nearest)
+        return scale * values.look_up(on_detail)
 
     # Side of a typical texel on the surface: square root of the median ratio of triangle areas.
     corners = laid.corner_texels().reshape(-1, 2)
     in_texels = triangle_areas(corners, np.arange(len(corners)).reshape(-1, 3))
     texel = float(np.sqrt(np.median(detail.surface.areas / np.maximum(in_texels, 1e-300)))) / detail.surface.scale
     layout = make_layout(transfer, size, options)
-    counts = single_samples(transfer) if nearest else _plan_lengths(transfer, texel, layout)
+    counts = single_samples(transfer) if values.nearest else _plan_lengths(transfer, texel, layout)
     return Bake(transfer, layout, options, kept, counts).run(shade, laid.channels)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,8 @@ from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.surface.triangles import triangle_neighbors
 from cagemap.transfer.locate import MappedSurface, locate_centers
 from cagemap.transfer.mip_maps import MipMaps
-from cagemap.transfer.texels import Layout, lay_out, rasterize_band
-from cagemap.transfer.texture import Filter, SmoothTile, Texture, tile_cells
+from cagemap.transfer.texels import GUTTER_RADIUS, Layout, dilate, lay_out, rasterize_band
+from cagemap.transfer.texture import Filter, Texture, tile_cells
 
 # Most samples of a texel along each axis; texels that need more read a coarser mip level.
 MAX_SAMPLES_PER_AXIS = 16
@@ -26,6 +26,8 @@ _LEVEL_SLACK = 0.1
 _PLANNED_AT_ONCE = 1 << 15
 # Texels that are rasterised at a time.
 _BAND_TEXELS = 1 << 18
+# Largest distance, in texels, from a texel beside an island to the island's texel that replaces it.
+_PADDING = 3
 
 
 def plan_lookups(
@@ -38,22 +40,20 @@ def plan_lookups(
 ) -> tuple[MipMaps, NDArray[np.int32], NDArray[np.bool_]]:
     """Mip levels and samples with which a raster of the target's layout reads a texture.
 
-    ``exact`` is as of `MipMaps.build`; ``kind`` is the interpolation of a texture that is not minified, "nearest" also
-    of one that is. Also returns the samples along x and y in a raster cell of target triangles (t1, 2), and whether
-    (t1,) a texel spans at most one texel of the source: its centre alone is sampled.
+    ``exact`` and ``kind`` are as of `MipMaps.build`; minified textures are interpolated too, except by "nearest". Also
+    returns the samples along x and y in a raster cell of target triangles (t1, 2), and whether (t1,) a texel spans at
+    most one texel of the source: its centre alone is sampled.
     """
     centers = locate_centers(mapped)
-    if kind == "nearest":
-        ones = np.ones((len(centers), 2), dtype=np.int32)
-        return MipMaps({0: laid}, np.zeros(len(centers), dtype=np.int64), {}, True), ones, ones[:, 0] > 0
-    spans = texel_spans(mapped, layout.corners, laid.corner_texels(), centers)
+    texels = laid.corner_texels() * (kind != "nearest")  # labels are not averaged: one sample of the texture itself
+    spans = texel_spans(mapped, layout.corners, texels, centers)
     covering = np.unique(np.concatenate([*layout.band_triangles, *layout.border_triangles]))
     levels = np.zeros(len(spans), dtype=np.int64)
     levels[covering] = mip_levels(spans[covering])
     reached = np.concatenate([centers[covering], mapped.start_triangles[mapped.target_triangles[covering]].ravel()])
-    tiles = np.unique(laid.triangle_tiles[reached]).tolist() if kind == "smooth" or levels.any() else []
+    padded, coverage = pad_islands(laid, np.unique(laid.triangle_tiles[reached]).tolist())
     crisp = np.asarray((spans * layout.supersample <= UNSCALED).all(axis=1))
-    mips = MipMaps.build(laid, levels, covered_texels(laid, tiles), exact=exact, smooth=kind == "smooth")
+    mips = MipMaps.build(padded, levels, coverage, exact=exact, kind=kind)
     return mips, samples_for(spans / 2.0 ** levels[:, None]), crisp
 
 
@@ -67,8 +67,35 @@ def mip_levels(spans: FloatArray) -> NDArray[np.int64]:
     return np.asarray(np.maximum(shorter, longer), dtype=np.int64)
 
 
-def covered_texels(laid: Texture, tiles: Collection[int]) -> dict[int, NDArray[np.bool_]]:
-    """(h, w) by tile: texels covered by a texture's triangles and a border of one texel."""
+def pad_islands(laid: Texture, tiles: list[int]) -> tuple[Texture, dict[int, NDArray[np.bool_]]]:
+    """The texture without background beside its islands, and (h, w) by tile its texels in the layout and beside it.
+
+    Lookups at borders of islands read the texels beside them. Without padding, most of these have the background's
+    colour, which is their median: they get the nearest island's.
+    """
+    coverage, inside, padded = covered_texels(laid, tiles), covered_texels(laid, tiles, gutter=0.0), dict(laid.tiles)
+    for tile, covered in coverage.items():
+        pixels, beside = laid.tiles[tile], covered & ~inside[tile]
+        colors = pixels[beside]
+        background = np.sort(colors, axis=0)[len(colors) // 2 :][
+            :1
+        ]  # NumPy's median is not always a value; NaN are last
+        beside[beside] = np.isclose(colors, background, rtol=0, atol=0, equal_nan=True).all(axis=1)
+        if beside.any():
+            padded[tile] = pixels.copy()
+            dilate(padded[tile], inside[tile], distance=_PADDING)
+            np.copyto(padded[tile], pixels, where=~beside[..., None])
+    return replace(laid, tiles=padded), coverage
+
+
+def plain_lookups(laid: Texture, kind: Filter) -> MipMaps:
+    """Lookups of a texture that is not minified."""
+    padded, coverage = pad_islands(laid, np.unique(laid.triangle_tiles).tolist())
+    return MipMaps.build(padded, np.zeros(0, dtype=np.int64), coverage, kind=kind)
+
+
+def covered_texels(laid: Texture, tiles: list[int], gutter: float = GUTTER_RADIUS) -> dict[int, NDArray[np.bool_]]:
+    """(h, w) by tile: texels covered by a texture's triangles and a border ``gutter`` texels wide."""
     neighbors = triangle_neighbors(laid.uv_triangles) if tiles else np.zeros((0, 3), dtype=np.int32)
     coverage = {}
     for tile in tiles:
@@ -79,14 +106,8 @@ def covered_texels(laid: Texture, tiles: Collection[int]) -> dict[int, NDArray[n
             corners = corners - tile_cells(corners)[:, None]
         corners[~in_tile] = 0.0
         rows = max(1, _BAND_TEXELS // width)
-        coverage[tile] = _covered(lay_out(corners, neighbors, height, width, band_rows=rows))
+        coverage[tile] = _covered(lay_out(corners, neighbors, height, width, band_rows=rows, gutter=gutter))
     return coverage
-
-
-def smooth_tiles(laid: Texture) -> dict[int, SmoothTile]:
-    """Smooth lookups of the tiles that a texture's triangles use."""
-    covered = covered_texels(laid, np.unique(laid.triangle_tiles).tolist())
-    return {tile: SmoothTile.of(laid.tiles[tile], texels) for tile, texels in covered.items()}
 
 
 def _covered(layout: Layout) -> NDArray[np.bool_]:

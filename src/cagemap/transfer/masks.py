@@ -13,7 +13,8 @@ from cagemap.numerics.threads import row_slices
 from cagemap.subdivision import Level
 from cagemap.transfer.baking import Bake, BakeOptions, Transfer, make_layout, single_samples, to_dtype, unit
 from cagemap.transfer.locate import TexelSamples, target_barycentric
-from cagemap.transfer.texture import Pixels, as_pixels, lay_texture, look_up
+from cagemap.transfer.lookups import plain_lookups
+from cagemap.transfer.texture import Pixels, as_pixels, lay_texture
 from cagemap.transfer.textured_surface import TexturedSurface
 
 # Rows of an image that are blended at a time.
@@ -41,7 +42,8 @@ def painted_mask(level: Level, image: Pixels | Mapping[int, Pixels]) -> FloatArr
     laid = lay_texture(image, *surface.layout())
     triangle = np.repeat(np.arange(len(surface.triangles)), 3)
     corners = np.tile(np.eye(3), (len(surface.triangles), 1))
-    values = look_up(laid, TexelSamples.of_points(triangle, triangle, corners)) / unit(laid.dtype)
+    lookups = plain_lookups(laid, "linear")
+    values = lookups.look_up(TexelSamples.of_points(triangle, triangle, corners)) / unit(laid.dtype)
     colors = values.shape[1] - (1 if values.shape[1] in (2, 4) else 0)
     grey = values[:, :colors].mean(axis=1) * (values[:, -1] if colors < values.shape[1] else 1.0)
     sums = np.bincount(surface.triangles.ravel(), grey, minlength=level.n_vertices)

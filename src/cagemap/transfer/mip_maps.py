@@ -18,7 +18,7 @@ from scipy import sparse
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.texture import Pixels, SmoothTile, Texture, channel_range, look_up
+from cagemap.transfer.texture import Filter, Pixels, SmoothTile, Texture, channel_range, look_up
 
 _LOBES = 3
 # Least share of the kernel on covered texels; below it means replace it: negative lobes would amplify.
@@ -48,16 +48,17 @@ class MipMaps:
         coverage: dict[int, NDArray[np.bool_]],
         *,
         exact: bool = False,
-        smooth: bool = True,
+        kind: Filter = "smooth",
     ) -> MipMaps:
         """Mip levels of a texture that target triangles read, ``of_triangle`` (t1,).
 
         Level l is the image halved l - 1 times and then low-passed to half its frequencies, so that bilinear lookups
         are accurate. Only tiles with ``coverage``, texels in the source's layout, are halved. ``exact`` keeps floats
-        instead of the texture's number type: means of directions are short. ``smooth``: level 0 is looked up smoothly,
-        not bilinearly.
+        instead of the texture's number type: means of directions are short. ``kind`` is the
+        interpolation of level 0.
         """
-        fine = {tile: SmoothTile.of(texture.tiles[tile], share) for tile, share in coverage.items()} if smooth else {}
+        smooth = coverage.items() if kind == "smooth" else ()
+        fine = {tile: SmoothTile.of(texture.tiles[tile], share) for tile, share in smooth}
         levels, tiles = {0: texture}, {tile: texture.tiles[tile] for tile in coverage}
         shares: dict[int, Coverage] = dict(coverage)
         for level in range(1, int(of_triangle.max(initial=0)) + 1):
@@ -71,7 +72,7 @@ class MipMaps:
                 pairs = {tile: halve(pixels, shares[tile]) for tile, pixels in tiles.items()}
                 tiles = {tile: pixels for tile, (pixels, _) in pairs.items()}
                 shares = {tile: covered for tile, (_, covered) in pairs.items()}
-        return cls(levels, of_triangle, fine)
+        return cls(levels, of_triangle, fine, kind == "nearest")
 
     def look_up(self, samples: TexelSamples) -> FloatArray:
         """(k, c) values of texels by `cagemap.transfer.texture.look_up`, each in its triangle's mip level."""

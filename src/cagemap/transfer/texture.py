@@ -260,7 +260,7 @@ def _accumulate(image, fine, options, layout, points, result):  # type: ignore[n
             if nearest:
                 x, y = np.floor(x + 0.5), np.floor(y + 0.5)
             c0, r0 = int(x), int(y)
-            c1, r1 = min(c0 + 1, width - 1), min(r0 + 1, height - 1)
+            c1, r1 = int(np.ceil(x)), int(np.ceil(y))  # a texel of weight 0 may be NaN: it is not read
             fx, fy = x - c0, y - r0
             linear_from = 0
             if len(smooth) and first[texel + 1] - first[texel] <= _MAX_SMOOTH_SAMPLES and smooth[r0, c0]:

@@ -14,6 +14,7 @@ preconditioner, the same for all coordinates and all rounds.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -221,16 +222,13 @@ class SampleTerms:
             spread[moving] = flat.reshape(-1, 3)
             return self.times(spread)[moving].ravel()
 
-        def precondition(flat: FloatArray) -> FloatArray:
-            return terms.factors.solve(flat.reshape(-1, 3)).ravel()
-
-        size = (3 * len(moving), 3 * len(moving))
+        operator = partial(linalg.LinearOperator, (3 * len(moving), 3 * len(moving)), dtype=np.float64)
         step, _ = linalg.cg(
-            linalg.LinearOperator(size, matvec=times, dtype=np.float64),
+            operator(matvec=times),
             (right - self.times(positions))[moving].ravel(),
             rtol=terms.config.accuracy,
             maxiter=terms.config.max_steps,
-            M=linalg.LinearOperator(size, matvec=precondition, dtype=np.float64),
+            M=operator(matvec=lambda flat: terms.factors.solve(flat.reshape(-1, 3)).ravel()),
         )
         moved = positions.copy()
         moved[moving] += step.reshape(-1, 3)
