@@ -142,7 +142,7 @@ class SearchConfig(Config):
     min_landmark_distance: float = 0.05  #: a tip nearer to a landmark is not used
     same_kind_cost: float = 1e-4  #: bodies whose fit costs less are of one kind; no later stage improves them
     #: without landmarks, if the best placement costs more, the reverse problem is searched too (`search_both_ways`)
-    max_one_way_cost: float = 2e-4
+    max_one_way_cost: float = 4e-4
 
 
 @dataclass(frozen=True)
