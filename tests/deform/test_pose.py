@@ -182,16 +182,16 @@ def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypat
     before, after = (np.linalg.norm(places - truth, axis=1).mean() for places in (slid, found))
     assert before > 0.004  # the minimum beside the truth
     assert after < 0.75 * before
-    assert stages == RefitConfig.rounds * [bent.elastic.stiff_coarse]  # the stage of bodies that stand alike
+    assert stages == [bent.elastic.stiff_coarse]  # the stage of bodies that stand alike
 
 
 @pytest.mark.parametrize("angle", [0.9 * POSES_DIFFER, 1.1 * POSES_DIFFER])
 def test_only_poses_that_differ_are_fitted_in_the_other_pose(bent, monkeypatch, angle):
     problem = problem_of(bent)
-    asked: list[tuple[PreparedPair, list[float], int]] = []
+    asked: list[tuple[PreparedPair, list[float]]] = []
 
-    def fitted(given: Problem, positions: FloatArray, times: int = RefitConfig.rounds) -> FloatArray:
-        asked.append((given.prepared, given.landmarks.target.positions[0].tolist(), times))
+    def fitted(given: Problem, positions: FloatArray) -> FloatArray:
+        asked.append((given.prepared, given.landmarks.target.positions[0].tolist()))
         return positions
 
     monkeypatch.setattr(refit, "pose_difference", lambda energy, positions: angle)
@@ -201,7 +201,7 @@ def test_only_poses_that_differ_are_fitted_in_the_other_pose(bent, monkeypatch, 
     landmarks = problem.landmarks
     first = finish_placement(problem, ended)
     forth, back = (side.positions[0].tolist() for side in (landmarks.target, landmarks.source))
-    assert asked == ([] if angle < POSES_DIFFER else [(bent, forth, RefitConfig.rounds), (bent.reverse_pair, back, 1)])
+    assert asked == ([] if angle < POSES_DIFFER else [(bent, forth), (bent.reverse_pair, back)])
     assert first.positions is ended.positions
     assert first.map_positions is first.finished_positions
 

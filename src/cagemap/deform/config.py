@@ -142,7 +142,7 @@ class SearchConfig(Config):
     min_landmark_distance: float = 0.05  #: a tip nearer to a landmark is not used
     same_kind_cost: float = 1e-4  #: bodies whose fit costs less are of one kind; no later stage improves them
     #: without landmarks, if the best placement costs more, the reverse problem is searched too (`search_both_ways`)
-    max_one_way_cost: float = 2e-4
+    max_one_way_cost: float = 4e-4
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,6 @@ class RefitConfig(Config):
     stage: Stage = Stage(5, (0.1, 0.1), 1e-3)  #: stage of the rotations: stiffness of the limbs against the placement
     joint_rounds: int = 2  #: rounds in which joints are found
     min_stiffness: float = 0.02  #: least weight of an edge at a joint, as a share of its own
-    rounds: int = 2  #: times that the target is posed and fitted
     #: `match_next` discards a map that folds a larger share of the area; correct ones have 0.001, without a leg 0.007
     max_folded_frame: float = 0.005
     smoothing: float = 0.02  #: length over which the gradient of rotations and the shifts to the inverse are smoothed

@@ -43,12 +43,10 @@ def finish_placement(problem: Problem, placed: Placement) -> Placement:
     return replace(placed, finished_positions=(both_ways if cheap else posed).positions)
 
 
-def fit_in_pose(problem: Problem, positions: FloatArray, times: int | None = None) -> FloatArray:
-    """(n, 3) positions after refitting the target from the pose of a placement, ``times`` times."""
-    graph, config = problem.prepared.energy.graph, problem.prepared.elastic.refit
-    for _ in range(config.rounds if times is None else times):
-        positions = fit_from_shape(problem, rigid_pose(graph, positions, config))
-    return positions
+def fit_in_pose(problem: Problem, positions: FloatArray) -> FloatArray:
+    """(n, 3) positions after refitting the target from the pose of a placement."""
+    prepared = problem.prepared
+    return fit_from_shape(problem, rigid_pose(prepared.energy.graph, positions, prepared.elastic.refit))
 
 
 def fit_from_shape(problem: Problem, shape: FloatArray) -> FloatArray:
@@ -131,9 +129,7 @@ def inverse_consistent(problem: Problem, positions: FloatArray) -> FloatArray:
     mesh, graph, config = prepared.mesh, prepared.energy.graph, prepared.elastic.refit
     start, _ = inverse_positions(mesh, positions, back.mesh, config.normal_weight)
     posed = pose_difference(back.energy, start) > config.min_pose_difference
-    returned = (
-        fit_in_pose(problem.reverse_problem, start, times=1) if posed else fine_fit(problem.reverse_problem, start)
-    )
+    returned = fit_in_pose(problem.reverse_problem, start) if posed else fine_fit(problem.reverse_problem, start)
     places, gaps = inverse_positions(back.mesh, returned, mesh, config.normal_weight)
     trust = 1.0 / (1.0 + (gaps / config.gap) ** 2) ** 2
     return positions + smooth_shifts(graph, 0.5 * (places - positions), trust, config.smoothing)
