@@ -18,6 +18,7 @@ from cagemap.files.result.folder import write_result
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.parts import join_meshes
 from cagemap.subdivision import refine
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.surface_points import SurfacePoints
@@ -210,10 +211,20 @@ def test_an_iris_of_its_own_mesh_moves_with_the_eyeball_that_it_lies_in(body: Co
     disc = ball.with_positions(ball.positions * [0.5, 0.1, 0.5])
     iris = replace(moved(disc, (2.2, 0.885, 0.0)), name="iris")
     carried = carry_passengers(swollen(body), [eye, iris])
-    matrix = carried[0].matrices[0]
+    offsets = eye.positions - eye.positions[0]
+    matrix = np.linalg.lstsq(offsets, carried[0].positions - carried[0].positions[0], rcond=None)[0]
     for mesh, one in zip((eye, iris), carried, strict=True):
         expected = carried[0].positions[0] + (mesh.positions - eye.positions[0]) @ matrix
         np.testing.assert_allclose(one.positions, expected, rtol=0, atol=1e-9)
+
+
+def test_offsets_of_a_small_mesh_keep_their_directions(body: ControlMesh, ball: ControlMesh) -> None:
+    """Teeth around a bend of the body stay in a row when the jaw opens."""
+    teeth = join_meshes([moved(ball.with_positions(0.2 * ball.positions), (2.2, y, 0.0)) for y in (0.7, 0.8, 0.9)])
+    carried = carry_passenger(swollen(body), replace(teeth, name="teeth"))
+    opened = carried.carry_offsets(np.tile([0.0, -1.0, 0.0], (teeth.n_vertices, 1)))
+    np.testing.assert_allclose(opened, opened[:1].repeat(len(opened), axis=0), rtol=0, atol=1e-12)
+    assert np.linalg.norm(opened[0]) > 0.5
 
 
 def test_passengers_carried_together_arrive_as_each_alone(body: ControlMesh, ball: ControlMesh) -> None:

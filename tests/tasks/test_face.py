@@ -33,7 +33,7 @@ from cagemap.mesh.parts import extract_faces, join_meshes, numbers_on_part
 from cagemap.mesh.topology import face_components
 from cagemap.subdivision import with_options
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies
+from cagemap.tasks.bodies import Bodies, body_shapes, limit_stretch, match_bodies
 from cagemap.tasks.face import (
     _amount,
     _cut,
@@ -43,7 +43,6 @@ from cagemap.tasks.face import (
     _other_parts,
     contact_sheet,
     face_shapes,
-    limit_stretch,
 )
 from cagemap.tasks.face_parts import Mouth
 from cagemap.tasks.progress import Stages

@@ -25,10 +25,10 @@ from cagemap.surface.triangles import fan_triangles
 
 _log = logging.getLogger(__name__)
 
-# A mesh whose edges become longer on average than its surroundings by this factor is torn if it is small: at least 3.3
-# for teeth and tongues on bodies with closed mouths, at most 1.3 for other parts (docs/lab/passengers.md).
+# A small mesh whose edges become longer on average than its surroundings by this factor is torn: at least 3.3 for teeth
+# and tongues on bodies with closed mouths, at most 1.3 for other parts (docs/lab/passengers.md).
 _MAX_STRETCH = 2.0
-_MAX_TORN_RADIUS = 0.1  # of a small mesh, in sqrt(area)
+_MAX_SMALL_RADIUS = 0.1  # in sqrt(area)
 _LEAST_SAMPLES = 64  # of the body around a mesh
 
 
@@ -41,7 +41,7 @@ class CarriedPassenger:
     positions : (n, 3) float64
         In the target's file units.
     matrices : (n, 3, 3) float64
-        Rotation times scale that takes an offset of a vertex, as a row, to the target.
+        Rotation times scale that takes an offset of a vertex, as a row, to the target; one for a small mesh.
     distance : float
         Mean distance of the vertices from the source's body, in units of sqrt(area).
     """
@@ -119,11 +119,15 @@ def carry_passengers(
     places, matrices = frames.carry(points, distances)
     contact = Contact.find(frames, points, triangles, distances.normals, matrices)
     places = push_out(target, contact, places, np.concatenate(triangles))
+    turned_by = np.full_like(matrices, np.nan)  # of offsets of small meshes
     for mesh, own, start in zip(meshes, triangles, starts[:-1], strict=True):
         part = slice(start, start + mesh.n_vertices)
-        if mesh.name not in kinds and _is_torn(frames, points[part], places[part], own - start):
+        if kinds.get(mesh.name) == "rigid" or not _is_small(points[part]):
+            continue
+        rotation, scale, shift = _similarity_around(frames, points[part])
+        turned_by[part] = scale * rotation.T
+        if mesh.name not in kinds and _is_torn(points[part], places[part], scale, own - start):
             _log.info("%s: keeps its shape, since the body has no place for it, such as a mouth for teeth", mesh.name)
-            rotation, scale, shift = _similarity_around(frames, points[part])
             places[part], matrices[part] = scale * points[part] @ rotation.T + shift, scale * rotation.T
     kind_of = [kinds.get(mesh.name) for mesh in meshes]
     positions, linear_maps = np.empty_like(places), np.empty_like(matrices)
@@ -134,6 +138,8 @@ def carry_passengers(
         pieces = find_pieces(of_kind, points[rows], distances.heights[rows], of_group)
         positions[rows], turns, scales = fit_similarities(pieces, points[rows], places[rows], matrices[rows])
         linear_maps[rows] = source.scale / target.scale * scales[:, None, None] * turns
+    # Frames at closed lips and lids differ much, and teeth would move apart.
+    linear_maps = np.where(np.isnan(turned_by), linear_maps, source.scale / target.scale * turned_by)
     return [
         CarriedPassenger(
             positions[rows] / target.scale, linear_maps[rows], float(np.abs(distances.heights[rows]).mean())
@@ -142,12 +148,14 @@ def carry_passengers(
     ]
 
 
-def _is_torn(frames: BodyFrames, points: FloatArray, places: FloatArray, triangles: IndexArray) -> bool:
+def _is_small(points: FloatArray) -> bool:
+    return len(points) >= 3 and bool(np.linalg.norm(points - points.mean(axis=0), axis=1).max() <= _MAX_SMALL_RADIUS)
+
+
+def _is_torn(points: FloatArray, places: FloatArray, scale: float, triangles: IndexArray) -> bool:
     """Whether the map tears a small mesh: teeth of an open mouth on a body whose mouth is closed."""
-    if len(points) < 3 or np.linalg.norm(points - points.mean(axis=0), axis=1).max() > _MAX_TORN_RADIUS:
-        return False
     lengths = [np.linalg.norm(np.diff(of[triangles], axis=1), axis=2).sum() for of in (points, places)]
-    return bool(lengths[1] > _MAX_STRETCH * _similarity_around(frames, points)[1] * lengths[0])
+    return bool(lengths[1] > _MAX_STRETCH * scale * lengths[0])
 
 
 def _similarity_around(frames: BodyFrames, points: FloatArray) -> tuple[FloatArray, float, FloatArray]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from cagemap.character.body_frames import neighbor_means
 from cagemap.character.own_parts import nearest_rows, rigid_groups
 from cagemap.character.passenger_pieces import PIECES, PieceConfig
 from cagemap.character.values import Part
@@ -26,6 +27,7 @@ from cagemap.pipeline import choose_level, match, prepare_surfaces
 from cagemap.spectral import Surface
 from cagemap.subdivision.face_varying import interpolate_linearly
 from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import fan_triangles, row_lengths
 from cagemap.tasks.carry_arrays import carry_shapes
 from cagemap.tasks.match_parts import lost_landmark_notes, ready_mesh
 from cagemap.tasks.progress import Stages
@@ -37,6 +39,9 @@ BODY_VERTICES = 100_000
 _MAX_OTHER_PIECES = 0.1
 # Least share of equal triangles of two shapes of one mesh: programs split concave quads along the other diagonal.
 _LEAST_EQUAL_FACES = 0.95
+# Where the map tears at the corners of the mouth, edges of heads are up to 10 to 16 times as long in jawOpen.
+_MAX_STRETCH, _SMOOTHING_ROUNDS = 5.0, 30
+_SHORT_EDGE = 0.1  # of the mean length; shorter edges count as this long
 _MIN_FACES = 4  # of a body: a tetrahedron
 _OTHER_PART = "Or choose another part (rig: --body-part, --like-part; face: --part)"
 
@@ -151,7 +156,24 @@ def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
     rows = bodies.rows(1)
     carried = carry_shapes(bodies.result, {name: offsets[rows] for name, offsets in shapes.items()})
     assert isinstance(carried, dict)
-    return {name: bodies.on_target(offsets) for name, offsets in carried.items()}
+    mesh = bodies.ready[0].mesh
+    triangles = fan_triangles(mesh.face_offsets, mesh.face_indices)[0]
+    smoothed = {name: limit_stretch(mesh.positions, triangles, offsets) for name, offsets in carried.items()}
+    return {name: bodies.on_target(offsets) for name, offsets in smoothed.items()}
+
+
+def limit_stretch(positions: FloatArray, triangles: IndexArray, offsets: FloatArray) -> FloatArray:
+    """Offsets (n, 3) of a shape, smoothed at edges that it stretches by more than `_MAX_STRETCH`."""
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    lengths, means = row_lengths(np.diff(positions[edges], axis=1)[:, 0]), neighbor_means(triangles, len(positions))
+    limits = _MAX_STRETCH * np.maximum(lengths, _SHORT_EDGE * lengths.mean())
+    for _ in range(_SMOOTHING_ROUNDS):
+        rows = np.unique(edges[row_lengths(np.diff((positions + offsets)[edges], axis=1)[:, 0]) > limits])
+        if not len(rows):
+            break
+        offsets = offsets.copy()
+        offsets[rows] = 0.5 * (offsets[rows] + means[rows] @ offsets)
+    return offsets
 
 
 def rigid_pieces(bodies: Bodies, config: PieceConfig = PIECES) -> list[IndexArray]:

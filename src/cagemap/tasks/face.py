@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cagemap.character.body_frames import BodyFrames, neighbor_means
+from cagemap.character.body_frames import BodyFrames
 from cagemap.character.bones import humanoid_joints
 from cagemap.character.own_parts import HAIRS, root_means, with_nearest_values
 from cagemap.character.passenger_pieces import PIECES
@@ -31,7 +31,7 @@ from cagemap.mesh.topology import vertex_pieces
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.camera import View, frame
 from cagemap.pictures.render import Image, Model, Skin, render
-from cagemap.surface.triangles import fan_triangles, row_lengths
+from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies, rigid_pieces
 from cagemap.tasks.carry_character import with_part
 from cagemap.tasks.compared_parts import part_of_faces
@@ -53,9 +53,6 @@ from cagemap.tasks.rig_character import (
 _LEAST_TRUSTED_SHARE = 0.8
 # Radius of eyeballs in units of sqrt(area) of the head; MakeHuman's have 0.04, drawn characters' are larger.
 _EYES = replace(PIECES, max_radius=0.1)
-# Where the map tears at the corners of the mouth, edges are up to 10 to 16 times as long in jawOpen.
-_MAX_STRETCH, _SMOOTHING_ROUNDS = 5.0, 30
-_SHORT_EDGE = 0.1  # of the mean length; shorter edges count as this long
 _AROUND_EYES = ("eye", "brow", "cheekSquint")  # beginnings of names of shapes
 _COLUMNS, _PIXELS = 9, 200
 _VIEW = View("face", 15.0, 3.0)
@@ -177,8 +174,7 @@ def face_shapes(
     forward = BodyFrames(bodies.result.point_map).rotation[2]
     shapes = {name: carried[name][rows] for name in names}
     for name in shapes.keys() - {"mouthClose"}:
-        moved = mesh.positions + limit_stretch(mesh.positions, triangles, shapes[name])
-        shapes[name] = move_apart(mesh.positions, moved, triangles, forward) - mesh.positions
+        shapes[name] = move_apart(mesh.positions, mesh.positions + shapes[name], triangles, forward) - mesh.positions
     if shapes.keys() >= {"mouthClose", "jawOpen"}:
         opened = mesh.positions + shapes["jawOpen"]
         shapes["mouthClose"] = move_apart(mesh.positions, opened + shapes["mouthClose"], triangles, forward) - opened
@@ -197,20 +193,6 @@ def face_shapes(
     in_mouth, of_mouth = mouth.shapes(bodies.given[0].mesh, dict.fromkeys(names, 1.0))
     in_mouth &= loose  # an island of the skin between UV seams is no tooth
     return {name: np.where(in_mouth[:, None], of_mouth.get(name, 0.0), offsets) for name, offsets in shapes.items()}
-
-
-def limit_stretch(positions: FloatArray, triangles: IndexArray, offsets: FloatArray) -> FloatArray:
-    """Offsets (n, 3) of a shape, smoothed at edges that it stretches by more than `_MAX_STRETCH`."""
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    lengths, means = row_lengths(np.diff(positions[edges], axis=1)[:, 0]), neighbor_means(triangles, len(positions))
-    limits = _MAX_STRETCH * np.maximum(lengths, _SHORT_EDGE * lengths.mean())
-    for _ in range(_SMOOTHING_ROUNDS):
-        rows = np.unique(edges[row_lengths(np.diff((positions + offsets)[edges], axis=1)[:, 0]) > limits])
-        if not len(rows):
-            break
-        offsets = offsets.copy()
-        offsets[rows] = 0.5 * (offsets[rows] + means[rows] @ offsets)
-    return offsets
 
 
 def _root_means(mesh: ControlMesh, rows: NDArray[np.bool_], skin: FloatArray) -> sparse.csr_array:
