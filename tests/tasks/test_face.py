@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -44,10 +45,11 @@ from cagemap.tasks.face import (
     contact_sheet,
     face_shapes,
 )
-from cagemap.tasks.face_parts import Mouth
+from cagemap.tasks.face_parts import Mouth, turn_lashes
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.face import FaceRequest
 
+from example_rigs import body_moved
 from plain_meshes import ball
 from refusals import refuses
 
@@ -198,6 +200,23 @@ def test_teeth_and_lashes_move_as_those_of_the_kit(shared_data: Path, in_mesh: b
     error = np.linalg.norm(moved[1]["eyeBlinkLeft"] - true["eyeBlink_L"][rows[1]], axis=1)
     assert error.mean() < 0.06
     assert error.max() < 0.35  # tips of lashes turn with the lids: by 0.9 without
+
+
+@pytest.mark.parametrize(("sinking", "amount", "angle"), [(1.0, 1.0, 0.93), (1.0, 0.5, 0.465), (0.016, 1.0, 0.0)])
+def test_what_sinks_much_less_than_the_lids_does_not_turn(sinking: float, amount: float, angle: float) -> None:
+    """Such as a fringe; and a blink of half the size turns lashes by half."""
+    bodies = SimpleNamespace(result=SimpleNamespace(point_map=body_moved(1.0, np.eye(3), np.zeros(3))))
+    points, means = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), sparse.csr_array([[1.0, 0.0], [1.0, 0.0]])
+    lids = {"eyeBlinkLeft": amount * np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 0.0]])}
+    shapes = {"eyeBlinkLeft": np.tile([0.0, -amount * sinking, 0.0], (2, 1))}
+    found = turn_lashes(bodies, points, means, shapes, lids, {"eyeBlinkLeft": amount})["eyeBlinkLeft"]
+    turned = found - shapes["eyeBlinkLeft"] + points
+    np.testing.assert_allclose(turned, [[0, 0, 0], [0, -np.sin(angle), np.cos(angle)]], atol=1e-9)
+
+
+def test_a_shape_of_the_kit_that_moves_nothing_has_no_amount() -> None:
+    with np.errstate(all="raise"):
+        assert _amount(np.ones((4, 3)), np.zeros((4, 3))) == 0.0
 
 
 @pytest.mark.slow

@@ -171,7 +171,7 @@ def face_shapes(
     """
     rows, mesh = bodies.rows(0), bodies.ready[0].mesh
     triangles = fan_triangles(mesh.face_offsets, mesh.face_indices)[0]
-    forward = BodyFrames(bodies.result.point_map).rotation[2]
+    forward, amounts = BodyFrames(bodies.result.point_map).rotation[2], dict.fromkeys(names, 1.0)
     shapes = {name: carried[name][rows] for name in names}
     for name in shapes.keys() - {"mouthClose"}:
         shapes[name] = move_apart(mesh.positions, mesh.positions + shapes[name], triangles, forward) - mesh.positions
@@ -183,14 +183,14 @@ def face_shapes(
     if loose.any():
         means = _root_means(bodies.given[0].mesh, loose, places[~loose])
         of_loose = {name: means @ offsets[loose] for name, offsets in shapes.items()}
-        for name, offsets in turn_lashes(bodies, places[loose], means, of_loose).items():
+        for name, offsets in turn_lashes(bodies, places[loose], means, of_loose, shapes, amounts).items():
             shapes[name][loose] = offsets
     for piece in rigid_pieces(bodies, _EYES):
         shifts = {name: np.linalg.norm(offsets[piece], axis=1).max() for name, offsets in carried.items()}
         if max(shifts, key=shifts.__getitem__).startswith(_AROUND_EYES):
             for offsets in shapes.values():
                 offsets[piece] = 0.0
-    in_mouth, of_mouth = mouth.shapes(bodies.given[0].mesh, dict.fromkeys(names, 1.0))
+    in_mouth, of_mouth = mouth.shapes(bodies.given[0].mesh, amounts)
     in_mouth &= loose  # an island of the skin between UV seams is no tooth
     return {name: np.where(in_mouth[:, None], of_mouth.get(name, 0.0), offsets) for name, offsets in shapes.items()}
 
@@ -203,7 +203,7 @@ def _root_means(mesh: ControlMesh, rows: NDArray[np.bool_], skin: FloatArray) ->
 
 def _amount(own: FloatArray, carried: FloatArray) -> float:
     """Weight at which the built-in face's shape is most like the head's own one; at least 0."""
-    return max(0.0, float((own * carried).sum() / (carried**2).sum()))
+    return max(0.0, float((own * carried).sum() / ((carried**2).sum() or 1.0)))
 
 
 def _other_parts(
@@ -216,7 +216,7 @@ def _other_parts(
 ) -> list[tuple[Part, Part]]:
     """Lashes, brows, beards and what is in the mouth, as given and with the head's ``shapes`` that move them.
 
-    ``amounts``: how much of the motion of the jaw in the built-in face each shape has.
+    ``amounts``: how much of its motion in the built-in face each shape has.
     """
     others = [part for part in character.parts if part is not body]
     hairs = [part for part in others if passenger_word(part.name) in HAIRS]
@@ -226,7 +226,7 @@ def _other_parts(
         if passenger_word(part.name) == "lash":
             new = {name: offsets for name, offsets in made[part].shapes.items() if name not in part.shapes}
             means = _root_means(part.mesh, np.ones(part.mesh.n_vertices, dtype=bool), skin.mesh.positions)
-            new = turn_lashes(bodies, part.mesh.positions, means, new)
+            new = turn_lashes(bodies, part.mesh.positions, means, new, skin.shapes, amounts)
             made[part] = replace(made[part], shapes=made[part].shapes | new)
         if part not in made:
             moved = {name: offsets for name, offsets in mouth.shapes(part.mesh, amounts)[1].items() if offsets.any()}

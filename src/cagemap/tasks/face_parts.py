@@ -35,7 +35,7 @@ _FRONT_VERTICES = 32  # of the face that are nearest seen from the front
 _BITE_HEIGHT, _BITE_RISE = -2.25, -0.09
 _MAX_OVERLAP, _GAP = 1.0, 1.0
 # Angle in radians by which ICT-FaceKit's upper lashes turn in a blink. Lashes turn where their roots go down by a fifth
-# of the most, and not at all below a tenth (docs/lab/characters.md).
+# of the most of the lid, and not at all below a tenth (docs/lab/characters.md).
 _BLINK_ANGLE, _TURNED_SHARE = 0.93, 0.1
 _MAX_TIP_SINE = 0.3  # of the angle by which lashes at the corners of the eye point backwards; eyeballs lie behind
 
@@ -95,18 +95,24 @@ class Mouth:
 
 
 def turn_lashes(
-    bodies: Bodies, points: FloatArray, means: sparse.csr_array, shapes: Mapping[str, FloatArray]
+    bodies: Bodies,
+    points: FloatArray,
+    means: sparse.csr_array,
+    shapes: Mapping[str, FloatArray],
+    of_skin: Mapping[str, FloatArray],
+    amounts: Mapping[str, float],
 ) -> dict[str, FloatArray]:
     """Shapes (n, 3) of lashes, of which those of upper lids turn about their roots in blinks.
 
     ``points``: (n, 3), and ``means`` (n, n) over their roots, see `root_means`. Points behind their roots do not turn.
+    ``of_skin``: shapes of the head's skin. ``amounts``: of shapes, in parts of their motions in the built-in face.
     """
     right, up, forward = BodyFrames(bodies.result.point_map).rotation
     made, tips = dict(shapes), points - means @ points
     is_behind = tips @ forward < -_MAX_TIP_SINE * np.linalg.norm(tips, axis=1)
     for name in shapes:
-        if name.startswith("eyeBlink") and (most := -(shapes[name] @ up).min(initial=0.0)) > 0.0:
+        if name.startswith("eyeBlink") and (most := -(of_skin[name] @ up).min(initial=0.0)) > 0.0:
             share = np.clip(-(shapes[name] @ up) / (_TURNED_SHARE * most) - 1.0, 0.0, 1.0) * ~is_behind
-            turns = Rotation.from_rotvec(_BLINK_ANGLE * share[:, None] * right)
+            turns = Rotation.from_rotvec(_BLINK_ANGLE * amounts[name] * share[:, None] * right)
             made[name] = shapes[name] + turns.apply(tips) - tips
     return made
