@@ -57,7 +57,7 @@ class Bodies:
 
     @kept
     def shown_map(self) -> PointMap:
-        """The map, with the faces of the target's cage flat, as files show them: clothes are outside these."""
+        """The map, with the faces of the target's cage flat, as glTF shows them: clothes are outside these."""
         point_map, refinement = self.result.point_map, self.result.target.refinement
         if refinement.is_plain:
             return point_map
@@ -106,14 +106,14 @@ def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stage
         If the piece of a part that is matched is only a fragment of it.
     """
     ready = _ready_body(target), _ready_body(source)
-    kept = landmarks.renumbered(*(mesh.vertex_of.__getitem__ for mesh in ready))
+    on_ready = landmarks.renumbered(*(mesh.vertex_of.__getitem__ for mesh in ready))
     stages("prepare")
     levels = choose_level(ready[0].mesh, BODY_VERTICES), choose_level(ready[1].mesh, BODY_VERTICES)
     surfaces = prepare_surfaces(ready[0].mesh, ready[1].mesh, levels)
-    notes = lost_landmark_notes(landmarks, kept)
+    notes = lost_landmark_notes(landmarks, on_ready)
     result = None if len(landmarks) or landmarks.curves else _map_of_equal_faces(*surfaces)
     if result is None:
-        result = match(*surfaces, kept, progress=stages)
+        result = match(*surfaces, on_ready, progress=stages)
     else:
         notes = [f"{target.mesh.name} has the same faces as {source.mesh.name}: their vertices are paired by number"]
     return Bodies((target, source), ready, result, tuple(notes))

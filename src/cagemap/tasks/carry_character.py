@@ -63,7 +63,8 @@ def carry_character(
         target's; its other parts stay, with weights and shapes by `with_nearest_values`.
     ``bodies``: names of the target's and of the source's body; by default `find_body` finds them.
     ``passengers``: names of the source's other parts to carry; by default all of which the target has no other part of
-        the same kind, see `compare_parts`.
+        the same kind, see `compare_parts`. If it has parts or loose pieces to compare, all are placed, so that a rigid
+        group has one motion, with or without its other parts.
     ``kinds``: see `carry_passengers`.
     ``influences``: most joints per vertex of the body; None for all.
     ``taken``: names already in use, such as those of joints: another part of the target with one gets '(own)'.
@@ -78,7 +79,8 @@ def carry_character(
     result = matched.result
     notes += matched.notes
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]
-    others = [part for part in target.parts if part is not target_body]
+    # Weights of the rig that is replaced are left out.
+    others = [replace(part, weights=None) for part in target.parts if part is not target_body]
     unmatched, pieces = _set_aside(matched, 0).mesh, _set_aside(matched, 1)
     loose = [Part(name, extract_faces(unmatched, faces)) for name, faces in named_pieces(unmatched)]
     to_carry = [*chosen, pieces] if pieces.mesh.n_faces else chosen
@@ -89,7 +91,8 @@ def carry_character(
         [placed[part] for part in to_place if part is not pieces],
         pieces,
         placed.get(pieces, pieces),
-        (loose, others),
+        loose,
+        others,
         result.point_map,
     )
     if pieces.name not in (kinds or ()) and len(compared.faces) < pieces.mesh.n_faces:
@@ -99,10 +102,12 @@ def carry_character(
             to_carry.append(part_of_faces(pieces, compared.faces))
             placed[to_carry[-1]] = part_of_faces(placed[pieces], compared.faces)
     if passengers is None:
-        doubled = [part for part in chosen if placed[part] in compared.like_parts and part.name not in (kinds or ())]
+        doubled = [
+            part for part in chosen if placed[part] in compared.doubles_of_parts and part.name not in (kinds or ())
+        ]
         notes += _declined_note([part.name for part in doubled])
         to_carry = [part for part in to_carry if part not in doubled]
-        notes += _doubled_note(target_body, [one.name for one in to_carry if placed[one] in compared.like_pieces])
+        notes += _doubled_note(target_body, [one.name for one in to_carry if placed[one] in compared.doubles_of_pieces])
     for part in to_carry:
         if (kinds or {}).get(part.name) == "rigid":
             notes += hidden_passenger(result.point_map, part.mesh, placed[part].mesh.positions)
@@ -169,8 +174,8 @@ def _left_out_note(bodies: Bodies, pieces: Part, kept: IndexArray) -> str:
     target, source = bodies.given
     return (
         f"{count_noun(len(sizes), 'piece')} of {source.mesh.name} ({first_few(sizes)}) not carried, since "
-        f"{target.mesh.name} has its own there: to carry all, name {pieces.name!r} (rig: --rigid, --cloth), or make "
-        "one an object"
+        f"{target.mesh.name} has its own there or of this kind: to carry all, name {pieces.name!r} (rig: --rigid, "
+        "--cloth), or make one an object"
     )
 
 
@@ -198,10 +203,13 @@ def with_part(character: Character, part: Part, made: Part) -> Character:
 
 
 def with_shape_weights(character: Character, source: Character, pieces_of: Mapping[str, str]) -> Character:
-    """A character with the source's weights of blend shapes; ``pieces_of``: parts with those of other parts."""
+    """A character with the source's weights of blend shapes, its own first; ``pieces_of``: with those of others."""
     stated = {part.name: part.shape_weights for part in source.parts if part.shapes}
     givers = {name: of for name, of in pieces_of.items() if name not in stated}
-    parts = [replace(part, shape_weights=stated.get(givers.get(part.name, part.name), {})) for part in character.parts]
+    given = [stated.get(givers.get(part.name, part.name), {}) for part in character.parts]
+    parts = [
+        replace(p, shape_weights={**new, **p.shape_weights}) for p, new in zip(character.parts, given, strict=True)
+    ]
     animations = []
     for one in character.animations:
         copies = [replace(t, part=name) for name, of in givers.items() for t in one.shape_tracks if t.part == of]

@@ -22,8 +22,8 @@ class ComparedParts:
     """What the target has of a character's parts and loose pieces."""
 
     counterparts: list[list[Part]]  # for each own piece or part of the target, those of its kind, placed on the target
-    like_parts: list[Part]  # placed parts of the kind of an own part
-    like_pieces: list[Part]  # placed parts of the kind or at the places of own pieces
+    doubles_of_parts: list[Part]  # placed parts of the kind of an own part
+    doubles_of_pieces: list[Part]  # placed parts of the kind or at the places of own pieces
     faces: IndexArray  # of the loose pieces, without those that the target has
 
 
@@ -31,14 +31,15 @@ def compare_parts(
     placed: Sequence[Part],
     pieces: Part,
     placed_pieces: Part,
-    own: tuple[Sequence[Part], Sequence[Part]],
+    own_pieces: Sequence[Part],
+    own_parts: Sequence[Part],
     point_map: PointMap,
 ) -> ComparedParts:
-    """Compare a character's parts and loose pieces with those of the target.
+    """Compare a character's parts and loose pieces with those of the target, by names and places.
 
     ``placed``: the character's parts beside its body, placed on the target.
     ``pieces``: loose pieces of its body, as given and as placed on the target.
-    ``own``: loose pieces of the target's body, and the target's parts beside it.
+    ``own_pieces``, ``own_parts``: loose pieces of the target's body, and the target's parts beside it.
     """
     named = named_pieces(pieces.mesh)
     groups = [
@@ -46,23 +47,31 @@ def compare_parts(
         for name in dict.fromkeys(name for name, _ in named)
     ]
     candidates = [*placed, *(part_of_faces(placed_pieces, faces, name) for name, faces in groups)]
-    count, loose, every = len(placed), len(own[0]), [*own[0], *own[1]]
-    of_carried, of_own = ([part.mesh for part in parts] for parts in (candidates, every))
-    # Whole parts are compared with whole parts, others piece by piece.
-    doubled = [one for one in doubled_pieces(of_carried, of_own) if one[0] >= count or one[1] < loose]
-    doubled += [(row, loose + one, faces) for row, one, faces in doubled_meshes(of_carried[:count], of_own[loose:])]
-    pairs = pairs_of_one_kind(candidates, every, doubled)
-    counterparts = [list[Part]() for _ in every]
+    count, loose, own = len(placed), len(own_pieces), [*own_pieces, *own_parts]
+    of_carried, of_own = ([part.mesh for part in parts] for parts in (candidates, own))
+    # Whole parts are compared with whole parts, others piece by piece; each comparison has nearest boxes of its own.
+    doubled = [
+        (row + start, number + own_start, faces)
+        for start, end, own_start, own_end, compare in (
+            (count, None, 0, loose, doubled_pieces),
+            (count, None, loose, None, doubled_pieces),
+            (0, count, 0, loose, doubled_pieces),
+            (0, count, loose, None, doubled_meshes),
+        )
+        for row, number, faces in compare(of_carried[start:end], of_own[own_start:own_end])
+    ]
+    pairs = pairs_of_one_kind(candidates, own, doubled)
+    counterparts = [list[Part]() for _ in own]
     for row, number, faces in pairs:
         whole = len(faces) == candidates[row].mesh.n_faces
         counterparts[number].append(candidates[row] if whole else part_of_faces(candidates[row], faces))
-    like_parts = [part for parts in counterparts[loose:] for part in parts]
+    doubles_of_parts = [part for parts in counterparts[loose:] for part in parts]
     sizes = [sum(len(faces) for one, number, faces in pairs if one == row and number < loose) for row in range(count)]
-    like_pieces = [part for part, size in zip(placed, sizes, strict=True) if size >= part.mesh.n_faces]
+    doubles_of_pieces = [part for part, size in zip(placed, sizes, strict=True) if size >= part.mesh.n_faces]
     found = [groups[row - count][1][faces] for row, _, faces in pairs if row >= count]
     found += pieces_in_surface(pieces.mesh, placed_pieces.mesh, point_map) if groups else []
     faces = np.setdiff1d(np.arange(pieces.mesh.n_faces), np.concatenate([np.zeros(0, dtype=np.int64), *found]))
-    return ComparedParts(counterparts, like_parts, like_pieces, faces)
+    return ComparedParts(counterparts, doubles_of_parts, doubles_of_pieces, faces)
 
 
 def named_pieces(mesh: ControlMesh) -> list[tuple[str, IndexArray]]:

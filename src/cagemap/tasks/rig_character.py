@@ -79,7 +79,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
         character_body(source, request.like_part, request.like),
     )
     bodies = (request.body, target, to), (request.like, source, of)
-    split = [note for path, character, body in bodies for note in _split_body(path, character, body)]
+    notes = [note for path, character, body in bodies for note in _split_body(path, character, body)]
     landmarks, landmark_notes = _landmarks(request, (to, of), (target, given_source))
     keeps = request.keep_textures or of.mesh.face_materials is None
     laid_out = to.mesh if keeps or of.mesh.uvs is None else with_uvs_in_unit_square(to.mesh)
@@ -96,21 +96,24 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
         taken=set(read_nodes(document).names) - {part.name for part in source.parts},
         stages=stages,
     )
+    notes += landmark_notes
     if of.weights is None and not without_skin:
-        landmark_notes += (
+        notes.append(
             f"{of.name} has no weights, so the body does not move with the skeleton: export the character with the "
-            "weights of its body, or choose a part that has weights as the body (rig: --like-part)",
+            "weights of its body, or choose a part that has weights as the body (rig: --like-part)"
         )
+    notes += carried.notes
     stages("textures")
     dressed, document = with_own_materials(carried, document, body_document, body=keeps)
-    baked, notes = BakedImages(), list[str]()
+    baked = BakedImages()
     bare = to.mesh.face_materials is None and of.mesh.vertex_colors is not None and not request.keep_textures
     if bare or not keeps:
         dressed = replace(dressed, parts=(with_carried_colors(carried, dressed.parts[0], of), *dressed.parts[1:]))
     if not keeps:
-        dressed, document, baked, notes = with_baked_materials(
+        dressed, document, baked, baking_notes = with_baked_materials(
             replace(carried, character=dressed), source, of, document, request.size
         )
+        notes += baking_notes
     elif request.size is not None:
         notes.append(f"--size is not used: {of.name} of {request.like} has no material whose textures could be baked")
     if source.rig is not None and dressed.rig is not None:
@@ -136,7 +139,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     doubt = [] if confidence is None or confidence.verdict == SURE else [_DOUBT]
     stages.record(_figures(dressed) | {"trusted_area": carried.result.quality.trusted_area})
     warnings = [*body_warnings(carried.result), *(doubt or _up_warning(carried.result.point_map, request.body))]
-    return _summary(request, dressed), [*split, *landmark_notes, *carried.notes, *notes, *warnings]
+    return _summary(request, dressed), [*notes, *warnings]
 
 
 def _require_paths(request: RigRequest) -> None:

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import read_mesh, read_whole, write_mesh
+from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import face_areas, face_centres
 from cagemap.mesh.landmarks import Landmarks
@@ -30,17 +32,18 @@ from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.subdivision import refine, with_options
 from cagemap.tasks.bodies import Bodies, match_bodies
-from cagemap.tasks.carry_character import _set_aside, carry_character
+from cagemap.tasks.carry_character import CarriedCharacter, _set_aside, carry_character
 from cagemap.tasks.carry_character import with_shape_weights as carried_shape_weights
+from cagemap.tasks.compared_parts import compare_parts
 from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
-from cagemap.tasks.rig_character import _kinds, _landmarks, _split_body, _up_warning, character_body, read_body
+from cagemap.tasks.rig_character import _DOUBT, _kinds, _landmarks, _split_body, _up_warning, character_body, read_body
 
 from command_line import Run
 from example_character import ball, bare_body, write_character
 from example_rigs import body_moved
-from plain_meshes import far_apart, marks_at
+from plain_meshes import far_apart, marks_at, renumbered
 from refusals import refuses
 from rigged import image_error, part_named, rig_done, same_order
 from usd_characters import shape_keys, with_shape_weights
@@ -76,12 +79,13 @@ def test_the_same_body_gets_back_what_the_character_has(files: Character) -> Non
     assert image_error() < 0.03
 
 
-@pytest.mark.slow
-def test_a_body_moved_and_scaled_moves_like_the_character(run: Run, files: Character, body: ControlMesh) -> None:
-    """Every vertex of every part, posed: the character's, scaled by 2, turned and shifted."""
+def test_a_body_moved_and_scaled_moves_like_the_character(run: Run, files: Character, body, quick_fit) -> None:
+    """Every vertex of every part, posed: the character's, scaled by 2, turned and shifted; numbered otherwise."""
     turn = Rotation.from_rotvec([0.0, 0.4, 0.0]).as_matrix()
-    write_mesh("B.glb", body.with_positions(2 * body.positions @ turn + [0.1, 0.2, 0.3]), force=True)
-    made = rig_done(run)
+    moved, _ = renumbered(body.with_positions(2 * body.positions @ turn + [0.1, 0.2, 0.3]), 0)
+    write_mesh("B.glb", moved, force=True)
+    assert "paired by number" not in run.done("rig B.glb --like C.glb -o OUT.glb").err
+    made = read_character("OUT.glb")
     poses = [pose_at(of.rig, of.animations[0], 1.0) for of in (files, made)]
     for given in files.parts:
         found = part_named(made, given.name)
@@ -323,6 +327,32 @@ def test_a_kind_of_a_part_that_the_body_has_itself_names_the_option_that_carries
         carry_character(character, character, kinds={"Hat": "rigid"})
 
 
+def test_own_parts_lose_the_weights_of_the_rig_that_is_replaced(body: ControlMesh) -> None:
+    """The character's body has no weights; a prop moves."""
+    moon, three = ball("moon", body.positions.max(axis=0), 0.1), np.tile(np.eye(4), (3, 1, 1))
+    hair = Part("hair", ball("hair", np.zeros(3), 0.1), sparse.csr_array(np.tile([0.0, 0.0, 1.0], (42, 1))))
+    target = Character((Part("skin", body), hair), Rig(("hips", "chest", "head"), np.array([-1, 0, 1]), three, three))
+    of_moon = sparse.csr_array(np.ones((42, 1)))
+    source = Character(
+        (Part("body", body), Part("moon", moon, of_moon)), Rig(("moon",), np.array([-1]), *2 * [three[:1]])
+    )
+    made = carry_character(target, source).character
+    assert made.rig.names == ("moon",)
+    assert part_named(made, "hair").weights is None
+    assert part_named(made, "moon").weights.shape == (42, 1)
+
+
+@pytest.mark.parametrize("cornea_in_target", [False, True])
+def test_parts_at_the_places_of_loose_pieces_do_not_hide_those(cornea_in_target: bool) -> None:
+    """An eyeball in both meshes; a cornea, a part of one of them, is nearer to the other's eyeball than its own."""
+    eyes = [Part("Object_1", ball("Object_1", np.array([x, 0.0, 0.0]), 1.0)) for x in (0.0, 0.2)]
+    cornea = Part("Object_4", ball("Object_4", np.array([0.2 * cornea_in_target, 0.05, 0.0]), 1.0))
+    placed, own_parts = ([], [cornea]) if cornea_in_target else ([cornea], [])
+    found = compare_parts(placed, eyes[1], eyes[1], [eyes[0]], own_parts, body_moved(1.0, np.eye(3), np.zeros(3)))
+    assert len(found.faces) == 0
+    assert [len(parts) for parts in found.counterparts] == ([1, 1] if cornea_in_target else [2])
+
+
 @pytest.mark.parametrize("own_part", [False, True])
 def test_a_piece_that_the_body_has_itself_is_not_carried(body: ControlMesh, own_part: bool) -> None:
     """The source's button and ring, onto a body with a button, or beside a part that is a button."""
@@ -342,7 +372,10 @@ def test_a_piece_that_the_body_has_itself_is_not_carried(body: ControlMesh, own_
     np.testing.assert_allclose(pieces.mesh.positions, balls[1].positions, atol=1e-3)
     assert len(pieces.shapes["shift"]) == balls[1].n_vertices
     n_faces = balls[0].n_faces
-    assert f"1 piece of C.glb ({n_faces} faces) not carried, since B.glb has its own there" in carried.notes[-1]
+    assert (
+        f"1 piece of C.glb ({n_faces} faces) not carried, since B.glb has its own there or of this kind"
+        in carried.notes[-1]
+    )
     every = carry_character(*characters, kinds={"body pieces": "rigid"})
     assert every.character.parts[-1].mesh.n_vertices == balls[0].n_vertices + balls[1].n_vertices
     assert not any("not carried" in note for note in every.notes)
@@ -392,6 +425,15 @@ def test_an_own_part_named_like_one_without_shapes_has_the_weights_of_the_part_t
     (animation,) = found.animations
     assert [one.part for one in animation.shape_tracks] == ["skin", "lash"]
     np.testing.assert_array_equal(animation.shape_tracks[1].values, track.values)
+
+
+def test_own_shapes_keep_their_weights_at_rest() -> None:
+    mesh = ball("skin", np.zeros(3), 0.1)
+    offsets = np.ones((mesh.n_vertices, 3))
+    source = Character((Part("skin", mesh, shapes={"blink": offsets}, shape_weights={"blink": 0.5, "smile": 0.25}),))
+    own = Part("skin", mesh, shapes={"blink": offsets, "smile": offsets}, shape_weights={"smile": 1.0})
+    found = carried_shape_weights(Character((own, replace(own, name="lash"))), source, {})
+    assert [part.shape_weights for part in found.parts] == [{"blink": 0.5, "smile": 1.0}, {"smile": 1.0}]
 
 
 @pytest.mark.parametrize("influences", [1, None])
@@ -619,6 +661,21 @@ def test_a_body_with_another_axis_up_is_named() -> None:
     for turn, words in ((np.eye(3), []), (y_turn, []), (x_turn, ["-Z here"]), (x_turn.T, ["Z here"])):
         found = _up_warning(body_moved(2.0, turn, np.ones(3)), Path("B.obj"))
         assert [word in text for word, text in zip(words, found, strict=True)] == [True] * len(words)
+
+
+@pytest.mark.parametrize("verdict", [SURE, "look at it"])
+def test_a_doubtful_match_is_named_and_the_axis_only_of_a_sure_one(files, body, verdict, monkeypatch) -> None:
+    def with_verdict(*given: Any, **options: Any) -> CarriedCharacter:
+        found = carry_character(*given, **options)
+        confidence = SimpleNamespace(verdict=verdict, summary=dict)
+        return replace(found, result=replace(found.result, confidence=confidence))
+
+    monkeypatch.setattr("cagemap.tasks.rig_character.carry_character", with_verdict)
+    lying = body.with_positions(body.positions @ Rotation.from_rotvec([np.pi / 2, 0, 0]).as_matrix())
+    write_mesh("B.glb", lying, force=True)
+    outcome = tasks.run(RigRequest(Path("B.glb"), Path("C.glb"), Path("OUT.glb")))
+    said = [any(words in text for text in outcome.warnings) for words in (_DOUBT, "glTF has Y up")]
+    assert said == [verdict != SURE, verdict == SURE]
 
 
 def test_a_body_of_one_triangle_is_refused() -> None:
