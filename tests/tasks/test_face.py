@@ -33,7 +33,7 @@ from cagemap.mesh.parts import extract_faces, join_meshes, numbers_on_part
 from cagemap.mesh.topology import face_components
 from cagemap.subdivision import with_options
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.bodies import Bodies, body_shapes, limit_stretch, match_bodies
+from cagemap.tasks.bodies import Bodies, body_shapes, largest_stretches, limit_stretch, match_bodies
 from cagemap.tasks.face import (
     _amount,
     _cut,
@@ -293,11 +293,13 @@ def test_shapes_do_not_tear_a_surface() -> None:
     mesh = ball(2)
     triangles, torn = mesh.face_indices.reshape(-1, 3), mesh.positions.copy()
     torn[5] += 5.0
-    found = limit_stretch(mesh.positions, triangles, torn)
+    allowed = np.full(mesh.n_vertices, 5.0)
+    found = limit_stretch(mesh, torn, allowed)
     edges = triangles[(triangles == 5).any(axis=1)]
     spans = [np.ptp((mesh.positions + offsets)[edges], axis=1).max() for offsets in (torn, found)]
     assert spans[1] < 0.4 * spans[0]
-    np.testing.assert_array_equal(limit_stretch(mesh.positions, triangles, mesh.positions), mesh.positions)
+    np.testing.assert_array_equal(limit_stretch(mesh, mesh.positions, allowed), mesh.positions)
+    np.testing.assert_array_equal(limit_stretch(mesh, torn, largest_stretches(mesh, torn)), torn)
 
 
 def test_of_a_rigged_body_the_head_is_taken() -> None:

@@ -29,7 +29,7 @@ from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.subdivision import refine, with_options
-from cagemap.tasks.bodies import Bodies, match_bodies
+from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies
 from cagemap.tasks.carry_character import _set_aside, carry_character
 from cagemap.tasks.carry_character import with_shape_weights as carried_shape_weights
 from cagemap.tasks.match_summary import body_warnings
@@ -574,6 +574,13 @@ def test_bodies_with_the_same_faces_are_paired_by_number_unless_landmarks_are_gi
     matched = match_bodies(*parts, marks_at(far_apart(body.positions, 5)), Stages())
     assert matched.notes == ()
     assert np.abs(matched.result.point_map.images.positions - matched.result.point_map.source.positions).max() > 1e-6
+
+
+def test_a_steep_shape_of_the_same_body_stays_as_it_is(body: ControlMesh) -> None:
+    steep = np.zeros((body.n_vertices, 3))
+    steep[40] = 3.0
+    bodies = match_bodies(Part("a", body), Part("b", body, shapes={"steep": steep}), Landmarks.none(), Stages())
+    np.testing.assert_allclose(body_shapes(bodies)["steep"], steep, atol=1e-9)
 
 
 def test_spring_bones_have_the_size_of_the_body(run: Run, files: Character, body: ControlMesh) -> None:
