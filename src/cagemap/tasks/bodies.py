@@ -162,7 +162,7 @@ def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
     weights = control_weights(bodies.result.point_map, bodies.result.target.refinement, bodies.result.source.refinement)
     for name, offsets in carried.items():
         of_source = largest_stretches(source, shapes[name][rows])
-        allowed = np.maximum.reduceat(of_source[weights.indices], weights.indptr[:-1])
+        allowed = 1.001 * np.maximum.reduceat(of_source[weights.indices], weights.indptr[:-1])  # not of the same body
         carried[name] = limit_stretch(target, offsets, np.maximum(allowed, _MAX_STRETCH))
     return {name: bodies.on_target(offsets) for name, offsets in carried.items()}
 
