@@ -280,6 +280,23 @@ def test_weights_of_shapes_follow_their_names(interpolation: str, of_node: bool)
                 np.testing.assert_array_equal(one, other)
 
 
+def test_lost_keys_of_weights_are_named(caplog: pytest.LogCaptureFixture) -> None:
+    """Several at one time, and weights for another number of shapes than the part has."""
+    document = character_glb(with_shape_weights(lively(), "walk | fast", np.arange(8.0).reshape(4, 2)))
+    top, keys = json.loads(json.dumps(document.json)), Binary(document)
+    entry = next(one for one in top["animations"] if one["name"] == "walk | fast")
+    sampler = entry["samplers"][entry["channels"][-1]["sampler"]]
+    sampler["input"] = keys.accessor(np.array([0, 1, 1, 2], dtype="<f4"), bounds=True)
+    (track,) = character_of(keys.document(top)).animations[0].shape_tracks
+    np.testing.assert_array_equal(track.times, [0.0, 1.0, 2.0])
+    assert caplog.messages == ["new.glb: animations 0 has several keys at the same time, the last one is used"]
+    caplog.clear()
+    sampler["input"] = keys.accessor(np.arange(4, dtype="<f4"), bounds=True)
+    sampler["output"] = keys.accessor(np.arange(4, dtype="<f4"))
+    assert character_of(keys.document(top)).animations[0].shape_tracks == ()
+    assert caplog.messages == ["new.glb: animations 0: weights of body are left out: expected 8 values, got 4"]
+
+
 def test_variants_of_materials_stay_and_lost_values_of_primitives_are_named(caplog: pytest.LogCaptureFixture) -> None:
     document = _textured()
     strip = document.json["meshes"][0]["primitives"][0]
