@@ -388,7 +388,7 @@ def test_expressions_that_are_not_as_vrm_says_stay_while_the_shapes_do(version: 
 
 
 @pytest.mark.parametrize("version", ["VRM", "VRMC_vrm"])
-def test_pieces_of_a_part_move_and_hide_with_it(version: str) -> None:
+def test_pieces_of_a_part_have_its_expressions_and_flags(version: str) -> None:
     document = _expressive(version)
     made = character_of(document)
     (strip,) = (part for part in made.parts if part.name == "strip")
@@ -397,22 +397,37 @@ def test_pieces_of_a_part_move_and_hide_with_it(version: str) -> None:
     key, given, number = ("mesh", 0, 3) if version == "VRM" else ("node", 4, 6)
     found = [bind for bind in _binds(again, version) if bind[key] in (given, number)]
     assert found == [_binds(document, version)[0] | {key: one} for one in (given, number)]
-    flags = again.json["extensions"][version]["firstPerson"]["meshAnnotations"]
-    assert number in [flag[key] for flag in flags]
+    assert number in [flag[key] for flag in _flags(again, version)]
 
 
-def test_a_part_whose_given_node_has_no_shapes_leaves_the_mesh_of_another_part_as_it_is() -> None:
-    """The target's own part, named like one of the character's that is not carried."""
-    document = _expressive("VRMC_vrm")
-    node = next(one for one in document.json["nodes"] if one["name"] == "strip" and "mesh" in one)
-    document.json["meshes"][node["mesh"]] |= {"name": "Strip", "extras": {"by": "me", "targetNames": ["raise"]}}
+@pytest.mark.parametrize("version", ["VRM", "VRMC_vrm"])
+def test_a_part_whose_given_node_has_no_shapes_keeps_its_mesh_and_flag(version: str) -> None:
+    """It gets the expressions of the part that gave it shapes; that part's mesh stays as it is."""
+    document = _expressive(version)
+    key, numbers = ("mesh", (1, 0)) if version == "VRM" else ("node", (3, 4))
+    meshes = document.json["meshes"]
+    for mesh, name in ((0, "Strip"), (1, "Ball")):
+        meshes[mesh] |= {"name": name, "extras": {"by": name}}
+    meshes[0]["extras"]["targetNames"] = ["raise"]
+    (flag,) = (one for one in _flags(document, version) if one[key] == numbers[1])
+    flag["firstPersonFlag" if version == "VRM" else "type"] = "thirdPersonOnly"
+    flags = json.loads(json.dumps(_flags(document, version)))
     ball, strip, lash = character_of(document).parts
     own = replace(ball, shapes={"raise": np.ones((ball.mesh.n_vertices, 3))})
     made = replace(character_of(document), parts=(own, strip, lash))
     again = character_glb(made, document, pieces_of={own.name: "strip"})
-    (mesh,) = (one for one in again.json["meshes"] if one.get("name") == "Strip")
-    assert mesh["extras"] == {"by": "me", "targetNames": ["raise"]}
-    assert mesh == again.json["meshes"][next(one for one in again.json["nodes"] if one["name"] == "strip")["mesh"]]
+    assert [mesh["name"] for mesh in again.json["meshes"][:2]] == ["Strip", "Ball"]
+    assert [mesh["extras"]["by"] for mesh in again.json["meshes"][:2]] == ["Strip", "Ball"]
+    assert len(again.json["meshes"]) == 3
+    assert {one["name"]: one["mesh"] for one in again.json["nodes"] if "mesh" in one}[own.name] == 1
+    assert [bind for bind in _binds(again, version) if bind[key] in numbers] == [
+        _binds(document, version)[0] | {key: number} for number in reversed(numbers)
+    ]
+    assert _flags(again, version) == flags
+
+
+def _flags(document: Document, version: str) -> list[dict[str, Any]]:
+    return document.json["extensions"][version]["firstPerson"]["meshAnnotations"]
 
 
 def test_shapes_that_the_first_primitive_lacks_are_referred_to() -> None:
