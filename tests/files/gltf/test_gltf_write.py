@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from examples.shapes import cube
 
-from cagemap.character.values import Character, Part
+from cagemap.character.values import Character, Interpolation, Part, ShapeTrack
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import character_of, read_character
@@ -278,6 +278,20 @@ def test_weights_of_shapes_follow_their_names(interpolation: str, of_node: bool)
         for name, keys_of in expected.items():
             for one, other in zip(keys_of, found[name], strict=True):
                 np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("interpolation", ["LINEAR", "CUBICSPLINE"])
+def test_shapes_without_a_track_keep_their_weight_at_rest(interpolation: Interpolation) -> None:
+    made, keys = lively(), np.array([[0.0], [1.0]])
+    splines = interpolation == "CUBICSPLINE"
+    values = np.stack([keys, keys, keys], axis=1) if splines else keys
+    body = replace(made.parts[0], shape_weights={"raise": 0.5, "wide": 0.25})
+    track = ShapeTrack("body", ("wide",), np.arange(2.0), values, interpolation)
+    walk = replace(made.animations[0], shape_tracks=(track,))
+    made = replace(made, parts=(body, *made.parts[1:]), animations=(walk,))
+    found = shape_keys(character_glb(made), 0)
+    np.testing.assert_array_equal(found["body", "wide"][1], values)
+    np.testing.assert_array_equal(found["body", "raise"][1][0].ravel(), [0.0, 0.5, 0.0] if splines else [0.5])
 
 
 def test_lost_keys_of_weights_are_named(caplog: pytest.LogCaptureFixture) -> None:

@@ -186,7 +186,7 @@ def animation_entries(
             add(entry, node, track.channel, track, values.reshape(-1, values.shape[-1]))
         for part, node in zip(character.parts, parts, strict=True):
             for shape_track in animation.shape_tracks_of(part):
-                add(entry, node, "weights", shape_track, shape_track.values_of(part.shapes).ravel())
+                add(entry, node, "weights", shape_track, shape_track.values_of(part).ravel())
         if entry["channels"]:
             entries.append({"name": animation.name} | entry)
     return entries
