@@ -25,7 +25,7 @@ from cagemap.tasks.requests.mesh_commands import RefineRequest
 
 from gltf_scenes import arm, changed
 from refusals import refuses
-from usd_characters import lively, shape_keys, with_shape_weights
+from usd_characters import lively, shape_keys, with_shape_track
 
 PNG = b"\x89PNG" + bytes(20)
 
@@ -254,7 +254,7 @@ def test_a_mesh_with_other_faces_is_written_alone(tmp_path: Path) -> None:
 def test_weights_of_shapes_follow_their_names(interpolation: str, of_node: bool) -> None:
     made = lively()
     rows = 3 if interpolation == "LINEAR" else 9
-    made = with_shape_weights(made, "walk | fast", np.arange(2.0 * rows).reshape(rows, 2))
+    made = with_shape_track(made, "walk | fast", np.arange(2.0 * rows).reshape(rows, 2))
     document = character_glb(made)
     top = json.loads(json.dumps(document.json))
     entry = next(one for one in top["animations"] if one["name"] == "walk | fast")
@@ -296,7 +296,7 @@ def test_shapes_without_a_track_keep_their_weight_at_rest(interpolation: Interpo
 
 def test_lost_keys_of_weights_are_named(caplog: pytest.LogCaptureFixture) -> None:
     """Several at one time, and weights for another number of shapes than the part has."""
-    document = character_glb(with_shape_weights(lively(), "walk | fast", np.arange(8.0).reshape(4, 2)))
+    document = character_glb(with_shape_track(lively(), "walk | fast", np.arange(8.0).reshape(4, 2)))
     top, keys = json.loads(json.dumps(document.json)), Binary(document)
     entry = next(one for one in top["animations"] if one["name"] == "walk | fast")
     sampler = entry["samplers"][entry["channels"][-1]["sampler"]]
