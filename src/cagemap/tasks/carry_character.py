@@ -198,13 +198,13 @@ def with_part(character: Character, part: Part, made: Part) -> Character:
 
 
 def with_shape_weights(character: Character, source: Character, pieces_of: Mapping[str, str]) -> Character:
-    """A character with the source's weights of blend shapes; ``pieces_of``: parts with those of other parts."""
+    """A character with the source's weights of blend shapes; ``pieces_of``: parts that have those of another part."""
     stated = {part.name: part.shape_weights for part in source.parts if part.shapes}
-    givers = {name: of for name, of in pieces_of.items() if name not in stated}
+    givers = {name: giver for name, giver in pieces_of.items() if name not in stated}
     parts = [replace(part, shape_weights=stated.get(givers.get(part.name, part.name), {})) for part in character.parts]
     animations = []
     for one in character.animations:
-        copies = [replace(t, part=name) for name, of in givers.items() for t in one.shape_tracks if t.part == of]
+        copies = [replace(t, part=name) for name, giver in givers.items() for t in one.shape_tracks if t.part == giver]
         animations.append(replace(one, shape_tracks=(*one.shape_tracks, *copies)))
     return replace(character, parts=tuple(parts), animations=tuple(animations))
 

@@ -30,8 +30,7 @@ from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.subdivision import refine, with_options
 from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies
-from cagemap.tasks.carry_character import _set_aside, carry_character
-from cagemap.tasks.carry_character import with_shape_weights as carried_shape_weights
+from cagemap.tasks.carry_character import _set_aside, carry_character, with_shape_weights
 from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
@@ -43,7 +42,7 @@ from example_rigs import body_moved
 from plain_meshes import far_apart, marks_at
 from refusals import refuses
 from rigged import image_error, part_named, rig_done, same_order
-from usd_characters import shape_keys, with_shape_weights
+from usd_characters import shape_keys, with_shape_track
 
 
 def test_the_same_body_gets_back_what_the_character_has(files: Character) -> None:
@@ -355,7 +354,7 @@ def test_pieces_that_are_carried_keep_the_weights_of_their_body(run: Run, files:
     shapes = {"blink": np.ones((mesh.n_vertices, 3))}
     rows = sparse.csr_array(np.tile([[1.0, 0.0]], (mesh.n_vertices, 1)))
     made = replace(files, parts=(Part("body", mesh, rows, shapes),))
-    write_document("C.glb", character_glb(with_shape_weights(made, "nod", np.array([[0.0], [1.0]]))), force=True)
+    write_document("C.glb", character_glb(with_shape_track(made, "nod", np.array([[0.0], [1.0]]))), force=True)
     rig_done(run)
     keys = shape_keys(read_document("OUT.glb"), 0)
     assert list(keys) == [("body", "blink"), ("body pieces", "blink")]
@@ -363,7 +362,7 @@ def test_pieces_that_are_carried_keep_the_weights_of_their_body(run: Run, files:
 
 def test_own_lashes_keep_the_weights_of_the_shapes_of_their_skin(run: Run, files: Character, body: ControlMesh) -> None:
     skin = replace(files.parts[0], shapes={"blink": np.ones((body.n_vertices, 3))})
-    made = with_shape_weights(replace(files, parts=(skin,)), "nod", np.array([[0.0], [1.0]]))
+    made = with_shape_track(replace(files, parts=(skin,)), "nod", np.array([[0.0], [1.0]]))
     write_document("C.glb", character_glb(made), force=True)
     lash = Part("lash", ball("lash", body.positions[np.argmax(body.positions[:, 2])], 0.1))
     write_document("B.glb", character_glb(Character((Part("body", body), lash))), force=True)
@@ -371,11 +370,11 @@ def test_own_lashes_keep_the_weights_of_the_shapes_of_their_skin(run: Run, files
     keys = shape_keys(read_document("OUT.glb"), 0)
     assert list(keys) == [("body", "blink"), ("lash", "blink")]
     given = Part("lash", lash.mesh, None, {"blink": np.ones((lash.mesh.n_vertices, 3))})
-    made = with_shape_weights(replace(made, parts=(skin, given)), "nod", np.array([[0.0], [1.0]]))
+    made = with_shape_track(replace(made, parts=(skin, given)), "nod", np.array([[0.0], [1.0]]))
     write_document("C.glb", character_glb(made), force=True)
     (animation,) = rig_done(run).animations
     assert [track.part for track in animation.shape_tracks] == ["body"]  # that part is at rest in the character
-    made = with_shape_weights(made, "nod", np.array([[0.0], [1.0]]), "lash")
+    made = with_shape_track(made, "nod", np.array([[0.0], [1.0]]), "lash")
     write_document("C.glb", character_glb(made), force=True)
     (animation,) = rig_done(run).animations
     assert [track.part for track in animation.shape_tracks] == ["lash"]
@@ -387,7 +386,7 @@ def test_an_own_part_named_like_one_without_shapes_has_the_weights_of_the_part_t
     skin = Part("skin", mesh, shapes={"blink": np.ones((mesh.n_vertices, 3))}, shape_weights={"blink": 0.5})
     source = Character((skin, Part("lash", mesh)), None, (Animation("wink", (), (track,)),))
     made = replace(source, parts=(skin, replace(skin, name="lash", shape_weights={})))
-    found = carried_shape_weights(made, source, {"lash": "skin"})
+    found = with_shape_weights(made, source, {"lash": "skin"})
     assert [part.shape_weights for part in found.parts] == 2 * [{"blink": 0.5}]
     (animation,) = found.animations
     assert [one.part for one in animation.shape_tracks] == ["skin", "lash"]
