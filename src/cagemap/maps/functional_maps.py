@@ -126,6 +126,7 @@ def _sides(
 
 
 def _check_sides(target: Surface, source: Surface, given: PointMap) -> None:
+    """Refuse point maps of other numbers of vertices than the finest levels have."""
     if given.target.n != len(target.vertices) or given.source.n != len(source.vertices):
         raise ParameterError(
             f"map: expected one of {len(target.vertices)} to {len(source.vertices)} vertices, the finest of the "
@@ -134,36 +135,44 @@ def _check_sides(target: Surface, source: Surface, given: PointMap) -> None:
 
 
 def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
-    """Check a map: returns a PointMap, C12 (k1, k2), or finest source vertices (n,) of a level's target vertices."""
+    """Check a map: returns a PointMap, C12 (k1, k2), or finest source vertices (n,) of a level's target vertices.
+
+    An array (n,) holds finest source vertices, also for a coarse level of the target.
+    """
     target, source = pair.target, pair.source
-    if isinstance(given, LevelMap) and given.points is not None and given.levels == pair.levels():
-        given = given.points
-    if isinstance(given, PointMap):
-        _check_sides(target, source, given)
-        return given
-    values = array_of(given.match if isinstance(given, LevelMap) else given)
-    counts = [len(level.positions) for level in target.hierarchy.levels]
+    form = _finest_images(pair, given) if isinstance(given, LevelMap) else given
+    if isinstance(form, PointMap):
+        _check_sides(target, source, form)
+        return form
+    values = array_of(form)
+    counts = [level.n_vertices for level in target.hierarchy.levels]
     if values.ndim == 1 and len(values) in counts:
-        vertices, known = whole_numbers(values, "map"), np.arange(len(source.vertices))
-        plain = (side.hierarchy.coarse_vertices for side in (target, source))
-        coarse = [0 if numbers is None else len(numbers) for numbers in plain]
-        if isinstance(given, LevelMap):
-            known = source.hierarchy.on_finest(pair.levels(given.levels)[1])
-        elif all(coarse) and len(values) < counts[-1] and vertices.max() < coarse[1]:
-            raise ParameterError(
-                f"map: expected finest source vertices, 0 to {len(known) - 1}, got {vertices.min()} to "
-                f"{vertices.max()}, numbers of a coarse level of a plain mesh. Give the LevelMap."
-            )
-        if 0 <= vertices.min() and vertices.max() < len(known):
-            return known[vertices]
+        vertices = whole_numbers(values, "map")
+        if 0 <= vertices.min() and vertices.max() < len(source.vertices):
+            return vertices
     largest = target.basis.count, source.basis.count
     if values.ndim != 2 or not values.size or not all(np.less_equal(values.shape, largest)):
         raise ParameterError(
             f"map: expected a PointMap, a functional map of at most {largest}, a LevelMap, or a finest source vertex "
             f"(0 to {len(source.vertices) - 1}) for every target vertex of a level, {' or '.join(map(str, counts))}, "
-            f"got {type(given).__name__} {tuple(getattr(given, 'shape', values.shape))}"
+            f"got {type(given).__name__} {values.shape}"
         )
     return finite_numbers(values, "map")
+
+
+def _finest_images(pair: Pair, given: LevelMap) -> PointMap | IndexArray:
+    """The point map of the finest levels, or the finest source vertices (n1,) of a coarse level's target vertices."""
+    levels = pair.levels(given.levels)
+    if given.points is not None and levels == pair.levels():
+        return given.points
+    match, on_finest = whole_numbers(given.match, "map"), pair.source.hierarchy.on_finest(levels[1])
+    n = pair.target.hierarchy.levels[levels[0]].n_vertices
+    if match.shape != (n,) or match.min() < 0 or match.max() >= len(on_finest):
+        raise ParameterError(
+            f"map: expected a vertex of level {levels[1]} of the source (0 to {len(on_finest) - 1}) for each of the "
+            f"{n} vertices of level {levels[0]} of the target, got {match.size}, up to {match.max(initial=-1)}"
+        )
+    return on_finest[match]
 
 
 @kinds_checked
