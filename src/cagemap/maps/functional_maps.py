@@ -43,7 +43,10 @@ TARGET_SAMPLES, SOURCE_SAMPLES = 3000, 10_000
 
 @kinds_checked
 def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> FloatArray:
-    """C12 = Phi~1^+ P12 Phi~2 of a point map of the finest levels, on a sample of its vertices (paper, 2.1.2)."""
+    """C12 = Phi~1^+ P12 Phi~2 of a point map of the finest levels, on a sample of its vertices (paper, 2.1.2).
+
+    ParameterError if the map has other numbers of vertices.
+    """
     _check_sides(target, source, point_map)
     chosen = evenly_spaced_vertices(len(point_map.images), FIT_SAMPLES)
     sampled = point_map.images.at(chosen)
@@ -74,10 +77,8 @@ def from_bases(
     pyFM's ``model.FM_12`` with ``model.mesh2.eigenvectors`` as the target's functions and ``mesh1``'s as the source's;
     geomfum's matrix with those of ``basis_b.vecs`` and ``basis_a.vecs``.
     """
-    matrix = finite_numbers(functional_map, "map")
-    (ours1, theirs1, areas1), (ours2, theirs2, areas2) = _sides(
-        pair, matrix.shape, (target_functions, source_functions), levels
-    )
+    matrix, functions = finite_numbers(functional_map, "map"), (target_functions, source_functions)
+    (ours1, theirs1, areas1), (ours2, theirs2, areas2) = _sides(pair, matrix.shape, functions, levels)
     k1, k2 = matrix.shape  # or as many as a basis has
     to_ours = fit_functional_map(ours1[:, :k1], areas1, theirs1)
     return np.asarray(to_ours @ matrix @ fit_functional_map(theirs2, areas2, ours2[:, :k2]))
@@ -95,11 +96,9 @@ def to_bases(
 
     The inverse of `from_bases`; same errors.
     """
-    matrix = functional_map_from(pair, functional_map)
-    shape = tuple(finite_numbers(values, "functions").shape[-1] for values in (target_functions, source_functions))
-    (ours1, theirs1, areas1), (ours2, theirs2, areas2) = _sides(
-        pair, shape, (target_functions, source_functions), levels
-    )
+    matrix, functions = functional_map_from(pair, functional_map), (target_functions, source_functions)
+    shape = tuple(finite_numbers(values, "functions").shape[-1] for values in functions)
+    (ours1, theirs1, areas1), (ours2, theirs2, areas2) = _sides(pair, shape, functions, levels)
     k1, k2 = matrix.shape
     to_theirs = fit_functional_map(theirs1, areas1, ours1[:, :k1])
     return np.asarray(to_theirs @ matrix @ fit_functional_map(ours2[:, :k2], areas2, theirs2))
@@ -135,10 +134,7 @@ def _check_sides(target: Surface, source: Surface, given: PointMap) -> None:
 
 
 def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
-    """Check a map: returns a PointMap, C12 (k1, k2), or finest source vertices (n,) of a level's target vertices.
-
-    An array (n,) holds finest source vertices, also for a coarse level of the target.
-    """
+    """Check a map: returns a PointMap, C12 (k1, k2), or finest source vertices (n,) of a level's target vertices."""
     target, source = pair.target, pair.source
     form = _finest_images(pair, given) if isinstance(given, LevelMap) else given
     if isinstance(form, PointMap):
