@@ -56,6 +56,7 @@ REFUSED: dict[str | tuple[str, ...], str] = {
     "transfer R --texture t.png -o o.png --bits 12": "8, 16 or 32",
     "transfer R --texture t.png -o .": "got a folder",
     "transfer R --texture t.png -o o": "got no suffix",
+    f"transfer R --texture t.png -o {300 * 'o'}": "got no suffix",
     **{
         f"transfer R --displacement h.exr --{option} {value} -o o.exr": f"--{option}: expected a finite number"
         for option in ("scale", "midlevel")

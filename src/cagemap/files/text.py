@@ -37,7 +37,7 @@ def require_suffix(
 ) -> None:
     """Refuse the name of a file that ends in none of the suffixes."""
     if path.suffix.lower() not in suffixes:
-        got = "a folder" if path.is_dir() else path.suffix.lower() or "no suffix"
+        got = "a folder" if os.path.isdir(path) else path.suffix.lower() or "no suffix"
         endings = " or ".join(", ".join(suffixes).rsplit(", ", 1))
         raise FormatError(f"{path}: expected {what} ending in {endings}, got {got}. {remedy}")
 
