@@ -195,7 +195,7 @@ def test_a_new_image_for_one_of_two_materials_that_share_one() -> None:
 
 def test_documents_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
     document = arm()
-    refuses(FormatError, r"a name ending in \.glb, \.gltf, \.vrm", write_document, tmp_path / "a.obj", document)
+    refuses(FormatError, r"a name ending in \.glb, \.gltf or \.vrm", write_document, tmp_path / "a.obj", document)
     document.json["asset"]["generator"] = float("nan")
     refuses(FormatError, "not finite", write_document, tmp_path / "a.glb", document)
     assert list(tmp_path.iterdir()) == []

@@ -193,9 +193,9 @@ def test_a_character_without_passengers_gives_its_body(run: Run, files: Characte
         (["--body-part", "leg"], "expected a part named 'leg', there is none"),
         (
             ["--like", "B.obj"],
-            "the character as .glb, .gltf, .vrm, .fbx, .usd, .usda, .usdc, .usdz, got '.obj'",
+            "a character file ending in .glb, .gltf, .vrm, .fbx, .usd, .usda, .usdc or .usdz, got .obj",
         ),
-        (["-o", "OUT.fbx"], "expected the file to write as .glb, .gltf, .vrm, .usd, .usda, .usdc, .usdz, got '.fbx'"),
+        (["-o", "OUT.fbx"], "expected a name ending in .glb, .gltf, .vrm, .usd, .usda, .usdc or .usdz, got .fbx"),
         (["-o", "C.glb"], "C.glb"),
         (["--landmarks", "missing.json"], "missing.json"),
         (["--rigid", "hta"], "hta: expected one of the passengers, hat, eye, body pieces (rig: --rigid"),
