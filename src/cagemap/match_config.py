@@ -10,7 +10,7 @@ import numpy as np
 from cagemap.deform.config import ElasticConfig, StartConfig
 from cagemap.errors import ParameterError
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.maps.pair import SymmetryPair
+from cagemap.maps.pair import SymmetryPair, symmetry_pairs
 from cagemap.numerics.kinds import Config
 from cagemap.paper.hfm import HfmConfig
 from cagemap.paper.method import PaperConfig
@@ -63,10 +63,7 @@ class MatchConfig(Config):
         super().__post_init__()
         if self.method not in METHODS:
             raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
-        if not all(isinstance(pair, tuple | list) and len(pair) == 2 for pair in self.symmetries):
-            raise ParameterError(
-                "symmetries: expected pairs of arrays, the target's images and the source's, got others"
-            )
+        symmetry_pairs(self.symmetries)
         if self.answer and self.method != "elastic":
             raise ParameterError(f"answer: expected the method elastic, which alone finds several, got {self.method!r}")
         if self.symmetries and self.method == "elastic":

@@ -8,7 +8,7 @@ and `hfm_map` take all.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,7 +29,7 @@ from cagemap.maps.functional_maps import (
 )
 from cagemap.maps.functional_maps import functional_map_from as functional_map_of
 from cagemap.maps.hypotheses.search import search_placements
-from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, cage_points_of
+from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, cage_points_of, symmetry_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import held_vertices, map_of_places
 from cagemap.maps.projection.project import project as _project
@@ -132,20 +132,17 @@ def make_pair(
         If the sides do not correspond one to one, a self-map is not one of control vertices, or a mesh with
         symmetries is plain.
     """
-    vertices = [whole_numbers(side, "landmarks") for side in landmarks] if isinstance(landmarks, Iterable) else []
-    if len(vertices) != 2 or vertices[0].shape != vertices[1].shape or vertices[0].ndim != 1:
-        raise ParameterError(
-            "landmarks: expected two arrays (p,), as many target as source landmarks, got "
-            f"{[side.shape for side in vertices[:3]] or shown(landmarks)}. Transpose an array (p, 2), or give it, or "
-            "Landmarks, to `cagemap.pair_of`."
-        )
-    if not isinstance(symmetries, Sequence) or not all(
-        isinstance(pair, Sequence) and len(pair) == 2 for pair in symmetries
-    ):
-        raise ParameterError("symmetries: expected pairs of arrays, the target's images and the source's, got others")
-    self_maps = tuple(
-        (whole_numbers(one, "symmetries"), whole_numbers(other, "symmetries")) for one, other in symmetries
+    listed = (
+        isinstance(landmarks, Iterable) and not isinstance(landmarks, Mapping) and getattr(landmarks, "shape", True)
     )
+    vertices = [whole_numbers(side, "landmarks") for side in landmarks] if listed else []
+    if len(vertices) != 2 or vertices[0].shape != vertices[1].shape or vertices[0].ndim != 1:
+        got = f"{len(vertices)}: {', '.join(str(side.shape) for side in vertices[:2])}" if listed else shown(landmarks)
+        raise ParameterError(
+            f"landmarks: expected two arrays (p,), as many target as source landmarks, got {got}. "
+            "Transpose an array (p, 2), or give it, or Landmarks, to `cagemap.pair_of`."
+        )
+    self_maps = symmetry_pairs(symmetries)
     for on_target, on_source in self_maps:
         check_symmetry(on_target, target.control)
         check_symmetry(on_source, source.control)
@@ -265,7 +262,7 @@ def project(pair: Pair, start: MapLike, prepared: PreparedPair | None = None) ->
     start : map, or (n, 3) array
         Or positions, at the source's unit area, of the vertices of ``prepared.mesh``.
     prepared : PreparedPair, optional
-        As in `elastic`.
+        As in `elastic`; ParameterError if it is of other surfaces.
     """
     prepared = prepare_pair(pair.target, pair.source) if prepared is None else prepared
     prepared = Problem(prepared, pair.landmarks).prepared  # of the same surfaces

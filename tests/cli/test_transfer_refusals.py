@@ -107,7 +107,7 @@ FOREIGN = {
     "blend_shapes in an npz": ("o.npz", {"blend_shapes": ("v.obj",)}, "was not written by cagemap"),
     "weights": ("o.txt", {"weights": "v.npy"}, "expected a name ending in"),
     "joints": ("o.txt", {"joints": "j.json"}, "expected a name ending in .json"),
-    "write_map": ("o.xyz", {"write_map": True}, "expected a name ending in .npy, .npz, .mtx, .vts, .mhclo, .proxy"),
+    "write_map": ("o.xyz", {"write_map": True}, "expected a name ending in .npy, .npz, .mtx, .vts, .mhclo or .proxy"),
     "blend_shapes in a format without": ("o.csv", {"blend_shapes": ("v.obj",)}, "expected a folder or a name ending"),
 }
 

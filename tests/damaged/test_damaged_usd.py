@@ -22,7 +22,7 @@ from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.read import read_usd
 from cagemap.files.usd.space import to_standard
 
-from usd_characters import lively, painted, with_shape_weights
+from usd_characters import lively, painted, with_shape_track
 
 pytestmark = pytest.mark.slow
 
@@ -59,7 +59,7 @@ def with_number(content: bytes, rng: np.random.Generator) -> bytes:
 def test_changed_values_are_a_named_error_or_a_character(tmp_path: Path, suffix: str) -> None:
     rng = np.random.default_rng(11)
     change = with_number if suffix == ".usda" else mutated_bytes
-    made = with_shape_weights(lively(), "walk | fast", np.array([[0.0, 0.0], [1.0, 0.25], [0.5, 1.0]]))
+    made = with_shape_track(lively(), "walk | fast", np.array([[0.0, 0.0], [1.0, 0.25], [0.5, 1.0]]))
     alone = replace(made, parts=made.parts[:1])
     read = []
     for name, (character, document, of) in {

@@ -148,7 +148,7 @@ def test_arrays_of_another_shape_and_nan_are_refused_by_name(itself):
     target, constraints = itself.target, research.gather_constraints(itself)
     vertices, values = target.control.n_vertices, target.basis.at(1)
     nan, eye = np.nan, np.eye(30)
-    refuses(ParameterError, "got .*Transpose", research.make_pair, target, target, np.zeros((3, 2), int))
+    refuses(ParameterError, "got 3: .*Transpose", research.make_pair, target, target, np.zeros((3, 2), int))
     assert TriangleSurface.from_faces(np.eye(3).tolist(), [[0, 1, 2]]).n == 3
     for given in (np.ones(30), np.ones((29, 2)), np.ones((30, 2)) * nan):
         refuses(ParameterError, "^target descriptors: expected", constraints.with_descriptors, given, np.ones((30, 2)))

@@ -285,7 +285,7 @@ def test_missing_file_folder_and_unknown_extension(tmp_path: Path) -> None:
     (tmp_path / "folder.obj").mkdir()
     refuses(FormatError, "folder", read_mesh, tmp_path / "folder.obj")
     for call in (read_mesh, check_mesh_path):
-        refuses(FormatError, r"\.obj, \.ply, .*, got '\.blend'", call, tmp_path / "mesh.blend")
+        refuses(FormatError, r"\.obj, \.ply, .*, got \.blend", call, tmp_path / "mesh.blend")
     for name in ("mesh", "mesh.usdz"):
         refuses(FormatError, r"\.obj, \.ply", write_mesh, tmp_path / name, cube())
     refuses(FormatError, "cannot be read", read_obj, "nul\0byte.obj")

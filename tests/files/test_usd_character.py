@@ -38,7 +38,7 @@ from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest
 
 from refusals import refuses
-from usd_characters import lively, painted, posed, shape_keys, with_shape_weights
+from usd_characters import lively, painted, posed, shape_keys, with_shape_track
 from usd_scenes import complaints, stage_at
 
 
@@ -67,7 +67,7 @@ def test_usd_skins_and_shapes_as_gltf_does(tmp_path: Path, suffix: str) -> None:
     """At keys and between them, to 1e-5 of the size; of a spline between frames to 1e-4."""
     made = lively()
     weights = np.array([[0.0, 0.0], [1.0, 0.25], [0.5, 1.0]])
-    made = with_shape_weights(made, "walk | fast", weights)
+    made = with_shape_track(made, "walk | fast", weights)
     document = character_glb(made)
     path = tmp_path / f"OUT.{suffix}"
     notes = _written(path, made, document)

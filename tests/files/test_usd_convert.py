@@ -32,16 +32,17 @@ from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest
 
 from refusals import refuses
-from usd_characters import lively, painted, posed, shape_keys, with_shape_weights
+from usd_characters import lively, painted, posed, shape_keys, with_shape_track
 from usd_scenes import skinned_points, stage_at, usd_mesh
 
 
 def test_a_written_character_comes_back(tmp_path: Path) -> None:
     """Names, rest pose, weights, shapes, all animations and their weights of shapes."""
     weights = np.array([[0.0, 0.0], [1.0, 0.25], [0.5, 1.0]])
-    made = with_shape_weights(lively(), "walk | fast", weights)
+    made = with_shape_track(lively(), "walk | fast", weights)
     write_usd_character(tmp_path / "C.usdz", made, read_scene(character_glb(made)))
-    given = usd_document(tmp_path / "C.usdz")
+    given, direct = document_and_character(tmp_path / "C.usdz")
+    assert [track.part for track in direct.animations[0].shape_tracks] == ["body"]  # others have no such shapes
     write_document(tmp_path / "C.glb", given)
     found = character_of(read_document(tmp_path / "C.glb"))
     assert found.rig.names == made.rig.names
@@ -71,7 +72,7 @@ def test_a_written_character_comes_back(tmp_path: Path) -> None:
 
 def test_static_weights_of_a_clip_stay_in_it(tmp_path: Path) -> None:
     """Also of a clip without motion; only those of a file's one clip are at rest."""
-    made = with_shape_weights(lively(), "walk | fast", np.array([[1, 0.5]]))
+    made = with_shape_track(lively(), "walk | fast", np.array([[1, 0.5]]))
     walk, steps, _ = made.animations
     made = replace(made, animations=(replace(walk, tracks=()), steps))
     write_usd_character(tmp_path / "C.usda", made, read_scene(character_glb(made)))
@@ -87,7 +88,7 @@ def test_weights_at_rest_that_all_clips_have_come_back(tmp_path: Path, is_animat
     made = lively()
     walk = made.animations[0].name
     if is_animated:
-        made = with_shape_weights(made, walk, np.array([[0.5, 0.0], [0.5, 1.0], [0.5, 0.0]]))
+        made = with_shape_track(made, walk, np.array([[0.5, 0.0], [0.5, 1.0], [0.5, 0.0]]))
     body = replace(made.parts[0], shape_weights={"raise": 0.5, "wide": 0.0})
     made = replace(made, parts=(body, *made.parts[1:]))
     document = character_glb(made)

@@ -155,7 +155,7 @@ def test_a_box_that_was_turned_lies_on_itself_in_several_ways() -> None:
         found = Coincidence.find(unprepared(moved(box), 2000), unprepared(box, 2000))
         assert (found is not None) == lies
         if found is not None:
-            np.testing.assert_allclose(found.motion[0], MOVED.inv().as_matrix(), atol=1e-9)
+            np.testing.assert_allclose(found.motion.rotation, MOVED.inv().as_matrix(), atol=1e-9)
 
 
 @pytest.mark.filterwarnings("error")

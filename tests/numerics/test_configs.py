@@ -47,7 +47,9 @@ REFUSED: dict[str, Callable[[], object]] = {
     ),
     "coarse_vertices: expected a whole number of at least 4, got 1000": lambda: ElasticConfig(coarse_vertices=10**400),
     "iterations: expected a whole number of at least 1, got 2.5": lambda: Stage(2.5, (1.0, 1.0), 0.1),  # type: ignore[arg-type]
-    "search: expected a SearchConfig, got None": lambda: ElasticConfig(search=None),  # type: ignore[arg-type]
+    "search: expected SearchConfig, got None": lambda: ElasticConfig(search=None),  # type: ignore[arg-type]
+    "symmetries: expected pairs of arrays": lambda: MatchConfig(symmetries=3),  # type: ignore[arg-type]
+    "elastic: expected ElasticConfig, got None": lambda: MatchConfig(elastic=None),  # type: ignore[arg-type]
     "reach: expected a number of at least 0, got '1'": lambda: CollisionConfig(reach="1"),  # type: ignore[arg-type]
 }
 
@@ -63,3 +65,11 @@ def test_numbers_of_numpy_and_infinite_limits_are_accepted() -> None:
     config: Config = GraphConfig(neighbours=np.int64(3), flat=np.float32(0.1))  # type: ignore[arg-type]
     assert config == GraphConfig(neighbours=3, flat=float(np.float32(0.1)))
     assert WrapConfig(max_distance=np.inf).max_distance == np.inf  # no limit
+
+
+def test_lists_become_tuples() -> None:
+    """So that configurations can be keys."""
+    vertices = np.arange(3)
+    config = MatchConfig(method="hfm", symmetries=[(vertices, vertices)])  # type: ignore[arg-type]
+    assert isinstance(config.symmetries, tuple)
+    assert ProjectionConfig(rings=[1, 2]).rings == (1, 2)  # type: ignore[arg-type]

@@ -11,7 +11,7 @@ from scipy import sparse
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.operators import build_operators, named_laplacian, stiffness, vertex_areas
+from cagemap.operators import Operators, build_operators, named_laplacian, stiffness, vertex_areas
 from cagemap.operators.laplacian import QUAD_PAIRS, TRIANGLE_PAIRS, assemble_stiffness, face_terms
 from cagemap.spectral import exact_basis
 from cagemap.subdivision import refine
@@ -294,3 +294,13 @@ def test_edges_with_a_cotangent_of_zero_stay_entries():
     right = stiffness(corners, np.array([[0, 1, 2]]))
     assert right[[0], [2]][0] == 0.0
     assert right[:3].nnz == 9
+
+
+def test_built_matrices_are_read_only_and_given_ones_stay_writeable() -> None:
+    built = build_operators(refine(shapes.cube(), 1))
+    for matrix in (*built.mass, *built.stiffness):
+        assert not matrix.data.flags.writeable
+    copies = tuple(matrix.copy() for matrix in built.mass)
+    Operators(copies, copies, 1.0)
+    Operators((np.eye(3),), (np.eye(3),), 1.0)  # type: ignore[arg-type]
+    assert all(matrix.data.flags.writeable for matrix in copies)

@@ -17,6 +17,7 @@ from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, note_transfer
 from cagemap.files.result.maps import read_images
 from cagemap.maps.functional_maps import LevelMap
+from cagemap.maps.pair import Pair
 from cagemap.paper.method import recover_points
 from cagemap.pipeline import MatchConfig, pair_of
 from cagemap.tasks.import_map import run_map
@@ -50,29 +51,63 @@ def matched(tmp_path_factory):
     return folder
 
 
-def test_a_level_map_is_a_map_for_every_step() -> None:
-    """Coarse levels of plain meshes have numbers of their own, which a vertex map must not have."""
+@pytest.fixture(scope="module")
+def plain_pair() -> Pair:
+    """A plain mesh with coarse levels and itself."""
     fine = refine(creature(), 2).finest
     mesh = cagemap.plain_mesh((fine.positions, fine.faces)).mesh
     surface = research.prepare(mesh, 0, BasisConfig(count=30))
     vertices = np.arange(0, mesh.n_vertices, 100)
-    pair = research.make_pair(surface, surface, (vertices, vertices))
+    return research.make_pair(surface, surface, (vertices, vertices))
+
+
+def test_a_level_map_is_a_map_for_every_step(plain_pair: Pair) -> None:
+    """Coarse levels of plain meshes have numbers of their own; arrays have those of the finest level."""
+    surface = plain_pair.target
     numbers, n = surface.hierarchy.on_finest(0), surface.hierarchy.levels[0].n_vertices
     identity = LevelMap((0, 0), np.eye(30), np.arange(n))
-    expected = research.functional_map_of(pair, numbers)
-    np.testing.assert_array_equal(research.functional_map_of(pair, identity), expected)
+    expected = research.functional_map_of(plain_pair, numbers)
+    np.testing.assert_array_equal(research.functional_map_of(plain_pair, identity), expected)
     np.testing.assert_allclose(expected, np.eye(30), atol=1e-6)
-    refuses(
-        ParameterError,
-        "numbers of a coarse level of a plain mesh. Give the LevelMap",
-        research.functional_map_of,
-        pair,
-        identity.match,
+    finest = np.arange(len(surface.vertices))
+    whole = PointMap.from_vertices(*2 * (surface.finest_triangles,), finest)
+    for levels in (plain_pair.levels(), list(plain_pair.levels())):
+        assert research.point_map(plain_pair, LevelMap(levels, np.eye(30), finest, whole)) is whole  # type: ignore[arg-type]
+
+
+def test_a_level_map_onto_low_numbers_is_a_map_for_every_step(plain_pair: Pair) -> None:
+    """A part may be mapped to finest vertices below the number of coarse ones: as a level's map, and as an array."""
+    numbers, n = plain_pair.source.hierarchy.on_finest(0), plain_pair.source.hierarchy.levels[0].n_vertices
+    low = np.flatnonzero(numbers < n)
+    match = low[np.arange(n) % len(low)]
+    level_map = LevelMap((0, 0), np.eye(30), match)
+    expected = research.functional_map_of(plain_pair, level_map)
+    np.testing.assert_array_equal(research.functional_map_of(plain_pair, numbers[match]), expected)
+    assert research.point_map(plain_pair, level_map).target.n == len(plain_pair.target.vertices)
+    schedule = research.ZoomOutSchedule(first=10, last=20)
+    np.testing.assert_array_equal(
+        research.zoomout(plain_pair, level_map, schedule), research.zoomout(plain_pair, numbers[match], schedule)
     )
-    whole = PointMap.from_vertices(*2 * (surface.finest_triangles,), np.arange(mesh.n_vertices))
-    found = LevelMap(pair.levels(), np.eye(30), np.arange(mesh.n_vertices), whole)
-    assert research.point_map(pair, found) is whole
-    refuses(ParameterError, "levels: expected", research.elastic, pair, LevelMap((0, 9), np.eye(30), numbers))
+
+
+@pytest.mark.parametrize(
+    ("levels", "entries", "first", "message"),
+    [
+        ((0, 9), 0, 0, "levels: expected"),
+        ((0, 0), 1, 0, "map: expected a vertex of level 0 of the source"),
+        ((1, 0), 0, 0, "map: expected a vertex of level 0 of the source"),
+        (None, 0, 0, "map: expected a vertex of level"),
+        ((0, 0), 0, 1, "map: expected a vertex of level 0 of the source"),
+        ((0, 0), 0, -1, "map: expected a vertex of level 0 of the source"),
+    ],
+)
+def test_a_level_map_of_other_levels_is_refused(
+    plain_pair: Pair, levels: tuple[int, int], entries: int, first: int, message: str
+) -> None:
+    """Too many entries or entries of another level, and vertices that the source's level does not have."""
+    counts = [level.n_vertices for level in plain_pair.target.hierarchy.levels]
+    match = np.arange(first, counts[0] + first) if entries == 0 else np.arange(counts[1]) % counts[0]
+    refuses(ParameterError, message, research.functional_map_of, plain_pair, LevelMap(levels, np.eye(30), match))
 
 
 @pytest.mark.slow

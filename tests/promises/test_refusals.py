@@ -54,8 +54,9 @@ REFUSED: dict[str | tuple[str, ...], str] = {
     "transfer R --texture t.png --bits 32 -o o.png": "choose 8 or 16 bits",
     "transfer R --texture t.png -o o.exr": "choose 16 or 32 bits",
     "transfer R --texture t.png -o o.png --bits 12": "8, 16 or 32",
-    "transfer R --texture t.png -o .": "got no suffix",
+    "transfer R --texture t.png -o .": "got a folder",
     "transfer R --texture t.png -o o": "got no suffix",
+    f"transfer R --texture t.png -o {300 * 'o'}": "got no suffix",
     **{
         f"transfer R --displacement h.exr --{option} {value} -o o.exr": f"--{option}: expected a finite number"
         for option in ("scale", "midlevel")
@@ -105,7 +106,7 @@ REFUSED: dict[str | tuple[str, ...], str] = {
     "transfer BARE --material-colors -o o.png": "mesh without UVs and colours has no look to transfer",
     "transfer COLORED --texture t.png -o o.png": "`transfer --bake colors`",
     "transfer COLORED --material-colors -o o.png": "`transfer --bake colors`",
-    "transfer R --attribute box.ply -o o.npz": "expected values as .npy, .npz, .csv, .json, or in a USD file, got .ply",
+    "transfer R --attribute box.ply -o o.npz": "expected a file of values ending in .npy, .npz, .csv, .json, .usd",
     "transfer R --attribute box.gltf -o o.npz": "got .gltf. Give its weights and shapes to --weights and --blend",
     "transfer R --weights box.ply -o o.npz": "or in a glTF, FBX or USD file, got .ply. Export them",
     "transfer R --joints box.ply -o o.json": "expected joints as .json, or in a glTF, FBX or USD file, got .ply",
@@ -134,7 +135,7 @@ REFUSED: dict[str | tuple[str, ...], str] = {
     "transfer gone --texture t.png -o o.png": "cagemap match",
     "transfer box.obj --texture t.png -o o.png": "found a file",
     "report gone": "cagemap match",
-    "report R -o r.pdf": "ending in .html, got '.pdf'",
+    "report R -o r.pdf": "ending in .html or .htm, got .pdf",
     "match --target . --source box.obj -o Q": "got a folder",
     "wrap box.obj box.obj -o n.obj": "Meshes are given by --target and --source",
     "run .": "got a folder",
@@ -194,7 +195,7 @@ REFUSED: dict[str | tuple[str, ...], str] = {
         f"functions box.obj --{option} -o f.npz": f"--{option.split()[0]}: expected with --kinds"
         for option in ("heat 3", "wave 3", "points 0,7")
     },
-    "face box.glb -o F.obj": "expected the file to write as .glb",
+    "face box.glb -o F.obj": "expected a name ending in .glb",
     "face box.glb -o box.glb": "box.glb",
     "face box.glb -o F.glb --only tongueOut": "tongueOut is not among the shapes",
     "face box.glb -o F.glb --only ,": "expected names of shapes",

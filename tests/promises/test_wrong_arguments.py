@@ -190,6 +190,7 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "an answer below 0": lambda s: MatchConfig(answer=-1),
     "an answer that is not there": lambda s: cagemap.match(s.surface, s.surface, s.landmarks, MatchConfig(answer=7)),
     "symmetries of numbers": lambda s: MatchConfig(symmetries=(1,)),
+    "a number as symmetries": lambda s: MatchConfig(symmetries=3),
     "a weight below 0": lambda s: ElasticConfig(landmark_weight=-1),
     "a graph of nothing": lambda s: ElasticConfig(coarse_vertices=0),
     "a tile": lambda s: BakeOptions(tile=-4),
@@ -273,6 +274,8 @@ HOUSE: dict[str, Callable[[Any], object]] = {
         s.pair, np.arange(s.n), cagemap.prepare_pair(s.other, s.surface)
     ),
     # steps of research
+    "one number as landmarks": lambda s: research.make_pair(s.surface, s.surface, np.array(3)),
+    "a dict of landmarks": lambda s: research.make_pair(s.surface, s.surface, {1: 2, 3: 4}),
     "no landmarks by None": lambda s: research.make_pair(s.surface, s.surface, None),
     "named landmarks": lambda s: research.make_pair(s.surface, s.surface, s.landmarks),
     "no symmetries by None": lambda s: research.make_pair(s.surface, s.surface, symmetries=None),

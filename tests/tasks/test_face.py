@@ -17,11 +17,11 @@ from scipy import sparse
 
 from cagemap import tasks
 from cagemap.character.poses import pose_at
-from cagemap.character.values import Animation, Character, Part, Rig, Track
+from cagemap.character.values import Animation, Character, Part, Rig, ShapeTrack, Track
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.files.face_kit import ABSENT, kit_vertices, read_face_kit
 from cagemap.files.gltf.character import read_character
-from cagemap.files.gltf.document import write_document
+from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import read_mesh, write_mesh
@@ -34,7 +34,7 @@ from cagemap.mesh.parts import extract_faces, join_meshes, numbers_on_part
 from cagemap.mesh.topology import face_components
 from cagemap.subdivision import with_options
 from cagemap.surface.triangles import fan_triangles
-from cagemap.tasks.bodies import Bodies, body_shapes, limit_stretch, match_bodies
+from cagemap.tasks.bodies import Bodies, body_shapes, largest_stretches, limit_stretch, match_bodies
 from cagemap.tasks.face import (
     _amount,
     _cut,
@@ -225,10 +225,14 @@ def test_a_head_keeps_what_it_has_and_gets_shapes(tmp_path: Path, monkeypatch: p
     kit = read_face_kit(())
     own = {"jawOpen": np.tile([0.0, 1.0, 0.0], (kit.mesh.n_vertices, 1))}
     eyes, lash = Part("eyes", ball(2)), ball(1)
-    head = Part("head", kit.mesh.with_positions(0.01 * kit.mesh.positions), None, own)
+    head = Part("head", kit.mesh.with_positions(0.01 * kit.mesh.positions), None, own, shape_weights={"jawOpen": 0.5})
+    talk = Animation("talk", (), (ShapeTrack("head", ("jawOpen",), np.arange(2.0), np.array([[0.0], [1.0]])),))
     lid = np.argmax(np.linalg.norm(read_face_kit(("eyeBlinkLeft",)).shapes["eyeBlinkLeft"], axis=1))
     lash = Part("lashes", lash.with_positions(head.mesh.positions[lid] + 1e-3 * lash.positions))
-    write_document(Path("H.glb"), character_glb(Character((head, eyes, lash))))
+    document = character_glb(Character((head, eyes, lash), None, (talk,)))
+    binds = {"morphTargetBinds": [{"node": 0, "index": 0, "weight": 1.0}]}
+    document.json["extensions"] = {"VRMC_vrm": {"expressions": {"preset": {"aa": binds}}}}
+    write_document(Path("H.glb"), document)
     request = FaceRequest(Path("H.glb"), Path("F.glb"), only="jawOpen,eyeBlinkLeft", sheet=Path("S.png"))
     done = tasks.run(request)
     assert any("jawOpen: H.glb has its own" in warning for warning in done.warnings)
@@ -242,6 +246,13 @@ def test_a_head_keeps_what_it_has_and_gets_shapes(tmp_path: Path, monkeypatch: p
     assert not after[1].shapes
     assert set(after[2].shapes) == {"jawOpen", "eyeBlinkLeft"}
     np.testing.assert_allclose(after[2].shapes["jawOpen"], np.tile([0.0, 1.0, 0.0], (42, 1)), atol=1e-5)
+    assert [part.shape_weights.get("jawOpen") for part in after] == [0.5, None, 0.5]
+    (animation,) = read_character("F.glb").animations
+    for track, part in zip(animation.shape_tracks, ("head", "lashes"), strict=True):
+        assert track.part == part
+        np.testing.assert_array_equal(track.values[:, track.shapes.index("jawOpen")], [0.0, 1.0])
+    expressions = read_document("F.glb").json["extensions"]["VRMC_vrm"]["expressions"]
+    assert [bind["node"] for bind in expressions["preset"]["aa"]["morphTargetBinds"]] == [0, 2]
     largest = np.abs(read_face_kit(("eyeBlinkLeft",)).shapes["eyeBlinkLeft"]).max()
     assert np.abs(after[0].shapes["eyeBlinkLeft"]).max() == pytest.approx(0.01 * largest, rel=0.1)
     assert Path("S.png").stat().st_size > 0
@@ -312,11 +323,13 @@ def test_shapes_do_not_tear_a_surface() -> None:
     mesh = ball(2)
     triangles, torn = mesh.face_indices.reshape(-1, 3), mesh.positions.copy()
     torn[5] += 5.0
-    found = limit_stretch(mesh.positions, triangles, torn)
+    allowed = np.full(mesh.n_vertices, 5.0)
+    found = limit_stretch(mesh, torn, allowed)
     edges = triangles[(triangles == 5).any(axis=1)]
     spans = [np.ptp((mesh.positions + offsets)[edges], axis=1).max() for offsets in (torn, found)]
     assert spans[1] < 0.4 * spans[0]
-    np.testing.assert_array_equal(limit_stretch(mesh.positions, triangles, mesh.positions), mesh.positions)
+    np.testing.assert_array_equal(limit_stretch(mesh, mesh.positions, allowed), mesh.positions)
+    np.testing.assert_array_equal(limit_stretch(mesh, torn, largest_stretches(mesh, torn)), torn)
 
 
 def test_of_a_rigged_body_the_head_is_taken() -> None:

@@ -76,7 +76,7 @@ BEFORE_A_MATCH = {
     "--weights short.npy": "expected a weight for each of the 8 control vertices",
     "--target-mask hand": "expected a part named 'hand'",
     "--fit-level 9": "--fit-level: expected a level below the map's own",
-    "--mhclo a.clo": "a.clo: expected a name ending in .mhclo, .proxy",
+    "--mhclo a.clo": "a.clo: expected a name ending in .mhclo or .proxy",
     "--texture deep.exr --baked b.jpg": "b.jpg",
     "--texture i.png --baked b.png -t bare.obj": "bare.obj: expected texture coordinates to bake into",
     "--texture i.png --baked b.png -s bare.obj": "bare.obj: expected texture coordinates of the source",

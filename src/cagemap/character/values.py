@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -88,17 +87,30 @@ class ShapeTrack:
     values: FloatArray = field(repr=False)
     interpolation: Interpolation = "LINEAR"
 
-    def values_of(self, shapes: Iterable[str]) -> FloatArray:
-        """Values with a column for each of the given shapes, 0 where the track has none of that name."""
-        number = {name: column for column, name in enumerate(self.shapes)}
-        zero = np.zeros(self.values.shape[:-1])
-        columns = [self.values[..., number[name]] if name in number else zero for name in shapes]
-        return np.stack(columns, axis=-1)
+    def values_of(self, part: Part) -> FloatArray:
+        """Values with a column for each of the part's shapes, at rest where the track has none of that name."""
+        values = np.zeros((*self.values.shape[:-1], len(part.shapes)))
+        keys = values[:, 1] if self.interpolation == "CUBICSPLINE" else values
+        for column, name in enumerate(part.shapes):
+            if name in self.shapes:
+                values[..., column] = self.values[..., self.shapes.index(name)]
+            else:
+                keys[..., column] = part.shape_weights.get(name, 0.0)
+        return values
 
 
 @dataclass(frozen=True, eq=False)
 class Animation:
-    """Tracks that are played together."""
+    """Tracks that are played together.
+
+    Attributes
+    ----------
+    name : str
+    tracks : tuple of Track
+        At most one for each channel of a joint.
+    shape_tracks : tuple of ShapeTrack
+        At most one for each part. Those of parts and shapes that the character does not have are not written.
+    """
 
     name: str
     tracks: tuple[Track, ...] = field(repr=False)
@@ -122,8 +134,6 @@ class Part:
         Of the rig's joints; rows sum to 1.
     shapes : dict of str to (n, 3) float64
         Offsets of the vertices.
-    shape_weights : dict of str to float
-        Weights of shapes at rest, if the file has them; 0 for others.
     normals : (c, 3) float64 or None
         Unit normal of every face corner, if the file has them; see `cagemap.character.normals.move_vertices`.
     shape_normals : dict of str to (c, 3) float64
@@ -131,6 +141,8 @@ class Part:
     colors : (c, 4) float64 or None
         Linear red, green, blue and opacity of every face corner, if the file has them. ``mesh.vertex_colors`` has
         one for each vertex.
+    shape_weights : dict of str to float
+        Weights of shapes at rest, if the file has them; 0 for others.
     """
 
     name: str

@@ -32,11 +32,14 @@ def require_file(path: Path, what: str) -> None:
         raise _unreadable(path, PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
 
 
-def require_suffix(path: Path, suffixes: Collection[str], what: str = "a name") -> None:
-    """Refuse the name of a file to write that ends in none of the suffixes."""
+def require_suffix(
+    path: Path, suffixes: Collection[str], what: str = "a name", remedy: str = "Give another name."
+) -> None:
+    """Refuse the name of a file that ends in none of the suffixes."""
     if path.suffix.lower() not in suffixes:
-        got = path.suffix.lower() or "no suffix"
-        raise FormatError(f"{path}: expected {what} ending in {', '.join(suffixes)}, got {got}. Give another name.")
+        got = "a folder" if os.path.isdir(path) else path.suffix.lower() or "no suffix"
+        endings = " or ".join(", ".join(suffixes).rsplit(", ", 1))
+        raise FormatError(f"{path}: expected {what} ending in {endings}, got {got}. {remedy}")
 
 
 def _unreadable(path: Path, error: Exception) -> FormatError:

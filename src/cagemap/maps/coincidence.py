@@ -36,8 +36,13 @@ FEWEST_POINTS = 3
 # At most this many vertices, and faces, of either surface are sampled.
 _MOST_SAMPLES = 10_000
 
-# Similarity x -> scale rotation x + shift from the target's file to the source's: rotation (3, 3), scale, shift (3,).
-Motion = tuple[FloatArray, float, FloatArray]
+
+class Motion(NamedTuple):
+    """Similarity x -> scale rotation x + shift from the target's file to the source's."""
+
+    rotation: FloatArray = np.eye(3)
+    scale: float = 1.0
+    shift: FloatArray = np.zeros(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +70,7 @@ class Coincidence:
         for factor in (*dict.fromkeys((1.0, unit_ratio(target.scale / source.scale))), None):
             found: list[Coincidence] = []
             for own, other, mapped in shapes:
-                scaled = [] if factor is None else [(np.eye(3), factor, np.zeros(3))]
-                motions = scaled or aligning_motions(own, other, config)
+                motions = aligning_motions(own, other, config) if factor is None else [Motion(scale=factor)]
                 gaps = [_gap(moved(own, motion), other, masks.target, config) for motion in motions]
                 close = [(gap, motion) for gap, motion in zip(gaps, motions, strict=True) if gap is not None]
                 if len(close) > 1:
@@ -117,7 +121,7 @@ def aligning_motions(target: TriangleSurface, source: TriangleSurface, config: C
     if (lengths[:2] < config.min_axis_ratio * lengths[1:]).any():
         return []
     rotations = rotations_onto(axes, source_axes)
-    starts = [(rotation, scale, source_centre - scale * rotation @ centre) for rotation in rotations]
+    starts = [Motion(rotation, scale, source_centre - scale * rotation @ centre) for rotation in rotations]
     return [_settled(start, target, source, config) for start in starts]
 
 
@@ -125,10 +129,9 @@ def _settled(motion: Motion, target: TriangleSurface, source: TriangleSurface, c
     """The motion refined by iterative closest points (Besl and McKay 1992), while the mean distance falls."""
     samples, last = _on_faces(target, most=config.settling_samples), np.inf
     for _ in range(config.settling_rounds):
-        rotation, scale, shift = motion
-        points = scale * samples.points @ rotation.T + shift
+        points = motion.scale * samples.points @ motion.rotation.T + motion.shift
         triangle, barycentric, distance = closest_points(
-            source.tree, source.scale * points, samples.normals @ rotation.T, minimum_cosine=0.0
+            source.tree, source.scale * points, samples.normals @ motion.rotation.T, minimum_cosine=0.0
         )
         near = np.flatnonzero(triangle >= 0)  # others face away from all of the source
         if len(near) < FEWEST_POINTS or distance[near].mean() > config.max_distance_ratio * last:
@@ -136,7 +139,7 @@ def _settled(motion: Motion, target: TriangleSurface, source: TriangleSurface, c
         last = distance[near].mean()
         corners = source.positions[source.triangles[triangle[near]]]
         places = np.einsum("kc,kcd->kd", barycentric[near], corners) / source.scale
-        motion = fit_similarity(samples.points[near], places)
+        motion = Motion(*fit_similarity(samples.points[near], places))
     return motion
 
 

@@ -43,7 +43,10 @@ TARGET_SAMPLES, SOURCE_SAMPLES = 3000, 10_000
 
 @kinds_checked
 def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> FloatArray:
-    """C12 = Phi~1^+ P12 Phi~2 of a point map of the finest levels, on a sample of its vertices (paper, 2.1.2)."""
+    """C12 = Phi~1^+ P12 Phi~2 of a point map of the finest levels, on a sample of its vertices (paper, 2.1.2).
+
+    ParameterError if the map has other numbers of vertices.
+    """
     _check_sides(target, source, point_map)
     chosen = evenly_spaced_vertices(len(point_map.images), FIT_SAMPLES)
     sampled = point_map.images.at(chosen)
@@ -74,10 +77,8 @@ def from_bases(
     pyFM's ``model.FM_12`` with ``model.mesh2.eigenvectors`` as the target's functions and ``mesh1``'s as the source's;
     geomfum's matrix with those of ``basis_b.vecs`` and ``basis_a.vecs``.
     """
-    matrix = finite_numbers(functional_map, "map")
-    (ours1, theirs1, areas1), (ours2, theirs2, areas2) = _sides(
-        pair, matrix.shape, (target_functions, source_functions), levels
-    )
+    matrix, functions = finite_numbers(functional_map, "map"), (target_functions, source_functions)
+    (ours1, theirs1, areas1), (ours2, theirs2, areas2) = _sides(pair, matrix.shape, functions, levels)
     k1, k2 = matrix.shape  # or as many as a basis has
     to_ours = fit_functional_map(ours1[:, :k1], areas1, theirs1)
     return np.asarray(to_ours @ matrix @ fit_functional_map(theirs2, areas2, ours2[:, :k2]))
@@ -95,11 +96,9 @@ def to_bases(
 
     The inverse of `from_bases`; same errors.
     """
-    matrix = functional_map_from(pair, functional_map)
-    shape = tuple(finite_numbers(values, "functions").shape[-1] for values in (target_functions, source_functions))
-    (ours1, theirs1, areas1), (ours2, theirs2, areas2) = _sides(
-        pair, shape, (target_functions, source_functions), levels
-    )
+    matrix, functions = functional_map_from(pair, functional_map), (target_functions, source_functions)
+    shape = tuple(finite_numbers(values, "functions").shape[-1] for values in functions)
+    (ours1, theirs1, areas1), (ours2, theirs2, areas2) = _sides(pair, shape, functions, levels)
     k1, k2 = matrix.shape
     to_theirs = fit_functional_map(theirs1, areas1, ours1[:, :k1])
     return np.asarray(to_theirs @ matrix @ fit_functional_map(ours2[:, :k2], areas2, theirs2))
@@ -126,6 +125,7 @@ def _sides(
 
 
 def _check_sides(target: Surface, source: Surface, given: PointMap) -> None:
+    """Refuse point maps of other numbers of vertices than the finest levels have."""
     if given.target.n != len(target.vertices) or given.source.n != len(source.vertices):
         raise ParameterError(
             f"map: expected one of {len(target.vertices)} to {len(source.vertices)} vertices, the finest of the "
@@ -136,34 +136,39 @@ def _check_sides(target: Surface, source: Surface, given: PointMap) -> None:
 def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
     """Check a map: returns a PointMap, C12 (k1, k2), or finest source vertices (n,) of a level's target vertices."""
     target, source = pair.target, pair.source
-    if isinstance(given, LevelMap) and given.points is not None and given.levels == pair.levels():
-        given = given.points
-    if isinstance(given, PointMap):
-        _check_sides(target, source, given)
-        return given
-    values = array_of(given.match if isinstance(given, LevelMap) else given)
-    counts = [len(level.positions) for level in target.hierarchy.levels]
+    form = _finest_images(pair, given) if isinstance(given, LevelMap) else given
+    if isinstance(form, PointMap):
+        _check_sides(target, source, form)
+        return form
+    values = array_of(form)
+    counts = [level.n_vertices for level in target.hierarchy.levels]
     if values.ndim == 1 and len(values) in counts:
-        vertices, known = whole_numbers(values, "map"), np.arange(len(source.vertices))
-        plain = (side.hierarchy.coarse_vertices for side in (target, source))
-        coarse = [0 if numbers is None else len(numbers) for numbers in plain]
-        if isinstance(given, LevelMap):
-            known = source.hierarchy.on_finest(pair.levels(given.levels)[1])
-        elif all(coarse) and len(values) < counts[-1] and vertices.max() < coarse[1]:
-            raise ParameterError(
-                f"map: expected finest source vertices, 0 to {len(known) - 1}, got {vertices.min()} to "
-                f"{vertices.max()}, numbers of a coarse level of a plain mesh. Give the LevelMap."
-            )
-        if 0 <= vertices.min() and vertices.max() < len(known):
-            return known[vertices]
+        vertices = whole_numbers(values, "map")
+        if 0 <= vertices.min() and vertices.max() < len(source.vertices):
+            return vertices
     largest = target.basis.count, source.basis.count
     if values.ndim != 2 or not values.size or not all(np.less_equal(values.shape, largest)):
         raise ParameterError(
             f"map: expected a PointMap, a functional map of at most {largest}, a LevelMap, or a finest source vertex "
             f"(0 to {len(source.vertices) - 1}) for every target vertex of a level, {' or '.join(map(str, counts))}, "
-            f"got {type(given).__name__} {tuple(getattr(given, 'shape', values.shape))}"
+            f"got {type(given).__name__} {values.shape}"
         )
     return finite_numbers(values, "map")
+
+
+def _finest_images(pair: Pair, given: LevelMap) -> PointMap | IndexArray:
+    """The point map of the finest levels, or the finest source vertices (n1,) of a coarse level's target vertices."""
+    levels = pair.levels(given.levels)
+    if given.points is not None and levels == pair.levels():
+        return given.points
+    match, on_finest = whole_numbers(given.match, "map"), pair.source.hierarchy.on_finest(levels[1])
+    n = pair.target.hierarchy.levels[levels[0]].n_vertices
+    if match.shape != (n,) or match.min() < 0 or match.max() >= len(on_finest):
+        raise ParameterError(
+            f"map: expected a vertex of level {levels[1]} of the source (0 to {len(on_finest) - 1}) for each of the "
+            f"{n} vertices of level {levels[0]} of the target, got {match.size}, up to {match.max(initial=-1)}"
+        )
+    return on_finest[match]
 
 
 @kinds_checked

@@ -142,6 +142,14 @@ class Pair:
         return near_vertices(self.landmarks.source, self.source)
 
 
+def symmetry_pairs(given: Sequence[SymmetryPair]) -> tuple[SymmetryPair, ...]:
+    """Symmetries of `Pair` as arrays of whole numbers; ParameterError if they are no pairs of these."""
+    listed = isinstance(given, Sequence)
+    if not listed or not all(isinstance(pair, tuple | list) and len(pair) == 2 for pair in given):
+        raise ParameterError("symmetries: expected pairs of arrays, the target's images and the source's, got others")
+    return tuple((whole_numbers(one, "symmetries"), whole_numbers(other, "symmetries")) for one, other in given)
+
+
 def near_vertices(points: SurfacePoints, surface: Surface, level: int | None = None) -> IndexArray:
     """(m,) distinct vertices of a level (the finest by default), one at or near each point.
 

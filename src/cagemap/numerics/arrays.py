@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from numbers import Real
 from typing import Any, TypeVar
 
 import numpy as np
@@ -29,11 +30,12 @@ def whole_numbers(values: ArrayLike, what: str) -> IndexArray:
     """Convert values to an int64 array; ParameterError if they are no whole numbers."""
     try:
         given = array_of(values)
-        given = given.astype(np.float64) if given.dtype.kind == "O" else given
-    except (TypeError, ValueError):  # lists of different lengths, or objects
+    except ValueError:  # lists of different lengths
         raise ParameterError(f"{what}: expected whole numbers, got {shown(values)}") from None
     if not given.size:
         return np.zeros(given.shape, dtype=np.int64)
+    if given.dtype.kind == "O" and all(isinstance(one, Real) and not isinstance(one, bool) for one in given.flat):
+        given = np.array(given.tolist())
     whole = given.dtype.kind in "iu" or (given.dtype.kind == "f" and bool(np.all(given == np.floor(given))))
     if not whole or (given.dtype.kind in "uf" and not np.all(np.abs(given) < 2.0**63)):
         raise ParameterError(f"{what}: expected whole numbers, got {given.dtype} values such as {given.ravel()[:3]}")

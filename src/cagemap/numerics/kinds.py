@@ -132,7 +132,7 @@ class Config(Brief):
             annotation = annotation.removesuffix(" | None")
             several, kind = annotation.startswith("tuple["), annotation.removeprefix("tuple[").split(",")[0].rstrip("]")
             if is_dataclass(default) and not isinstance(value, type(default)):
-                raise ParameterError(f"{field.name}: expected a {type(default).__name__}, got {value!r}")
+                raise ParameterError(f"{field.name}: expected {type(default).__name__}, got {value!r}")
             if kind == "bool" and not _is(value, bool):
                 raise ParameterError(f"{field.name}: expected True or False, got {value!r}")
             if field.name.endswith(("cosine", "agreement")):
@@ -143,7 +143,7 @@ class Config(Brief):
             listed = isinstance(value, tuple | list | np.ndarray)
             given = tuple(value) if several and listed else (value,)
             given = tuple(one.item() if isinstance(one, np.generic) else one for one in given)
-            if kind in ("int", "float", "bool"):
+            if kind in ("int", "float", "bool") or (several and listed):
                 object.__setattr__(self, field.name, given if several else given[0])
             numbers = [one for one in given if _is(one, int if kind == "int" else float)]
             fits = kind not in ("int", "float") or (listed == several and len(numbers) == len(given))

@@ -205,13 +205,10 @@ class Operators:
     """Mass and stiffness matrices of every level of a refinement, at unit surface area."""
 
     #: (n_l, n_l) M^l, symmetric positive definite; all entries sum to 1. Diagonal at the finest level only.
+    #: `build_operators` makes the values read-only: change a ``copy()``.
     mass: tuple[sparse.csr_array, ...]
-    stiffness: tuple[sparse.csr_array, ...]  #: (n_l, n_l) W^l, symmetric positive semi-definite, W^l 1 = 0
+    stiffness: tuple[sparse.csr_array, ...]  #: (n_l, n_l) W^l, symmetric positive semi-definite, W^l 1 = 0; read-only
     scale: float  #: factor from the mesh's lengths to lengths at unit area
-
-    def __post_init__(self) -> None:
-        for matrix in (*self.mass, *self.stiffness):
-            matrix.data.flags.writeable = False
 
     def __repr__(self) -> str:
         return f"Operators({', '.join(str(mass.shape[0]) for mass in self.mass)} vertices, scale {self.scale:.6g})"
@@ -255,6 +252,8 @@ def build_operators(refinement: Refinement, laplacian: Laplacian = face_terms) -
         both.sort_indices()
         masses.append(_with_values(both, both.data.imag))
         stiffnesses.append(_with_values(both, both.data.real))
+    for matrix in (*masses, *stiffnesses):
+        matrix.data.flags.writeable = False
     return Operators(tuple(reversed(masses)), tuple(reversed(stiffnesses)), 1.0 / float(np.sqrt(area)))
 
 

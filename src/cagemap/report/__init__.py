@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
+from cagemap.files.text import require_suffix
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.kinds import kinds_checked
@@ -34,10 +34,7 @@ MODEL_VERTEX_COUNTS = 60_000, 30_000, 15_000, 6000
 
 def check_page_path(path: str | Path) -> None:
     """FormatError if a name does not end in .html or .htm."""
-    suffix = Path(path).suffix
-    if suffix.lower() not in (".html", ".htm"):
-        got = f"'{suffix}'" if suffix else "a name without an ending"
-        raise FormatError(f"{path}: expected the name of a page ending in .html, got {got}. Give another name.")
+    require_suffix(Path(path), (".html", ".htm"), "the name of a page")
 
 
 @kinds_checked

@@ -16,6 +16,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality
 from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import count_noun
 from cagemap.mesh.parts import MIN_BODY_EXTENT
@@ -31,6 +32,7 @@ from cagemap.surface.triangles import fan_triangles, row_lengths
 from cagemap.tasks.carry_arrays import carry_shapes
 from cagemap.tasks.match_parts import lost_landmark_notes, ready_mesh
 from cagemap.tasks.progress import Stages
+from cagemap.transfer import control_weights
 
 # Least number of finest vertices of a body that is subdivided; plain meshes are not.
 BODY_VERTICES = 100_000
@@ -156,24 +158,42 @@ def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
     rows = bodies.rows(1)
     carried = carry_shapes(bodies.result, {name: offsets[rows] for name, offsets in shapes.items()})
     assert isinstance(carried, dict)
-    mesh = bodies.ready[0].mesh
-    triangles = fan_triangles(mesh.face_offsets, mesh.face_indices)[0]
-    smoothed = {name: limit_stretch(mesh.positions, triangles, offsets) for name, offsets in carried.items()}
-    return {name: bodies.on_target(offsets) for name, offsets in smoothed.items()}
+    target, source = (one.mesh for one in bodies.ready)
+    weights = control_weights(bodies.result.point_map, bodies.result.target.refinement, bodies.result.source.refinement)
+    for name, offsets in carried.items():
+        of_source = largest_stretches(source, shapes[name][rows])
+        allowed = 1.001 * np.maximum.reduceat(of_source[weights.indices], weights.indptr[:-1])  # not of the same body
+        carried[name] = limit_stretch(target, offsets, np.maximum(allowed, _MAX_STRETCH))
+    return {name: bodies.on_target(offsets) for name, offsets in carried.items()}
 
 
-def limit_stretch(positions: FloatArray, triangles: IndexArray, offsets: FloatArray) -> FloatArray:
-    """Offsets (n, 3) of a shape, smoothed at edges that it stretches by more than `_MAX_STRETCH`."""
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    lengths, means = row_lengths(np.diff(positions[edges], axis=1)[:, 0]), neighbor_means(triangles, len(positions))
-    limits = _MAX_STRETCH * np.maximum(lengths, _SHORT_EDGE * lengths.mean())
+def largest_stretches(mesh: ControlMesh, offsets: FloatArray) -> FloatArray:
+    """(n,) largest factor by which offsets (n, 3) stretch an edge of each vertex."""
+    edges, stretches = _stretched_edges(mesh, offsets)
+    largest = np.zeros(mesh.n_vertices)
+    np.maximum.at(largest, edges, stretches[:, None])
+    return largest
+
+
+def limit_stretch(mesh: ControlMesh, offsets: FloatArray, allowed: FloatArray) -> FloatArray:
+    """Offsets (n, 3), smoothed at edges that they stretch by more than is ``allowed`` (n,) at one of the ends."""
+    means = neighbor_means(fan_triangles(mesh.face_offsets, mesh.face_indices)[0], mesh.n_vertices)
     for _ in range(_SMOOTHING_ROUNDS):
-        rows = np.unique(edges[row_lengths(np.diff((positions + offsets)[edges], axis=1)[:, 0]) > limits])
+        edges, stretches = _stretched_edges(mesh, offsets)
+        rows = np.unique(edges[stretches > allowed[edges].max(axis=1)])
         if not len(rows):
             break
         offsets = offsets.copy()
         offsets[rows] = 0.5 * (offsets[rows] + means[rows] @ offsets)
     return offsets
+
+
+def _stretched_edges(mesh: ControlMesh, offsets: FloatArray) -> tuple[IndexArray, FloatArray]:
+    """(e, 2) edges of triangles, and the factors (e,) by which offsets (n, 3) stretch them."""
+    triangles = fan_triangles(mesh.face_offsets, mesh.face_indices)[0]
+    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    before, after = (row_lengths(np.diff(of[edges], axis=1)[:, 0]) for of in (mesh.positions, mesh.positions + offsets))
+    return edges, after / np.maximum(before, _SHORT_EDGE * before.mean())
 
 
 def rigid_pieces(bodies: Bodies, config: PieceConfig = PIECES) -> list[IndexArray]:

@@ -203,16 +203,16 @@ def with_part(character: Character, part: Part, made: Part) -> Character:
 
 
 def with_shape_weights(character: Character, source: Character, pieces_of: Mapping[str, str]) -> Character:
-    """A character with the source's weights of blend shapes, its own first; ``pieces_of``: with those of others."""
+    """A character with the source's weights of blend shapes, its own first; ``pieces_of``: with those of another part."""
     stated = {part.name: part.shape_weights for part in source.parts if part.shapes}
-    givers = {name: of for name, of in pieces_of.items() if name not in stated}
+    givers = {name: giver for name, giver in pieces_of.items() if name not in stated}
     given = [stated.get(givers.get(part.name, part.name), {}) for part in character.parts]
     parts = [
         replace(p, shape_weights={**new, **p.shape_weights}) for p, new in zip(character.parts, given, strict=True)
     ]
     animations = []
     for one in character.animations:
-        copies = [replace(t, part=name) for name, of in givers.items() for t in one.shape_tracks if t.part == of]
+        copies = [replace(t, part=name) for name, giver in givers.items() for t in one.shape_tracks if t.part == giver]
         animations.append(replace(one, shape_tracks=(*one.shape_tracks, *copies)))
     return replace(character, parts=tuple(parts), animations=tuple(animations))
 

@@ -33,7 +33,7 @@ from cagemap.pictures.camera import View, frame
 from cagemap.pictures.render import Image, Model, Skin, render
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies, rigid_pieces
-from cagemap.tasks.carry_character import with_part
+from cagemap.tasks.carry_character import with_part, with_shape_weights
 from cagemap.tasks.compared_parts import part_of_faces
 from cagemap.tasks.face_parts import Mouth, turn_lashes
 from cagemap.tasks.match_summary import body_warnings
@@ -87,12 +87,14 @@ def run_face(request: FaceRequest, stages: Stages) -> SummaryAndWarnings:
     character = with_part(file_character, body, replace(body, shapes={**body.shapes, **shapes}))
     for part, with_shapes in others:
         character = with_part(character, part, with_shapes)
+    pieces_of = {part.name: body.name for part, _ in others if not part.shapes}
+    character = with_shape_weights(character, file_character, pieces_of)
     notes += [*bodies.notes, *body_warnings(bodies.result)]
     notes += [f"{', '.join(kept)}: {request.head.name} has its own and keeps them"] if kept else []
     stages.record({"part": body.name, "shapes": list(shapes), "trusted_area": trusted})
     stages("write")
     with all_or_nothing():
-        made = character_glb(character, document)
+        made = character_glb(character, document, pieces_of=pieces_of)
         notes += write_character(request.output, character, made, [request.head], force=request.force)
         if request.sheet is not None:
             turn = BodyFrames(bodies.result.point_map).rotation

@@ -15,7 +15,7 @@ from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.poses import fit_rotation_and_scale, pose_at
 from cagemap.character.roles import find_body, find_continuing_parts
 from cagemap.character.values import Character, Part, skinned_positions
-from cagemap.errors import FormatError, ParameterError, values_of
+from cagemap.errors import ParameterError, values_of
 from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.gltf.character import character_of, read_animations
 from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document, write_document
@@ -30,6 +30,7 @@ from cagemap.files.images.image import png_bytes
 from cagemap.files.inner_texture import color_image, material_document
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh, read_whole, referred_files
+from cagemap.files.text import require_suffix
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import document_and_character
 from cagemap.files.usd.space import similar_space
@@ -147,7 +148,7 @@ def _require_paths(request: RigRequest) -> None:
         raise ParameterError(
             "--size: expected without --keep-textures, which bakes no textures. Leave one of them out."
         )
-    _require_suffix(request.like, "the character", (*SCENE_SUFFIXES, *USD_SUFFIXES), "Export it as GLB")
+    require_suffix(request.like, (*SCENE_SUFFIXES, *USD_SUFFIXES), "a character file", "Export it as GLB.")
     require_output(request.output)
     outputs = [request.output, *([] if request.report is None else [request.report])]
     if request.report is not None:
@@ -157,14 +158,9 @@ def _require_paths(request: RigRequest) -> None:
 
 def require_output(path: Path) -> None:
     """Refuse a file name that `write_character` cannot write."""
-    _require_suffix(path, "the file to write", (*GLTF_SUFFIXES, *USD_SUFFIXES), "Name it .glb")
+    require_suffix(path, (*GLTF_SUFFIXES, *USD_SUFFIXES), remedy="Name it .glb.")
     if is_usd(path):
         usd_modules()
-
-
-def _require_suffix(path: Path, what: str, suffixes: tuple[str, ...], remedy: str) -> None:
-    if path.suffix.lower() not in suffixes:
-        raise FormatError(f"{path}: expected {what} as {', '.join(suffixes)}, got '{path.suffix}'. {remedy}.")
 
 
 def write_character(

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from cagemap.errors import FormatError, ParameterError
+from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.landmarks.curves import is_along_vertices
 from cagemap.files.landmarks.pairs import write_landmarks
 from cagemap.files.result.folder import ARRAYS, read_result
 from cagemap.files.result.manifest import MANIFEST, read_files
+from cagemap.files.text import require_suffix
 from cagemap.maps.pair import nearest_free_vertices
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import CagePoints, Landmarks
@@ -32,8 +33,7 @@ def run_suggest(request: SuggestRequest, stages: Stages) -> SummaryAndWarnings:
     check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=request.force)
     result = read_result(folder)
     require_no_input([output], read_files(folder, result.manifest))
-    if output.suffix.lower() != ".json":
-        raise FormatError(f"{output}: expected the name of a landmark file ending in .json. Give such a name.")
+    require_suffix(output, (".json",), "the name of a landmark file")
     landmarks = suggested_landmarks(result, count)
     left_out = [pair.name for pair in landmarks.curves if not is_along_vertices(pair)]
     landmarks = replace(landmarks, curves=tuple(filter(is_along_vertices, landmarks.curves)))

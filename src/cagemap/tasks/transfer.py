@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.character.passengers import carry_passenger, far_passenger, unit_factor
-from cagemap.errors import FormatError, ParameterError
+from cagemap.errors import ParameterError
 from cagemap.files import VALUE_SUFFIXES
 from cagemap.files.atomic import (
     all_or_nothing,
@@ -30,7 +30,7 @@ from cagemap.files.result.maps import SUFFIXES as MAP_SUFFIXES
 from cagemap.files.text import require_file, require_suffix
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd.space import from_mesh_space, states_units, transform_mesh
-from cagemap.files.usd.stages import is_usd
+from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
 from cagemap.files.usd.write import UsdResults, check_usd_path
 from cagemap.files.values.attributes import read_attributes, write_attributes
 from cagemap.files.values.part_numbering import Attributes, FileRows, file_rows, other_rows
@@ -200,12 +200,8 @@ def _read_values(file: Path, control: ControlMesh, rows: FileRows | None) -> tup
     """Arrays of a file, and a note; weights and blend shapes of a scene are left out: their transfer adapts them."""
     require_file(file, "a file of attributes")
     suffix = file.suffix.lower()
-    if suffix not in VALUE_SUFFIXES and not is_usd(file):
-        remedy = f"Give its weights and shapes to {_RIG_OPTIONS}" if suffix in SCENE_SUFFIXES else "Export them as such"
-        raise FormatError(
-            f"{file}: expected values as {', '.join(VALUE_SUFFIXES)}, or in a USD file, got {suffix or 'no suffix'}. "
-            f"{remedy}."
-        )
+    remedy = f"Give its weights and shapes to {_RIG_OPTIONS}." if suffix in SCENE_SUFFIXES else "Export them as such."
+    require_suffix(file, (*VALUE_SUFFIXES, *USD_SUFFIXES), "a file of values", remedy)
     values = read_attributes(file, control, rows)
     of_rig = [name for name in values if name == JOINT_WEIGHTS or name.startswith(BLEND_SHAPE)]
     of_rig = of_rig if is_usd(file) else []

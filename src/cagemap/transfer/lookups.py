@@ -70,16 +70,15 @@ def mip_levels(spans: FloatArray) -> NDArray[np.int64]:
 def pad_islands(laid: Texture, tiles: list[int]) -> tuple[Texture, dict[int, NDArray[np.bool_]]]:
     """The texture without background beside its islands, and (h, w) by tile its texels in the layout and beside it.
 
-    Lookups at borders of islands read the texels beside them. Without padding, most of these have the background's
-    colour, which is their median: they get the nearest island's.
+    Lookups at borders of islands read the texels beside them. Those that have the background's colour (the median of
+    all beside the islands) get the colour of the nearest island.
     """
     coverage, inside, padded = covered_texels(laid, tiles), covered_texels(laid, tiles, gutter=0.0), dict(laid.tiles)
     for tile, covered in coverage.items():
         pixels, beside = laid.tiles[tile], covered & ~inside[tile]
         colors = pixels[beside]
-        background = np.sort(colors, axis=0)[len(colors) // 2 :][
-            :1
-        ]  # NumPy's median is not always a value; NaN are last
+        # NumPy's median is not always one of the colours; NaN are last.
+        background = np.sort(colors, axis=0)[len(colors) // 2 :][:1]
         beside[beside] = np.isclose(colors, background, rtol=0, atol=0, equal_nan=True).all(axis=1)
         if beside.any():
             padded[tile] = pixels.copy()

@@ -54,8 +54,7 @@ class MipMaps:
 
         Level l is the image halved l - 1 times and then low-passed to half its frequencies, so that bilinear lookups
         are accurate. Only tiles with ``coverage``, texels in the source's layout, are halved. ``exact`` keeps floats
-        instead of the texture's number type: means of directions are short. ``kind`` is the
-        interpolation of level 0.
+        instead of the texture's number type: means of directions are short. ``kind`` is the interpolation of level 0.
         """
         smooth = coverage.items() if kind == "smooth" else ()
         fine = {tile: SmoothTile.of(texture.tiles[tile], share) for tile, share in smooth}

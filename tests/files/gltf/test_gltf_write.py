@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from examples.shapes import cube
 
-from cagemap.character.values import Character, Part
+from cagemap.character.values import Character, Interpolation, Part, ShapeTrack
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import character_of, read_character
@@ -25,7 +25,7 @@ from cagemap.tasks.requests.mesh_commands import RefineRequest
 
 from gltf_scenes import arm, changed
 from refusals import refuses
-from usd_characters import lively, shape_keys, with_shape_weights
+from usd_characters import lively, shape_keys, with_shape_track
 
 PNG = b"\x89PNG" + bytes(20)
 
@@ -195,7 +195,7 @@ def test_a_new_image_for_one_of_two_materials_that_share_one() -> None:
 
 def test_documents_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
     document = arm()
-    refuses(FormatError, r"a name ending in \.glb, \.gltf, \.vrm", write_document, tmp_path / "a.obj", document)
+    refuses(FormatError, r"a name ending in \.glb, \.gltf or \.vrm", write_document, tmp_path / "a.obj", document)
     document.json["asset"]["generator"] = float("nan")
     refuses(FormatError, "not finite", write_document, tmp_path / "a.glb", document)
     assert list(tmp_path.iterdir()) == []
@@ -254,7 +254,7 @@ def test_a_mesh_with_other_faces_is_written_alone(tmp_path: Path) -> None:
 def test_weights_of_shapes_follow_their_names(interpolation: str, of_node: bool) -> None:
     made = lively()
     rows = 3 if interpolation == "LINEAR" else 9
-    made = with_shape_weights(made, "walk | fast", np.arange(2.0 * rows).reshape(rows, 2))
+    made = with_shape_track(made, "walk | fast", np.arange(2.0 * rows).reshape(rows, 2))
     document = character_glb(made)
     top = json.loads(json.dumps(document.json))
     entry = next(one for one in top["animations"] if one["name"] == "walk | fast")
@@ -278,6 +278,37 @@ def test_weights_of_shapes_follow_their_names(interpolation: str, of_node: bool)
         for name, keys_of in expected.items():
             for one, other in zip(keys_of, found[name], strict=True):
                 np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("interpolation", ["LINEAR", "CUBICSPLINE"])
+def test_shapes_without_a_track_keep_their_weight_at_rest(interpolation: Interpolation) -> None:
+    made, keys = lively(), np.array([[0.0], [1.0]])
+    splines = interpolation == "CUBICSPLINE"
+    values = np.stack([keys, keys, keys], axis=1) if splines else keys
+    body = replace(made.parts[0], shape_weights={"raise": 0.5, "wide": 0.25})
+    track = ShapeTrack("body", ("wide",), np.arange(2.0), values, interpolation)
+    walk = replace(made.animations[0], shape_tracks=(track,))
+    made = replace(made, parts=(body, *made.parts[1:]), animations=(walk,))
+    found = shape_keys(character_glb(made), 0)
+    np.testing.assert_array_equal(found["body", "wide"][1], values)
+    np.testing.assert_array_equal(found["body", "raise"][1][0].ravel(), [0.0, 0.5, 0.0] if splines else [0.5])
+
+
+def test_lost_keys_of_weights_are_named(caplog: pytest.LogCaptureFixture) -> None:
+    """Several at one time, and weights for another number of shapes than the part has."""
+    document = character_glb(with_shape_track(lively(), "walk | fast", np.arange(8.0).reshape(4, 2)))
+    top, keys = json.loads(json.dumps(document.json)), Binary(document)
+    entry = next(one for one in top["animations"] if one["name"] == "walk | fast")
+    sampler = entry["samplers"][entry["channels"][-1]["sampler"]]
+    sampler["input"] = keys.accessor(np.array([0, 1, 1, 2], dtype="<f4"), bounds=True)
+    (track,) = character_of(keys.document(top)).animations[0].shape_tracks
+    np.testing.assert_array_equal(track.times, [0.0, 1.0, 2.0])
+    assert caplog.messages == ["new.glb: animations 0 has several keys at the same time, the last one is used"]
+    caplog.clear()
+    sampler["input"] = keys.accessor(np.arange(4, dtype="<f4"), bounds=True)
+    sampler["output"] = keys.accessor(np.arange(4, dtype="<f4"))
+    assert character_of(keys.document(top)).animations[0].shape_tracks == ()
+    assert caplog.messages == ["new.glb: animations 0: weights of body are left out: expected 8 values, got 4"]
 
 
 def test_variants_of_materials_stay_and_lost_values_of_primitives_are_named(caplog: pytest.LogCaptureFixture) -> None:
@@ -371,7 +402,7 @@ def test_expressions_that_are_not_as_vrm_says_stay_while_the_shapes_do(version: 
 
 
 @pytest.mark.parametrize("version", ["VRM", "VRMC_vrm"])
-def test_pieces_of_a_part_move_and_hide_with_it(version: str) -> None:
+def test_pieces_of_a_part_have_its_expressions_and_flags(version: str) -> None:
     document = _expressive(version)
     made = character_of(document)
     (strip,) = (part for part in made.parts if part.name == "strip")
@@ -380,22 +411,37 @@ def test_pieces_of_a_part_move_and_hide_with_it(version: str) -> None:
     key, given, number = ("mesh", 0, 3) if version == "VRM" else ("node", 4, 6)
     found = [bind for bind in _binds(again, version) if bind[key] in (given, number)]
     assert found == [_binds(document, version)[0] | {key: one} for one in (given, number)]
-    flags = again.json["extensions"][version]["firstPerson"]["meshAnnotations"]
-    assert number in [flag[key] for flag in flags]
+    assert number in [flag[key] for flag in _flags(again, version)]
 
 
-def test_a_part_whose_given_node_has_no_shapes_leaves_the_mesh_of_another_part_as_it_is() -> None:
-    """The target's own part, named like one of the character's that is not carried."""
-    document = _expressive("VRMC_vrm")
-    node = next(one for one in document.json["nodes"] if one["name"] == "strip" and "mesh" in one)
-    document.json["meshes"][node["mesh"]] |= {"name": "Strip", "extras": {"by": "me", "targetNames": ["raise"]}}
+@pytest.mark.parametrize("version", ["VRM", "VRMC_vrm"])
+def test_a_part_whose_given_node_has_no_shapes_keeps_its_mesh_and_flag(version: str) -> None:
+    """It gets the expressions of the part that gave it shapes; that part's mesh stays as it is."""
+    document = _expressive(version)
+    key, numbers = ("mesh", (1, 0)) if version == "VRM" else ("node", (3, 4))
+    meshes = document.json["meshes"]
+    for mesh, name in ((0, "Strip"), (1, "Ball")):
+        meshes[mesh] |= {"name": name, "extras": {"by": name}}
+    meshes[0]["extras"]["targetNames"] = ["raise"]
+    (flag,) = (one for one in _flags(document, version) if one[key] == numbers[1])
+    flag["firstPersonFlag" if version == "VRM" else "type"] = "thirdPersonOnly"
+    flags = json.loads(json.dumps(_flags(document, version)))
     ball, strip, lash = character_of(document).parts
     own = replace(ball, shapes={"raise": np.ones((ball.mesh.n_vertices, 3))})
     made = replace(character_of(document), parts=(own, strip, lash))
     again = character_glb(made, document, pieces_of={own.name: "strip"})
-    (mesh,) = (one for one in again.json["meshes"] if one.get("name") == "Strip")
-    assert mesh["extras"] == {"by": "me", "targetNames": ["raise"]}
-    assert mesh == again.json["meshes"][next(one for one in again.json["nodes"] if one["name"] == "strip")["mesh"]]
+    assert [mesh["name"] for mesh in again.json["meshes"][:2]] == ["Strip", "Ball"]
+    assert [mesh["extras"]["by"] for mesh in again.json["meshes"][:2]] == ["Strip", "Ball"]
+    assert len(again.json["meshes"]) == 3
+    assert {one["name"]: one["mesh"] for one in again.json["nodes"] if "mesh" in one}[own.name] == 1
+    assert [bind for bind in _binds(again, version) if bind[key] in numbers] == [
+        _binds(document, version)[0] | {key: number} for number in reversed(numbers)
+    ]
+    assert _flags(again, version) == flags
+
+
+def _flags(document: Document, version: str) -> list[dict[str, Any]]:
+    return document.json["extensions"][version]["firstPerson"]["meshAnnotations"]
 
 
 def test_shapes_that_the_first_primitive_lacks_are_referred_to() -> None:

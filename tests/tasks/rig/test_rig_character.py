@@ -31,9 +31,8 @@ from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.subdivision import refine, with_options
-from cagemap.tasks.bodies import Bodies, match_bodies
-from cagemap.tasks.carry_character import CarriedCharacter, _set_aside, carry_character
-from cagemap.tasks.carry_character import with_shape_weights as carried_shape_weights
+from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies
+from cagemap.tasks.carry_character import CarriedCharacter, _set_aside, carry_character, with_shape_weights
 from cagemap.tasks.compared_parts import compare_parts
 from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages
@@ -46,7 +45,7 @@ from example_rigs import body_moved
 from plain_meshes import far_apart, marks_at, renumbered
 from refusals import refuses
 from rigged import image_error, part_named, rig_done, same_order
-from usd_characters import shape_keys, with_shape_weights
+from usd_characters import shape_keys, with_shape_track
 
 
 def test_the_same_body_gets_back_what_the_character_has(files: Character) -> None:
@@ -198,9 +197,9 @@ def test_a_character_without_passengers_gives_its_body(run: Run, files: Characte
         (["--body-part", "leg"], "expected a part named 'leg', there is none"),
         (
             ["--like", "B.obj"],
-            "the character as .glb, .gltf, .vrm, .fbx, .usd, .usda, .usdc, .usdz, got '.obj'",
+            "a character file ending in .glb, .gltf, .vrm, .fbx, .usd, .usda, .usdc or .usdz, got .obj",
         ),
-        (["-o", "OUT.fbx"], "expected the file to write as .glb, .gltf, .vrm, .usd, .usda, .usdc, .usdz, got '.fbx'"),
+        (["-o", "OUT.fbx"], "expected a name ending in .glb, .gltf, .vrm, .usd, .usda, .usdc or .usdz, got .fbx"),
         (["-o", "C.glb"], "C.glb"),
         (["--landmarks", "missing.json"], "missing.json"),
         (["--rigid", "hta"], "hta: expected one of the passengers, hat, eye, body pieces (rig: --rigid"),
@@ -388,7 +387,7 @@ def test_pieces_that_are_carried_keep_the_weights_of_their_body(run: Run, files:
     shapes = {"blink": np.ones((mesh.n_vertices, 3))}
     rows = sparse.csr_array(np.tile([[1.0, 0.0]], (mesh.n_vertices, 1)))
     made = replace(files, parts=(Part("body", mesh, rows, shapes),))
-    write_document("C.glb", character_glb(with_shape_weights(made, "nod", np.array([[0.0], [1.0]]))), force=True)
+    write_document("C.glb", character_glb(with_shape_track(made, "nod", np.array([[0.0], [1.0]]))), force=True)
     rig_done(run)
     keys = shape_keys(read_document("OUT.glb"), 0)
     assert list(keys) == [("body", "blink"), ("body pieces", "blink")]
@@ -396,7 +395,7 @@ def test_pieces_that_are_carried_keep_the_weights_of_their_body(run: Run, files:
 
 def test_own_lashes_keep_the_weights_of_the_shapes_of_their_skin(run: Run, files: Character, body: ControlMesh) -> None:
     skin = replace(files.parts[0], shapes={"blink": np.ones((body.n_vertices, 3))})
-    made = with_shape_weights(replace(files, parts=(skin,)), "nod", np.array([[0.0], [1.0]]))
+    made = with_shape_track(replace(files, parts=(skin,)), "nod", np.array([[0.0], [1.0]]))
     write_document("C.glb", character_glb(made), force=True)
     lash = Part("lash", ball("lash", body.positions[np.argmax(body.positions[:, 2])], 0.1))
     write_document("B.glb", character_glb(Character((Part("body", body), lash))), force=True)
@@ -404,11 +403,11 @@ def test_own_lashes_keep_the_weights_of_the_shapes_of_their_skin(run: Run, files
     keys = shape_keys(read_document("OUT.glb"), 0)
     assert list(keys) == [("body", "blink"), ("lash", "blink")]
     given = Part("lash", lash.mesh, None, {"blink": np.ones((lash.mesh.n_vertices, 3))})
-    made = with_shape_weights(replace(made, parts=(skin, given)), "nod", np.array([[0.0], [1.0]]))
+    made = with_shape_track(replace(made, parts=(skin, given)), "nod", np.array([[0.0], [1.0]]))
     write_document("C.glb", character_glb(made), force=True)
     (animation,) = rig_done(run).animations
     assert [track.part for track in animation.shape_tracks] == ["body"]  # that part is at rest in the character
-    made = with_shape_weights(made, "nod", np.array([[0.0], [1.0]]), "lash")
+    made = with_shape_track(made, "nod", np.array([[0.0], [1.0]]), "lash")
     write_document("C.glb", character_glb(made), force=True)
     (animation,) = rig_done(run).animations
     assert [track.part for track in animation.shape_tracks] == ["lash"]
@@ -420,7 +419,7 @@ def test_an_own_part_named_like_one_without_shapes_has_the_weights_of_the_part_t
     skin = Part("skin", mesh, shapes={"blink": np.ones((mesh.n_vertices, 3))}, shape_weights={"blink": 0.5})
     source = Character((skin, Part("lash", mesh)), None, (Animation("wink", (), (track,)),))
     made = replace(source, parts=(skin, replace(skin, name="lash", shape_weights={})))
-    found = carried_shape_weights(made, source, {"lash": "skin"})
+    found = with_shape_weights(made, source, {"lash": "skin"})
     assert [part.shape_weights for part in found.parts] == 2 * [{"blink": 0.5}]
     (animation,) = found.animations
     assert [one.part for one in animation.shape_tracks] == ["skin", "lash"]
@@ -432,7 +431,7 @@ def test_own_shapes_keep_their_weights_at_rest() -> None:
     offsets = np.ones((mesh.n_vertices, 3))
     source = Character((Part("skin", mesh, shapes={"blink": offsets}, shape_weights={"blink": 0.5, "smile": 0.25}),))
     own = Part("skin", mesh, shapes={"blink": offsets, "smile": offsets}, shape_weights={"smile": 1.0})
-    found = carried_shape_weights(Character((own, replace(own, name="lash"))), source, {})
+    found = with_shape_weights(Character((own, replace(own, name="lash"))), source, {})
     assert [part.shape_weights for part in found.parts] == [{"blink": 0.5, "smile": 1.0}, {"smile": 1.0}]
 
 
@@ -616,6 +615,13 @@ def test_bodies_with_the_same_faces_are_paired_by_number_unless_landmarks_are_gi
     matched = match_bodies(*parts, marks_at(far_apart(body.positions, 5)), Stages())
     assert matched.notes == ()
     assert np.abs(matched.result.point_map.images.positions - matched.result.point_map.source.positions).max() > 1e-6
+
+
+def test_a_steep_shape_of_the_same_body_stays_as_it_is(body: ControlMesh) -> None:
+    steep = np.zeros((body.n_vertices, 3))
+    steep[40] = 3.0
+    bodies = match_bodies(Part("a", body), Part("b", body, shapes={"steep": steep}), Landmarks.none(), Stages())
+    np.testing.assert_allclose(body_shapes(bodies)["steep"], steep, atol=1e-9)
 
 
 def test_spring_bones_have_the_size_of_the_body(run: Run, files: Character, body: ControlMesh) -> None:

@@ -139,8 +139,8 @@ class _Scene:
             "scenes": [{"nodes": [n for n, node in enumerate(self._nodes) if self._parent(node) is None]}],
             "nodes": entries,
         }
-        shown = {n: self._mesh(node) for n, node in enumerate(self._nodes) if "mesh" in entries[n]}
-        meshes = {number: mesh for number, mesh in shown.items() if mesh is not None}
+        mesh_of_node = {n: self._mesh(node) for n, node in enumerate(self._nodes) if "mesh" in entries[n]}
+        meshes = {number: mesh for number, mesh in mesh_of_node.items() if mesh is not None}
         stacks = list_attribute(self._scene, "anim_stacks")
         moving = [self._animation(stack, entries, before, meshes) for stack in stacks]
         helpers = {n for n, node in enumerate(self._nodes) if get(node, "is_scale_helper") and "mesh" not in entries[n]}
@@ -288,7 +288,7 @@ class _Scene:
 def _weights(
     baked: Any, meshes: Mapping[int, FbxMesh], where: str
 ) -> Iterator[tuple[int, str, FloatArray, FloatArray]]:
-    """Node, path, times (k,) and weights (k shapes,) of the shapes of every mesh with moving shapes."""
+    """Node, path, times (k,) and weights (k * s,) of the s shapes of every mesh with moving shapes."""
     props = {get(one, "element_id"): list_attribute(one, "props") for one in list_attribute(baked, "elements")}
     for node, mesh in meshes.items():
         keys = {}

@@ -68,29 +68,40 @@ def humanoid_bones(document: Document) -> dict[str, str]:
 
 def read_animations(scene: Scene) -> tuple[Animation, ...]:
     """Animations of joints and blend shapes; channels of other nodes are only in the document."""
-    document = scene.document
+    document, joints = scene.document, scene.joints
+    shapes_of = {one.node: (one.part.name, node_shapes(document, one.node)) for one in scene.parts}
     animations = []
     for number, name in enumerate(animation_names(document)):
         entry, where = document.entry("animations", number), f"animations {number}"
-        tracks = [] if scene.joints is None else _tracks(document, scene.joints, entry, where)
-        animations.append(Animation(name, tuple(tracks), tuple(_shape_tracks(scene, entry, where))))
+        tracks, shape_tracks, samplers = list[Track](), list[ShapeTrack](), dict[int, dict[str, Any]]()
+        for node, path, sampler in _channels(document, entry, where):
+            part, shapes = shapes_of.get(node, ("", ()))
+            if path == "weights" and shapes:
+                shape_tracks += _shape_tracks(document, part, shapes, sampler, where)
+            elif path != "weights" and joints is not None and joints.joint_of[node] >= 0:
+                tracks.append(_track(document, joints, node, cast(Channel, path), sampler, where))
+            else:
+                continue
+            samplers[sampler["input"]] = sampler
+        if not all(_keys(document, sampler, where)[1].all() for sampler in samplers.values()):
+            _log.warning("%s: %s has several keys at the same time, the last one is used", document.file, where)
+        animations.append(Animation(name, tuple(tracks), tuple(shape_tracks)))
     return tuple(animations)
 
 
-def _shape_tracks(scene: Scene, entry: dict[str, Any], where: str) -> Iterator[ShapeTrack]:
-    """Weights of blend shapes of an animation; those of another number of shapes than the mesh has are left out."""
-    document = scene.document
-    names_of = {one.node: (one.part.name, node_shapes(document, one.node)) for one in scene.parts}
-    for node, path, sampler in _channels(document, entry, where):
-        part, names = names_of.get(node, ("", ()))
-        if path != "weights" or not names:
-            continue
-        times, last, interpolation = _keys(document, sampler, where)
-        shape = (len(times), 3, len(names)) if interpolation == "CUBICSPLINE" else (len(times), len(names))
-        count = int(np.prod(shape))
-        if document.entry("accessors", sampler["output"], where)["count"] == count:
-            values = read_accessor(document, sampler["output"], where, ("SCALAR",), count).astype(np.float64)
-            yield ShapeTrack(part, names, times[last], values.reshape(shape)[last], interpolation)
+def _shape_tracks(
+    document: Document, part: str, shapes: tuple[str, ...], sampler: dict[str, Any], where: str
+) -> Iterator[ShapeTrack]:
+    """Weights of a part's blend shapes; none, with a warning, if their number is not that of the keys and shapes."""
+    times, last, interpolation = _keys(document, sampler, where)
+    shape = (len(times), 3, len(shapes)) if interpolation == "CUBICSPLINE" else (len(times), len(shapes))
+    count, found = int(np.prod(shape)), document.entry("accessors", sampler["output"], where)["count"]
+    if found != count:
+        text = "%s: %s: weights of %s are left out: expected %d values, got %d"
+        _log.warning(text, document.file, where, part, count, found)
+        return
+    values = read_accessor(document, sampler["output"], where, ("SCALAR",), count).astype(np.float64)
+    yield ShapeTrack(part, shapes, times[last], values.reshape(shape)[last], interpolation)
 
 
 def _channels(document: Document, entry: dict[str, Any], where: str) -> Iterator[tuple[int, str, dict[str, Any]]]:
@@ -114,19 +125,6 @@ def _keys(
     if (steps < 0.0).any():
         document.refuse(where, "expected rising times")
     return times, np.append(steps > 0.0, True), interpolation
-
-
-def _tracks(document: Document, joints: Joints, entry: dict[str, Any], where: str) -> list[Track]:
-    channels = [
-        (node, cast(Channel, path), sampler)
-        for node, path, sampler in _channels(document, entry, where)
-        if path != "weights" and joints.joint_of[node] >= 0
-    ]
-    tracks = [_track(document, joints, *channel, where) for channel in channels]
-    inputs = {sampler["input"]: sampler for _, _, sampler in channels}
-    if not all(_keys(document, sampler, where)[1].all() for sampler in inputs.values()):
-        _log.warning("%s: %s has several keys at the same time, the last one is used", document.file, where)
-    return tracks
 
 
 def _track(
@@ -188,7 +186,7 @@ def animation_entries(
             add(entry, node, track.channel, track, values.reshape(-1, values.shape[-1]))
         for part, node in zip(character.parts, parts, strict=True):
             for shape_track in animation.shape_tracks_of(part):
-                add(entry, node, "weights", shape_track, shape_track.values_of(part.shapes).ravel())
+                add(entry, node, "weights", shape_track, shape_track.values_of(part).ravel())
         if entry["channels"]:
             entries.append({"name": animation.name} | entry)
     return entries

@@ -28,16 +28,18 @@ def renumber_expressions(extensions: Any, replaced: Sequence[ReplacedMesh]) -> l
     """Renumber meshes and shapes in VRM's expressions and first-person flags; remove references to what is not written.
 
     Returns the names of expressions that have no shape left. Entries that VRM's schema does not know stay as they are,
-    but a shape's number that is out of range is removed if the list of shapes changed.
+    but a shape's number that is out of range is removed if the list of shapes changed. Nodes of the input keep their
+    own flags.
 
     ``extensions``: of the document; changed in place.
     """
-    empty = []
+    empty, given = [], {one.node_before for one in replaced}
+    flagged = [one for one in replaced if one.node == one.node_before or one.node not in given]
     for name, key in (("VRMC_vrm", "node"), ("VRM", "mesh")):  # VRM 1 refers to nodes, VRM 0 to meshes
         vrm = _table(extensions, name)
         person = _table(vrm, "firstPerson")
         if isinstance(person.get("meshAnnotations"), list):
-            person["meshAnnotations"] = _renumbered(person["meshAnnotations"], key, replaced)
+            person["meshAnnotations"] = _renumbered(person["meshAnnotations"], key, flagged)
         for label, expression, binds in _expressions(vrm):
             before = expression.get(binds)
             if not before or not isinstance(before, list):

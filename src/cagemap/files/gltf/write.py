@@ -94,13 +94,14 @@ def character_glb(
     """A character as a glTF document, for `cagemap.files.gltf.document.write_document`.
 
     Parts, joints and animations replace those of the same names in a given document. Its other mesh nodes lose their
-    meshes. Materials, textures, cameras, lights, extensions (VRM) and animations of other things are kept.
+    meshes. Materials, textures, cameras, lights, extensions (VRM) and animations of other things are kept. Weights of
+    blend shapes are those of the character alone (`Part.shape_weights`, `Animation.shape_tracks`).
 
     ``character``: positions and bind pose as read, in metres with Y up.
     ``images``: PNG or JPEG files by material and slot, such as ``("body", "baseColorTexture")``; other settings of a
         slot are kept.
     ``pieces_of``: names of parts that are new or get their first shapes, each with the name of the given part that it
-        is a piece of. They get the weights of its blend shapes, VRM's expressions and first-person flags too.
+        is a piece of. They get VRM's expressions of that part, new ones its first-person flags too.
     """
     empty = Document(_EMPTY, (), Path("new.glb"))
     scene = Scene(empty, read_nodes(empty), None, ())
@@ -128,7 +129,7 @@ class _Made:
         # mesh numbers in the given document
         self._mesh_of_node = {node: self._nodes[node].pop("mesh") for node in self._node_of_part.values()}
         self._nodes_of_parts: list[int] = []
-        self._given_node: dict[int, int] = {}  # of nodes with pieces of its mesh
+        self._given_node: dict[int, int] = {}  # that a piece is of, by the node of the piece
         if not self.top.get("scenes"):  # without scenes, all roots are displayed
             roots = [int(node) for node in scene.nodes.order if scene.nodes.parents[node] < 0]
             self.top |= {"scene": 0, "scenes": [{"nodes": roots}]}
@@ -167,16 +168,16 @@ class _Made:
         if node is None:
             node = self._new_node({"name": part.name}, None)
         if part.name in self._pieces_of and not has_shapes:
-            given = self._node_of_part[self._pieces_of[part.name]]
-            self._given_node[node], self._mesh_of_node[node] = given, self._mesh_of_node[given]
+            self._given_node[node] = self._node_of_part[self._pieces_of[part.name]]
         skinned = part.weights is not None and rig is not None
         if not skinned:
             part = replace(part, weights=None)
             if node < len(self._scene.nodes.names):
                 part = transform_part(part, np.asarray(np.linalg.inv(self._scene.nodes.world[node])))
         mesh_data = mesh_entry(self._binary, part, self._materials(part))
-        if node in self._mesh_of_node:
-            self._copy_variants(part.name, self._mesh_of_node[node], mesh_data)
+        given = node if node in self._mesh_of_node else self._given_node.get(node)
+        if given is not None:
+            self._copy_variants(part.name, self._mesh_of_node[given], mesh_data)
         entry = self._nodes[node]
         if skinned:
             entry["skin"] = 0
@@ -205,7 +206,7 @@ class _Made:
     def _mesh_number(self, node: int, made: dict[str, Any]) -> int:
         """Add a mesh; one that only this node used is replaced, and keeps its name, extras and extensions."""
         number = self._mesh_of_node.get(node, -1)
-        if [one for one, of in self._mesh_of_node.items() if of == number and one not in self._given_node] != [node]:
+        if [user for user, mesh in self._mesh_of_node.items() if mesh == number] != [node]:
             self._meshes.append(made)
             return len(self._meshes) - 1
         before = self._meshes[number]
@@ -254,12 +255,12 @@ class _Made:
     def _renumber_expressions(self) -> None:
         """Have VRM's expressions refer to the meshes and shapes of now; warn of those that move none any more."""
         replaced = []
-        for node, number in self._mesh_of_node.items():
+        pairs = [*((node, node) for node in self._mesh_of_node), *self._given_node.items()]
+        for node, before in pairs:
             now = self._nodes[node].get("mesh")
             shapes = () if now is None else self._meshes[now].get("extras", {}).get("targetNames", ())
-            before = self._given_node.get(node, node)
             shapes_before = node_shapes(self._scene.document, before)
-            replaced.append(ReplacedMesh(before, number, node, now, shapes_before, shapes))
+            replaced.append(ReplacedMesh(before, self._mesh_of_node[before], node, now, shapes_before, shapes))
         if empty := renumber_expressions(self.top.get("extensions"), replaced):
             text = "%s: expressions that move no shape any more, since their meshes or shapes are not carried: %s"
             _log.warning(text, self._scene.document.file, whole_characters(first_few(empty)))

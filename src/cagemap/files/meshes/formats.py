@@ -28,7 +28,7 @@ from cagemap.files.meshes.obj_write import obj_files, write_obj
 from cagemap.files.meshes.off import read_off, write_off
 from cagemap.files.meshes.ply import ply_images, read_ply, write_ply
 from cagemap.files.meshes.stl import read_stl
-from cagemap.files.text import file_in, read_text
+from cagemap.files.text import file_in, read_text, require_suffix
 from cagemap.files.usd.read import read_usd
 from cagemap.files.usd.space import stage_space, to_standard
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd, other_files
@@ -204,9 +204,6 @@ def check_mesh_path(path: str | Path) -> None:
 
 
 def _extension(path: str | Path, formats: Collection[str] = _READERS) -> str:
-    extension = Path(path).suffix.lower()
-    if extension not in formats:
-        got = "a folder" if Path(path).is_dir() else f"'{extension}'" if extension else "a name without an ending"
-        remedy = "Export it in one of these, as .glb from Blender." if formats is _READERS else "Give another name."
-        raise FormatError(f"{path}: expected a mesh file ending in {', '.join(formats)}, got {got}. {remedy}")
-    return extension
+    remedy = "Export it in one of these, as .glb from Blender." if formats is _READERS else "Give another name."
+    require_suffix(Path(path), formats, "a mesh file", remedy)
+    return Path(path).suffix.lower()

@@ -49,8 +49,7 @@ def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
     """
     file = Path(path)
     suffix = file.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise FormatError(f"{file}: expected a map in {', '.join(SUFFIXES)}, got {suffix or 'no suffix'}")
+    require_suffix(file, SUFFIXES, "a map", "Write it in one of these.")
     require_file(file, "a point map")
     if suffix == ".npy":
         return SurfacePoints.from_vertices(source, _vertices(file, read_npy(file.read_bytes(), file, _REMEDY)))

@@ -213,7 +213,8 @@ def _animations(
                     tracks.append(Track(joints.index(joint), channel, times[kept], keys[kept]))
         shapes = tuple(str(shape) for shape in animation.GetBlendShapesAttr().Get() or [])
         times, values = _samples(animation.GetBlendShapeWeightsAttr(), len(shapes), start, rate)
-        shape_tracks = [ShapeTrack(part.name, shapes, times, values) for part in parts if len(times)]
+        moved = [part.name for part in parts if len(times) and part.shapes.keys() & set(shapes)]
+        shape_tracks = [ShapeTrack(name_of_part, shapes, times, values) for name_of_part in moved]
         found.append(Animation(name, tuple(tracks), tuple(shape_tracks)))
     rest = _common_weights(found) if len(prims) > 1 or bound else {}
     is_at_rest = [all(rest.keys() >= set(track.shapes) for track in one.shape_tracks) for one in found]

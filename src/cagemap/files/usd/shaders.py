@@ -44,7 +44,7 @@ def with_materials(
 ) -> Document:
     """The document with factors, images and opacity of the materials of a stage.
 
-    ``uv_sets``: names of the UV sets of each mesh that has a material, by its name.
+    ``uv_sets``: by name of a material: names of the UV sets of each mesh that has it.
     ``double_sided``: names of materials.
     """
     named = {label: stage.GetPrimAtPath(path) for path, label in material_labels(stage).items()}

@@ -208,7 +208,7 @@ def _shape_keys(part: Part, animation: Animation) -> dict[str, _Keys]:
         name: (np.zeros(1), np.array([[weight]]), "LINEAR") for name, weight in stated.items() if weight
     }
     for track in animation.shape_tracks_of(part):
-        columns = np.moveaxis(track.values_of(part.shapes), -1, 0)[..., None]
+        columns = np.moveaxis(track.values_of(part), -1, 0)[..., None]
         keys |= {name: (track.times, one, track.interpolation) for name, one in zip(part.shapes, columns, strict=True)}
     return keys
 

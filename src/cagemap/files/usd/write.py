@@ -17,7 +17,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.gltf.geometry import is_z_up
 from cagemap.files.ownership import mark
-from cagemap.files.text import text_name
+from cagemap.files.text import require_suffix, text_name
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS, transform_points
 from cagemap.files.usd.results import add_earlier, bind_textures
 from cagemap.files.usd.skeleton import write_usd_skeleton
@@ -190,9 +190,8 @@ def write_usd_over(
 def check_usd_path(file: Path, *, package: bool = False) -> None:
     """Refuse a name without a suffix of USD layers (or packages), or one that is not UTF-8."""
     text_name(file.absolute())
-    if file.suffix.lower() not in (".usd", ".usda", ".usdc", *((".usdz",) if package else ())):
-        remedy = "Give such a name." if package else "Packages (.usdz) are made from those."
-        raise FormatError(f"{file}: expected a name ending in .usda, .usdc{', .usdz' * package} or .usd. {remedy}")
+    remedy = "Give another name." if package else "Packages (.usdz) are made from those."
+    require_suffix(file, (".usda", ".usdc", *([".usdz"] if package else []), ".usd"), remedy=remedy)
 
 
 def _save(layer: Any, file: Path, added_to: Sequence[str], *, force: bool) -> bool:

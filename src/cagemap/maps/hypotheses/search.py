@@ -257,7 +257,7 @@ def search_both_ways(
 def fit(prepared: PreparedPair, pair: Pair, progress: Progress = no_progress) -> FloatArray:
     """(n, 3) fitted positions of the target's deformed level near the source: the first of `search_placements`.
 
-    The source has area 1 in their unit.
+    The source has area 1 in their unit. ParameterError if ``prepared`` is of other surfaces than the pair.
     """
     return search_placements(Problem(prepared, pair.landmarks), progress)[0].map_positions
 
