@@ -203,7 +203,7 @@ def with_part(character: Character, part: Part, made: Part) -> Character:
 
 
 def with_shape_weights(character: Character, source: Character, pieces_of: Mapping[str, str]) -> Character:
-    """A character with the source's weights of blend shapes, its own first; ``pieces_of``: with those of another part."""
+    """A character with the source's weights of shapes, its own first; ``pieces_of``: with those of another part."""
     stated = {part.name: part.shape_weights for part in source.parts if part.shapes}
     givers = {name: giver for name, giver in pieces_of.items() if name not in stated}
     given = [stated.get(givers.get(part.name, part.name), {}) for part in character.parts]
