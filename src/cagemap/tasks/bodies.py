@@ -55,7 +55,7 @@ class Bodies:
     given: tuple[Part, Part]
     ready: tuple[RepairedMesh, RepairedMesh]
     result: MatchResult
-    notes: tuple[str, ...] = ()  # on landmarks that are not on the matched pieces
+    notes: tuple[str, ...] = ()  # on lost landmarks, or on vertices that are paired by number
 
     @kept
     def shown_map(self) -> PointMap:
@@ -105,7 +105,7 @@ def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stage
     Raises
     ------
     ParameterError
-        If the piece of a part that is matched is only a fragment of it.
+        If the piece of a part that is matched is only a fragment of it, or has fewer than four faces.
     """
     ready = _ready_body(target), _ready_body(source)
     on_ready = landmarks.renumbered(*(mesh.vertex_of.__getitem__ for mesh in ready))
@@ -117,12 +117,13 @@ def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stage
     if result is None:
         result = match(*surfaces, on_ready, progress=stages)
     else:
-        notes = [f"{target.mesh.name} has the same faces as {source.mesh.name}: their vertices are paired by number"]
+        pair = f"{target.mesh.name} has the same faces as {source.mesh.name}"
+        notes = [f"{pair}: their vertices are paired by number; with --landmarks they are matched"]
     return Bodies((target, source), ready, result, tuple(notes))
 
 
 def _map_of_equal_faces(target: Surface, source: Surface) -> MatchResult | None:
-    """The map from each vertex to the vertex of its number; None if more than a few finest triangles differ."""
+    """The map from each vertex to the vertex of its number; None if more than 5 % of the finest triangles differ."""
     places = target.finest_triangles, source.finest_triangles
     if places[0].n != places[1].n or places[0].triangles.shape != places[1].triangles.shape:
         return None
@@ -162,7 +163,8 @@ def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:
     weights = control_weights(bodies.result.point_map, bodies.result.target.refinement, bodies.result.source.refinement)
     for name, offsets in carried.items():
         of_source = largest_stretches(source, shapes[name][rows])
-        allowed = 1.001 * np.maximum.reduceat(of_source[weights.indices], weights.indptr[:-1])  # not of the same body
+        # 0.1 % more, so that no rounding error changes a shape of the same body.
+        allowed = 1.001 * np.maximum.reduceat(of_source[weights.indices], weights.indptr[:-1])  # no row is empty
         carried[name] = limit_stretch(target, offsets, np.maximum(allowed, _MAX_STRETCH))
     return {name: bodies.on_target(offsets) for name, offsets in carried.items()}
 
@@ -176,7 +178,7 @@ def largest_stretches(mesh: ControlMesh, offsets: FloatArray) -> FloatArray:
 
 
 def limit_stretch(mesh: ControlMesh, offsets: FloatArray, allowed: FloatArray) -> FloatArray:
-    """Offsets (n, 3), smoothed at edges that they stretch by more than is ``allowed`` (n,) at one of the ends."""
+    """Offsets (n, 3), smoothed in rounds at edges that they stretch by more than is ``allowed`` (n,) at both ends."""
     means = neighbor_means(fan_triangles(mesh.face_offsets, mesh.face_indices)[0], mesh.n_vertices)
     for _ in range(_SMOOTHING_ROUNDS):
         edges, stretches = _stretched_edges(mesh, offsets)

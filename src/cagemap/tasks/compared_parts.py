@@ -1,9 +1,10 @@
-"""Parts and loose pieces of a character that the target has itself: they give it their values."""
+"""Find which parts and loose pieces of a character the target has itself."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -19,12 +20,12 @@ from cagemap.numerics.arrays import IndexArray, members_of
 
 @dataclass(frozen=True, eq=False)
 class ComparedParts:
-    """What the target has of a character's parts and loose pieces."""
+    """Parts and loose pieces of a character that the target has itself."""
 
-    counterparts: list[list[Part]]  # for each own piece or part of the target, those of its kind, placed on the target
+    counterparts: list[list[Part]]  # for each own piece, then part, of the target: those of its kind, placed
     doubles_of_parts: list[Part]  # placed parts of the kind of an own part
-    doubles_of_pieces: list[Part]  # placed parts of the kind or at the places of own pieces
-    faces: IndexArray  # of the loose pieces, without those that the target has
+    doubles_of_pieces: list[Part]  # placed parts, all of whose faces have a counterpart in own pieces
+    faces: IndexArray  # of the loose pieces, those that the target does not have
 
 
 def compare_parts(
@@ -35,7 +36,7 @@ def compare_parts(
     own_parts: Sequence[Part],
     point_map: PointMap,
 ) -> ComparedParts:
-    """Compare a character's parts and loose pieces with those of the target, by names and places.
+    """Find which parts and loose pieces of a character the target has, by names and places.
 
     ``placed``: the character's parts beside its body, placed on the target.
     ``pieces``: loose pieces of its body, as given and as placed on the target.
@@ -49,7 +50,7 @@ def compare_parts(
     candidates = [*placed, *(part_of_faces(placed_pieces, faces, name) for name, faces in groups)]
     count, loose, own = len(placed), len(own_pieces), [*own_pieces, *own_parts]
     of_carried, of_own = ([part.mesh for part in parts] for parts in (candidates, own))
-    # Whole parts are compared with whole parts, others piece by piece; each comparison has nearest boxes of its own.
+    # Whole parts are compared with whole parts, others piece by piece. A piece of one comparison hides none of another.
     doubled = [
         (row + start, number + own_start, faces)
         for start, end, own_start, own_end, compare in (
@@ -66,8 +67,10 @@ def compare_parts(
         whole = len(faces) == candidates[row].mesh.n_faces
         counterparts[number].append(candidates[row] if whole else part_of_faces(candidates[row], faces))
     doubles_of_parts = [part for parts in counterparts[loose:] for part in parts]
-    sizes = [sum(len(faces) for one, number, faces in pairs if one == row and number < loose) for row in range(count)]
-    doubles_of_pieces = [part for part, size in zip(placed, sizes, strict=True) if size >= part.mesh.n_faces]
+    in_pieces = [
+        {*chain.from_iterable(of.tolist() for one, n, of in pairs if one == row and n < loose)} for row in range(count)
+    ]
+    doubles_of_pieces = [part for part, faces in zip(placed, in_pieces, strict=True) if len(faces) == part.mesh.n_faces]
     found = [groups[row - count][1][faces] for row, _, faces in pairs if row >= count]
     found += pieces_in_surface(pieces.mesh, placed_pieces.mesh, point_map) if groups else []
     faces = np.setdiff1d(np.arange(pieces.mesh.n_faces), np.concatenate([np.zeros(0, dtype=np.int64), *found]))

@@ -327,7 +327,8 @@ def test_bodies_with_the_same_faces_are_paired_by_number_unless_landmarks_are_gi
     parts = Part("bent", replace(given, name="bent", scheme=body.scheme)), Part("body", body)
     bodies = match_bodies(*parts, Landmarks.none(), Stages())
     np.testing.assert_array_equal(bodies.result.point_map.images.positions, bodies.result.point_map.source.positions)
-    assert bodies.notes == (f"bent has the same faces as {body.name}: their vertices are paired by number",)
+    pair = f"bent has the same faces as {body.name}"
+    assert bodies.notes == (f"{pair}: their vertices are paired by number; with --landmarks they are matched",)
     matched = match_bodies(*parts, marks_at(far_apart(body.positions, 5)), Stages())
     assert matched.notes == ()
     assert np.abs(matched.result.point_map.images.positions - matched.result.point_map.source.positions).max() > 1e-6
