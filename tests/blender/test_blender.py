@@ -213,9 +213,10 @@ def test_a_rig_knows_whether_the_target_stands_in_another_pose(worker: Any) -> N
     upper = bent[:, 2] > 3.0
     turn, joint = np.array([[1.0, 0.0, 0.0], [0.0, 0.28, 0.96], [0.0, -0.96, 0.28]]), [0.5, 0.5, 3.0]
     bent[upper] = (bent[upper] - joint) @ turn + joint
-    bones = {"hips": 0.5, "spine": 1.5, "neck": 3.2, "head": 5.5}
-    matrices = np.tile(np.eye(4), (4, 1, 1))
-    matrices[:, :3, 3] = [(0.5, 0.5, height) for height in bones.values()]
+    bones = {"hips": (0.5, 0.5), "spine": (0.5, 1.5), "neck": (0.5, 3.2), "head": (0.5, 5.5)}
+    bones |= {"thigh.L": (0.8, 0.4), "thigh.R": (0.2, 0.4)}
+    matrices = np.tile(np.eye(4), (len(bones), 1, 1))
+    matrices[:, :3, 3] = [(across, 0.5, height) for across, height in bones.values()]
     for positions, is_posed in ((straight.positions, False), (bent, True)):
         target = straight.with_positions(positions)
         points = [{f"p{row}": place for row, place in enumerate(one.positions.tolist())} for one in (target, straight)]
@@ -223,7 +224,7 @@ def test_a_rig_knows_whether_the_target_stands_in_another_pose(worker: Any) -> N
         kind, reply = answer(worker, "match", target=arrays(target), source=arrays(straight), **asked)
         assert kind == "done", reply
         tails = matrices[:, :3, 3] + [0.0, 0.0, 0.5]
-        rig = {"names": list(bones), "parents": np.arange(-1, 3), "matrices": matrices, "tails": tails}
+        rig = {"names": list(bones), "parents": np.array([-1, 0, 1, 2, 0, 0]), "matrices": matrices, "tails": tails}
         assert answer(worker, "rig", **rig)[1]["is_posed"] == is_posed
 
 
