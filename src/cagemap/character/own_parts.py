@@ -46,10 +46,10 @@ _ROOTS = 8  # of each vertex: with several, a strip of lashes does not tear
 def pairs_of_one_kind(
     candidates: Sequence[Part], own: Sequence[Part], doubled: Sequence[DoubledFaces]
 ) -> list[DoubledFaces]:
-    """Candidates whose names have the `passenger_word` of an own part, and ``doubled`` faces.
+    """Pairs of a candidate and an own part of one kind, such as eyes: by names, or by ``doubled`` faces at one place.
 
-    Faces at one place whose two names have different words are left out. Candidates are parts of the source, placed on
-    the target.
+    The `passenger_word` of a name says the kind; faces whose names say different kinds are left out. Candidates are
+    parts of the source, placed on the target.
     """
     words, own_words = ([passenger_word(part.name) for part in parts] for parts in (candidates, own))
     pairs = [

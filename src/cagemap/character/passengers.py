@@ -119,13 +119,13 @@ def carry_passengers(
     places, matrices = frames.carry(points, distances)
     contact = Contact.find(frames, points, triangles, distances.normals, matrices)
     places = push_out(target, contact, places, np.concatenate(triangles))
-    turned_by = np.full_like(matrices, np.nan)  # of offsets of small meshes
+    of_small = list[tuple[slice, FloatArray]]()  # rows and matrices of small meshes
     for mesh, own, start in zip(meshes, triangles, starts[:-1], strict=True):
         part = slice(start, start + mesh.n_vertices)
         if kinds.get(mesh.name) == "rigid" or not _is_small(points[part]):
             continue
         rotation, scale, shift = _similarity_around(frames, points[part])
-        turned_by[part] = scale * rotation.T
+        of_small.append((part, source.scale / target.scale * scale * rotation.T))
         if mesh.name not in kinds and _is_torn(points[part], places[part], scale, own - start):
             _log.info("%s: keeps its shape, since the body has no place for it, such as a mouth for teeth", mesh.name)
             places[part], matrices[part] = scale * points[part] @ rotation.T + shift, scale * rotation.T
@@ -138,8 +138,8 @@ def carry_passengers(
         pieces = find_pieces(of_kind, points[rows], distances.heights[rows], of_group)
         positions[rows], turns, scales = fit_similarities(pieces, points[rows], places[rows], matrices[rows])
         linear_maps[rows] = source.scale / target.scale * scales[:, None, None] * turns
-    # Frames at closed lips and lids differ much, and teeth would move apart.
-    linear_maps = np.where(np.isnan(turned_by), linear_maps, source.scale / target.scale * turned_by)
+    for part, matrix in of_small:  # frames at closed lips and lids differ much, and teeth would move apart
+        linear_maps[part] = matrix
     return [
         CarriedPassenger(
             positions[rows] / target.scale, linear_maps[rows], float(np.abs(distances.heights[rows]).mean())

@@ -111,8 +111,8 @@ class SearchConfig(Config):
     max_cost: float = 1.5
     part_distance: float = 0.02  #: where two placements are farther apart, either one may be better
     part_area: float = 5e-4  #: least share of the area of a part that is taken from another placement
-    #: largest ratio of costs at which two placements count as equally good: a refit and what it replaces, maps that
-    #: differ in the rotation of a limb, which have ratios from 1.06, or coarse placements of two assignments of limbs
+    #: two placements count as equally good if the larger cost is at most this factor times the smaller one; maps that
+    #: differ in the rotation of a limb have ratios from 1.06
     max_equal_cost: float = 1.15
     part_rings: int = 3  #: rings of edges around a part over which its cost fades
     # Starts from limbs and rotations, on a small graph

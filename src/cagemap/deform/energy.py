@@ -120,7 +120,7 @@ def corrected(
 def conjugate_gradients(
     matrix: sparse.csc_array, factors: Factorization, stage: Stage, residual: FloatArray
 ) -> FloatArray:
-    """About ``A^-1 r`` (3 n,) by a few conjugate gradients (Hestenes and Stiefel 1952), with factors of another matrix.
+    """Approximate ``A^-1 r`` (3 n,) by conjugate gradients (Hestenes and Stiefel 1952), preconditioned by old factors.
 
     Each step costs a tenth of a factorisation. If they leave too large a residual, the matrix is factored anew.
     """

@@ -134,7 +134,7 @@ def _check_sides(target: Surface, source: Surface, given: PointMap) -> None:
 
 
 def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
-    """Check a map: returns a PointMap, C12 (k1, k2), or finest source vertices (n,) of a level's target vertices."""
+    """The checked map: a PointMap, C12 (k1, k2), or (n,) a finest source vertex for each target vertex of a level."""
     target, source = pair.target, pair.source
     form = _finest_images(pair, given) if isinstance(given, LevelMap) else given
     if isinstance(form, PointMap):

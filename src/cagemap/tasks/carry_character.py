@@ -24,7 +24,7 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.mesh.parts import extract_faces, numbers_on_part, passenger_word
 from cagemap.mesh.topology import face_components
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of
 from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies
 from cagemap.tasks.carry_arrays import carry_weights
 from cagemap.tasks.compared_parts import compare_parts, named_pieces, part_of_faces
@@ -69,12 +69,12 @@ def carry_character(
     ``influences``: most joints per vertex of the body; None for all.
     ``taken``: names already in use, such as those of joints: another part of the target with one gets '(own)'.
     """
-    stages = Stages() if stages is None else stages
+    stages, kinds = Stages() if stages is None else stages, kinds or {}
     target_body, source_body = find_body(target.parts, bodies[0]), find_body(source.parts, bodies[1])
     chosen, notes = _select_passengers(source, source_body, target, target_body, passengers)
     declined = [part for part in source.parts if part not in (*chosen, source_body)]
     names = [part.name for part in chosen]
-    _require_passengers(kinds or (), [*names, _name_of_pieces(source_body)], [part.name for part in declined])
+    _require_passengers(kinds, [*names, _name_of_pieces(source_body)], [part.name for part in declined])
     matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages)
     result = matched.result
     notes += matched.notes
@@ -95,21 +95,19 @@ def carry_character(
         others,
         result.point_map,
     )
-    if pieces.name not in (kinds or ()) and len(compared.faces) < pieces.mesh.n_faces:
+    if pieces.name not in kinds and len(compared.faces) < pieces.mesh.n_faces:
         notes.append(_left_out_note(matched, pieces, compared.faces))
         to_carry.remove(pieces)
         if len(compared.faces):
             to_carry.append(part_of_faces(pieces, compared.faces))
             placed[to_carry[-1]] = part_of_faces(placed[pieces], compared.faces)
     if passengers is None:
-        doubled = [
-            part for part in chosen if placed[part] in compared.doubles_of_parts and part.name not in (kinds or ())
-        ]
+        doubled = [part for part in chosen if placed[part] in compared.doubles_of_parts and part.name not in kinds]
         notes += _declined_note([part.name for part in doubled])
         to_carry = [part for part in to_carry if part not in doubled]
         notes += _doubled_note(target_body, [one.name for one in to_carry if placed[one] in compared.doubles_of_pieces])
     for part in to_carry:
-        if (kinds or {}).get(part.name) == "rigid":
+        if kinds.get(part.name) == "rigid":
             notes += hidden_passenger(result.point_map, part.mesh, placed[part].mesh.positions)
     stages("weights and shapes")
     weights, shapes = _body_weights(matched, influences), body_shapes(matched)
@@ -152,8 +150,8 @@ def _body_weights(bodies: Bodies, influences: int | None) -> sparse.csr_array | 
 
 def _with_values_of(body: Part, pieces: Sequence[Part], unmatched: NDArray[np.bool_]) -> Part:
     """A body with weights and shapes of some of its pieces, at its unmatched vertices (n,)."""
-    rows, sizes = np.arange(body.mesh.n_vertices), [body.mesh.n_vertices, *(piece.mesh.n_vertices for piece in pieces)]
-    for piece, start in zip(pieces, np.cumsum(sizes[:-1]), strict=True):
+    rows, starts = np.arange(body.mesh.n_vertices), offsets_of([part.mesh.n_vertices for part in (body, *pieces)])
+    for piece, start in zip(pieces, starts[1:-1], strict=True):
         number = numbers_on_part(piece.mesh, body.mesh)
         rows = np.where((number >= 0) & unmatched, number + start, rows)
     weights, shapes = body.weights, dict[str, FloatArray]()

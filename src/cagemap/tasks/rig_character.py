@@ -232,7 +232,7 @@ def _split_body(path: Path, character: Character, body: Part) -> list[str]:
 
 
 def _up_warning(point_map: PointMap, path: Path) -> list[str]:
-    """A warning if the target is turned over against the source, whose Y axis is up: OBJ files may have Z up."""
+    """A warning if the axis that is up in the target's file is not Y, as in some OBJ files; it is Y in the source."""
     up = BodyFrames(point_map).rotation[1]
     if up[1] > _MIN_UPRIGHT_COSINE:
         return []

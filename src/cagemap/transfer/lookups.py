@@ -68,7 +68,7 @@ def mip_levels(spans: FloatArray) -> NDArray[np.int64]:
 
 
 def pad_islands(laid: Texture, tiles: list[int]) -> tuple[Texture, dict[int, NDArray[np.bool_]]]:
-    """The texture without background beside its islands, and (h, w) by tile its texels in the layout and beside it.
+    """The texture with its islands extended over the background; and the texels (h, w) of each tile that it covers.
 
     Lookups at borders of islands read the texels beside them. Those that have the background's colour (the median of
     all beside the islands) get the colour of the nearest island.

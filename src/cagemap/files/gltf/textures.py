@@ -252,7 +252,7 @@ class MaterialImage:
 
 
 def material_images(document: Document, material: str, only: str | None = None) -> tuple[MaterialImage, ...]:
-    """Textures of a material, in all slots or ``only`` one; images that cagemap cannot read are left out aloud."""
+    """Textures of a material, in all slots or ``only`` one; a warning names images that cagemap cannot read."""
     number = _number(document, material)
     entry = document.entry("materials", number)
     slots = [(slot, holder) for slot, holder in texture_slots(entry) if only in (None, slot)]

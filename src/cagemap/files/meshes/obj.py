@@ -175,7 +175,7 @@ class _Corners:
 
 
 def _read_corners(statements: _Statements, rows: IndexArray) -> _Corners:
-    """Read the corners ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn`` of every face, in any mixture."""
+    """Read the corners ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn`` of every face; a file may mix these forms."""
     # The text of all faces is one array of bytes: corners and numbers begin where the class of bytes changes.
     bodies = [statements.lines[row].partition("#")[0].partition(" ")[2] for row in rows]
     text = "\n".join(bodies) + "\n"

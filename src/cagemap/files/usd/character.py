@@ -47,7 +47,7 @@ _CONTENTS = {
 }
 
 # Tag of the extra field that aligns the members of a package.
-_PADDING = 0x1986
+_PADDING_ID = 0x1986
 
 
 def write_usd_character(
@@ -181,5 +181,5 @@ def _save(layer: Any, file: Path, images: Mapping[str, bytes], sizes: Mapping[st
                 entry = zipfile.ZipInfo(name)
                 # Content begins at a multiple of 64 bytes: an extra field fills the header of 30 bytes and the name.
                 filled = -(stream.tell() + 34 + len(name.encode())) % 64
-                entry.extra = struct.pack("<HH", _PADDING, filled) + bytes(filled)
+                entry.extra = struct.pack("<HH", _PADDING_ID, filled) + bytes(filled)
                 package.writestr(entry, data)

@@ -167,7 +167,7 @@ class _Materials:
     def _find_image(
         self, material: str, surface: Any, slot: str, pairs: dict[str, Any]
     ) -> tuple[bytes, tuple[int, int]] | None:
-        """Image of texture shaders by input, and its wrap modes; None, with a warning, if glTF has no place for it."""
+        """Image and wrap modes of the textures of some inputs; None, with a warning, if glTF cannot express them."""
         outputs = _SLOTS.get(slot, {"opacity": "a"})
         images = {self._image_and_wraps(texture) for texture in pairs.values()}
         named = {name: source_of(surface, name).GetBaseName() for name in pairs}

@@ -53,7 +53,7 @@ def _units_of(path: str | Path, stage: Any) -> StageSpace:
 def stage_space(path: str | Path) -> StageSpace:
     """The space of a file's control mesh by `read_usd`; world space if it has several meshes.
 
-    What is left out of the file is not logged, since the file's reader does so.
+    Gives no warnings on parts of the file that are left out: `read_usd` gives them.
     """
     stage = open_stage(path, warn=False)
     units = _units_of(path, stage)

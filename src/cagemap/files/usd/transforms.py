@@ -41,7 +41,7 @@ def local_to_world(prim: Any) -> FloatArray:
 
 
 def drop_flattened(file: Path, prims: list[Any], *, warn: bool = True) -> list[Any]:
-    """Meshes that their transform does not flatten to a plane, line or point; all if it flattens every one.
+    """The meshes whose transforms are invertible; all of them if no transform is.
 
     ``warn``: warn of those that are left out.
     """
