@@ -54,7 +54,12 @@ def residual_norms(
     finest level. The lower bound 4 pi / area, for eigenvalues near 0, is the mean distance of eigenvalues (Weyl's law);
     ``area`` is by default the sum of ``areas``.
     """
-    squares = (1.0 / areas) @ (stiffness_vectors - mass_vectors * values) ** 2
+    squares = sum(
+        in_threads(
+            lambda part: (1.0 / areas[part]) @ (stiffness_vectors[part] - mass_vectors[part] * values) ** 2,
+            row_slices(len(areas), ROW_BLOCK),
+        )
+    )
     least = 4.0 * np.pi / (float(areas.sum()) if area is None else area)
     return np.asarray(np.sqrt(squares) / np.maximum(values, least))
 
@@ -222,13 +227,12 @@ def orthonormal_block(
     total = np.eye(width)
     for _ in range(2):
         mass_block = multiply(mass, block)
-        gram = block.T @ mass_block
+        gram = inner_products(block, mass_block)
         values, vectors = linalg.eigh(0.5 * (gram + gram.T))
         weak = values <= SOLVER.dependent * max(values[-1], np.finfo(float).tiny)
         roots = np.sqrt(np.where(weak, 1.0, values))
         total = (np.where(weak, 0.0, roots)[:, None] * vectors.T) @ total
-        turn = vectors / roots
-        block, mass_block = block @ turn, mass_block @ turn
+        block, mass_block = (combined(part, vectors / roots) for part in (block, mass_block))
         if weak.any():
             fresh = rng.standard_normal((len(block), int(weak.sum())))
             for _ in range(2):
@@ -299,7 +303,7 @@ def shift_invert_lanczos(
             if sides and np.all(errors <= allowed * np.abs(inverse_values[chosen])):
                 values = shift + 1.0 / inverse_values[chosen]
                 order = np.argsort(values)
-                return values[order], _combined(used, rotation[:, chosen[order]].astype(dtype))
+                return values[order], combined(used, rotation[:, chosen[order]].astype(dtype))
             next_check = size + max(width, size // 20)
         if full:
             raise SolverError(
@@ -310,19 +314,29 @@ def shift_invert_lanczos(
         size += width
 
 
-def _combined(basis: Block, coefficients: Block) -> Block:
-    """(n, b) product Q C, in threads."""
-    return np.vstack(in_threads(lambda part: basis[part] @ coefficients, row_slices(len(basis), ROW_BLOCK)))
+def combined(basis: Block, coefficients: Block, out: Block | None = None) -> Block:
+    """(n, b) product Q C of a tall Q, in threads; ``out`` may be Q."""
+    out = np.empty((len(basis), coefficients.shape[1]), np.result_type(basis, coefficients)) if out is None else out
+
+    def combine(part: slice) -> None:
+        np.matmul(basis[part], coefficients, out=out[part])
+
+    in_threads(combine, row_slices(len(basis), ROW_BLOCK))
+    return out
+
+
+def inner_products(first: Block, second: Block) -> Block:
+    """(m, b) product P^T Q of tall blocks, in threads."""
+    shares = in_threads(lambda part: first[part].T @ second[part], row_slices(len(first), ROW_BLOCK))
+    return np.asarray(sum(shares[1:], shares[0]))
 
 
 def _remove(block: Block, basis: Block, mass_basis: Block) -> Block:
     """Make X M-orthogonal to Q in place, in threads; returns the coefficients (M Q)^T X (m, b)."""
-    rows = row_slices(len(block), ROW_BLOCK)
-    shares = in_threads(lambda part: mass_basis[part].T @ block[part], rows)
-    coefficients: Block = np.asarray(sum(shares[1:], shares[0]))
+    coefficients = inner_products(mass_basis, block)
 
     def subtract(part: slice) -> None:
         block[part] -= basis[part] @ coefficients
 
-    in_threads(subtract, rows)
+    in_threads(subtract, row_slices(len(block), ROW_BLOCK))
     return coefficients

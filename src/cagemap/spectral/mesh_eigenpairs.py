@@ -19,7 +19,7 @@ from cagemap.numerics.products import multiply
 from cagemap.numerics.threads import ROW_BLOCK, in_threads, one_blas_thread, row_slices
 from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.spectral.config import SOLVER
-from cagemap.spectral.eigenpairs import EigenPairs, band_pairs, residual_norms, shifted_matrix
+from cagemap.spectral.eigenpairs import EigenPairs, band_pairs, combined, residual_norms, shifted_matrix
 from cagemap.spectral.surface import Surface
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import corner_sums, normalize_rows
@@ -105,13 +105,15 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
     initial = band_pairs(weights, mass, 0, k, accuracy=max(min(accuracy, SOLVER.single_accuracy), 1e-10))
     values, vectors = np.array(initial.values), np.array(initial.vectors, dtype=np.float64, order="C")
     shift = -4.0 * np.pi / float(areas.sum())
-    shifted, worst = None, np.inf
+    shifted = None
     parts = row_slices(k, COLUMN_BLOCK)
     for iteration in range(MAX_INVERSE_ITERATIONS + 1):
-        if shifted is not None or initial.vectors.dtype == np.float64:
+        worst = np.inf
+        if iteration or initial.vectors.dtype == np.float64:
             worst = 0.0
             for part in parts:
                 energy, dual = multiply(weights, vectors[:, part]), areas[:, None] * vectors[:, part]
+                values[part] = np.einsum("ij,ij->j", vectors[:, part], energy)  # Rayleigh quotients
                 worst = max(worst, float(residual_norms(values[part], energy, dual, areas, area).max()))
         if worst <= accuracy:
             if (np.diff(values) < 0.0).any():  # equal ones differ by rounding
@@ -124,8 +126,6 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
         for part in parts:
             vectors[:, part] = (values[part] - shift) * shifted.solve(areas[:, None] * vectors[:, part])
         _orthonormalise(vectors, areas)
-        for part in parts:
-            values[part] = np.einsum("ij,ij->j", vectors[:, part], multiply(weights, vectors[:, part]))
     raise SolverError(
         f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; remove triangles of almost no area, "
         "or ask `cagemap.eigenpairs` for a lower accuracy, at most 0.01"
@@ -136,12 +136,7 @@ def _orthonormalise(vectors: FloatArray, areas: FloatArray) -> None:
     """M-orthonormalise vectors (n, k) in place, in order, as inverse iteration amplifies the lower ones in each."""
     rows = row_slices(len(vectors), ROW_BLOCK)
     shares = in_threads(lambda part: vectors[part].T @ (areas[part, None] * vectors[part]), rows)
-    turn = linalg.inv(linalg.cholesky(np.asarray(sum(shares[1:], shares[0]))))
-
-    def orthonormalise(part: slice) -> None:
-        vectors[part] = vectors[part] @ turn
-
-    in_threads(orthonormalise, rows)
+    combined(vectors, linalg.inv(linalg.cholesky(np.asarray(sum(shares[1:], shares[0])))), out=vectors)
 
 
 @kinds_checked
