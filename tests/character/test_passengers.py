@@ -129,6 +129,17 @@ def test_what_was_outside_stays_outside(body: ControlMesh) -> None:
         assert np.median(after / before) == pytest.approx(1.0, abs=0.2)
 
 
+def test_what_was_outside_stays_outside_where_the_body_nearly_touches_itself(body: ControlMesh) -> None:
+    """The hole of the torus becomes a slit that is narrower than the cloth's heights, as between thighs."""
+    closed, triangles = body.positions.copy(), cage_triangles(body)[0]
+    hole, end = np.hypot(closed[:, 0], closed[:, 1]).min(), closed[:, 0].max()
+    closed[:, 0] = np.interp(closed[:, 0], [-end, -hole, hole, end], [-end, -0.05, 0.05, end])
+    target = surface(closed, triangles)
+    point_map = PointMap.from_vertices(target, surface(body.positions, triangles), np.arange(target.n))
+    cloth = body.with_positions(body.positions + 0.1 * vertex_normals(body.positions, triangles))
+    assert signed(target, carry_passenger(point_map, cloth).positions).min() > 0
+
+
 def test_frames_do_not_stretch_where_the_map_collapses(body: ControlMesh) -> None:
     """A character's feet may be pieces of their own: the feet of the target are then on the edge of its legs."""
     stub, triangles = body.positions.copy(), cage_triangles(body)[0]
@@ -290,7 +301,7 @@ def test_true_map_brings_parts_to_where_they_are_made_for(shared_data: Path, par
     assert 100 * closest_points(goal.tree, places)[2].mean() <= bar
     inside = [signed(body, at) < 0 for body, at in ((source, given.positions), (target, places / target.scale))]
     if part != "eyes":  # within their sockets
-        assert np.count_nonzero(inside[1]) <= np.count_nonzero(inside[0]) + 2
+        assert np.count_nonzero(inside[1]) <= np.count_nonzero(inside[0])
     else:
         firm = [at - at.mean(axis=0) for at in (given.positions[:256], places[:256])]
         lengths = [np.linalg.norm(at, axis=1) for at in firm]

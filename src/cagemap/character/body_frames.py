@@ -38,6 +38,7 @@ class SignedDistances:
 
     heights: FloatArray  # (m,) negative inside the body; infinite where no closest point was found
     normals: FloatArray  # (m, 3) unit normals of the body at the closest points
+    closest: FloatArray  # (m, 3) closest points
 
     @classmethod
     def of(
@@ -56,7 +57,7 @@ class SignedDistances:
         closest = np.einsum("nc,ncd->nd", barycentric, body.positions[corners])
         body_normals = normalize_rows(np.einsum("nc,ncd->nd", barycentric, body.vertex_normals[corners]))
         side = np.einsum("nd,nd->n", points - closest, body_normals)
-        return cls(np.copysign(distance, side), body_normals)
+        return cls(np.copysign(distance, side), body_normals, closest)
 
 
 @dataclass(frozen=True, eq=False)

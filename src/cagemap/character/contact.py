@@ -33,7 +33,7 @@ class ContactConfig(Config):
     min_facing_cosine: float = 0.3  # of the body's normal with that of the anchor
     tolerance: float = 1e-5
     max_rounds: int = 12
-    max_halvings: int = 4  # of a push that ends in another part of the body
+    leaving_rounds: int = 4  # in which vertices inside the body move to the nearest point outside
     spreading_rounds: int = 4  # in which a push spreads to neighbouring vertices
 
 
@@ -112,7 +112,6 @@ def push_out(target: TriangleSurface, contact: Contact, places: FloatArray, tria
     body_positions, upward = target.positions[contact.body_vertices], target.vertex_normals[contact.body_vertices]
     squared = np.einsum("nc,nc->n", contact.barycentric, contact.barycentric)
     means = neighbor_means(triangles, len(places))
-    start = places
     is_moved: NDArray[np.bool_] = np.ones(len(places), dtype=bool)
     heights, upright = np.full(len(contact.vertices), np.inf), np.zeros_like(contact.directions)
     for _ in range(_CONFIG.max_rounds):
@@ -133,18 +132,20 @@ def push_out(target: TriangleSurface, contact: Contact, places: FloatArray, tria
         push[contact.vertices] = longer_rows(rise[:, None] * upright, push[contact.vertices])
         push = spread_push(means, push, _CONFIG.spreading_rounds)
         places, is_moved = places + push, np.asarray(push.any(axis=1))
-    return _limit_depth(target, start, places)
+    return _leave_body(target, contact.vertices, places)
 
 
-def _limit_depth(target: TriangleSurface, start: FloatArray, pushed: FloatArray) -> FloatArray:
-    """(n, 3) pushed positions; pushes into another part of the body are halved."""
-    rows = np.flatnonzero((start != pushed).any(axis=1))
-    depths = np.minimum(_signed_distances(target, start[rows], None).heights, 0.0)
-    for _ in range(_CONFIG.max_halvings):
-        is_deeper = _signed_distances(target, pushed[rows], None).heights < depths - _CONFIG.tolerance
-        rows, depths = rows[is_deeper], depths[is_deeper]
-        pushed[rows] = 0.5 * (start[rows] + pushed[rows])
-    return pushed
+def _leave_body(target: TriangleSurface, rows: IndexArray, places: FloatArray) -> FloatArray:
+    """(n, 3) places, with some rows moved to the nearest point outside the body: thighs touch, and pushes add up."""
+    for _ in range(_CONFIG.leaving_rounds):
+        distances = _signed_distances(target, places[rows], None)
+        is_inside = distances.heights < 0.0
+        rows, depths = rows[is_inside], -distances.heights[is_inside]
+        if not len(rows):
+            break
+        outward = distances.closest[is_inside] - places[rows]
+        places[rows] += (1.0 + _CONFIG.tolerance / depths)[:, None] * outward
+    return places
 
 
 def _signed_distances(surface: TriangleSurface, points: FloatArray, normals: FloatArray | None) -> SignedDistances:
