@@ -58,8 +58,8 @@ class Bodies:
     notes: tuple[str, ...] = ()  # on lost landmarks, or on vertices that are paired by number
 
     @kept
-    def shown_map(self) -> PointMap:
-        """The map, with the faces of the target's cage flat, as glTF shows them: clothes are outside these."""
+    def flat_map(self) -> PointMap:
+        """The map, with the faces of the target's cage flat, as glTF shows them."""
         point_map, refinement = self.result.point_map, self.result.target.refinement
         if refinement.is_plain:
             return point_map

@@ -55,6 +55,7 @@ def carry_character(
     kinds: Mapping[str, PassengerKind] | None = None,
     influences: int | None = 4,
     taken: Collection[str] = (),
+    subdivided: bool = False,
     stages: Stages | None = None,
 ) -> CarriedCharacter:
     """Rig and dress a body like a character.
@@ -68,6 +69,7 @@ def carry_character(
     ``kinds``: see `carry_passengers`.
     ``influences``: most joints per vertex of the body; None for all.
     ``taken``: names already in use, such as those of joints: another part of the target with one gets '(own)'.
+    ``subdivided``: whether programs show the body with the subdivision scheme that its mesh states, as from USD.
     """
     stages, kinds = Stages() if stages is None else stages, kinds or {}
     target_body, source_body = find_body(target.parts, bodies[0]), find_body(source.parts, bodies[1])
@@ -86,7 +88,8 @@ def carry_character(
     to_carry = [*chosen, pieces] if pieces.mesh.n_faces else chosen
     stages("passengers")
     to_place = [*to_carry, *(declined if loose or others else [])]
-    placed = dict(zip(to_place, carried_parts(matched.shown_map, to_place, kinds=kinds), strict=True))  # on the target
+    shown = result.point_map if subdivided and target_body.mesh.scheme is not None else matched.flat_map
+    placed = dict(zip(to_place, carried_parts(shown, to_place, kinds=kinds), strict=True))  # on the target
     compared = compare_parts(
         [placed[part] for part in to_place if part is not pieces],
         pieces,

@@ -95,6 +95,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
         kinds=_kinds(request),
         influences=request.influences or None,
         taken=set(read_nodes(document).names) - {part.name for part in source.parts},
+        subdivided=is_usd(request.output),
         stages=stages,
     )
     notes += landmark_notes
