@@ -37,6 +37,7 @@ from cagemap.files.usd.space import similar_space
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd, usd_modules
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.point_map import PointMap
+from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.cage_points import CagePoints, NamedPoints, on_cage
 from cagemap.mesh.checks import check_mesh
@@ -64,6 +65,8 @@ _DOUBT = "the bodies may be matched wrongly: look at the result, and give --land
 
 # Of the character's up with that of the body; less if the file has another axis up.
 _MIN_UPRIGHT_COSINE = 0.5
+# Ratio of the bodies' sizes, either way, above which there is a warning: feet and metres have 3.3.
+_MAX_SIZE_RATIO = 2.5
 
 
 def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
@@ -141,6 +144,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     doubt = [] if confidence is None or confidence.verdict == SURE else [_DOUBT]
     stages.record(_figures(dressed) | {"trusted_area": carried.result.quality.trusted_area})
     warnings = [*body_warnings(carried.result), *(doubt or _up_warning(carried.result.point_map, request.body))]
+    warnings += _size_warning(carried.result, request)
     return _summary(request, dressed), [*notes, *warnings]
 
 
@@ -242,6 +246,18 @@ def _up_warning(point_map: PointMap, path: Path) -> list[str]:
     return [
         f"{path}: what is up in the character is {axis} here, but glTF has Y up: if the body lies down in other "
         "programs, rotate it before"
+    ]
+
+
+def _size_warning(result: MatchResult, request: RigRequest) -> list[str]:
+    """A warning if the sizes of the bodies differ as those of two units do."""
+    ratio = result.point_map.source.scale / result.point_map.target.scale
+    if 1.0 / _MAX_SIZE_RATIO <= ratio <= _MAX_SIZE_RATIO:
+        return []
+    spans = [float(np.ptp(side.control.positions, axis=0).max()) for side in (result.target, result.source)]
+    return [
+        f"{request.body} is {ratio:.3g} times as large as {request.like} ({spans[0]:.3g} m, {spans[1]:.3g} m): what it "
+        "gets is scaled to it. If its unit is not the metre, scale it before"
     ]
 
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from cagemap import tasks
 from cagemap.character.poses import pose_at
-from cagemap.character.values import Character, Part, skinned_positions
+from cagemap.character.values import Animation, Character, Part, Track, skinned_positions
 from cagemap.errors import ParameterError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import character_of, read_character
@@ -364,6 +364,24 @@ def test_spring_bones_have_the_size_of_the_body(run: Run, files: Character, body
     assert made["VRMC_vrm"]["expressions"]["custom"]["blush"]["textureTransformBinds"] == [uv]
     (group,) = made["VRM"]["secondaryAnimation"]["colliderGroups"]
     assert group["colliders"][0]["offset"]["x"] == pytest.approx(1, rel=1e-3)
+
+
+@pytest.mark.parametrize("factor", [0.01, 1.0, 2.0, 100.0])
+def test_a_body_of_another_unit_is_named_and_moves_as_far_as_it_is_large(files, body, factor: float) -> None:
+    """Joints, hat and the motion of the root in the size of the body."""
+    places = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
+    walk = Animation("walk", (Track(0, "translation", np.arange(2.0), files.rig.local[0, 3, :3] + places),))
+    write_character(Path("C.glb"), replace(files, animations=(walk,)))
+    write_mesh("B.glb", body.with_positions(factor * body.positions), force=True)
+    said = tasks.run(RigRequest(Path("B.glb"), Path("C.glb"), Path("OUT.glb"))).warnings
+    assert any(f"B.glb is {factor:g} times as large as C.glb" in text for text in said) == (factor not in (1.0, 2.0))
+    made, time = read_character("OUT.glb"), 1.0
+    pose = pose_at(made.rig, made.animations[0], time)
+    for given in files.parts:
+        found = part_named(made, given.name)
+        scaled = replace(given, mesh=given.mesh.with_positions(factor * given.mesh.positions))
+        moved = skinned_positions(found, made.rig, pose)[same_order(found, scaled, 1e-4 * factor)]
+        np.testing.assert_allclose(moved / factor, given.mesh.positions + places[1], atol=1e-4)
 
 
 def test_clothes_are_outside_the_flat_faces_of_a_cage() -> None:
