@@ -77,7 +77,7 @@ def carry_character(
     declined = [part for part in source.parts if part not in (*chosen, source_body)]
     names = [part.name for part in chosen]
     _require_passengers(kinds, [*names, _name_of_pieces(source_body)], [part.name for part in declined])
-    matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages)
+    matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages, source.rig)
     result = matched.result
     notes += matched.notes
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]

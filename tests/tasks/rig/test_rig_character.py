@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from examples.shapes import cube, grid
+from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from cagemap import tasks
@@ -39,7 +40,7 @@ from cagemap.tasks.rig_character import _DOUBT, _kinds, _landmarks, _split_body,
 
 from command_line import Run
 from example_character import ball, write_character
-from example_rigs import body_moved
+from example_rigs import body_moved, person
 from plain_meshes import far_apart, marks_at, renumbered
 from refusals import refuses
 from rigged import image_error, part_named, rig_done, same_order
@@ -314,6 +315,26 @@ def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
     body = Part("skin", with_options(replace(mesh, name="C.glb"), "none"))
     message = r"C\.glb: .* skin has 3 pieces, and the one that is matched spans only 2.% of it"
     refuses(ParameterError, message, match_bodies, body, body, Landmarks.none(), Stages())
+
+
+def test_a_body_whose_legs_are_other_pieces_is_refused_before_the_match(body, monkeypatch) -> None:
+    """As `quaternius_Female_Dress.fbx`, without faces under its dress; unless landmarks or equal faces pair the rest."""
+    legs = ball("legs", body.positions[np.argmin(body.positions[:, 1])] - [0.0, 2.0, 0.0], 0.5)
+    mesh = with_options(join_meshes([replace(one, face_objects=None, object_names=()) for one in (body, legs)]), "none")
+    rig, is_leg = person(), np.arange(mesh.n_vertices) >= body.n_vertices
+    joints = [rig.names.index("LeftLeg"), rig.names.index("LeftArm")]
+    weights = np.zeros((mesh.n_vertices, len(rig.names)))
+    weights[:, joints] = np.where(is_leg[:, None], [0.8, 0.2], [0.2, 0.8])
+    monkeypatch.setattr("cagemap.tasks.bodies.match", lambda *given, progress: "matched")
+    source = Part("Female", replace(mesh, name="C.fbx"), sparse.csr_array(weights))
+    target, few = Part("body", renumbered(body, 0)[0]), marks_at(far_apart(body.positions, 5))
+    message = r"C\.fbx: expected a body in one piece, but the left leg of Female is not on the piece that is matched\."
+    refuses(ParameterError, message, match_bodies, target, source, Landmarks.none(), Stages(), rig)
+    for given, of, marks in ((target, source, few), (source, source, Landmarks.none())):
+        assert match_bodies(given, of, marks, Stages(), rig).result is not None
+    weights[is_leg] = weights[0]  # a sleeve
+    target_too = replace(source, weights=sparse.csr_array(weights))
+    assert match_bodies(target, target_too, Landmarks.none(), Stages(), rig).result == "matched"
 
 
 def test_bodies_with_the_same_faces_are_paired_by_number_unless_landmarks_are_given(body, quick_fit) -> None:
