@@ -168,8 +168,8 @@ def _require_limbs(part: Part, ready: RepairedMesh, rig: Rig) -> None:
         vertices = moved[:, joints].indices
         if len(vertices) and not is_matched[vertices].any():
             raise ParameterError(
-                f"{part.mesh.name}: expected a body in one piece, but the {side} {limb.lower()} of {part.name} is not on "
-                "the piece that is matched. If faces under the clothes were deleted, export the whole body, or give "
+                f"{part.mesh.name}: expected a body in one piece, but the {side} {limb.lower()} of {part.name} is not "
+                "on the piece that is matched. If faces under the clothes were deleted, export the whole body, or give "
                 f"--landmarks if the other body lacks them too. {_OTHER_PART}."
             )
 
