@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -23,7 +24,7 @@ class ComparedParts:
     """Parts and loose pieces of a character that the target has itself."""
 
     counterparts: list[list[Part]]  # for each own piece, then part, of the target: those of its kind, placed
-    doubles_of_parts: list[Part]  # placed parts of the kind of an own part
+    doubles_of_parts: list[Part]  # placed parts, all of whose faces have a counterpart in own parts
     doubles_of_pieces: list[Part]  # placed parts, all of whose faces have a counterpart in own pieces
     faces: IndexArray  # of the loose pieces, those that the target does not have
 
@@ -57,7 +58,7 @@ def compare_parts(
             (count, None, 0, loose, doubled_pieces),
             (count, None, loose, None, doubled_pieces),
             (0, count, 0, loose, doubled_pieces),
-            (0, count, loose, None, doubled_meshes),
+            (0, count, loose, None, partial(doubled_meshes, surface=point_map.target)),
         )
         for row, number, faces in compare(of_carried[start:end], of_own[own_start:own_end])
     ]
@@ -66,11 +67,11 @@ def compare_parts(
     for row, number, faces in pairs:
         whole = len(faces) == candidates[row].mesh.n_faces
         counterparts[number].append(candidates[row] if whole else part_of_faces(candidates[row], faces))
-    doubles_of_parts = [part for parts in counterparts[loose:] for part in parts]
-    in_pieces = [
-        {*chain.from_iterable(of.tolist() for one, n, of in pairs if one == row and n < loose)} for row in range(count)
-    ]
-    doubles_of_pieces = [part for part, faces in zip(placed, in_pieces, strict=True) if len(faces) == part.mesh.n_faces]
+    doubles_of_pieces, doubles_of_parts = list[Part](), list[Part]()
+    for row, part in enumerate(placed):
+        for doubles, is_own in ((doubles_of_pieces, range(loose)), (doubles_of_parts, range(loose, len(own)))):
+            faces = {*chain.from_iterable(of.tolist() for one, n, of in pairs if one == row and n in is_own)}
+            doubles += [part] if len(faces) == part.mesh.n_faces else []
     found = [groups[row - count][1][faces] for row, _, faces in pairs if row >= count]
     found += pieces_in_surface(pieces.mesh, placed_pieces.mesh, point_map) if groups else []
     faces = np.setdiff1d(np.arange(pieces.mesh.n_faces), np.concatenate([np.zeros(0, dtype=np.int64), *found]))

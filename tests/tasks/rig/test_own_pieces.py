@@ -83,6 +83,22 @@ def test_parts_at_the_places_of_loose_pieces_do_not_hide_those(cornea_in_target:
     assert [len(parts) for parts in found.counterparts] == ([1, 1] if cornea_in_target else [2])
 
 
+def test_own_eyes_in_two_unnamed_parts_stand_for_both_eyes_of_the_character() -> None:
+    """Carried to a face of other proportions, half a radius away."""
+    places = np.array([0.3, 0.0, 0.5]), np.array([-0.3, 0.0, 0.5])
+    both = [replace(ball("eyes", place, 0.08), face_objects=None, object_names=()) for place in places]
+    eyes, hat = Part("eyes", join_meshes(both)), Part("hat", ball("hat", np.array([0.0, 1.7, 0.0]), 0.6))
+    own = [
+        Part(f"Object_{k}", ball(f"Object_{k}", place + np.array([0.0, 0.04, 0.0]), 0.07))
+        for k, place in enumerate(places)
+    ]
+    none = Part("pieces", extract_faces(hat.mesh, np.zeros(0, dtype=np.int64)))
+    found = compare_parts([eyes, hat], none, none, [], own, body_moved(1.0, np.eye(3), np.zeros(3)))
+    assert found.doubles_of_parts == [eyes]
+    for part, (counterpart,) in zip(own, found.counterparts, strict=True):
+        assert np.linalg.norm(counterpart.mesh.positions.mean(axis=0) - part.mesh.positions.mean(axis=0)) < 0.05
+
+
 @pytest.mark.parametrize("own_part", [False, True])
 def test_a_piece_that_the_body_has_itself_is_not_carried(body: ControlMesh, own_part: bool) -> None:
     """The source's button and ring, onto a body with a button, or beside a part that is a button."""
