@@ -60,6 +60,11 @@ class CarriedPassenger:
             raise ParameterError(f"expected offsets {self.positions.shape}, one a vertex, got {np.shape(offsets)}")
         return np.asarray(np.einsum("nd,nde->ne", offsets, self.matrices))
 
+    def placed(self, part: Part) -> Part:
+        """The part, whose mesh was carried, with its shapes on the target's body."""
+        shapes = {name: self.carry_offsets(offsets) for name, offsets in part.shapes.items()}
+        return move_vertices(part, self.positions, shapes)
+
 
 def carry_passenger(
     result: PointMap | MatchResult, mesh: ControlMesh, *, kind: PassengerKind | None = None
@@ -191,17 +196,6 @@ def _similarity_around(frames: BodyFrames, points: FloatArray) -> tuple[FloatArr
     radius = max(np.linalg.norm(points - centre, axis=1).max(), reach[0])
     near = frames.samples[frames.tree.query_ball_point(centre, radius)]
     return fit_similarity(frames.point_map.images.positions[near], frames.point_map.target.positions[near])
-
-
-def carried_parts(
-    result: PointMap | MatchResult, parts: Sequence[Part], *, kinds: Mapping[str, PassengerKind] | None = None
-) -> list[Part]:
-    """Parts of the source, with their shapes, on the target's body; see `carry_passengers`."""
-    carried = carry_passengers(result, [part.mesh for part in parts], kinds=kinds)
-    return [
-        move_vertices(part, one.positions, {name: one.carry_offsets(offsets) for name, offsets in part.shapes.items()})
-        for part, one in zip(parts, carried, strict=True)
-    ]
 
 
 # Mean distance of a passenger from the body, in sqrt(body area), above which its units or place are doubtful.
