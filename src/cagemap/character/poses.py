@@ -292,20 +292,21 @@ def fit_rotation_and_scale(source: Rig, target: Rig, pairs: Mapping[int, int]) -
     is_turned = all(error <= MAX_TURN_ERROR * plain_error for _, _, error, plain_error in fits)
     if not found and is_turned:  # joints on a line turn as a whole, or it is bent
         spreads = np.linalg.svd(source.heads[[*pairs]] - source.heads[[*pairs]].mean(axis=0), compute_uv=False)
-        is_line = spreads[1:2].sum() < MAX_LINE_SPREAD * spreads[0]
-        is_turned = not is_line or _largest_angle(source, target, pairs, fits[0][0]) <= MIN_BONE_ANGLE
+        is_turned = spreads[1:2].sum() >= MAX_LINE_SPREAD * spreads[0] or _bones_agree(
+            source, target, pairs, fits[0][0]
+        )
     return (fits[0][0] if is_turned else np.eye(3)), fits[0][1]
 
 
-def _largest_angle(source: Rig, target: Rig, pairs: Mapping[int, int], turn: FloatArray) -> float:
-    """Largest angle, in radians, between a bone of the target and that of the source, turned (3, 3)."""
-    bones = [
-        ((source.heads[joint] - source.heads[parent]) @ turn, target.heads[pairs[joint]] - target.heads[pairs[parent]])
-        for joint, parent in enumerate(source.parents.tolist())
-        if joint in pairs and parent in pairs
-    ]
-    angles = (Rotation.from_matrix(least_rotation(*bone)).magnitude() for bone in bones)
-    return max((float(angle) for angle in angles), default=0.0)
+def _bones_agree(source: Rig, target: Rig, pairs: Mapping[int, int], turn: FloatArray) -> bool:
+    """Whether each bone of the source, turned (3, 3), is within `MIN_BONE_ANGLE` of the target's."""
+    bones = [(joint, parent) for joint, parent in enumerate(source.parents.tolist()) if {joint, parent} <= pairs.keys()]
+    before = np.array([source.heads[joint] - source.heads[parent] for joint, parent in bones]).reshape(-1, 3) @ turn
+    after = np.array([target.heads[pairs[joint]] - target.heads[pairs[parent]] for joint, parent in bones]).reshape(
+        -1, 3
+    )
+    lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+    return bool((np.einsum("bd,bd->b", before, after) >= np.cos(MIN_BONE_ANGLE) * lengths).all())
 
 
 def _fit_rotation(

@@ -13,7 +13,7 @@ from scipy import sparse
 from cagemap.character.normals import with_shape_normals
 from cagemap.character.own_parts import with_nearest_values
 from cagemap.character.passenger_pieces import PassengerKind
-from cagemap.character.passengers import MAX_BODY_DISTANCE, carry_passengers, hidden_passenger
+from cagemap.character.passengers import carry_passengers, far_passenger, hidden_passenger
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body
 from cagemap.character.skeleton import carry_rig, prop_joints
@@ -110,9 +110,11 @@ def carry_character(
         notes += _declined_note([part.name for part in doubled])
         to_carry = [part for part in to_carry if part not in doubled]
         notes += _doubled_note(target_body, [one.name for one in to_carry if placed[one] in compared.doubles_of_pieces])
-    far = [part.name for part in to_carry if part in carried and carried[part].distance > MAX_BODY_DISTANCE]
-    notes += _far_note(source_body, far)
     for part in to_carry:
+        if part in carried and (far := far_passenger(part.name, source_body.name, carried[part].distance, 1.0)):
+            notes.append(
+                f"{far}: its place beside the other body is a guess; to leave it out, name others by --passengers"
+            )
         if kinds.get(part.name) == "rigid":
             notes += hidden_passenger(result.point_map, part.mesh, placed[part].mesh.positions)
     stages("weights and shapes")
@@ -186,11 +188,6 @@ def _left_out_note(bodies: Bodies, pieces: Part, kept: IndexArray) -> str:
 def _doubled_note(body: Part, names: Sequence[str]) -> list[str]:
     text = "has own pieces of this kind or place. To leave out the character's, name the others by --passengers"
     return [f"{', '.join(names)}: the mesh of {body.mesh.name} {text}"] if names else []
-
-
-def _far_note(body: Part, names: Sequence[str]) -> list[str]:
-    text = f"no part of {body.name} is near, so that the place beside the other body is a guess"
-    return [f"{', '.join(names)}: {text}. To leave it out, name the others by --passengers"] if names else []
 
 
 def _set_aside(bodies: Bodies, side: int) -> Part:

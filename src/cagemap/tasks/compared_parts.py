@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
 
 import numpy as np
 
@@ -67,15 +67,17 @@ def compare_parts(
     for row, number, faces in pairs:
         whole = len(faces) == candidates[row].mesh.n_faces
         counterparts[number].append(candidates[row] if whole else part_of_faces(candidates[row], faces))
-    doubles_of_pieces, doubles_of_parts = list[Part](), list[Part]()
-    for row, part in enumerate(placed):
-        for doubles, is_own in ((doubles_of_pieces, range(loose)), (doubles_of_parts, range(loose, len(own)))):
-            faces = {*chain.from_iterable(of.tolist() for one, n, of in pairs if one == row and n in is_own)}
-            doubles += [part] if len(faces) == part.mesh.n_faces else []
+
+    def doubles(numbers: range) -> list[Part]:
+        """Placed parts, all of whose faces have a counterpart in own pieces or parts of these numbers."""
+        found = [(row, face) for row, number, faces in pairs if number in numbers for face in faces.tolist()]
+        counts = Counter(row for row, _ in {*found})
+        return [part for row, part in enumerate(placed) if counts[row] == part.mesh.n_faces]
+
     found = [groups[row - count][1][faces] for row, _, faces in pairs if row >= count]
     found += pieces_in_surface(pieces.mesh, placed_pieces.mesh, point_map) if groups else []
     faces = np.setdiff1d(np.arange(pieces.mesh.n_faces), np.concatenate([np.zeros(0, dtype=np.int64), *found]))
-    return ComparedParts(counterparts, doubles_of_parts, doubles_of_pieces, faces)
+    return ComparedParts(counterparts, doubles(range(loose, len(own))), doubles(range(loose)), faces)
 
 
 def named_pieces(mesh: ControlMesh) -> list[tuple[str, IndexArray]]:
