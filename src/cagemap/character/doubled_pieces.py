@@ -67,21 +67,17 @@ def doubled_meshes(
     whole = _at_one_place(carried, own, _MAX_PART_DISTANCE, lambda mesh: np.zeros(mesh.n_faces, dtype=np.int64))
 
     def groups(mesh: ControlMesh) -> Pieces:
-        triangles, places = cage_triangles(mesh)[0], surface.scale * mesh.positions
-        return find_pieces(triangles, places, np.zeros(len(places)), None)
+        return find_pieces(cage_triangles(mesh)[0], surface.scale * mesh.positions, np.zeros(mesh.n_vertices), None)
+
+    def groups_of_faces(mesh: ControlMesh) -> IndexArray:
+        return groups(mesh).group[mesh.face_indices[mesh.face_offsets[:-1]]]
 
     rigid, own_rigid = ([n for n, mesh in enumerate(of) if groups(mesh).is_rigid.all()] for of in (carried, own))
-    found = dict[tuple[int, int], list[IndexArray]]()
-    for row, number, faces in _at_one_place(
-        [carried[n] for n in rigid],
-        [own[n] for n in own_rigid],
-        _MAX_RIGID_DISTANCE,
-        lambda mesh: groups(mesh).group[mesh.face_indices[mesh.face_offsets[:-1]]],
-    ):
-        found.setdefault((rigid[row], own_rigid[number]), []).append(faces)
-    pairs = [(row, number, np.sort(np.concatenate(faces))) for (row, number), faces in found.items()]
-    sizes = np.bincount([row for row, _, _ in pairs], [len(faces) for _, _, faces in pairs], len(carried))
-    return whole + [one for one in pairs if sizes[one[0]] == carried[one[0]].n_faces]
+    sides = [carried[n] for n in rigid], [own[n] for n in own_rigid]
+    of_groups = _at_one_place(*sides, _MAX_RIGID_DISTANCE, groups_of_faces)
+    found = [(rigid[row], own_rigid[number], faces) for row, number, faces in of_groups]
+    sizes = np.bincount([row for row, _, _ in found], [len(faces) for _, _, faces in found], len(carried))
+    return whole + [one for one in found if sizes[one[0]] == carried[one[0]].n_faces]
 
 
 def _at_one_place(

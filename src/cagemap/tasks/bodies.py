@@ -117,9 +117,10 @@ def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stage
     levels = choose_level(ready[0].mesh, BODY_VERTICES), choose_level(ready[1].mesh, BODY_VERTICES)
     surfaces = prepare_surfaces(ready[0].mesh, ready[1].mesh, levels)
     notes = lost_landmark_notes(landmarks, on_ready)
-    result = None if len(landmarks) or landmarks.curves else _map_of_equal_faces(*surfaces)
+    has_landmarks = len(landmarks) > 0 or len(landmarks.curves) > 0
+    result = None if has_landmarks else _map_of_equal_faces(*surfaces)
     if result is None:
-        if rig is not None and not len(landmarks):
+        if rig is not None and not has_landmarks:
             _require_limbs(source, ready[1], rig)
         result = match(*surfaces, on_ready, progress=stages)
     else:
