@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cagemap.character.doubled_pieces import doubled_pieces, pieces_in_surface
+from cagemap.character.doubled_pieces import doubled_meshes, doubled_pieces, pieces_in_surface
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.parts import join_meshes
@@ -46,6 +46,27 @@ def test_a_piece_of_the_target_stands_for_one_piece() -> None:
     ((row, number, hair),) = doubled_pieces(hats, [balls((5.0, 1.0)), balls((0.0, 1.02))])
     assert (row, number) == (1, 1)
     assert hair.tolist() == list(range(hats[0].n_faces, 2 * hats[0].n_faces))
+
+
+@pytest.mark.parametrize(
+    ("carried", "own", "doubled"),
+    [
+        ([[(0.0, 1.0), (5.0, 1.0)]], [[(0.4, 0.9), (4.8, 1.1)]], [(0, 0)]),  # eyes of a face of other proportions
+        ([[(0.0, 1.0), (0.0, 1.1), (5.0, 1.0), (5.0, 1.1)]], [[(0.4, 0.9), (4.8, 1.1)]], [(0, 0)]),  # with corneas
+        ([[(0.0, 1.0), (5.0, 1.0)]], [[(0.4, 0.9)], [(4.8, 1.1)]], [(0, 0), (0, 1)]),
+        ([[(0.0, 1.0)], [(5.0, 1.0)]], [[(0.4, 0.9), (4.8, 1.1)]], [(0, 0), (1, 0)]),
+        ([[(0.0, 1.0), (5.0, 1.0)]], [[(0.4, 0.9)]], []),  # the other eye is missing
+        ([[(0.0, 1.0), (5.0, 1.0)]], [[(0.4, 9.0), (4.8, 9.0)]], []),
+        ([[(0.0, 9.0), (50.0, 9.0)]], [[(6.0, 9.0), (45.0, 9.0)]], []),  # too large to be rigid
+    ],
+)
+def test_rigid_parts_of_one_place_are_found_without_names(carried, own, doubled) -> None:
+    surface = TriangleSurface.from_faces(200.0 * np.eye(3), np.array([[0, 1, 2]]))
+    found = doubled_meshes([balls(*one) for one in carried], [balls(*one) for one in own], surface)
+    assert sorted({pair[:2] for pair in found}) == doubled
+    for row in {pair[0] for pair in found}:
+        faces = np.concatenate([of for one, _, of in found if one == row])
+        np.testing.assert_array_equal(np.unique(faces), np.arange(balls(*carried[row]).n_faces))
 
 
 @pytest.mark.parametrize(

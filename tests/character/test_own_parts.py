@@ -97,7 +97,8 @@ def test_parts_are_of_one_kind_by_their_names_or_places(
     far = [Part("boots", sheet("boots", 1.0, 30.0)), Part("Object_9", sheet("Object_9", 1.0, -30.0))]
     parts = Part(own, sheet(own, 10.0, 1.0)), Part(given, sheet(given, 9.5, height))
     sides = [parts[1], *far[:1]], [parts[0], *far[1:]]
-    found = pairs_of_one_kind(*sides, doubled_meshes(*([part.mesh for part in side] for side in sides)))
+    meshes = ([part.mesh for part in side] for side in sides)
+    found = pairs_of_one_kind(*sides, doubled_meshes(*meshes, TriangleSurface(np.eye(3), np.array([[0, 1, 2]]))))
     assert {pair[:2] for pair in found} == ({(0, 0)} if is_of_one_kind else set())
 
 

@@ -7,18 +7,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import cube, icosahedron, torus
+from examples.shapes import creature, cube, icosahedron, torus, triangulated
 from scipy.spatial.transform import Rotation
 
 from cagemap.character.body_frames import BodyFrames, FrameConfig
-from cagemap.character.passengers import carry_passenger, carry_passengers, hidden_passenger, unit_factor
+from cagemap.character.passengers import (
+    _strain,
+    carry_passenger,
+    carry_passengers,
+    hidden_passenger,
+    unit_factor,
+)
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.faces import cage_triangles
-from cagemap.mesh.parts import join_meshes
+from cagemap.mesh.faces import cage_triangles, face_centres
+from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.subdivision import refine
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.surface_points import SurfacePoints
@@ -104,6 +110,27 @@ def swollen(body: ControlMesh) -> PointMap:
     triangles = cage_triangles(body)[0]
     target = surface(grown, triangles)
     return PointMap.from_vertices(target, surface(body.positions, triangles), np.arange(target.n))
+
+
+def test_clothes_of_a_coarse_body_stretch_as_the_body_does() -> None:
+    """154 vertices that change their width several times: the samples around a shoe reached up to the hips."""
+    cage = triangulated(creature())
+    finest = refine(cage, 3).finest
+    low, size = finest.positions[:, 1].min(), float(np.ptp(finest.positions[:, 1]))
+
+    def widened(places: np.ndarray) -> np.ndarray:
+        factor = 1.0 + 0.5 * np.sin(9.0 * (places[:, 1:2] - low) / size)
+        return places * np.hstack([factor, np.ones_like(factor), factor])
+
+    source, vertices = surface(finest.positions, finest.faces), finest.positions[: cage.n_vertices]
+    target = surface(widened(vertices), cage.face_indices.reshape(-1, 3))
+    point_map = PointMap(target, SurfacePoints.nearest(source, source.scale * vertices))
+    skin = ControlMesh.from_faces(finest.positions + 0.05 * source.vertex_normals, finest.faces, name="cloth")
+    heights = face_centres(skin)[:, 1]
+    cloth = extract_faces(skin, np.flatnonzero(heights < np.quantile(heights, 0.3)))
+    made, triangles = carry_passenger(point_map, cloth).positions, cage_triangles(cloth)[0]
+    true, found = (_strain(cloth.positions, places, triangles) for places in (widened(cloth.positions), made))
+    assert found < 1.2 * true
 
 
 def test_a_rigid_passenger_inside_a_body_that_is_larger_there_is_named(body: ControlMesh) -> None:

@@ -19,7 +19,7 @@ from cagemap.character.poses import (
     track_value,
     world_transforms,
 )
-from cagemap.character.retarget import joint_pairs, retarget, retarget_all
+from cagemap.character.retarget import bind_pose_difference, joint_pairs, retarget, retarget_all
 from cagemap.character.values import Animation, Rig, Track
 from cagemap.errors import ParameterError
 
@@ -167,6 +167,24 @@ def test_a_spine_alone_does_not_say_that_a_rig_is_turned() -> None:
     pug, pig = (Rig(tuple(places), parents, parent_transforms(bind, parents), bind) for bind in binds)
     turn, _ = fit_rotation_and_scale(pug, pig, {joint: joint for joint in range(len(places))})
     np.testing.assert_allclose(turn, np.eye(3), atol=0.3)
+
+
+@pytest.mark.parametrize("bent_at", [0, 1, 2])
+def test_a_spine_without_limbs_is_bent_or_turned_as_a_whole(bent_at: int) -> None:
+    """A bust whose upper joints turn by one radian; all of them are another rig in the same pose."""
+    heads = np.array([[0.0, height, 0.0] for height in (0.5, 1.5, 3.2, 5.5)])
+    turn, bent = Rotation.from_rotvec([1.0, 0.0, 0.0]).as_matrix(), heads.copy()
+    bent[bent_at:] = (bent[bent_at:] - heads[bent_at]) @ turn + heads[bent_at]
+    binds, parents = np.tile(np.eye(4), (2, 4, 1, 1)), np.arange(-1, 3)
+    binds[:, :, 3, :3] = heads, bent
+    names = "hips", "spine", "neck", "head"
+    straight, other = (Rig(names, parents, parent_transforms(bind, parents), bind) for bind in binds)
+    found = fit_rotation_and_scale(straight, other, {joint: joint for joint in range(4)})[0]
+    np.testing.assert_allclose(found, turn if bent_at == 0 else np.eye(3), atol=1e-6)
+    posed = bind_pose_difference(other, straight)
+    assert (posed is None) == (bent_at == 0)
+    if posed is not None:
+        np.testing.assert_allclose(posed[:, 3, :3], heads, atol=1e-6)
 
 
 def test_bones_that_point_nearly_alike_stay_as_they_are() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -13,6 +13,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, neares
 from cagemap.numerics.kinds import Config
 from cagemap.numerics.threads import kept
 from cagemap.surface.closest_points import closest_points
+from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import corner_sums, normalize_rows, row_lengths
 
@@ -151,6 +152,19 @@ class BodyFrames:
         offsets = point_map.target.positions - np.einsum("nd,nde->ne", images, matrices)
         frames = (averages @ matrices.reshape(-1, 9)).reshape(-1, 3, 3)
         return np.asarray(averages @ offsets + np.einsum("nd,nde->ne", points, frames)), frames
+
+
+def with_split_triangles(point_map: PointMap, count: int) -> PointMap:
+    """The map with the target's triangles split in four until it has ``count`` vertices or more."""
+    triangles, positions, images = point_map.target.triangles, point_map.target.positions, point_map.images.positions
+    while len(positions) < count:
+        sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2))
+        edges, middles = np.unique(sides, axis=0, return_inverse=True)
+        corners = np.column_stack([triangles, len(positions) + middles.reshape(-1, 3)])
+        triangles = corners[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]].reshape(-1, 3)
+        positions, images = (np.concatenate([of, of[edges].mean(axis=1)]) for of in (positions, images))
+    target = replace(point_map.target, positions=positions, triangles=triangles)
+    return PointMap(target, SurfacePoints.nearest(point_map.source, images))
 
 
 def neighbor_means(corners: IndexArray, count: int) -> sparse.csr_array:

@@ -9,7 +9,7 @@ from itertools import compress, pairwise
 
 import numpy as np
 
-from cagemap.character.body_frames import BodyFrames, SignedDistances
+from cagemap.character.body_frames import BodyFrames, SignedDistances, with_split_triangles
 from cagemap.character.contact import Contact, push_out
 from cagemap.character.normals import move_vertices
 from cagemap.character.passenger_pieces import PASSENGER_KINDS, PassengerKind, find_pieces, fit_similarities
@@ -21,7 +21,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.alignment import fit_similarity
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import fan_triangles
+from cagemap.surface.triangles import fan_triangles, row_lengths
 
 _log = logging.getLogger(__name__)
 
@@ -30,6 +30,10 @@ _log = logging.getLogger(__name__)
 _MAX_STRETCH = 2.0
 _MAX_SMALL_RADIUS = 0.1  # in sqrt(area)
 _LEAST_SAMPLES = 64  # of the body around a mesh
+# The samples around a shoe reach the knee on a body with fewer vertices. Its triangles are split for a mesh, unless it
+# is small, whose strain this divides by more than the ratio: 1.9 or more if torn (docs/lab/passengers.md).
+_COARSE_BODY, _MAX_STRAIN_RATIO = 4000, 1.6
+_SHORTEST = 1e-9  # length of an edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +59,11 @@ class CarriedPassenger:
         if np.shape(offsets) != self.positions.shape:
             raise ParameterError(f"expected offsets {self.positions.shape}, one a vertex, got {np.shape(offsets)}")
         return np.asarray(np.einsum("nd,nde->ne", offsets, self.matrices))
+
+    def placed(self, part: Part) -> Part:
+        """The part, whose mesh was carried, with its shapes on the target's body."""
+        shapes = {name: self.carry_offsets(offsets) for name, offsets in part.shapes.items()}
+        return move_vertices(part, self.positions, shapes)
 
 
 def carry_passenger(
@@ -108,7 +117,7 @@ def carry_passengers(
             raise ParameterError(f"{name}: expected one of the passengers, {', '.join(mesh.name for mesh in meshes)}")
     if not meshes:
         return []
-    frames, source, target = BodyFrames(point_map), point_map.source, point_map.target
+    source, target = point_map.source, point_map.target
     starts = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])
     points = np.concatenate([mesh.positions for mesh in meshes]) * source.scale
     triangles = [
@@ -116,13 +125,18 @@ def carry_passengers(
         for mesh, start in zip(meshes, starts[:-1], strict=True)
     ]
     distances = SignedDistances.of(source, points)
-    places, matrices = frames.carry(points, distances)
-    contact = Contact.find(frames, points, triangles, distances.normals, matrices)
-    places = push_out(target, contact, places, np.concatenate(triangles))
+    frames = BodyFrames(point_map)
+    places, matrices = _place(frames, points, triangles, distances)
+    large = [not _is_small(points[start:end]) for start, end in pairwise(starts.tolist())]
+    if target.n < _COARSE_BODY and any(large):
+        split = _place(BodyFrames(with_split_triangles(point_map, _COARSE_BODY)), points, triangles, distances)
+        for own, start, end in compress(zip(triangles, starts[:-1], starts[1:], strict=True), large):
+            if _strain(points, places, own) > _MAX_STRAIN_RATIO * _strain(points, split[0], own):
+                places[start:end], matrices[start:end] = (of[start:end] for of in split)
     of_small = list[tuple[slice, FloatArray]]()  # rows and matrices of small meshes
-    for mesh, own, start in zip(meshes, triangles, starts[:-1], strict=True):
+    for mesh, own, start, is_large in zip(meshes, triangles, starts[:-1], large, strict=True):
         part = slice(start, start + mesh.n_vertices)
-        if kinds.get(mesh.name) == "rigid" or not _is_small(points[part]):
+        if kinds.get(mesh.name) == "rigid" or is_large:
             continue
         rotation, scale, shift = _similarity_around(frames, points[part])
         of_small.append((part, source.scale / target.scale * scale * rotation.T))
@@ -148,6 +162,23 @@ def carry_passengers(
     ]
 
 
+def _place(
+    frames: BodyFrames, points: FloatArray, triangles: Sequence[IndexArray], distances: SignedDistances
+) -> tuple[FloatArray, FloatArray]:
+    """Positions (n, 3) of points on the target, outside its body, and their frames (n, 3, 3)."""
+    places, matrices = frames.carry(points, distances)
+    contact = Contact.find(frames, points, triangles, distances.normals, matrices)
+    return push_out(frames.point_map.target, contact, places, np.concatenate(triangles)), matrices
+
+
+def _strain(points: FloatArray, places: FloatArray, triangles: IndexArray) -> float:
+    """Standard deviation of the logarithms of the edges' stretches, weighted by length."""
+    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    before, after = (np.maximum(row_lengths(np.diff(of[edges], axis=1)[:, 0]), _SHORTEST) for of in (points, places))
+    stretches, weights = np.log(after / before), before / before.sum()
+    return float(np.sqrt(weights @ (stretches - weights @ stretches) ** 2))
+
+
 def _is_small(points: FloatArray) -> bool:
     return len(points) >= 3 and bool(np.linalg.norm(points - points.mean(axis=0), axis=1).max() <= _MAX_SMALL_RADIUS)
 
@@ -165,17 +196,6 @@ def _similarity_around(frames: BodyFrames, points: FloatArray) -> tuple[FloatArr
     radius = max(np.linalg.norm(points - centre, axis=1).max(), reach[0])
     near = frames.samples[frames.tree.query_ball_point(centre, radius)]
     return fit_similarity(frames.point_map.images.positions[near], frames.point_map.target.positions[near])
-
-
-def carried_parts(
-    result: PointMap | MatchResult, parts: Sequence[Part], *, kinds: Mapping[str, PassengerKind] | None = None
-) -> list[Part]:
-    """Parts of the source, with their shapes, on the target's body; see `carry_passengers`."""
-    carried = carry_passengers(result, [part.mesh for part in parts], kinds=kinds)
-    return [
-        move_vertices(part, one.positions, {name: one.carry_offsets(offsets) for name, offsets in part.shapes.items()})
-        for part, one in zip(parts, carried, strict=True)
-    ]
 
 
 # Mean distance of a passenger from the body, in sqrt(body area), above which its units or place are doubtful.

@@ -21,6 +21,8 @@ MIN_BONE_ANGLE = np.radians(20.0)
 MIN_POSE_ANGLE = np.radians(45.0)
 # Of the direction to a child with an axis of its joint, where the joint's bone ends at that child.
 MIN_BONE_COSINE = 0.99
+# Second over first singular value of joints that are nearly on a line, such as spine and head alone.
+MAX_LINE_SPREAD = 0.2
 # Weight of the joints' axes beside their positions: decides the rotation where all joints lie on a line.
 AXES_WEIGHT = 1e-9
 # Joints whose positions in the body do not depend on the pose.
@@ -288,7 +290,24 @@ def fit_rotation_and_scale(source: Rig, target: Rig, pairs: Mapping[int, int]) -
         for source_joints in joint_sets
     ]
     is_turned = all(error <= MAX_TURN_ERROR * plain_error for _, _, error, plain_error in fits)
+    if not found and is_turned:  # joints on a line turn as a whole, or it is bent
+        spreads = np.linalg.svd(source.heads[[*pairs]] - source.heads[[*pairs]].mean(axis=0), compute_uv=False)
+        is_line = spreads[1:2].sum() < MAX_LINE_SPREAD * spreads[0]
+        is_turned = not is_line or _bones_agree(source, target, pairs, fits[0][0])
     return (fits[0][0] if is_turned else np.eye(3)), fits[0][1]
+
+
+def _bones_agree(source: Rig, target: Rig, pairs: Mapping[int, int], turn: FloatArray) -> bool:
+    """Whether each bone of the source, turned (3, 3), is within `MIN_BONE_ANGLE` of the target's."""
+    bones = [(joint, parent) for joint, parent in enumerate(source.parents.tolist()) if {joint, parent} <= pairs.keys()]
+    images = [(pairs[joint], pairs[parent]) for joint, parent in bones]
+    before, after = (
+        np.array([rig.heads[joint] - rig.heads[parent] for joint, parent in of]).reshape(-1, 3)
+        for rig, of in ((source, bones), (target, images))
+    )
+    before = before @ turn
+    lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+    return bool((np.einsum("bd,bd->b", before, after) >= np.cos(MIN_BONE_ANGLE) * lengths).all())
 
 
 def _fit_rotation(

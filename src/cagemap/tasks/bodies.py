@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy import sparse
 
 from cagemap.character.body_frames import neighbor_means
+from cagemap.character.bones import BODY_SIDES, humanoid_joints
 from cagemap.character.own_parts import nearest_rows, rigid_groups
 from cagemap.character.passenger_pieces import PIECES, PieceConfig
-from cagemap.character.values import Part
+from cagemap.character.values import Part, Rig
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality
@@ -58,8 +60,8 @@ class Bodies:
     notes: tuple[str, ...] = ()  # on lost landmarks, or on vertices that are paired by number
 
     @kept
-    def shown_map(self) -> PointMap:
-        """The map, with the faces of the target's cage flat, as glTF shows them: clothes are outside these."""
+    def flat_map(self) -> PointMap:
+        """The map, with the faces of the target's cage flat, as glTF shows them."""
         point_map, refinement = self.result.point_map, self.result.target.refinement
         if refinement.is_plain:
             return point_map
@@ -97,15 +99,17 @@ class Bodies:
         return np.asarray(values[rows])
 
 
-def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stages) -> Bodies:
+def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stages, rig: Rig | None = None) -> Bodies:
     """Match the meshes of two parts, after repairs if they need any.
 
     Without landmarks, two meshes with the same faces, such as two shapes of one base mesh, are paired vertex by vertex.
+    ``rig``: of the source.
 
     Raises
     ------
     ParameterError
-        If the piece of a part that is matched is only a fragment of it, or has fewer than four faces.
+        If the piece of a part that is matched is only a fragment of it, or has fewer than four faces; without
+        landmarks, if other pieces are the arms or legs of the source.
     """
     ready = _ready_body(target), _ready_body(source)
     on_ready = landmarks.renumbered(*(mesh.vertex_of.__getitem__ for mesh in ready))
@@ -113,8 +117,11 @@ def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stage
     levels = choose_level(ready[0].mesh, BODY_VERTICES), choose_level(ready[1].mesh, BODY_VERTICES)
     surfaces = prepare_surfaces(ready[0].mesh, ready[1].mesh, levels)
     notes = lost_landmark_notes(landmarks, on_ready)
-    result = None if len(landmarks) or landmarks.curves else _map_of_equal_faces(*surfaces)
+    has_landmarks = len(landmarks) > 0 or len(landmarks.curves) > 0
+    result = None if has_landmarks else _map_of_equal_faces(*surfaces)
     if result is None:
+        if rig is not None and not has_landmarks:
+            _require_limbs(source, ready[1], rig)
         result = match(*surfaces, on_ready, progress=stages)
     else:
         pair = f"{target.mesh.name} has the same faces as {source.mesh.name}"
@@ -149,6 +156,23 @@ def _ready_body(part: Part) -> RepairedMesh:
             f"clothes were deleted, export the whole body. {_OTHER_PART}."
         )
     return ready
+
+
+def _require_limbs(part: Part, ready: RepairedMesh, rig: Rig) -> None:
+    """Refuse a body whose arms or legs, by the joints that move them, are pieces that are not matched."""
+    if part.weights is None or not ready.repairs.pieces:
+        return
+    bones, is_matched = humanoid_joints(rig), ready.vertex_of >= 0
+    moved = (part.weights > 0.5).tocsc()  # vertices that a joint moves more than all others together
+    for side, limb in product(BODY_SIDES, ("Arm", "Leg")):
+        joints = [bones[bone] for half in ("Upper", "Lower") if (bone := f"{side}{half}{limb}") in bones]
+        vertices = moved[:, joints].indices
+        if len(vertices) and not is_matched[vertices].any():
+            raise ParameterError(
+                f"{part.mesh.name}: expected a body in one piece, but the {side} {limb.lower()} of {part.name} is not "
+                "on the piece that is matched. If faces under the clothes were deleted, export the whole body, or give "
+                f"--landmarks if the other body lacks them too. {_OTHER_PART}."
+            )
 
 
 def body_shapes(bodies: Bodies) -> dict[str, FloatArray]:

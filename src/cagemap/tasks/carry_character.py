@@ -13,7 +13,7 @@ from scipy import sparse
 from cagemap.character.normals import with_shape_normals
 from cagemap.character.own_parts import with_nearest_values
 from cagemap.character.passenger_pieces import PassengerKind
-from cagemap.character.passengers import carried_parts, hidden_passenger
+from cagemap.character.passengers import carry_passengers, far_passenger, hidden_passenger
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body
 from cagemap.character.skeleton import carry_rig, prop_joints
@@ -55,6 +55,7 @@ def carry_character(
     kinds: Mapping[str, PassengerKind] | None = None,
     influences: int | None = 4,
     taken: Collection[str] = (),
+    subdivided: bool = False,
     stages: Stages | None = None,
 ) -> CarriedCharacter:
     """Rig and dress a body like a character.
@@ -68,6 +69,7 @@ def carry_character(
     ``kinds``: see `carry_passengers`.
     ``influences``: most joints per vertex of the body; None for all.
     ``taken``: names already in use, such as those of joints: another part of the target with one gets '(own)'.
+    ``subdivided``: whether programs show the body with the subdivision scheme that its mesh states, as from USD.
     """
     stages, kinds = Stages() if stages is None else stages, kinds or {}
     target_body, source_body = find_body(target.parts, bodies[0]), find_body(source.parts, bodies[1])
@@ -75,7 +77,7 @@ def carry_character(
     declined = [part for part in source.parts if part not in (*chosen, source_body)]
     names = [part.name for part in chosen]
     _require_passengers(kinds, [*names, _name_of_pieces(source_body)], [part.name for part in declined])
-    matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages)
+    matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages, source.rig)
     result = matched.result
     notes += matched.notes
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]
@@ -86,7 +88,9 @@ def carry_character(
     to_carry = [*chosen, pieces] if pieces.mesh.n_faces else chosen
     stages("passengers")
     to_place = [*to_carry, *(declined if loose or others else [])]
-    placed = dict(zip(to_place, carried_parts(matched.shown_map, to_place, kinds=kinds), strict=True))  # on the target
+    shown = result.point_map if subdivided and target_body.mesh.scheme is not None else matched.flat_map
+    carried = dict(zip(to_place, carry_passengers(shown, [part.mesh for part in to_place], kinds=kinds), strict=True))
+    placed = {part: one.placed(part) for part, one in carried.items()}  # on the target
     compared = compare_parts(
         [placed[part] for part in to_place if part is not pieces],
         pieces,
@@ -107,6 +111,10 @@ def carry_character(
         to_carry = [part for part in to_carry if part not in doubled]
         notes += _doubled_note(target_body, [one.name for one in to_carry if placed[one] in compared.doubles_of_pieces])
     for part in to_carry:
+        if part in carried and (far := far_passenger(part.name, source_body.name, carried[part].distance, 1.0)):
+            notes.append(
+                f"{far}: its place beside the other body is a guess; to leave it out, name others by --passengers"
+            )
         if kinds.get(part.name) == "rigid":
             notes += hidden_passenger(result.point_map, part.mesh, placed[part].mesh.positions)
     stages("weights and shapes")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
+from functools import partial
 
 import numpy as np
 
@@ -23,7 +24,7 @@ class ComparedParts:
     """Parts and loose pieces of a character that the target has itself."""
 
     counterparts: list[list[Part]]  # for each own piece, then part, of the target: those of its kind, placed
-    doubles_of_parts: list[Part]  # placed parts of the kind of an own part
+    doubles_of_parts: list[Part]  # placed parts, all of whose faces have a counterpart in own parts
     doubles_of_pieces: list[Part]  # placed parts, all of whose faces have a counterpart in own pieces
     faces: IndexArray  # of the loose pieces, those that the target does not have
 
@@ -57,7 +58,7 @@ def compare_parts(
             (count, None, 0, loose, doubled_pieces),
             (count, None, loose, None, doubled_pieces),
             (0, count, 0, loose, doubled_pieces),
-            (0, count, loose, None, doubled_meshes),
+            (0, count, loose, None, partial(doubled_meshes, surface=point_map.target)),
         )
         for row, number, faces in compare(of_carried[start:end], of_own[own_start:own_end])
     ]
@@ -66,15 +67,17 @@ def compare_parts(
     for row, number, faces in pairs:
         whole = len(faces) == candidates[row].mesh.n_faces
         counterparts[number].append(candidates[row] if whole else part_of_faces(candidates[row], faces))
-    doubles_of_parts = [part for parts in counterparts[loose:] for part in parts]
-    in_pieces = [
-        {*chain.from_iterable(of.tolist() for one, n, of in pairs if one == row and n < loose)} for row in range(count)
-    ]
-    doubles_of_pieces = [part for part, faces in zip(placed, in_pieces, strict=True) if len(faces) == part.mesh.n_faces]
+
+    def doubles(numbers: range) -> list[Part]:
+        """Placed parts, all of whose faces have a counterpart in own pieces or parts of these numbers."""
+        found = [(row, face) for row, number, faces in pairs if number in numbers for face in faces.tolist()]
+        counts = Counter(row for row, _ in {*found})
+        return [part for row, part in enumerate(placed) if counts[row] == part.mesh.n_faces]
+
     found = [groups[row - count][1][faces] for row, _, faces in pairs if row >= count]
     found += pieces_in_surface(pieces.mesh, placed_pieces.mesh, point_map) if groups else []
     faces = np.setdiff1d(np.arange(pieces.mesh.n_faces), np.concatenate([np.zeros(0, dtype=np.int64), *found]))
-    return ComparedParts(counterparts, doubles_of_parts, doubles_of_pieces, faces)
+    return ComparedParts(counterparts, doubles(range(loose, len(own))), doubles(range(loose)), faces)
 
 
 def named_pieces(mesh: ControlMesh) -> list[tuple[str, IndexArray]]:

@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.character.body_frames import BodyFrames
 from cagemap.character.passenger_pieces import PassengerKind
 from cagemap.character.poses import fit_rotation_and_scale, pose_at
-from cagemap.character.roles import find_body, find_continuing_parts
+from cagemap.character.roles import find_body
 from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.errors import ParameterError, values_of
 from cagemap.files.atomic import all_or_nothing, check_outputs
-from cagemap.files.gltf.character import character_of, read_animations
+from cagemap.files.gltf.character import character_of, read_animations, with_starts_at_zero
 from cagemap.files.gltf.document import GLTF_SUFFIXES, SCENE_SUFFIXES, read_document, write_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.expressions import with_scaled_lengths
@@ -36,7 +35,6 @@ from cagemap.files.usd.convert import document_and_character
 from cagemap.files.usd.space import similar_space
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd, usd_modules
 from cagemap.maps.hypotheses.confidence import SURE
-from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.cage_points import CagePoints, NamedPoints, on_cage
 from cagemap.mesh.checks import check_mesh
@@ -50,6 +48,7 @@ from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import comma_words, files_read
 from cagemap.tasks.requests.rig import RigRequest
+from cagemap.tasks.rig_checks import size_warning, split_body_warning, up_warning
 from cagemap.tasks.rig_materials import (
     BakedImages,
     with_baked_materials,
@@ -61,9 +60,6 @@ from cagemap.tasks.rig_materials import (
 _log = logging.getLogger(__name__)
 
 _DOUBT = "the bodies may be matched wrongly: look at the result, and give --landmarks where it is wrong"
-
-# Of the character's up with that of the body; less if the file has another axis up.
-_MIN_UPRIGHT_COSINE = 0.5
 
 
 def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
@@ -80,7 +76,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
         character_body(source, request.like_part, request.like),
     )
     bodies = (request.body, target, to), (request.like, source, of)
-    notes = [note for path, character, body in bodies for note in _split_body(path, character, body)]
+    notes = [note for path, character, body in bodies for note in split_body_warning(path, character, body)]
     landmarks, landmark_notes = _landmarks(request, (to, of), (target, given_source))
     keeps = request.keep_textures or of.mesh.face_materials is None
     laid_out = to.mesh if keeps or of.mesh.uvs is None else with_uvs_in_unit_square(to.mesh)
@@ -95,6 +91,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
         kinds=_kinds(request),
         influences=request.influences or None,
         taken=set(read_nodes(document).names) - {part.name for part in source.parts},
+        subdivided=is_usd(request.output),
         stages=stages,
     )
     notes += landmark_notes
@@ -129,6 +126,11 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
             pieces_of[part.name] = giver.name
     dressed = with_shape_weights(dressed, source, pieces_of)
     rigged_document = character_glb(dressed, document, images, pieces_of)
+    if not is_usd(request.output):
+        rigged_document, starts = with_starts_at_zero(rigged_document)
+        late = first_few([f"{name} ({start:.3g} s)" for name, start in starts.items()])
+        text = f"start later than 0 in {request.like.name}, and at 0 in {request.output.name}, from where programs play"
+        notes += [f"{late}: {text}"] if starts else []
     if request.report is not None:
         stages("report")
     with all_or_nothing():
@@ -139,7 +141,8 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     confidence = carried.result.confidence
     doubt = [] if confidence is None or confidence.verdict == SURE else [_DOUBT]
     stages.record(_figures(dressed) | {"trusted_area": carried.result.quality.trusted_area})
-    warnings = [*body_warnings(carried.result), *(doubt or _up_warning(carried.result.point_map, request.body))]
+    warnings = [*body_warnings(carried.result), *(doubt or up_warning(carried.result.point_map, request.body))]
+    warnings += size_warning(carried.result, request.body, request.like)
     return _summary(request, dressed), [*notes, *warnings]
 
 
@@ -218,30 +221,6 @@ def character_body(character: Character, name: str | None, path: Path) -> Part:
     """The body of a file's character; errors name the file."""
     with values_of(path):
         return find_body(character.parts, name)
-
-
-def _split_body(path: Path, character: Character, body: Part) -> list[str]:
-    """A warning if other parts continue the body's surface."""
-    others = [part.name for part in find_continuing_parts(body, character.parts)]
-    if not others:
-        return []
-    return [
-        f"{path}: {body.name} alone is matched as the body, but {first_few(others)} continues it. Join these parts in "
-        "the modelling program (Blender: Ctrl+J, then Merge by Distance)"
-    ]
-
-
-def _up_warning(point_map: PointMap, path: Path) -> list[str]:
-    """A warning if the axis that is up in the target's file is not Y, as in some OBJ files; it is Y in the source."""
-    up = BodyFrames(point_map).rotation[1]
-    if up[1] > _MIN_UPRIGHT_COSINE:
-        return []
-    number = int(np.abs(up).argmax())
-    axis = ("-" if up[number] < 0 else "") + "XYZ"[number]
-    return [
-        f"{path}: what is up in the character is {axis} here, but glTF has Y up: if the body lies down in other "
-        "programs, rotate it before"
-    ]
 
 
 def _with_mesh(character: Character, part: Part, mesh: ControlMesh) -> tuple[Character, Part]:
@@ -353,13 +332,14 @@ def _poses(
     if source.rig is None or made.rig is None or not source.animations or not source.animations[0].tracks:
         return
     pair = source.animations[0], made.animations[0]
-    end = max(float(track.times[-1]) for track in pair[0].tracks)
+    keys = np.concatenate([track.times for track in pair[0].tracks if len(track.times) > 1] or [np.zeros(1)])
     for share in (0.25, 0.5, 0.75):
+        time = keys.min() + share * np.ptp(keys)
         both = [
-            skinned_positions(body, rig, pose_at(rig, animation, share * end))[body_rows]
+            skinned_positions(body, rig, pose_at(rig, animation, time))[body_rows]
             for body, rig, animation, body_rows in zip(bodies, (source.rig, made.rig), pair, rows, strict=True)
         ]
-        yield CarriedItem(f"{pair[0].name}, {share * end:.2g} s", both[0], both[1])
+        yield CarriedItem(f"{pair[0].name}, {time:.3g} s", both[0], both[1])
 
 
 def _figures(character: Character) -> dict[str, Any]:

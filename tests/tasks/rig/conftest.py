@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cagemap.character.values import Character, Part
+from cagemap.character.values import Character, Part, Rig
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
@@ -32,12 +32,14 @@ def kept() -> dict[object, Bodies]:
 def matched_once(kept: dict[object, Bodies], monkeypatch: pytest.MonkeyPatch) -> None:
     """Two bodies that an earlier test has matched are not matched again."""
 
-    def match_or_take(target: Part, source: Part, landmarks: Landmarks, stages: Stages) -> Bodies:
+    def match_or_take(
+        target: Part, source: Part, landmarks: Landmarks, stages: Stages, rig: Rig | None = None
+    ) -> Bodies:
         meshes = (target.mesh, source.mesh)
         arrays = ((mesh.positions.tobytes(), mesh.face_indices.tobytes(), mesh.material_names) for mesh in meshes)
         key = (landmarks.names, *landmarks.places, *arrays)
         if key not in kept:
-            kept[key] = match_bodies(target, source, landmarks, stages)
+            kept[key] = match_bodies(target, source, landmarks, stages, rig)
         return replace(kept[key], given=(target, source))
 
     monkeypatch.setattr("cagemap.tasks.carry_character.match_bodies", match_or_take)

@@ -13,6 +13,7 @@ from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.faces import face_areas
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh
 from cagemap.subdivision import with_options
@@ -81,6 +82,33 @@ def test_parts_at_the_places_of_loose_pieces_do_not_hide_those(cornea_in_target:
     found = compare_parts(placed, eyes[1], eyes[1], [eyes[0]], own_parts, body_moved(1.0, np.eye(3), np.zeros(3)))
     assert len(found.faces) == 0
     assert [len(parts) for parts in found.counterparts] == ([1, 1] if cornea_in_target else [2])
+
+
+def test_a_passenger_away_from_the_body_is_named(body: ControlMesh) -> None:
+    size = float(np.sqrt(face_areas(body).sum()))
+    places = body.positions.max(axis=0) + size * np.array([[0.3, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    props = [Part(name, ball(name, place, 0.1)) for name, place in zip(("sword", "lamp"), places, strict=True)]
+    notes = carry_character(Character((Part("body", body),)), Character((Part("body", body), *props))).notes
+    assert [note for note in notes if "beside the other body" in note] == [
+        "lamp is 2.0 body sizes away from body on average: its place beside the other body is a guess; to leave it "
+        "out, name others by --passengers"
+    ]
+
+
+def test_own_eyes_in_two_unnamed_parts_stand_for_both_eyes_of_the_character() -> None:
+    """Carried to a face of other proportions, half a radius away."""
+    places = np.array([0.3, 0.0, 0.5]), np.array([-0.3, 0.0, 0.5])
+    both = [replace(ball("eyes", place, 0.08), face_objects=None, object_names=()) for place in places]
+    eyes, hat = Part("eyes", join_meshes(both)), Part("hat", ball("hat", np.array([0.0, 1.7, 0.0]), 0.6))
+    own = [
+        Part(f"Object_{k}", ball(f"Object_{k}", place + np.array([0.0, 0.04, 0.0]), 0.07))
+        for k, place in enumerate(places)
+    ]
+    none = Part("pieces", extract_faces(hat.mesh, np.zeros(0, dtype=np.int64)))
+    found = compare_parts([eyes, hat], none, none, [], own, body_moved(1.0, np.eye(3), np.zeros(3)))
+    assert found.doubles_of_parts == [eyes]
+    for part, (counterpart,) in zip(own, found.counterparts, strict=True):
+        assert np.linalg.norm(counterpart.mesh.positions.mean(axis=0) - part.mesh.positions.mean(axis=0)) < 0.05
 
 
 @pytest.mark.parametrize("own_part", [False, True])

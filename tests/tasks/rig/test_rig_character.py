@@ -11,17 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 from examples.shapes import cube, grid
+from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from cagemap import tasks
 from cagemap.character.poses import pose_at
-from cagemap.character.values import Character, Part, skinned_positions
+from cagemap.character.values import Animation, Character, Part, ShapeTrack, Track, skinned_positions
 from cagemap.errors import ParameterError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import read_document, write_document
+from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import read_mesh, read_whole, write_mesh
+from cagemap.files.usd.character import write_usd_character
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import face_areas, face_centres
@@ -35,11 +38,12 @@ from cagemap.tasks.carry_character import CarriedCharacter, carry_character
 from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
-from cagemap.tasks.rig_character import _DOUBT, _kinds, _landmarks, _split_body, _up_warning, character_body, read_body
+from cagemap.tasks.rig_character import _DOUBT, _kinds, _landmarks, character_body, read_body
+from cagemap.tasks.rig_checks import split_body_warning, up_warning
 
 from command_line import Run
 from example_character import ball, write_character
-from example_rigs import body_moved
+from example_rigs import body_moved, person
 from plain_meshes import far_apart, marks_at, renumbered
 from refusals import refuses
 from rigged import image_error, part_named, rig_done, same_order
@@ -316,6 +320,27 @@ def test_a_body_whose_largest_piece_is_a_fragment_is_refused() -> None:
     refuses(ParameterError, message, match_bodies, body, body, Landmarks.none(), Stages())
 
 
+def test_a_body_whose_legs_are_other_pieces_is_refused_before_the_match(body, monkeypatch) -> None:
+    """As `quaternius_Female_Dress.fbx`, unless landmarks or equal faces pair the rest."""
+    legs = ball("legs", body.positions[np.argmin(body.positions[:, 1])] - [0.0, 2.0, 0.0], 0.5)
+    meshes = [replace(one, face_objects=None, object_names=()) for one in (body, legs)]
+    mesh = with_options(join_meshes(meshes), "none")
+    rig, is_leg = person(), np.arange(mesh.n_vertices) >= body.n_vertices
+    joints = [rig.names.index("LeftLeg"), rig.names.index("LeftArm")]
+    weights = np.zeros((mesh.n_vertices, len(rig.names)))
+    weights[:, joints] = np.where(is_leg[:, None], [0.8, 0.2], [0.2, 0.8])
+    monkeypatch.setattr("cagemap.tasks.bodies.match", lambda *given, progress: "matched")
+    source = Part("Female", replace(mesh, name="C.fbx"), sparse.csr_array(weights))
+    target, few = Part("body", renumbered(body, 0)[0]), marks_at(far_apart(body.positions, 5))
+    message = r"C\.fbx: expected a body in one piece, but the left leg of Female is not on the piece that is matched\."
+    refuses(ParameterError, message, match_bodies, target, source, Landmarks.none(), Stages(), rig)
+    for given, of, marks in ((target, source, few), (source, source, Landmarks.none())):
+        assert match_bodies(given, of, marks, Stages(), rig).result is not None
+    weights[is_leg] = weights[0]  # a sleeve
+    target_too = replace(source, weights=sparse.csr_array(weights))
+    assert match_bodies(target, target_too, Landmarks.none(), Stages(), rig).result == "matched"
+
+
 def test_bodies_with_the_same_faces_are_paired_by_number_unless_landmarks_are_given(body, quick_fit) -> None:
     bent = body.positions + 0.3 * np.sin(body.positions[:, [1, 2, 0]])
     faces = body.face_indices.reshape(-1, 3).copy()
@@ -366,6 +391,54 @@ def test_spring_bones_have_the_size_of_the_body(run: Run, files: Character, body
     assert group["colliders"][0]["offset"]["x"] == pytest.approx(1, rel=1e-3)
 
 
+@pytest.mark.parametrize("suffix", [".glb", ".usda"])
+def test_animations_that_start_late_start_at_0_in_gltf_and_stay_in_usd(run: Run, files: Character, suffix) -> None:
+    """At frame 1001, with a shape and a pose of one key; another one starts at 0."""
+    if suffix == ".usda":
+        pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    (nod,), late = files.animations, 1001 / 24
+    weights = ShapeTrack("body", ("raise",), late + np.arange(2.0), np.array([[0.0], [1.0]]))
+    still = Track(0, "rotation", np.zeros(1), nod.tracks[0].values[1:])
+    wave = Animation("wave", (replace(nod.tracks[0], times=late + np.arange(2.0)), still), (weights,))
+    document = character_glb(replace(files, animations=(wave, nod)))
+    write_document("C.glb", document, force=True)
+    made = character_of(document)
+    if suffix == ".usda":
+        write_usd_character("C.usda", made, read_scene(document))
+    outcome = run.done(f"rig B.glb --like C{suffix} --keep-textures -o OUT.glb")
+    assert f"wave (41.7 s): start later than 0 in C{suffix}, and at 0 in OUT.glb" in outcome.err
+    found = read_character("OUT.glb")
+    assert [animation.name for animation in found.animations] == ["wave", "nod"]
+    for animation, given, shift in zip(found.animations, made.animations, (late, 0.0), strict=True):
+        for time in (0.0, 0.7, 1.0):
+            poses = pose_at(found.rig, animation, time), pose_at(made.rig, given, time + shift)
+            np.testing.assert_allclose(*poses, atol=1e-4)
+    (track,) = found.animations[0].shape_tracks
+    np.testing.assert_allclose(track.times, [0.0, 1.0], atol=1e-5)
+    if suffix == ".usda":
+        assert "start later" not in run.done("rig B.glb --like C.usda --keep-textures -o OUT.usda").err
+        (kept,) = (one for one in read_body(Path("OUT.usda"))[1].animations if one.name == "wave")
+        np.testing.assert_allclose(kept.shape_tracks[0].times, late + np.arange(2.0), atol=1e-4)
+
+
+@pytest.mark.parametrize("factor", [0.01, 1.0, 2.0, 100.0])
+def test_a_body_of_another_unit_is_named_and_moves_as_far_as_it_is_large(files, body, factor: float) -> None:
+    """Joints, hat and the motion of the root in the size of the body."""
+    places = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
+    walk = Animation("walk", (Track(0, "translation", np.arange(2.0), files.rig.local[0, 3, :3] + places),))
+    write_character(Path("C.glb"), replace(files, animations=(walk,)))
+    write_mesh("B.glb", body.with_positions(factor * body.positions), force=True)
+    said = tasks.run(RigRequest(Path("B.glb"), Path("C.glb"), Path("OUT.glb"))).warnings
+    assert any(f"B.glb is {factor:g} times as large as C.glb" in text for text in said) == (factor not in (1.0, 2.0))
+    made, time = read_character("OUT.glb"), 1.0
+    pose = pose_at(made.rig, made.animations[0], time)
+    for given in files.parts:
+        found = part_named(made, given.name)
+        scaled = replace(given, mesh=given.mesh.with_positions(factor * given.mesh.positions))
+        moved = skinned_positions(found, made.rig, pose)[same_order(found, scaled, 1e-4 * factor)]
+        np.testing.assert_allclose(moved / factor, given.mesh.positions + places[1], atol=1e-4)
+
+
 def test_clothes_are_outside_the_flat_faces_of_a_cage() -> None:
     """An OBJ body is matched subdivided and written as it is: its faces came through the clothes."""
     cage = refine(cube(), 3)
@@ -382,7 +455,7 @@ def test_clothes_are_outside_the_flat_faces_of_a_cage() -> None:
 def test_a_body_with_another_axis_up_is_named() -> None:
     x_turn, y_turn = (Rotation.from_rotvec(angle).as_matrix() for angle in ([np.pi / 2, 0, 0], [0, 2.0, 0]))
     for turn, words in ((np.eye(3), []), (y_turn, []), (x_turn, ["-Z here"]), (x_turn.T, ["Z here"])):
-        found = _up_warning(body_moved(2.0, turn, np.ones(3)), Path("B.obj"))
+        found = up_warning(body_moved(2.0, turn, np.ones(3)), Path("B.obj"))
         assert [word in text for word, text in zip(words, found, strict=True)] == [True] * len(words)
 
 
@@ -438,9 +511,9 @@ def test_a_body_in_several_joined_parts_is_named() -> None:
     ]
     shell = Part("coat", whole.with_positions(1.001 * whole.positions))
     legs = halves[1]
-    (said,) = _split_body(Path("man.fbx"), Character((*halves, shell)), legs)
+    (said,) = split_body_warning(Path("man.fbx"), Character((*halves, shell)), legs)
     assert "man.fbx: legs alone is matched as the body, but top continues it" in said
-    assert _split_body(Path("man.fbx"), Character((legs, shell)), legs) == []
+    assert split_body_warning(Path("man.fbx"), Character((legs, shell)), legs) == []
 
 
 def test_landmarks_that_are_left_out_and_warnings_of_the_map_are_said(body, monkeypatch):

@@ -6,13 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube
 
 from cagemap.character.poses import pose_at
-from cagemap.character.values import Character, skinned_positions
+from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.errors import FormatError
 from cagemap.files.gltf.character import character_of, read_character
-from cagemap.files.gltf.document import read_document
+from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.parts import read_scene
+from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.read import read_usd_meshes
@@ -20,6 +22,8 @@ from cagemap.files.usd.space import StageSpace
 from cagemap.files.usd.stages import open_stage
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
+from cagemap.subdivision import refine, with_options
+from cagemap.tasks.rig_character import read_body
 
 from command_line import Run
 from rigged import image_error, part_named, rig_done, same_order, write_outermost
@@ -46,6 +50,27 @@ def test_a_usd_character_gives_the_same_as_its_glb(run: Run, files: Character) -
             expected = skinned_positions(given, first.rig, poses[0])
             np.testing.assert_allclose(skinned_positions(found, made.rig, poses[1])[rows], expected, atol=5e-3)
         assert image_error() < 0.03
+
+
+def test_clothes_are_on_the_limit_surface_where_usd_keeps_the_scheme_of_the_body(run: Run, tmp_path, monkeypatch):
+    """Not outside the flat faces of the cage, as in glTF."""
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    monkeypatch.chdir(tmp_path)
+    cage = refine(cube(), 3)
+    body, shirt = (
+        with_options(ControlMesh.from_faces(size * cage.finest.positions, cage.finest.faces), "none")
+        for size in (1.0, 1.02)
+    )
+    write_document("C.glb", character_glb(Character((Part("body", body), Part("shirt", shirt)))))
+    half = np.abs(cage.control.positions).max()
+    write_usd("B.usda", with_options(cage.control, "catmull-clark"))
+    heights = []
+    for name in ("OUT.usda", "OUT.glb"):
+        run.done("rig B.usda --like C.glb -o", name)
+        cloth = part_named(read_body(Path(name))[1], "shirt").mesh
+        heights.append(np.abs(cloth.positions).max(axis=1))
+    assert heights[0].max() < 1.03 * np.abs(cage.finest.positions).max()
+    assert heights[1].min() > half
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -14,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.character.poses import quaternion_product
 from cagemap.character.values import Animation, Channel, Character, Interpolation, ShapeTrack, Track
-from cagemap.files.gltf.binary import Binary, add_channel
+from cagemap.files.gltf.binary import Binary, add_channel, remove_unused
 from cagemap.files.gltf.document import read_document
 from cagemap.files.gltf.entries import Document, read_accessor
 from cagemap.files.gltf.nodes import Joints, read_nodes, scale_signs
@@ -207,6 +208,26 @@ def animation_lengths(document: Document) -> tuple[float, ...]:
         ends = [float(read_accessor(document, accessor, where, ("SCALAR",)).max()) for accessor in inputs]
         lengths.append(max(ends, default=0.0))
     return tuple(lengths)
+
+
+def with_starts_at_zero(document: Document) -> tuple[Document, dict[str, float]]:
+    """A document whose animations have their first key at 0; and when others started, in seconds, by name.
+
+    A channel with one key is a pose and does not start an animation.
+    """
+    binary, top = Binary(document), json.loads(json.dumps(document.json))
+    starts = dict[str, float]()
+    for name, entry in zip(animation_names(document), top.get("animations", []), strict=True):
+        inputs = {sampler["input"] for sampler in entry["samplers"]}
+        times = {one: read_accessor(document, one, f"animation {name}", ("SCALAR",)) for one in inputs}
+        start = min((keys[0] for keys in times.values() if len(keys) > 1), default=0.0)
+        if start > 0.0:
+            starts[name] = float(start)
+            moved = {one: np.maximum(keys - start, 0.0).astype("<f4") for one, keys in times.items()}
+            numbers = {one: binary.accessor(keys, bounds=True) for one, keys in moved.items()}
+            for sampler in entry["samplers"]:
+                sampler["input"] = numbers[sampler["input"]]
+    return (remove_unused(binary.document(top)) if starts else document), starts
 
 
 def _other_channels(entry: dict[str, Any], joints: set[int]) -> dict[str, list[Any]]:

@@ -1,0 +1,55 @@
+"""Warnings of `cagemap rig` about a body: other parts continue it, another axis is up, another unit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.character.body_frames import BodyFrames
+from cagemap.character.roles import find_continuing_parts
+from cagemap.character.values import Character, Part
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.result import MatchResult
+from cagemap.mesh.mesh_report import first_few
+
+# Of the character's up with that of the body; less if the file has another axis up.
+_MIN_UPRIGHT_COSINE = 0.5
+# Ratio of the bodies' sizes, either way, above which there is a warning: feet and metres have 3.3.
+_MAX_SIZE_RATIO = 2.5
+
+
+def split_body_warning(path: Path, character: Character, body: Part) -> list[str]:
+    """A warning if other parts continue the body's surface."""
+    others = [part.name for part in find_continuing_parts(body, character.parts)]
+    if not others:
+        return []
+    return [
+        f"{path}: {body.name} alone is matched as the body, but {first_few(others)} continues it. Join these parts in "
+        "the modelling program (Blender: Ctrl+J, then Merge by Distance)"
+    ]
+
+
+def up_warning(point_map: PointMap, path: Path) -> list[str]:
+    """A warning if the axis that is up in the target's file is not Y, as in some OBJ files; it is Y in the source."""
+    up = BodyFrames(point_map).rotation[1]
+    if up[1] > _MIN_UPRIGHT_COSINE:
+        return []
+    number = int(np.abs(up).argmax())
+    axis = ("-" if up[number] < 0 else "") + "XYZ"[number]
+    return [
+        f"{path}: what is up in the character is {axis} here, but glTF has Y up: if the body lies down in other "
+        "programs, rotate it before"
+    ]
+
+
+def size_warning(result: MatchResult, body: Path, like: Path) -> list[str]:
+    """A warning if the sizes of the bodies differ as those of two units do."""
+    ratio = result.point_map.source.scale / result.point_map.target.scale
+    if 1.0 / _MAX_SIZE_RATIO <= ratio <= _MAX_SIZE_RATIO:
+        return []
+    spans = [float(np.ptp(side.control.positions, axis=0).max()) for side in (result.target, result.source)]
+    return [
+        f"{body} is {ratio:.3g} times as large as {like} ({spans[0]:.3g} m, {spans[1]:.3g} m): what it "
+        "gets is scaled to it. If its unit is not the metre, scale it before"
+    ]
