@@ -17,7 +17,7 @@ from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap
 from cagemap.paper import hfm, method
-from cagemap.paper.functional_constraints import DescriptorConfig, gather_constraints
+from cagemap.paper.descriptors import DescriptorConfig, gather_constraints
 from cagemap.paper.hfm import HfmConfig, hfm_map
 from cagemap.paper.method import PaperConfig, finer_level_pairs, paper_map, recover_points, search_full, search_level
 from cagemap.pipeline import MatchConfig, choose_level, default_basis, pair_of, prepare_surface

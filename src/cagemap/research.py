@@ -40,15 +40,17 @@ from cagemap.mesh.inputs import control_mesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, shown, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors
-from cagemap.paper.equations import extend_functional_map, solve_functional_map
-from cagemap.paper.functional_constraints import (
+from cagemap.paper.descriptors import (
     Constraints,
     DescriptorConfig,
+    Filters,
     MapWeights,
+    choose_filters,
     gather_constraints,
+    landmark_descriptors,
     signature_functions,
 )
+from cagemap.paper.equations import extend_functional_map, solve_functional_map
 from cagemap.paper.hfm import HfmConfig, hfm_map
 from cagemap.paper.method import (
     PaperConfig,

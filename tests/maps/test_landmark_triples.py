@@ -15,14 +15,16 @@ from cagemap.maps.landmarks import outliers
 from cagemap.maps.landmarks.outliers import (
     Distances,
     Marks,
+    ReducedEnergy,
     agreement_around,
     best_exchanges,
     exchanged_sides,
     misplaced_pairs,
     orientation_agreement,
+    reduced_energy,
+    strained_pair,
     typical_misfit,
 )
-from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, strained_pair
 from cagemap.subdivision import refine
 
 from example_once import example_pair

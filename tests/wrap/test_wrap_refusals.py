@@ -20,9 +20,8 @@ from cagemap.tasks import wrap as task
 from cagemap.tasks.match import MatchRequest
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.wrap import WrapRequest
-from cagemap.wrap.config import MendConfig, WrapConfig
 from cagemap.wrap.fit import fit_net, mend
-from cagemap.wrap.net import ControlNet, Samples, control_net
+from cagemap.wrap.net import ControlNet, MendConfig, Samples, WrapConfig, control_net
 
 from command_line import Run
 from example_result import identity_result, textured_cube

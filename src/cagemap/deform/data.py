@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 
 from cagemap.deform.config import DataConfig, ElasticConfig
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.curves import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, places_of
 from cagemap.numerics.factorization import Factorization
 from cagemap.numerics.threads import kept

@@ -15,7 +15,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.coincidence import Coincidence
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import PointPairs, near_vertices, point_pairs
-from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.curves import CagePoints
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization

@@ -11,7 +11,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
-from cagemap.paper.functional_constraints import SPACING, Constraints, MapWeights, SpectralData
+from cagemap.paper.descriptors import SPACING, Constraints, MapWeights, SpectralData
 
 Mask = NDArray[np.bool_]
 

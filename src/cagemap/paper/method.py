@@ -14,6 +14,7 @@ from cagemap.maps.pair import LevelPair, Pair, Progress, no_progress
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Config, kinds_checked
+from cagemap.paper.descriptors import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.embeddings import (
     Rows,
     nearest_candidates,
@@ -23,7 +24,6 @@ from cagemap.paper.embeddings import (
     vertex_to_point,
 )
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
-from cagemap.paper.functional_constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import evenly_spaced_vertices, fit_functional_map, nearest_rows
 

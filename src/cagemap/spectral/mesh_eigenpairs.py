@@ -18,8 +18,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.products import multiply
 from cagemap.numerics.threads import ROW_BLOCK, in_threads, one_blas_thread, row_slices
 from cagemap.operators.laplacian import stiffness, vertex_areas
-from cagemap.spectral.config import SOLVER
-from cagemap.spectral.eigenpairs import EigenPairs, band_pairs, residual_norms, shifted_matrix
+from cagemap.spectral.eigenpairs import SOLVER, EigenPairs, band_pairs, residual_norms, shifted_matrix
 from cagemap.spectral.surface import Surface
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import corner_sums, normalize_rows

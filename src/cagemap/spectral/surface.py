@@ -19,8 +19,14 @@ from cagemap.numerics.threads import ThreadPool, in_threads, kept, one_blas_thre
 from cagemap.operators import Operators, build_operators
 from cagemap.operators.coarse_levels import build_coarse_levels
 from cagemap.operators.laplacian import named_laplacian
-from cagemap.spectral.basis import HierarchicalBasis, hierarchical_basis
-from cagemap.spectral.config import HFM_FUNCTIONS, MAP_BASIS, PAPER_SCHEDULE, BasisConfig
+from cagemap.spectral.basis import (
+    HFM_FUNCTIONS,
+    MAP_BASIS,
+    PAPER_SCHEDULE,
+    BasisConfig,
+    HierarchicalBasis,
+    hierarchical_basis,
+)
 from cagemap.subdivision import Refinement, default_scheme, level_triangles, refine
 from cagemap.subdivision.refinement import vertex_counts
 from cagemap.surface.triangle_surface import TriangleSurface

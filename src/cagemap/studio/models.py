@@ -25,7 +25,6 @@ from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.repairs import RepairedMesh, unrepaired
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
-from cagemap.mesh.udim import udim_origin
 from cagemap.mesh.weld import weld_mesh, weld_tolerance
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.srgb import encode_srgb
@@ -38,6 +37,7 @@ from cagemap.studio.state import NO_SCHEME
 from cagemap.subdivision import refine, with_options
 from cagemap.tasks.material_atlas import material_atlas
 from cagemap.transfer import face_colors
+from cagemap.transfer.udim import udim_origin
 
 # Largest side of the texture in the page; the bake uses the whole image.
 PREVIEW_TEXTURE_SIZE = 1024

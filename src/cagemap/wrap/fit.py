@@ -24,8 +24,7 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, label_components, mask_of, members_of, nearest_rotations
 from cagemap.numerics.factorization import factor
 from cagemap.surface.alignment import fit_similarity
-from cagemap.wrap.config import MendConfig, WrapConfig
-from cagemap.wrap.net import ControlNet, NetTerms, Samples, face_aspects, folded_faces
+from cagemap.wrap.net import ControlNet, MendConfig, NetTerms, Samples, WrapConfig, face_aspects, folded_faces
 
 # Messages for a net without a point that follows the source: from the beginning, and after mending.
 NOTHING_FOLLOWS = (

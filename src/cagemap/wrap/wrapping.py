@@ -19,9 +19,8 @@ from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.detail import Detail, detail_over, own_transfer
-from cagemap.wrap.config import WrapConfig
 from cagemap.wrap.fit import NOTHING_FOLLOWS, fit_net, keep_positions, mend
-from cagemap.wrap.net import Samples, control_net, counterpart_mask, face_aspects, folded_faces
+from cagemap.wrap.net import Samples, WrapConfig, control_net, counterpart_mask, face_aspects, folded_faces
 
 # Message for a target without a cage.
 NO_CAGE = (

@@ -26,9 +26,10 @@ from cagemap.maps.landmarks.outliers import (
     exchanged_sides,
     misplaced_pairs,
     orientation_agreement,
+    reduced_energy,
+    strained_pair,
     typical_misfit,
 )
-from cagemap.maps.landmarks.strain import reduced_energy, strained_pair
 from cagemap.maps.pair import Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
