@@ -27,8 +27,7 @@ from cagemap.surface.triangles import normalize_rows
 # Added to the matrices of maps, as a share of their mean diagonal: a flat ring does not determine the normal direction
 # of its map. The smoothing does; this is for safety.
 RIDGE = 1e-9
-# The same for a system of positions whose matrix is singular; single precision keeps it.
-DAMPING = 1e-4
+DAMPING = 1e-4  # the same for a system of positions whose matrix is singular; single precision keeps it
 
 # New positions (n, 3) for a right side (n, 3) and the positions before (n, 3).
 Solve = Callable[[FloatArray, FloatArray], FloatArray]
@@ -120,10 +119,7 @@ def corrected(
 def conjugate_gradients(
     matrix: sparse.csc_array, factors: Factorization, stage: Stage, residual: FloatArray
 ) -> FloatArray:
-    """Approximate ``A^-1 r`` (3 n,) by conjugate gradients (Hestenes and Stiefel 1952), preconditioned by old factors.
-
-    Each step costs a tenth of a factorisation. If they leave too large a residual, the matrix is factored anew.
-    """
+    """``A^-1 r`` by conjugate gradients (Hestenes, Stiefel 1952) with old factors; factored anew if left too far."""
     near = LinearOperator(matrix.shape, matvec=factors.solve, dtype=np.float64)
     step, missed = cg(matrix, residual, rtol=stage.tolerance, maxiter=stage.gradient_steps, M=near)
     unsolved = stage.max_unsolved * np.linalg.norm(residual)

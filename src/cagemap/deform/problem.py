@@ -71,10 +71,7 @@ class PreparedPair:
         elastic: ElasticConfig = ElasticConfig(),
         masks: Masks = WHOLE,
     ) -> PreparedPair:
-        """Factor the target's elastic energy, and build the source's search trees.
-
-        ParameterError if a surface has no operators up to its searched level.
-        """
+        """Factor the elastic energy, build search trees; ParameterError without operators up to a searched level."""
         wanted = start.search_vertices, start.source_search_vertices or start.search_vertices
         levels = target.hierarchy.coarsest_level(wanted[0]), source.hierarchy.coarsest_level(wanted[1])
         for surface, level in zip((target, source), levels, strict=True):

@@ -27,14 +27,11 @@ from cagemap.surface.surface_points import SurfacePoints, nearest_facing
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import row_lengths, triangle_areas, triangle_centres
 
-# Points closer than this times sqrt(source area) are equal: the rounding error of six digits in a file.
-SAME = 1e-5
+SAME = 1e-5  # points closer than this times sqrt(source area) are equal: the rounding error of six digits in a file
 # Usual units of length, in metres: millimetre, centimetre, inch, foot, metre.
 _UNITS = np.array([1e-3, 1e-2, 0.0254, 0.3048, 1.0])
-# Fewer pairs of points determine no motion.
-FEWEST_POINTS = 3
-# At most this many vertices, and faces, of either surface are sampled.
-_MOST_SAMPLES = 10_000
+FEWEST_POINTS = 3  # fewer pairs of points determine no motion
+_MOST_SAMPLES = 10_000  # at most this many vertices, and faces, of either surface are sampled
 
 
 class Motion(NamedTuple):
@@ -90,10 +87,7 @@ class Coincidence:
 
 
 def moved(surface: TriangleSurface, motion: Motion) -> TriangleSurface:
-    """The surface as if the coordinates of its file were moved, still at unit area.
-
-    Without rotation and shift the surface keeps its positions, and without a scale also its normals and tree.
-    """
+    """The surface as if its file's coordinates were moved, at unit area; keeps what a motion does not change."""
     rotation, scale, shift = motion
     if not (angle_of(rotation) or np.any(shift)):
         return surface if scale == 1.0 else replace(surface, scale=surface.scale / scale)
@@ -107,11 +101,7 @@ def angle_of(rotation: FloatArray) -> float:
 
 
 def aligning_motions(target: TriangleSurface, source: TriangleSurface, config: CoincidenceConfig) -> list[Motion]:
-    """Motions that may bring a target onto its source: of principal frames, then by closest points.
-
-    An empty list if the moments differ, or if two axes are equally long: the frames then allow any rotation about the
-    third.
-    """
+    """Motions of principal frames, then of closest points; none if moments differ or two axes are equally long."""
     frames = (principal_frame(side.positions / side.scale, side.vertex_areas) for side in (target, source))
     (centre, axes, deviations), (source_centre, source_axes, lengths) = frames
     scale = float(np.linalg.norm(lengths) / np.linalg.norm(deviations))

@@ -21,10 +21,7 @@ ONE_SURFACE = "vertex on vertex: they are one surface"
 
 
 def coincident_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
-    """Map of coincident surfaces, and its confidence; None if they do not coincide.
-
-    Landmarks and curves move closest points a little. It is None too if landmarks, curves or masks contradict the map.
-    """
+    """Map of coincident surfaces and its confidence; None if they do not coincide, or landmarks or masks differ."""
     prepared, landmarks, masks = problem.prepared, problem.landmarks, problem.prepared.masks
     target, source = prepared.target.finest_triangles, prepared.source.finest_triangles
     if same_surface(landmarks, masks):

@@ -22,10 +22,8 @@ from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 
-# Number of target vertices that are judged by default.
-JUDGED_VERTICES = 300
-# Right-hand sides that are solved for together.
-BATCH = 50
+JUDGED_VERTICES = 300  # number of target vertices that are judged by default
+BATCH = 50  # right-hand sides that are solved for together
 
 
 @kinds_checked

@@ -19,8 +19,7 @@ from cagemap.surface.triangles import row_lengths
 
 # Smallest mean of a mask, and smallest shared part of a surface's area; with less there is nothing to match.
 LEAST = 1e-4
-# Shares of both areas from which two surfaces correspond as wholes.
-WHOLE_SHARE = 0.98
+WHOLE_SHARE = 0.98  # shares of both areas from which two surfaces correspond as wholes
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,10 +96,7 @@ class Masks:
         return Masks(target, source, shared=shared) if target.any() and source.any() else self
 
     def length_ratio(self, target: TriangleSurface, source: TriangleSurface) -> float:
-        """Length on the source of a unit length on the target, if the map keeps the size of the shared area.
-
-        1 if both surfaces correspond as wholes, next to nothing is shared, or the shared area is not known.
-        """
+        """Length on the source of one on the target, if shared area keeps its size; 1 for wholes or unknown shares."""
         if self.shared is None:
             return 1.0
         on_target, on_source = self.shared.shares(target, source)
@@ -119,8 +115,7 @@ class Masks:
                 raise ParameterError(f"{side} mask: expected some of the surface to count, got 0 nearly everywhere")
 
 
-# Nothing is masked.
-WHOLE = Masks()
+WHOLE = Masks()  # nothing is masked
 
 
 @kinds_checked

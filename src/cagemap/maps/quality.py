@@ -92,10 +92,7 @@ class QualityFigures:
 
 
 def flipped_triangles(images: SurfacePoints, triangles: IndexArray) -> NDArray[np.bool_]:
-    """(t1,) which target triangles (t1, 3) have an image whose orientation disagrees with the source's.
-
-    The image's normal is compared with the sum of the source's normals at its three corners.
-    """
+    """(t1,) target triangles whose image faces against the sum of the source's normals at its corners."""
     return inverted_triangles(images.positions, images.normals, triangles)
 
 

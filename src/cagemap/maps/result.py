@@ -252,11 +252,7 @@ def result_of_fit(
     confidence: Confidence | None = None,
     jumps: FloatArray | None = None,
 ) -> MatchResult:
-    """Result of an elastic match, with the quality of its map; area without a counterpart is not counted.
-
-    The problem has all ``landmarks``, those that the check left out too. ``jumps`` are the map's `jump_lengths`; None
-    if they are not known yet.
-    """
+    """Result of an elastic match of a problem with all landmarks; ``jumps`` are `jump_lengths`, None if not known."""
     start = time.perf_counter()
     prepared, target, source = problem.prepared, problem.prepared.target, problem.prepared.source
     masks, points = prepared.masks, problem.without(check.left_out).landmarks

@@ -57,10 +57,8 @@ SEVERAL = "several components"
 # Problems that do not prevent subdivision, which needs only oriented manifold connectivity.
 UNREFINED = frozenset({SEVERAL, "no size", "size", "no area", "faces without area", "no volume", "inside out"})
 
-# Most edges of a boundary loop that is reported as a slit; a longer one is an opening.
-MAX_SLIT_EDGES = 8
-# Number of components that are compared with each other: comparing more costs too much.
-MAX_COMPARED = 16
+MAX_SLIT_EDGES = 8  # most edges of a boundary loop that is reported as a slit; a longer one is an opening
+MAX_COMPARED = 16  # number of components that are compared with each other: comparing more costs too much
 # Squares and products of lengths must neither overflow nor vanish in float64 (1e308, 1e-308).
 SMALLEST_EXTENT, LARGEST_EXTENT = 1e-60, 1e60
 # Least distance of vertices from a line, as a share of the extent. Real cages are above 1e-2.
@@ -363,11 +361,7 @@ def zero_area_problem(mesh: ControlMesh, examined: IndexArray) -> MeshProblem | 
 
 
 def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> MeshProblem | None:
-    """Problem of a mesh whose faces look inwards, or of a closed mesh without volume; else None.
-
-    An open mesh is first closed with a cone over every loop. It is a problem only if its roundness exceeds
-    `OPEN_ROUNDNESS`; a sheet has no inside.
-    """
+    """Problem of a mesh whose faces look inwards, or of a closed one without volume; a sheet has no inside."""
     unit = with_openings_closed(_unit_sized(mesh), loops)
     volume, area = signed_volume(unit), float(face_areas(unit).sum())
     roundness = 36.0 * np.pi * volume * abs(volume) / area**3

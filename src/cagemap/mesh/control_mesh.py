@@ -16,8 +16,7 @@ from cagemap.surface.triangles import fan_triangles, triangle_areas
 
 # Texture coordinates of all corners of faces that have none, where other faces of the mesh have some.
 NO_UV = (0.5, 0.5)
-# Linear grey of faces whose material has no colour; the default of most programs.
-UNKNOWN_COLOR = 0.8
+UNKNOWN_COLOR = 0.8  # linear grey of faces whose material has no colour; the default of most programs
 # Triangles of a layout with less area are degenerate: sides of about 1e-6. Texels of a 16k image have 6e-5.
 MIN_UV_AREA = 1e-12
 
@@ -236,10 +235,7 @@ class ControlMesh:
         return np.array(np.broadcast_to(values, count))
 
     def with_uvs(self, uvs: FloatArray | None, uv_indices: IndexArray | None) -> ControlMesh:
-        """Return the same mesh with other texture coordinates (p, 2) and their index for every corner, or with none.
-
-        ParameterError if the arrays have other shapes, or are no numbers.
-        """
+        """Return the same mesh with other UVs (p, 2) and their index for every corner, or none; else ParameterError."""
         if uvs is None or uv_indices is None:
             return replace(self, uvs=None, uv_indices=None)
         places, indices = real_numbers(uvs, f"{self.name}: uvs"), whole_numbers(uv_indices, f"{self.name}: uv_indices")

@@ -26,10 +26,8 @@ from cagemap.surface.surface_points import SurfacePoints
 
 Renumbering = Callable[[IndexArray], IndexArray]
 
-# A point with at least this weight on one vertex is that vertex.
-AT_VERTEX = 1.0 - 1e-6
-# Largest distance of a position from its mesh, in units of the mesh's bounding-box diagonal.
-MAX_DISTANCE = 0.1
+AT_VERTEX = 1.0 - 1e-6  # a point with at least this weight on one vertex is that vertex
+MAX_DISTANCE = 0.1  # largest distance of a position from its mesh, in units of the mesh's bounding-box diagonal
 # Positions whose median distance exceeds this share of their own bounding-box diagonal are in another unit. Needed as a
 # body scaled by 0.01 about a point inside it is near the mesh everywhere.
 MAX_MEDIAN_DISTANCE = 0.25
@@ -160,11 +158,7 @@ def repeated_fault(names: Sequence[str], what: str) -> str:
 def shared_names(
     target: Sequence[str], source: Sequence[str], *, what: str, noted: str
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names on both sides, in the target's order, and notes on names of one side only.
-
-    ``what`` is the noun in the error message, ``noted`` the noun in the notes. InvalidLandmarksError if a name occurs
-    twice on one side.
-    """
+    """Names on both sides, in the target's order, and notes on others; InvalidLandmarksError for a repeated name."""
     sides = ("target", target, frozenset(target)), ("source", source, frozenset(source))
     for side, names, _ in sides:
         if fault := repeated_fault(names, "name"):
@@ -182,8 +176,7 @@ def find_repeats(values: NDArray[Any]) -> IndexArray:
     return np.setdiff1d(np.arange(len(values)), np.unique(values, return_index=True)[1])
 
 
-# Least extent of a curve, of the mesh's; shorter ones have no direction.
-MIN_CURVE_EXTENT = 1e-9
+MIN_CURVE_EXTENT = 1e-9  # least extent of a curve, of the mesh's; shorter ones have no direction
 
 P = TypeVar("P", CagePoints, SurfacePoints)
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from cagemap.numerics.arrays import IndexArray
 
 LISTED = 8
-# Pattern of a `FileVertex` in messages.
-VERTEX = r"vertex \d+(?: at \([^)]*\))?"
+VERTEX = r"vertex \d+(?: at \([^)]*\))?"  # pattern of a `FileVertex` in messages
 # Regular expression of the part of a message that states a position in the target's file.
 PLACE = r", (?:worst|most) at \([^)]*\) of the target's file"
 # Kinds of problems that `cagemap.mesh.plain.plain_mesh` repairs.

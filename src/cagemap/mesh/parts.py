@@ -107,10 +107,7 @@ def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
 
 
 def passenger_word(name: str) -> str:
-    """The word for clothes, hair, eyes or equipment that a part's name states; '' without one.
-
-    Words for one kind, such as jeans and trousers, give the same.
-    """
+    """The word for clothes, hair, eyes or equipment in a part's name, one for all of a kind; '' without one."""
     found = (word for word, pattern in _PASSENGER_WORDS.items() if re.search(pattern, name, re.IGNORECASE))
     return next(found, "")
 

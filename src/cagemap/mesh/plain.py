@@ -39,8 +39,7 @@ from cagemap.mesh.weld import coincident_vertices, file_copies, mean_colors, wel
 from cagemap.numerics.arrays import IndexArray
 from cagemap.surface.triangles import polygon_triangles
 
-# Most rounds of removing faces at edges of more than two faces; scans need two.
-MAX_FIN_ROUNDS = 20
+MAX_FIN_ROUNDS = 20  # most rounds of removing faces at edges of more than two faces; scans need two
 
 
 @arrays_accepted

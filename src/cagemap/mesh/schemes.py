@@ -30,8 +30,7 @@ INFINITE_SHARPNESS = 10.0
 # Crease curves are uniform cubic B-splines in both schemes: (own vertex, each of the two neighbours along the curve).
 CREASE_VERTEX = (3 / 4, 1 / 8)
 CREASE_LIMIT = (2 / 3, 1 / 6)
-# Weight of a triangle's new face point in the edge points around it under the "smooth" rule.
-SMOOTH_TRIANGLE = 0.47
+SMOOTH_TRIANGLE = 0.47  # weight of a triangle's new face point in the edge points around it under the "smooth" rule
 
 # Values of each option, and the text that an error message adds.
 _CHOICES = {

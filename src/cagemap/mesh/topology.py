@@ -152,10 +152,7 @@ def adjacent_corners(topology: Topology) -> tuple[IndexArray, IndexArray]:
 
 
 def corner_fans(topology: Topology) -> IndexArray:
-    """(c,) fan of every corner: corners of one vertex whose faces are joined by inner edges.
-
-    A vertex is manifold if all its corners are of one fan. Fans are numbered from 0.
-    """
+    """(c,) fan of every corner: corners of one vertex joined by inner edges. A manifold vertex has one fan."""
     first, second = adjacent_corners(topology)
     following = topology.following
     parallel = topology.vertices[first] == topology.vertices[second]
@@ -167,11 +164,7 @@ def corner_fans(topology: Topology) -> IndexArray:
 
 
 def boundary_loops(topology: Topology, fans: IndexArray) -> tuple[IndexArray, ...] | None:
-    """Vertices along every boundary loop, in the direction of the faces' half-edges (surface on the left).
-
-    None if the faces' orientations, or edges of more than two faces, leave the loops undefined. Loops follow the
-    ``fans`` of `corner_fans`: a vertex appears once for each of its fans.
-    """
+    """Vertices along boundary loops of the fans, surface on the left; None where orientations leave them undefined."""
     if np.any(topology.face_counts > 2):
         return None
     corners = topology.boundary_corners
@@ -211,10 +204,7 @@ def handle_count(mesh: ControlMesh, labels: IndexArray | None = None) -> int:
 
 
 def label_cells(mesh: ControlMesh, size: float, offset: float) -> IndexArray:
-    """(m,) labels of faces by the nearest seed vertex along edges; seeds are about ``size`` apart.
-
-    Seeds are the first vertices in the cubes of a grid, which is shifted by ``offset`` of their side.
-    """
+    """(m,) labels of faces by the nearest seed along edges: the first vertices in grid cubes, shifted by ``offset``."""
     cubes = np.floor(mesh.positions / size + offset)
     seeds = np.unique(cubes, axis=0, return_index=True)[1]
     heads, tails = mesh_topology(mesh).edge_vertices.T

@@ -25,26 +25,16 @@ from cagemap.surface.triangles import normalize_rows, triangle_neighbors, triang
 
 # Numbers of vertices of the coarse levels: for the basis, the deformation and the search for correspondences.
 COARSE_SIZES = (1500, 6000, 24_000)
-# Largest share of the next finer level's vertices.
-MAX_SHARE = 0.7
-# Fewest vertices of a level.
-MIN_LEVEL_VERTICES = 100
-# `agg` of fast_simplification: growth rate of its threshold; slower makes better triangles.
-AGGRESSIVENESS = 3
-# omega of the Jacobi step that smooths prolonged functions.
-DAMPING = 2 / 3
-# Number of vertices that a thread locates on the coarser mesh at once.
-LOCATE_BLOCK = 65_536
-# Most rounds of edge flips; each round flips at most one edge of a triangle.
-MAX_FLIP_ROUNDS = 20
-# Least cosine between the normals on both sides of a flipped edge; sharper edges are features.
-MIN_NORMAL_COSINE = 0.8
-# Least doubled area of a triangle, as a share of a squared edge: keeps cotangents finite.
-MIN_DOUBLED_AREA = 1e-12
-# Largest sum of the cotangents opposite to an edge that is flipped: below 0 by rounding.
-MAX_COTANGENT_SUM = -1e-9
-# The library keeps its mesh in global variables: threads must take turns.
-_SIMPLIFICATION_LOCK = threading.Lock()
+MAX_SHARE = 0.7  # largest share of the next finer level's vertices
+MIN_LEVEL_VERTICES = 100  # fewest vertices of a level
+AGGRESSIVENESS = 3  # `agg` of fast_simplification: growth rate of its threshold; slower makes better triangles
+DAMPING = 2 / 3  # omega of the Jacobi step that smooths prolonged functions
+LOCATE_BLOCK = 65_536  # number of vertices that a thread locates on the coarser mesh at once
+MAX_FLIP_ROUNDS = 20  # most rounds of edge flips; each round flips at most one edge of a triangle
+MIN_NORMAL_COSINE = 0.8  # least cosine between the normals on both sides of a flipped edge; sharper edges are features
+MIN_DOUBLED_AREA = 1e-12  # least doubled area of a triangle, as a share of a squared edge: keeps cotangents finite
+MAX_COTANGENT_SUM = -1e-9  # largest sum of the cotangents opposite to an edge that is flipped: below 0 by rounding
+_SIMPLIFICATION_LOCK = threading.Lock()  # the library keeps its mesh in global variables: threads must take turns
 
 
 class Simplified(NamedTuple):
@@ -91,11 +81,7 @@ def build_coarse_levels(plain: Refinement) -> Refinement:
 
 
 def simplify_mesh(positions: FloatArray, triangles: IndexArray, count: int) -> Simplified:
-    """Simplify a mesh to about ``count`` vertices by edge collapses of least quadric error.
-
-    A coarse vertex is moved to the nearest vertex of its cluster, so that it is a vertex of all finer levels. Edges are
-    then flipped: with the thin triangles that collapses leave, elastic maps were 25 % worse.
-    """
+    """Simplify a mesh to about ``count`` of its vertices by edge collapses; edges of thin triangles are flipped."""
     low = positions.min(axis=0)
     unit = (positions - low) / np.max(positions.max(axis=0) - low)  # the library's thresholds are absolute
     faces = triangles.astype(np.int32)
@@ -142,11 +128,7 @@ def prolongation(positions: FloatArray, triangles: IndexArray, step: Simplified)
 
 
 def smoothing_matrix(positions: FloatArray, triangles: IndexArray) -> sparse.csr_array:
-    """(n, n) damped Jacobi step ``1 - omega D^-1 W`` without negative weights.
-
-    Smoothed aggregation (Vanek et al. 1996): it reduces the energy of prolonged functions, and the error of coarse
-    levels' eigenvalues several times.
-    """
+    """(n, n) damped Jacobi step ``1 - omega D^-1 W``, weights not negative (aggregation, Vanek et al. 1996)."""
     upper = sparse.triu(stiffness(positions, triangles), 1).tocoo()
     rows, columns = (upper.coords[i].astype(np.int64) for i in (0, 1))
     weights = sparse.coo_array((np.maximum(-upper.data, 0.0), (rows, columns)), shape=upper.shape)

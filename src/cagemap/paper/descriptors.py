@@ -23,12 +23,9 @@ from cagemap.paper.symmetries import check_symmetry, symmetry_at, symmetry_opera
 from cagemap.spectral.surface import Surface
 from cagemap.surface.surface_points import SurfacePoints
 
-# [SOG09]: diffusion times are from HEAT_RANGE / lambda_k to HEAT_RANGE / lambda_1.
-HEAT_RANGE = 4.0 * np.log(10.0)
-# [ASC11]: width of a wave kernel filter, in steps between neighbouring energies.
-WAVE_WIDTH = 7.0
-# Most filters of both kinds together; every landmark has one descriptor per filter.
-_MOST_FILTERS = 1000
+HEAT_RANGE = 4.0 * np.log(10.0)  # [SOG09]: diffusion times are from HEAT_RANGE / lambda_k to HEAT_RANGE / lambda_1
+WAVE_WIDTH = 7.0  # [ASC11]: width of a wave kernel filter, in steps between neighbouring energies
+_MOST_FILTERS = 1000  # most filters of both kinds together; every landmark has one descriptor per filter
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,12 +18,10 @@ from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import Embedding
 
-# Target vertices per block: about 40 candidates of 150 functions each take 25 MB.
-TARGET_BLOCK = 1024
+TARGET_BLOCK = 1024  # target vertices per block: about 40 candidates of 150 functions each take 25 MB
 # Least weight of S_1^l, relative to the row's largest, at which a coarse vertex is a parent of a refined one.
 PARENT_SHARE = 0.5
-# Triangles with a squared area below this share of their squared sides are degenerate.
-MIN_DETERMINANT = 1e-12
+MIN_DETERMINANT = 1e-12  # triangles with a squared area below this share of their squared sides are degenerate
 
 # Function that returns rows (q, k) of an embedding at vertices (q,).
 Rows = Callable[[IndexArray], Embedding]

@@ -32,8 +32,7 @@ from cagemap.spectral.zoomout import ZoomOutSchedule, evenly_spaced_vertices, fi
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
-# Number of vertices of each surface in ZoomOut.
-ZOOMOUT_SAMPLES = 3000
+ZOOMOUT_SAMPLES = 3000  # number of vertices of each surface in ZoomOut
 # Weights of normals in closest points: of the first search, and where the sides of a thin part differ.
 FACING_WEIGHTS = (0.03, 0.1)
 
@@ -134,10 +133,7 @@ def zoomout_all_bands(
 def extended_rows(
     rows: FloatArray, places: FloatArray, mesh: TriangleSurface, vertices: IndexArray, config: HfmConfig
 ) -> FloatArray:
-    """Spectral rows (b, k) of vertices (b,) with weighted positions and normals of the mesh at places (n, 3).
-
-    The extension is scaled by sqrt(k), so that its share does not decrease with k.
-    """
+    """Spectral rows (b, k) with weighted positions and normals of the mesh at places (n, 3), times sqrt(k)."""
     normals = vertex_normals(places, mesh.triangles)
     extension = np.hstack([config.position_weight * places, config.normal_weight * normals])[vertices]
     return np.hstack([rows, np.sqrt(rows.shape[1]) * extension])

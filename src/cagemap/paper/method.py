@@ -27,14 +27,10 @@ from cagemap.paper.equations import extend_functional_map, solve_functional_map
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import evenly_spaced_vertices, fit_functional_map, nearest_rows
 
-# Least number of basis functions of search levels on both sides, if the bases have so many.
-ENOUGH_FUNCTIONS = 50
-# Both sides are refined in the same step while neither has so many times the other's vertices.
-COMPARABLE = 2.5
-# Least number of basis functions: fewer cannot represent three coordinates.
-FEWEST_FUNCTIONS = 3
-# Most vertices used to refit C; of larger levels so many are sampled.
-SAMPLE_VERTICES = 30_000
+ENOUGH_FUNCTIONS = 50  # least number of basis functions of search levels on both sides, if the bases have so many
+COMPARABLE = 2.5  # both sides are refined in the same step while neither has so many times the other's vertices
+FEWEST_FUNCTIONS = 3  # least number of basis functions: fewer cannot represent three coordinates
+SAMPLE_VERTICES = 30_000  # most vertices used to refit C; of larger levels so many are sampled
 
 
 @dataclass(frozen=True, repr=False)
@@ -110,11 +106,7 @@ def _alternate(
     config: PaperConfig,
     search: Callable[[FloatArray], IndexArray],
 ) -> LevelMap:
-    """Alternate the point map P and C, starting from C (2.1.4).
-
-    P maps each target vertex to the source vertex with the nearest row of Phi~2 C^T: unlike the paper's permutation,
-    several vertices may go to one. C is fitted to P by least squares (2.1.2).
-    """
+    """Alternate the point map P and C, fitted to P (2.1.2, 2.1.4); unlike the paper's, P is no permutation."""
     match = search(functional_map)
     for _ in range(config.rounds):
         functional_map = refit_map(pair, levels, match)
@@ -205,10 +197,7 @@ def _size(surface: Surface, level: int) -> int:
 
 
 def search_levels(target: Surface, source: Surface, vertices: int, source_vertices: int = 0) -> LevelPair:
-    """Coarsest levels with enough vertices and basis functions, for the full search.
-
-    ``source_vertices`` is the number for the source; 0: as for the target.
-    """
+    """Coarsest levels with enough vertices (``source_vertices`` 0: as of the target) and functions."""
 
     def first(surface: Surface, wanted: int) -> int:
         functions = min(ENOUGH_FUNCTIONS, surface.basis.count)
@@ -223,10 +212,7 @@ def search_levels(target: Surface, source: Surface, vertices: int, source_vertic
 
 
 def finer_level_pairs(pair: Pair, start: LevelPair) -> list[LevelPair]:
-    """Pairs of levels from ``start`` (excluded) to the finest, each side at most one level per step.
-
-    Both sides are refined together while their sizes are comparable; otherwise only the coarser one.
-    """
+    """Pairs of levels after ``start`` to the finest: both finer in a step if comparable, else the coarser one."""
     steps = []
     l1, l2 = start
     while (l1, l2) != (pair.target.finest_level, pair.source.finest_level):

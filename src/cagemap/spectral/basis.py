@@ -75,8 +75,7 @@ VERTICES_PER_FUNCTION = 20
 # Basis of the default method. Operators of 20 000 vertices and this accuracy change eigenvalues by less than 1 %; more
 # functions do not improve maps (docs/lab/spectral.md).
 MAP_BASIS = BasisConfig(accuracy=1e-3, vertices=20_000)
-# Number of functions of the method "hfm".
-HFM_FUNCTIONS = 150
+HFM_FUNCTIONS = 150  # number of functions of the method "hfm"
 # Functions per level of "paper". With 100 on level 0, as in Table 1, eqs. 14-16 have no effect (docs/paper/blocks.md).
 PAPER_SCHEDULE = (50, 100)
 

@@ -23,10 +23,8 @@ from cagemap.spectral.surface import Surface
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import corner_sums, normalize_rows
 
-# Number of columns that are solved and multiplied at a time.
-COLUMN_BLOCK = 64
-# Most inverse iterations after Lanczos; one suffices unless the accuracy is near rounding.
-MAX_INVERSE_ITERATIONS = 4
+COLUMN_BLOCK = 64  # number of columns that are solved and multiplied at a time
+MAX_INVERSE_ITERATIONS = 4  # most inverse iterations after Lanczos; one suffices unless the accuracy is near rounding
 # Most parts that are solved together: Lanczos finds an eigenvalue, such as 0, about 64 times (the block's width).
 MAX_JOINT_PARTS = 100
 # For DiffusionNet: residual of eigenpairs, constant added to norms, largest cosine of normal and first axis.

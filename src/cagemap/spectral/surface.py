@@ -90,10 +90,7 @@ class Surface:
 
     @kept
     def scale(self) -> float:
-        """Factor from the file's lengths to lengths at unit area; if possible the operators' scale.
-
-        Laplacians other than "mean" have areas of their own, which are not used.
-        """
+        """Factor from the file's lengths to unit area: the operators' own if "mean" and of the finest level."""
         operators: Operators | None = vars(self).get("operators") if self.config.laplacian == "mean" else None
         if operators is not None and operators.finest_level == self.finest_level:
             return operators.scale
@@ -169,10 +166,8 @@ Progress = Callable[[str], None]
 # Least share of the requested vertices that a level must have; the next level has four times as many.
 ENOUGH = 0.75
 MOST_LEVELS = 12
-# Default number of vertices of a match, on each side, approximately.
-DEFAULT_VERTICES = 200_000
-# Names of the methods that find a map.
-METHODS = ("elastic", "hfm", "paper")
+DEFAULT_VERTICES = 200_000  # default number of vertices of a match, on each side, approximately
+METHODS = ("elastic", "hfm", "paper")  # names of the methods that find a map
 
 
 def no_progress(stage: str) -> None:

@@ -284,10 +284,7 @@ def state_of(refinement: Refinement, level: int) -> MeshState:
 
 
 def control_holes(control: ControlMesh, scheme: Scheme) -> BoolArray:
-    """(m,) whether a control face is a hole: in the file, or at the boundary under boundary ``none``.
-
-    As in OpenSubdiv, a face at the boundary is no hole if all boundary edges at its vertices are infinitely sharp.
-    """
+    """(m,) whether a control face is a hole: in the file, or under ``none`` at a boundary that is not all sharp."""
     holes = np.zeros(control.n_faces, dtype=bool)
     if control.hole_faces is not None:
         holes[control.hole_faces] = True
@@ -347,10 +344,7 @@ def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterato
 
 
 def finest_mesh(refinement: Refinement) -> ControlMesh:
-    """Finest level as a mesh with all UV sets, colours and labels, without creases and holes.
-
-    Level 0 is returned unchanged. InvalidMeshError if all faces are holes.
-    """
+    """Finest level as a mesh with UV sets, colours and labels (level 0: unchanged); InvalidMeshError for holes only."""
     finest, control = refinement.finest, refinement.control
     if finest.faces is None or refinement.finest_level == 0:
         return control

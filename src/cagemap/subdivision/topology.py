@@ -100,8 +100,7 @@ def split_topology(parent: Topology, scheme: Scheme) -> Topology:
     )
 
 
-# Vertex rules; smooth includes darts, where a single crease ends.
-SMOOTH, CREASE, CORNER = 0, 2, 3
+SMOOTH, CREASE, CORNER = 0, 2, 3  # vertex rules; smooth includes darts, where a single crease ends
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,8 +22,7 @@ _STACK_SIZE = 64  # nodes
 _SHIFTS = 32, 16, 8, 4, 2  # with the masks: insert two zero bits before each of the lowest 21 bits
 _MASKS = 0x1F00000000FFFF, 0x1F0000FF0000FF, 0x100F00F00F00F00F, 0x10C30C30C30C30C3, 0x1249249249249249
 _QUERY_CHUNK = 512  # consecutive queries of a thread; each starts from the previous answer
-# Largest mean extent of runs of triangles that serve as leaves, in mean triangle sizes.
-_MAX_RUN_EXTENT = 6.0
+_MAX_RUN_EXTENT = 6.0  # largest mean extent of runs of triangles that serve as leaves, in mean triangle sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,11 +128,7 @@ def _leaf_order(positions: FloatArray, triangles: IndexArray) -> IndexArray:
 def closest_among(
     corners: FloatArray, starts: IndexArray, candidates: IndexArray, points: FloatArray
 ) -> tuple[IndexArray, FloatArray]:
-    """Closest point among each query's candidate triangles: triangle (m,) and barycentric coordinates (m, 3).
-
-    Query i of ``points`` (m, 3) has the triangles ``candidates[starts[i, 0]:starts[i, 1]]``, at least one, of the
-    ``corners`` (t, 3, 3). Of equally near ones the first is taken.
-    """
+    """Nearest of triangles ``candidates[starts[i, 0]:starts[i, 1]]`` to point i: triangle (m,), barycentric (m, 3)."""
     triangle, barycentric = np.empty(len(points), dtype=np.int64), np.empty((len(points), 3))
     c, s, among, p = (read_only(np.ascontiguousarray(array)) for array in (corners, starts, candidates, points))
     _search_among(c, s, among, p, triangle, barycentric)

@@ -23,8 +23,7 @@ from cagemap.surface.triangles import (
     vertex_normals,
 )
 
-# Barycentric coordinates up to this count as 0: the point is on an edge.
-ON_EDGE = 1e-9
+ON_EDGE = 1e-9  # barycentric coordinates up to this count as 0: the point is on an edge
 
 
 @dataclass(frozen=True, eq=False, repr=False)

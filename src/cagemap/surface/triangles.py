@@ -48,11 +48,7 @@ def triangles(faces: IndexArray) -> IndexArray:
 
 
 def fan_triangles(offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """Split polygons into fans (v0, v1, v2), (v0, v2, v3), ...; agrees with `triangles` on quads.
-
-    Polygon i has the vertices ``indices[offsets[i]:offsets[i + 1]]``. Returns triangles (t, 3) and the polygon (t,) of
-    each; polygons of fewer than three corners have none.
-    """
+    """Fans (v0, v1, v2), ... of polygons ``indices[offsets[i]:offsets[i + 1]]``, and the polygon of each (t,)."""
     counts = np.maximum(np.diff(offsets) - 2, 0)
     faces = np.repeat(np.arange(len(counts)), counts)
     step = np.arange(len(faces)) - np.repeat(np.cumsum(counts) - counts, counts) + 1
@@ -60,8 +56,7 @@ def fan_triangles(offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray,
     return indices[np.column_stack([first, first + step, first + step + 1])], faces
 
 
-# A triangle of a polygon is flat or flipped if its area is below this share of the polygon's.
-_MIN_AREA_SHARE = 1e-6
+_MIN_AREA_SHARE = 1e-6  # a triangle of a polygon is flat or flipped if its area is below this share of the polygon's
 # Larger polygons are split into fans: clipping ears takes time cubic in the corners.
 _MAX_CLIPPED_CORNERS = 200
 _MAX_CLIPPED_PAIRS = 1_000_000  # of corners, at a time: some 100 MB

@@ -170,11 +170,7 @@ def move_locally(
 def mend(
     net: ControlNet, samples: Samples, config: WrapConfig, positions: FloatArray, adjust: Adjust = keep_positions
 ) -> FloatArray:
-    """(n_l, 3) fitted net after mending faces that fold or are much thinner than at rest.
-
-    Bad faces become stiffer and are fitted again. Small faces that still fold are released from the source; larger ones
-    are flattened before the fit.
-    """
+    """(n_l, 3) net after bad faces, folded or much thinner than at rest, were stiffened, released or flattened."""
     if not config.rounds:
         return positions
     graph, numbers = net.graph, config.mending

@@ -125,10 +125,7 @@ class ControlNet:
 
 
 def level_mesh(refinement: Refinement, level: int) -> ControlMesh:
-    """A level as a mesh with UVs, materials and groups; level 0 is the control mesh.
-
-    Raises ParameterError if the level is not 0 and the mesh has hole faces, which the level's mesh would lack.
-    """
+    """A level as a mesh with UVs, materials and groups; ParameterError for hole faces on levels above 0."""
     if level and refinement.holes(level).any():
         raise ParameterError(
             f"{refinement.control.name}: has hole faces, so that only level 0 can be a net. Give level 0."

@@ -32,10 +32,8 @@ NO_CAGE = (
 # Triangles, barycentric coordinates and distances of closest points.
 Closest = tuple[IndexArray, FloatArray, FloatArray]
 
-# Least level of both surfaces for baking: most programs render a subdivision surface at it.
-_RENDERED = 4
-# Largest number of vertices for baking, whatever the level.
-_MOST_BAKED_VERTICES = 1_500_000
+_RENDERED = 4  # least level of both surfaces for baking: most programs render a subdivision surface at it
+_MOST_BAKED_VERTICES = 1_500_000  # largest number of vertices for baking, whatever the level
 
 
 @dataclass(frozen=True)
@@ -178,10 +176,7 @@ def finest_follow(target: Refinement, follow: FloatArray | None) -> FloatArray:
 
 
 def missing_detail(wrapped: Wrapped, target: Refinement, source: Refinement) -> tuple[Transfer, Detail, Refinement]:
-    """Wrapped surface to bake into its UV layout, the source as detail, and the refined source.
-
-    Both are refined past the levels of the match. Detail is weighted by ``follow``.
-    """
+    """Wrapped surface to bake, the source as detail weighted by ``follow``, and the source, refined past the match."""
     transfer, follow = wrapped_transfer(wrapped, target)
     refined_source = _refined(source, max(source.finest_level, _RENDERED))
     triangles = level_triangles(refined_source, refined_source.finest_level)

@@ -138,10 +138,7 @@ class LandmarkCheck:
 
 
 def landmark_outliers(problem: Problem, progress: Progress) -> tuple[dict[int, str], list[str]]:
-    """Indices of the pairs to leave out with the evidence, and notes about others.
-
-    A suspect is left out only if a coarse fit without it is much cheaper.
-    """
+    """Pairs to leave out with the evidence, if a coarse fit without them is much cheaper; and notes about others."""
     config = problem.prepared.elastic.landmarks
     progress("compare landmarks")
     suspected, notes = suspected_pairs(problem)
@@ -184,10 +181,7 @@ def check_on_map(
 
 
 def suspected_pairs(problem: Problem, left_out: Collection[int] = ()) -> tuple[dict[int, str], list[str]]:
-    """Indices of suspected pairs with the evidence; and a note if too few pairs agree to tell.
-
-    Pairs ``left_out`` are not compared.
-    """
+    """Suspected pairs with the evidence, ``left_out`` not compared; and a note if too few pairs agree to tell."""
     count, config = len(problem.landmarks), problem.prepared.elastic.landmarks
     if count < config.fewest_judged:
         return {}, [TOO_FEW]
@@ -211,10 +205,7 @@ def coarse_map_cost(problem: Problem) -> float:
 
 
 def has_merged_parts(problem: Problem) -> bool:
-    """Whether large handles differ between the surfaces, as where a scan merges hand and hip.
-
-    Geodesic distances are too short there. Small handles (noise) do not count.
-    """
+    """Whether large handles differ, as where a scan merges hand and hip, so that geodesic distances are too short."""
     target, source = problem.prepared.target.control, problem.prepared.source.control
     if handle_count(target) == handle_count(source):
         return False

@@ -33,8 +33,7 @@ from cagemap.numerics.factorization import Factorization, factor
 from cagemap.numerics.threads import kept, row_slices
 from cagemap.surface.triangles import normalize_rows
 
-# Largest number of terms in memory, of sums over triples of landmarks.
-MOST_TERMS = 4_000_000
+MOST_TERMS = 4_000_000  # largest number of terms in memory, of sums over triples of landmarks
 
 # Geodesic distances (p, m) from p landmarks on one surface to the vertices of a coarse graph, the landmarks first
 # (`cagemap.deform.problem.Problem.landmark_distances`).
@@ -79,10 +78,7 @@ def typical_misfit(
 
 
 def misplaced_pairs(target: Distances, source: Distances, config: LandmarkConfig = LandmarkConfig()) -> IndexArray:
-    """Pairs out of proportion to the others: exchanged pairs first, then single ones, worst first.
-
-    Outliers are removed and the others are judged again, while `fewest_judged` are left.
-    """
+    """Pairs out of proportion to the others, judged again without them: exchanged ones first, worst first."""
     trusted, wrong = np.arange(len(target)), list[int]()
     max_suspected, at_once = config.max_suspects * len(trusted), max(1, len(trusted) // config.one_of)
     while len(trusted) > config.fewest_judged and len(wrong) <= max_suspected:
@@ -235,10 +231,7 @@ def exchanged_sides(
 
 
 def agreement_around(places: tuple[int, int], target: Marks, source: Marks, near: FloatArray, flat: float) -> float:
-    """`orientation_agreement` of triples with one of two landmarks, weighted by nearness (p, p).
-
-    Far landmarks count little: bodies bend between them.
-    """
+    """`orientation_agreement` of triples with one of two landmarks, weighted by nearness (p, p): bodies bend."""
     agreed = counted = asked = 0.0
     for i in places:
         for turns, weights in ((_turns, near[i, :, None] * near[i]), (_turns_to, near[:, i, None] * near)):
@@ -271,8 +264,7 @@ def _turns_to(j: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("id,ikd->ik", np.cross(normals, units[:, j]), units))
 
 
-# Number of landmarks whose blocks of H are computed at once.
-LANDMARKS_AT_ONCE = 32
+LANDMARKS_AT_ONCE = 32  # number of landmarks whose blocks of H are computed at once
 
 
 @dataclass(frozen=True, eq=False)
