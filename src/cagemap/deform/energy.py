@@ -84,8 +84,7 @@ class VertexTerms:
     energy: ElasticEnergy
     blocks: FloatArray  # (n, 3, 3): B_i
     right: FloatArray  # (n, 3): b_i
-    # Triangles of the closest points that were found, both ways, or None
-    guesses: tuple[IndexArray | None, IndexArray | None] = (None, None)
+    guesses: tuple[IndexArray | None, IndexArray | None] = (None, None)  # triangles of closest points
     constant: bool = False  # the same in all iterations: one factorisation, in double precision
 
     def solver(self, alpha: float, stage: Stage, factors: Factorization | None) -> tuple[Factorization, Solve]:

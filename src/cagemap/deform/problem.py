@@ -35,12 +35,9 @@ class Clusters:
 
     energy: ElasticEnergy  # of the k clusters
     masks: Masks  # weights of the clusters and of the source's vertices in data terms
-    # (k,): mesh vertex of each cluster; vertices that were given clusters of their own come first
-    vertices: IndexArray
-    # Constrained vertices are the first clusters, vertices of curves the next ones
-    constraints: PlacementConstraints
-    # (p,) landmarks, then tips of limbs if any, as vertices of the searched levels of target and source
-    constrained_vertices: tuple[IndexArray, IndexArray]
+    vertices: IndexArray  # (k,) mesh vertex of each cluster; vertices that were given clusters of their own first
+    constraints: PlacementConstraints  # constrained vertices are the first clusters, vertices of curves the next ones
+    constrained_vertices: tuple[IndexArray, IndexArray]  # (p,) landmarks, then tips, on the searched levels
     stage: Stage
 
     def with_stage(self, stage: Stage) -> Clusters:
@@ -56,8 +53,7 @@ class PreparedPair:
     source: Surface
     start: StartConfig
     elastic: ElasticConfig
-    #: levels of target and source on which starts are found; the target's is also the one that is deformed
-    levels: tuple[int, int]
+    levels: tuple[int, int]  #: of target and source on which starts are found; the target's is also deformed
     energy: ElasticEnergy  #: of the target's mesh of that level; its graph has the rest shape
     source_surface: TriangleSurface  #: the level of the source that is fitted to
     masks: Masks = WHOLE  #: masks of the finest vertices

@@ -47,24 +47,18 @@ PERCENTILES = {"area_ratio": ("1", "5", "50", "95", "99"), "aspect_ratio": ("50"
 class QualityFigures:
     """Quality of a map, measured without ground truth."""
 
-    #: (p,) distance between a landmark's image and its source point, of sqrt(source area)
-    landmark_errors: FloatArray = field(repr=False)
+    landmark_errors: FloatArray = field(repr=False)  #: (p,) from a landmark's image to its source point, of sqrt(area)
     flipped_area: float  #: share of the target's area whose image is folded over (its orientation is reversed)
     #: share of the source's area that the image of the target covers. If a surface is open, only the area that has a
     #: counterpart on the other surface counts.
     coverage: float
-    #: Dirichlet energy, with corresponding parts scaled to equal area: 1 for an isometry, at least the covered area
-    dirichlet: float
-    #: (5,) percentiles 1, 5, 50, 95, 99 (by target area) of the area stretch; 1 is the mean of the shared area
-    area_ratios: FloatArray = field(repr=False)
-    #: (3,) percentiles 50, 95, 99 (by target area) of the ratio of singular values, 1 meaning conformal
-    aspect_ratios: FloatArray = field(repr=False)
-    #: (n1,) by target vertex, 1 where the map is locally unfolded and stretches little, down to 0 at folds
-    trust: FloatArray = field(repr=False)
+    dirichlet: float  #: Dirichlet energy, corresponding parts scaled to equal area; 1 for an isometry
+    area_ratios: FloatArray = field(repr=False)  #: (5,) percentiles 1, 5, 50, 95, 99 by area of the area stretch
+    aspect_ratios: FloatArray = field(repr=False)  #: (3,) percentiles 50, 95, 99 of the ratio of singular values
+    trust: FloatArray = field(repr=False)  #: (n1,) 1 where locally unfolded and little stretched, 0 at folds
     trusted_area: float  #: mean of ``trust`` by area
     warnings: tuple[str, ...] = ()  #: problems that a user should know, worst first; empty for a good map
-    #: those of ``warnings`` that only the match can give, not a measurement of the map; not kept in files
-    match_warnings: tuple[str, ...] = ()
+    match_warnings: tuple[str, ...] = ()  #: those of ``warnings`` that only the match can give; not kept in files
 
     def summary(self) -> dict[str, object]:
         """Return the figures as plain numbers and lists for a manifest (the per-vertex trust field left out)."""

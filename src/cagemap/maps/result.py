@@ -51,20 +51,17 @@ class MatchResult:
     point_map: PointMap  #: T12: finest target vertices -> points of the finest source triangles
     quality: QualityFigures  #: quality measured without ground truth; landmark errors are those of the trusted pairs
     timings: dict[str, float] = field(default_factory=dict)  #: seconds of every stage
-    #: pairs that look wrong and were left out, and notes
-    landmark_check: LandmarkCheck = field(default_factory=LandmarkCheck)
+    landmark_check: LandmarkCheck = field(default_factory=LandmarkCheck)  #: pairs that were left out, and notes
     #: functional map, vertex matches and points of every level, of the methods that go from level to level; see
     #: `at_level`
     level_maps: tuple[LevelMap, ...] = ()
     confidence: Confidence | None = None  #: verdict and other answers; None if the landmarks determine the map
-    #: input of `update_match` and `match_pair`, for a match of this process ("elastic" only)
-    prepared: PreparedPair | None = None
+    prepared: PreparedPair | None = None  #: for `update_match` and `match_pair`, of this process ("elastic" only)
     masks: Masks = WHOLE  #: weights of both surfaces in the match and in transfers
     #: weights of the vertices, 1 where they have a counterpart; None if both surfaces are closed
     shared: Masks | None = None
     known_spectral: SpectralMap | None = None  #: value of `spectral`, if it was read or follows from other maps
-    #: further entries of the manifest: parameters, inputs, notes, transfers
-    provenance: dict[str, Any] = field(default_factory=dict)
+    provenance: dict[str, Any] = field(default_factory=dict)  #: further manifest: parameters, inputs, notes, transfers
 
     def __repr__(self) -> str:
         sides = f"target {self.target.control.name!r}, source {self.source.control.name!r}"

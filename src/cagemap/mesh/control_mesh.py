@@ -42,8 +42,7 @@ class ControlMesh:
     face_offsets: IndexArray  #: (m + 1,) start of each face in ``face_indices``; the first entry is 0, the last is c
     face_indices: IndexArray  #: (c,) vertex of every face corner
     uvs: FloatArray | None = None  #: (p, 2) face-varying texture coordinates, v up (v = 0 is the bottom image row)
-    #: (c,) UV of every face corner. An edge of two faces is a seam unless they share both UV indices.
-    uv_indices: IndexArray | None = None
+    uv_indices: IndexArray | None = None  #: (c,) UV of every corner. An edge is a seam unless its faces share both
     uv_name: str = ""  #: name of these coordinates in the file, '' without one
     uv_sets: tuple[UvSet, ...] = ()  #: other UV sets of the file; `with_uv_set` selects one of them
     face_materials: IndexArray | None = None  #: (m,) index into ``material_names`` for every face
@@ -52,8 +51,7 @@ class ControlMesh:
     vertex_colors: FloatArray | None = None  #: (n, 3) sRGB colours, NaN for vertices without one
     face_objects: IndexArray | None = None  #: (m,) index into ``object_names`` for every face
     object_names: tuple[str, ...] = ()  #: faces before the first name in a file have the name ''
-    #: scheme of each object, where they differ; such a mesh cannot be subdivided as a whole
-    object_schemes: tuple[Scheme, ...] = ()
+    object_schemes: tuple[Scheme, ...] = ()  #: of each object, where they differ; such a mesh cannot be subdivided
     face_groups: IndexArray | None = None  #: (m,) index into ``group_names`` for every face
     group_names: tuple[str, ...] = ()  #: faces before the first name in a file have the name ''
     crease_edges: IndexArray | None = None  #: (k, 2) vertices of every crease edge

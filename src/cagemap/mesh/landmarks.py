@@ -46,8 +46,7 @@ class Landmarks:
     #: the landmarks as points of the meshes; default: the control vertices
     target_points: CagePoints = field(default_factory=lambda: CagePoints.of_vertices(np.zeros(0, dtype=np.int64)))
     source_points: CagePoints = field(default_factory=lambda: CagePoints.of_vertices(np.zeros(0, dtype=np.int64)))
-    #: pairs of polylines that correspond as a whole; their single points need not
-    curves: CageCurvePairs = ()
+    curves: CageCurvePairs = ()  #: pairs of polylines that correspond as a whole; their single points need not
 
     def __post_init__(self) -> None:
         names = None if isinstance(self.names, str) or not isinstance(self.names, Iterable) else tuple(self.names)

@@ -66,8 +66,7 @@ class MeshProblem:
     elements: tuple[int, ...] | tuple[tuple[int, int], ...] = ()
     #: where the first `LISTED` elements are, such as "(1, 0.5, -2)", since programs may number them otherwise
     places: tuple[str, ...] = ()
-    #: whether the elements are vertices; otherwise faces or edges
-    of_vertices: bool = False
+    of_vertices: bool = False  #: whether the elements are vertices; otherwise faces or edges
 
     def __str__(self) -> str:
         listed = [f"{element} at {place}" for element, place in zip(self.elements, self.places, strict=False)]
@@ -96,13 +95,11 @@ class MeshReport:
     n_vertices: int
     n_edges: int | None
     n_faces: int
-    #: (corners, number of faces with that many), ascending
-    face_sizes: tuple[tuple[int, int], ...] = ()
+    face_sizes: tuple[tuple[int, int], ...] = ()  #: (corners, number of faces with that many), ascending
     euler_characteristic: int | None = None  #: vertices - edges + faces
     genus: int | None = None  #: number of handles, boundary loops counted as closed; summed over components
     boundary_edges: int | None = None  #: edges of one face
-    #: vertices along every loop, 0-based, in the file's numbering
-    boundary_loops: tuple[tuple[int, ...], ...] | None = None
+    boundary_loops: tuple[tuple[int, ...], ...] | None = None  #: vertices along every loop, by the file's numbers
     component_sizes: tuple[int, ...] = ()  #: number of faces of every connected component, in file order
     valence_range: tuple[int, int] | None = None  #: fewest and most edges at a vertex that has faces
     uv_islands: int | None = None  #: None without texture coordinates

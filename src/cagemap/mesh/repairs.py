@@ -75,8 +75,7 @@ class RepairedMesh:
     #: the repaired mesh. If vertices or faces were joined or removed, its ``file_vertices``, ``file_faces`` and
     #: ``file_copies`` have the numbers of the given mesh. The order stays, and corners keep their UVs.
     mesh: ControlMesh
-    #: (n_given,) vertex of ``mesh`` for every vertex of the mesh given, -1 for removed ones
-    vertex_of: IndexArray = field(repr=False)
+    vertex_of: IndexArray = field(repr=False)  #: (n_given,) vertex of ``mesh`` for every one given; -1: removed
     notes: tuple[str, ...] = ()  #: one sentence for each kind of change, such as joined vertices or removed faces
     repairs: Repairs = Repairs()  #: those of `plain_mesh`
 

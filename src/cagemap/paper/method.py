@@ -40,8 +40,7 @@ class PaperConfig(Config):
     descriptors: DescriptorConfig = DescriptorConfig()
     weights: MapWeights = MapWeights()  #: alpha(O), the same on all levels
     rounds: int = 2  #: alternations of P and C on every level (2.1.4); 0: keep C of eqs. 13-16
-    #: make C orthonormal in every round, as 2.1.4 does for a permutation P; ours is no permutation (docs/paper_map.md)
-    orthonormal: bool = False
+    orthonormal: bool = False  #: make C orthonormal in every round (2.1.4), though P is no permutation here
 
 
 @kinds_checked

@@ -33,8 +33,7 @@ class BasisConfig(Config):
     #: least ``MIN_VERTICES`` and ``VERTICES_PER_FUNCTION * count`` vertices; eigenvalues there are 0.1 to 4 % above the
     #: finest level's.
     count: int = 100
-    #: instead of ``count``: number of functions k_l that each level adds, level 0 first (paper, Definition 2)
-    schedule: tuple[int, ...] | None = None
+    schedule: tuple[int, ...] | None = None  #: instead: numbers k_l that levels add, from level 0 (Definition 2)
     accuracy: float = 1e-5  #: convergence of the eigensolver, relative to the eigenvalues of the inverted problem
     #: only with a schedule. True: a band is the k_l eigenvectors above the largest eigenvalue so far (Definition 2); it
     #: starts a few indices too high, as eigenvalues of finer levels are lower. False: a band continues at the index
@@ -89,11 +88,9 @@ class HierarchicalBasis:
 
     hierarchy: Refinement
     operators: Operators  #: mass and stiffness of all levels, or of the first ones
-    #: (n_l, k_l) new eigenvectors of every level from 0 to the last that has any, each M^l-orthonormal
-    bands: tuple[FloatArray, ...]
+    bands: tuple[FloatArray, ...]  #: (n_l, k_l) new eigenvectors of levels 0 to the last with any, each M^l-orthonormal
     eigenvalues: FloatArray  #: (k,) Lambda~, band after band, computed at each pair's own level. Unit area.
-    #: (k,) relative residual of every pair at its own level, see `cagemap.spectral.residual_norms`
-    residuals: FloatArray
+    residuals: FloatArray  #: (k,) relative residual of every pair at its own level, see `residual_norms`
     indices: IndexArray  #: (k,) index of every pair in the whole spectrum of its own level, from 0
     gram: FloatArray  #: (k, k) Phi~^T M Phi~, the same at every level that has all the bands (Lemma 5)
 

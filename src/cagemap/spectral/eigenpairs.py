@@ -51,8 +51,7 @@ class EigenPairs:
     """Consecutive eigenpairs of one level, W X = M X Lambda."""
 
     values: FloatArray  #: (m,) ascending. Unit 1 / length^2 (unit area: none).
-    #: (n, m) M-orthonormal; in single precision if computed to a low accuracy
-    vectors: NDArray[Any]
+    vectors: NDArray[Any]  #: (n, m) M-orthonormal; in single precision if computed to a low accuracy
     first_index: int  #: index of the first pair in the level's whole spectrum, from 0
 
     def __post_init__(self) -> None:

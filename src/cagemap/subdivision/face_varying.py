@@ -140,8 +140,7 @@ def _layout_matrix(layout: MeshState, state: MeshState, scheme: Scheme) -> spars
 class LinearValues:
     """Linear interpolation of control mesh values on the triangles of a refined level."""
 
-    #: (p, p0) weights of the control mesh's node values at the level's nodes; rows are not negative and sum to 1
-    matrix: sparse.csr_array
+    matrix: sparse.csr_array  #: (p, p0) weights of the control mesh's nodes at the level's; rows sum to 1
     corners: IndexArray  #: (t, 3) nodes of the level's triangles
 
     def at(self, triangle: IndexArray, barycentric: FloatArray) -> sparse.csr_array:

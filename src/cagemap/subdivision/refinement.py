@@ -40,11 +40,9 @@ class Level:
     """Mesh of one level."""
 
     positions: FloatArray  #: (n, 3) vertices, in the control mesh's length unit; refined positions, not limit positions
-    #: (m, 4) or (m, 3); None only at level 0 if faces are not all quads or all triangles: see ``Refinement.control``
-    faces: IndexArray | None
+    faces: IndexArray | None  #: (m, 4) or (m, 3); None at level 0 of other faces, see ``Refinement.control``
     face_parents: IndexArray  #: (m,) control face of every face
-    #: function that returns UVs (p, 2) and the UV of every face corner, in the shape of ``faces``
-    lay: Callable[[], Layout] | None = None
+    lay: Callable[[], Layout] | None = None  #: gives UVs (p, 2) and the UV of every corner of ``faces``
 
     @kept
     def layout(self) -> Layout | None:

@@ -33,8 +33,7 @@ class TriangleSurface:
     Arrays are read-only. Derived arrays (`areas`, `normals`, `tree`, ...) are computed when first read, and cached.
     """
 
-    #: (n, 3) in units of sqrt(area) of the whole surface. A coarse level keeps the unit of the finest one.
-    positions: FloatArray
+    positions: FloatArray  #: (n, 3) in units of sqrt(area) of the whole; coarse levels keep the finest one's unit
     triangles: IndexArray  #: (t, 3) vertices of every triangle, counter-clockwise seen from outside
     scale: float = 1.0  #: factor from the file's own lengths to those of ``positions``
 

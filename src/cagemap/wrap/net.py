@@ -116,8 +116,7 @@ class ControlNet:
     # the energy has a similar weight against squared distances for small and large faces
     graph: ElasticGraph
     energy: ElasticEnergy
-    # (m,) Where every face's triangles of the finest level begin: those of one face follow those of the face before
-    first_triangles: IndexArray
+    first_triangles: IndexArray  # (m,) where every face's triangles begin among those of the finest level
 
     def surface(self, positions: FloatArray) -> FloatArray:
         """(n_f, 3) finest vertices of the surface over a net (n_l, 3)."""

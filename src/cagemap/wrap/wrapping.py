@@ -50,8 +50,7 @@ class Residual:
 class Wrapped:
     """Result of a wrap: the target's net in the source's shape."""
 
-    #: the net (level ``level`` of the target) with its fitted positions, in the source's units; all else is unchanged
-    mesh: ControlMesh
+    mesh: ControlMesh  #: level ``level`` of the target, its positions fitted, in the source's units; all else unchanged
     level: int
     surface: FloatArray  #: (n_f, 3) finest vertices of the net's refined surface
     closest: PointMap  #: closest points of the source to these vertices
