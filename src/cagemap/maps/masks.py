@@ -17,8 +17,7 @@ from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import row_lengths
 
-# Smallest mean of a mask, and smallest shared part of a surface's area; with less there is nothing to match.
-LEAST = 1e-4
+LEAST = 1e-4  # smallest mean of a mask, and smallest shared part of a surface's area
 WHOLE_SHARE = 0.98  # shares of both areas from which two surfaces correspond as wholes
 
 

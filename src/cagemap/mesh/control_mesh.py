@@ -14,8 +14,7 @@ from cagemap.mesh.schemes import Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, offsets_of, real_numbers, whole_numbers
 from cagemap.surface.triangles import fan_triangles, triangle_areas
 
-# Texture coordinates of all corners of faces that have none, where other faces of the mesh have some.
-NO_UV = (0.5, 0.5)
+NO_UV = (0.5, 0.5)  # UV of all corners of faces that have none, where other faces of the mesh have some
 UNKNOWN_COLOR = 0.8  # linear grey of faces whose material has no colour; the default of most programs
 # Triangles of a layout with less area are degenerate: sides of about 1e-6. Texels of a 16k image have 6e-5.
 MIN_UV_AREA = 1e-12

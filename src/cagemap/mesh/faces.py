@@ -13,10 +13,8 @@ from cagemap.mesh.control_mesh import ControlMesh, UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray, joined_runs, pair_keys
 from cagemap.surface.triangles import fan_triangles, row_lengths
 
-# An edge shorter than this share of the longest edges of its faces joins two vertices that should be one.
-TINY_EDGE = 0.01
-# A boundary loop that encloses less than this share of its length squared is a slit; a square has 1/16.
-SLIT_AREA = 0.004
+TINY_EDGE = 0.01  # an edge shorter than this share of its faces' longest joins vertices that should be one
+SLIT_AREA = 0.004  # a boundary loop of less area, in its squared length, is a slit; a square has 1/16
 
 
 def place_counts(mesh: ControlMesh) -> dict[str, int]:

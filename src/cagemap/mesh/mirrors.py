@@ -10,8 +10,7 @@ from scipy.spatial import cKDTree
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
 
-# Tolerances, of the bounding box diagonal: distance of most mirror images from vertices, and of all mirror images.
-MOST_WITHIN, ALL_WITHIN = 1e-3, 2e-2
+MOST_WITHIN, ALL_WITHIN = 1e-3, 2e-2  # of the box diagonal: distances of most, and of all, mirror images
 MIN_SHARE = 0.95  # least share of mirror images within the first tolerance
 PLANE_SAMPLES, STEPS = 1000, 10  # vertices sampled in the search for a plane, and most iterations of it
 # The search stops if an iteration leaves more than this share of the mirror images' median distance, unless the median

@@ -20,8 +20,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, member
 
 PART_KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
-# Least number of faces of `largest_part`, divided by the largest number of a piece of the body: excludes ground planes.
-MIN_SHARE_OF_FACES = 0.5
+MIN_SHARE_OF_FACES = 0.5  # least faces of `largest_part`, of the most of a body's piece: no ground planes
 # Least diagonal of the bounding box of the body, divided by that of the whole mesh: at least 0.77 for whole bodies,
 # 0.25 for the head of a body that is deleted under the clothes (docs/lab/characters.md).
 MIN_BODY_EXTENT = 0.5

@@ -25,8 +25,7 @@ UvInterpolation = Literal["none", "corners_only", "corners_plus1", "corners_plus
 Creasing = Literal["uniform", "chaikin"]
 TriangleRule = Literal["catmull_clark", "smooth"]
 
-# Sharpness from which a crease or corner counts as infinitely sharp; Blender's crease c is 10 c^2.
-INFINITE_SHARPNESS = 10.0
+INFINITE_SHARPNESS = 10.0  # from here creases and corners are infinitely sharp; Blender's crease c is 10 c^2
 # Crease curves are uniform cubic B-splines in both schemes: (own vertex, each of the two neighbours along the curve).
 CREASE_VERTEX = (3 / 4, 1 / 8)
 CREASE_LIMIT = (2 / 3, 1 / 6)

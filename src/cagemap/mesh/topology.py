@@ -45,11 +45,6 @@ class Topology:
         """Number of corners."""
         return len(self.vertices)
 
-    @property
-    def has_quads_only(self) -> bool:
-        """Whether every face has four corners."""
-        return self.n_corners == 4 * self.n_faces and bool(np.all(self.faces[::4] == np.arange(self.n_faces)))
-
     @kept
     def face_counts(self) -> IndexArray:
         """(e,) number of faces at every edge: 2 inside, 1 on the boundary, more if non-manifold."""

@@ -32,8 +32,7 @@ _log = logging.getLogger(__name__)
 Precision = type[np.float64 | np.float32]
 SparseMatrix = sparse.csr_array | sparse.csc_array
 
-# Most rows for which SuperLU orders by minimum degree: least fill on small meshes, but minutes on large ones.
-_MAX_MINIMUM_DEGREE_ROWS = 30_000
+_MAX_MINIMUM_DEGREE_ROWS = 30_000  # rows up to which SuperLU orders by minimum degree, slow on large meshes
 # Relative backward error above which diagonal pivots are unstable, so that their signs do not give the inertia.
 _MAX_BACKWARD_ERROR = 1e-10
 _MAX_RSLAB_THREADS = 4

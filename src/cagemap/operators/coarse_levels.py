@@ -23,8 +23,7 @@ from cagemap.subdivision import Level, Refinement, level_triangles
 from cagemap.surface.closest_points import closest_among
 from cagemap.surface.triangles import normalize_rows, triangle_neighbors, triangle_normals
 
-# Numbers of vertices of the coarse levels: for the basis, the deformation and the search for correspondences.
-COARSE_SIZES = (1500, 6000, 24_000)
+COARSE_SIZES = (1500, 6000, 24_000)  # vertices of levels for the basis, the deformation, the search
 MAX_SHARE = 0.7  # largest share of the next finer level's vertices
 MIN_LEVEL_VERTICES = 100  # fewest vertices of a level
 AGGRESSIVENESS = 3  # `agg` of fast_simplification: growth rate of its threshold; slower makes better triangles

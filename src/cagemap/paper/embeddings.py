@@ -19,8 +19,7 @@ from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import Embedding
 
 TARGET_BLOCK = 1024  # target vertices per block: about 40 candidates of 150 functions each take 25 MB
-# Least weight of S_1^l, relative to the row's largest, at which a coarse vertex is a parent of a refined one.
-PARENT_SHARE = 0.5
+PARENT_SHARE = 0.5  # least weight of a parent in S_1^l, relative to the row's largest
 MIN_DETERMINANT = 1e-12  # triangles with a squared area below this share of their squared sides are degenerate
 
 # Function that returns rows (q, k) of an embedding at vertices (q,).

@@ -33,8 +33,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
 ZOOMOUT_SAMPLES = 3000  # number of vertices of each surface in ZoomOut
-# Weights of normals in closest points: of the first search, and where the sides of a thin part differ.
-FACING_WEIGHTS = (0.03, 0.1)
+FACING_WEIGHTS = (0.03, 0.1)  # weights of normals: first search; where the sides of a thin part differ
 
 
 @dataclass(frozen=True, repr=False)

@@ -26,11 +26,9 @@ from cagemap.operators import lumped_areas
 
 Embedding = NDArray[np.float32]
 
-# Number of samples to which a functional map is fitted: 20 rows for each of 300 unknowns in a column of C.
-FIT_SAMPLES = 6000
+FIT_SAMPLES = 6000  # samples to fit a functional map: 20 for each of 300 unknowns in a column of C
 QUERY_BLOCK = 512  # queries in one block of `nearest_rows`; each takes 4 bytes per point for its distances
-# Weight of harmonic coordinates relative to biharmonic and spectral ones (measured, docs/lab/spectral.md).
-HARMONIC_WEIGHT = 3.0
+HARMONIC_WEIGHT = 3.0  # weight of harmonic coordinates beside the others (docs/lab/spectral.md)
 
 
 @dataclass(frozen=True)

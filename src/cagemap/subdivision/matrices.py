@@ -137,7 +137,10 @@ def subdivision_matrix(state: MeshState, scheme: Scheme) -> csr_array:
     topology = state.topology
     if isinstance(scheme, Bilinear):
         return linear_matrix(topology)
-    if isinstance(scheme, Loop) or topology.has_quads_only:
+    quads = topology.n_corners == 4 * topology.n_faces and np.array_equal(
+        topology.faces[::4], np.arange(topology.n_faces)
+    )
+    if quads or isinstance(scheme, Loop):
         matrix = regular_matrix(topology, scheme, state.corner)
     else:
         matrix = polygon_matrix(topology, scheme, state.corner)

@@ -26,8 +26,7 @@ from cagemap.subdivision.matrices import subdivision_matrix
 from cagemap.subdivision.topology import MeshState, children, control_state, control_topology, next_state
 from cagemap.surface.triangles import triangles as triangles
 
-# Approximate nonzeros of the second S per control corner; each further S has four times as many.
-ENTRIES_PER_CORNER = 25
+ENTRIES_PER_CORNER = 25  # nonzeros of the second S per control corner, about; each further S has 4 times as many
 
 
 def _given_layout(layout: Layout) -> Layout:
@@ -253,7 +252,19 @@ def refine(control: MeshLike, levels: int, scheme: Scheme | None = None) -> Refi
     """
     require_structure(control)
     scheme = default_scheme(control) if scheme is None else scheme
-    _check_input(control, levels, scheme)
+    if levels < 0:
+        raise ParameterError(f"levels: expected 0 or more refinement steps, got {levels}")
+    if isinstance(scheme, Plain) and levels:
+        raise ParameterError(
+            f"levels: {control.name} is a plain mesh (scheme none) and is never refined, expected 0, got {levels}; "
+            "ask for bilinear to split its faces"
+        )
+    if isinstance(scheme, Loop) and not control.is_triangle_mesh:
+        others = np.flatnonzero(control.face_sizes != 3)
+        raise InvalidMeshError(
+            f"{control.name}: Loop expects triangles only, got {len(others)} other faces: {first_few(others)}; "
+            "use Catmull-Clark, which takes faces of any size"
+        )
     state = control_state(control, scheme)
     entries = ENTRIES_PER_CORNER * state.topology.n_corners * 4 ** max(levels - 2, 0)
     if entries >= 2**31:
@@ -305,22 +316,6 @@ def control_level(control: ControlMesh) -> Level:
     if control.uvs is None or control.uv_indices is None or faces is None:
         return level
     return level.with_uvs(control.uvs, control.uv_indices.reshape(faces.shape))
-
-
-def _check_input(control: ControlMesh, levels: int, scheme: Scheme) -> None:
-    if levels < 0:
-        raise ParameterError(f"levels: expected 0 or more refinement steps, got {levels}")
-    if isinstance(scheme, Plain) and levels:
-        raise ParameterError(
-            f"levels: {control.name} is a plain mesh (scheme none) and is never refined, expected 0, got {levels}; "
-            "ask for bilinear to split its faces"
-        )
-    if isinstance(scheme, Loop) and not control.is_triangle_mesh:
-        others = np.flatnonzero(control.face_sizes != 3)
-        raise InvalidMeshError(
-            f"{control.name}: Loop expects triangles only, got {len(others)} other faces: {first_few(others)}; "
-            "use Catmull-Clark, which takes faces of any size"
-        )
 
 
 def level_triangles(refinement: Refinement, level: int) -> IndexArray:

@@ -95,17 +95,11 @@ def closest_points(
     barycentric, squared = np.zeros((len(queries), 3)), np.full(len(queries), np.inf)
     limits = np.full(len(queries), np.square(within), dtype=np.float64)  # writable, else the kernel is compiled twice
 
-    def search(part: IndexArray) -> None:
-        _search(
-            (tree.boxes, tree.corners, tree.normals),
-            (queries, directions, limits, start),
-            (float(normal_weight) ** 2, float(minimum_cosine)),
-            part,
-            (nearest, barycentric, squared),
-        )
-
+    searched, asked = (tree.boxes, tree.corners, tree.normals), (queries, directions, limits, start)
+    options, answers = (float(normal_weight) ** 2, float(minimum_cosine)), (nearest, barycentric, squared)
     # Chunks must not depend on the number of threads: among equally close points the start decides.
-    in_threads(search, [sequence[part] for part in row_slices(len(sequence), _QUERY_CHUNK)])
+    chunks = [sequence[part] for part in row_slices(len(sequence), _QUERY_CHUNK)]
+    in_threads(lambda chunk: _search(searched, asked, options, chunk, answers), chunks)
     triangle = np.where(nearest >= 0, tree.order[nearest], -1)
     return triangle, barycentric, np.sqrt(squared)
 
@@ -206,7 +200,6 @@ def _closest_in_triangle(corners, t, x, y, z):  # type: ignore[no-untyped-def]
     va = d3 * d6 - d5 * d4
     vb = d5 * d2 - d1 * d6
     vc = d1 * d4 - d3 * d2
-    v, w = 0.0, 0.0
     if d1 <= 0.0 and d2 <= 0.0:
         v, w = 0.0, 0.0
     elif d3 >= 0.0 and d4 <= d3:

@@ -51,15 +51,13 @@ MIRRORED = (
     "the landmarks surround each other in the opposite sense on the two surfaces: left and right seem exchanged in all "
     "pairs, or one mesh is mirrored. Exchange them in the landmark file, or mirror one of the meshes"
 )
-# Notes on all pairs: no longer true once a pair is added, moved or removed.
-ON_ALL_PAIRS = TOO_FEW, CONTRADICTION, MIRRORED
+ON_ALL_PAIRS = TOO_FEW, CONTRADICTION, MIRRORED  # no longer true once any pair changes
 
 # Folded share of the target's area that suggests landmarks of other meshes: least and most (beyond, the map is inside
 # out). Correct landmarks of 24 pairs of humans and animals fold 0.3 % at most.
 FOREIGN_FOLDED = 0.05, 0.5
 
-# Offsets of the lattices of cells in which small handles (noise) are found: a cell's border cuts some.
-OFFSETS = (0.0, 0.25, 0.5, 0.75)
+OFFSETS = (0.0, 0.25, 0.5, 0.75)  # of lattices of cells in which small handles are found: borders cut some
 
 # Why suspected pairs are kept.
 NO_BETTER = "the map is hardly better without"
