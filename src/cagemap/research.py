@@ -58,7 +58,6 @@ from cagemap.paper.method import (
     finer_level_pairs,
     paper_map,
     recover_points,
-    search_full,
     search_level,
     search_levels,
 )
@@ -217,7 +216,7 @@ def point_map(pair: Pair, map_like: MapLike) -> PointMap:
         return PointMap.from_vertices(pair.target.finest_triangles, pair.source.finest_triangles, checked_map)
     matrix = functional_map_of(pair, checked_map)
     start = search_levels(pair.target, pair.source, HfmConfig().search_vertices)
-    level_map = LevelMap(start, matrix, search_full(pair, matrix, start))
+    level_map = LevelMap(start, matrix, search_level(pair, matrix, start))
     for levels in finer_level_pairs(pair, start):
         level_map = LevelMap(levels, matrix, search_level(pair, matrix, levels, level_map))
     return recover_points(pair, level_map)

@@ -83,7 +83,11 @@ class Coincidence:
         """Closest source points that face the same way as the target's vertices, moved by shifts (n1, 3)."""
         places = self.source.scale / self.target.scale * self.target.positions + shifts
         near, _ = nearest_facing(self.source, places, self.target.vertex_normals, self.reach)
-        return SurfacePoints(source, near.triangle, _snapped(near))
+        corners = self.source.positions[near.corners]  # snapped to vertices and edges nearer than `SAME`
+        longest = row_lengths(corners - corners[:, [1, 2, 0]]).max(axis=1, keepdims=True)
+        largest = near.barycentric == near.barycentric.max(axis=1, keepdims=True)  # kept, also of a tiny triangle
+        kept = np.where((near.barycentric * longest < SAME) & ~largest, 0.0, near.barycentric)
+        return SurfacePoints(source, near.triangle, kept / kept.sum(axis=1, keepdims=True))
 
 
 def moved(surface: TriangleSurface, motion: Motion) -> TriangleSurface:
@@ -137,16 +141,6 @@ def unit_ratio(ratio: float) -> float:
     """The ratio of two usual units of length that is nearest to a ratio of sizes."""
     ratios = np.divide.outer(_UNITS, _UNITS).ravel()
     return float(ratios[np.argmin(np.abs(np.log(ratios / ratio)))])
-
-
-def _snapped(points: SurfacePoints) -> FloatArray:
-    """(m, 3) barycentric coordinates of points, snapped to vertices and edges nearer than `SAME`."""
-    corners = points.surface.positions[points.corners]
-    longest = row_lengths(corners - corners[:, [1, 2, 0]]).max(axis=1, keepdims=True)
-    near_side = points.barycentric * longest < SAME
-    largest = points.barycentric == points.barycentric.max(axis=1, keepdims=True)  # kept, also of a tiny triangle
-    kept = np.where(near_side & ~largest, 0.0, points.barycentric)
-    return np.asarray(kept / kept.sum(axis=1, keepdims=True))
 
 
 def _finest(surface: Surface) -> TriangleSurface:

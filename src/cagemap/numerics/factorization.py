@@ -143,18 +143,13 @@ def _factor_superlu(matrix: SparseMatrix, dtype: Precision) -> Factorization:
             options={"SymmetricMode": small},
         )
     # With diagonal pivots, P A P^T = L D L^T with D the diagonal of U: its signs give the inertia (Sylvester).
-    diagonal_pivots = np.array_equal(factors.perm_r, factors.perm_c)
-    stable = diagonal_pivots and _backward_error(matrix, factors.solve, dtype) < _MAX_BACKWARD_ERROR
+    right_side = np.cos(np.arange(matrix.shape[0]))  # arbitrary, but no eigenvector
+    solution = np.asarray(factors.solve(right_side.astype(dtype)), dtype=np.float64)
+    size = sparse_linalg.norm(matrix, np.inf) * np.abs(solution).max() + np.abs(right_side).max()
+    error = np.abs(matrix @ solution - right_side).max() / size
+    stable = np.array_equal(factors.perm_r, factors.perm_c) and error < _MAX_BACKWARD_ERROR
     negative = int(np.count_nonzero(factors.U.diagonal() < 0)) if stable else None
     return Factorization(matrix.shape, negative, factors.solve, dtype=dtype)
-
-
-def _backward_error(matrix: SparseMatrix, solve: Callable[[NDArray[Any]], NDArray[Any]], dtype: Precision) -> float:
-    """Relative backward error ||A x - b|| / (||A|| ||x|| + ||b||) of a solve."""
-    right_side = np.cos(np.arange(matrix.shape[0]))  # arbitrary, but no eigenvector
-    solution = np.asarray(solve(right_side.astype(dtype)), dtype=np.float64)
-    size = sparse_linalg.norm(matrix, np.inf) * np.abs(solution).max() + np.abs(right_side).max()
-    return float(np.abs(matrix @ solution - right_side).max() / size)
 
 
 @contextmanager

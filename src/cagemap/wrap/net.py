@@ -300,12 +300,15 @@ class SampleTerms:
 def counterpart_mask(point_map: PointMap, config: WrapConfig = WrapConfig()) -> FloatArray:
     """(n1,) 1 where the source has a counterpart, 0 where the map squeezes the target or overlaps.
 
-    A part of a whole is squeezed where its area is small relative to its typical `_size_on_source`.
+    A part of a whole is squeezed where its area is small relative to the typical one on the source.
     """
     target = point_map.target
     image = triangle_areas(point_map.images.positions, target.triangles)
     sums = corner_sums(target.triangles, np.column_stack([target.areas, image]), target.n)
-    size = _size_on_source(sums) if target.is_open else 1.0
+    # Typical area ratio, at most 1, weighted by images: at least 1 onto a whole source (Cauchy and Schwarz).
+    own, on_source = sums[sums[:, 0] > 0].T
+    typical = np.clip((on_source**2 / own).sum() / max(on_source.sum(), 1e-12), 1e-12, 1.0)
+    size = float(typical) if target.is_open else 1.0
     # A vertex in a squeezed part has squeezed neighbours as well; single slivers do not count.
     for _ in range(2):
         sums = corner_sums(target.triangles, sums[target.triangles].mean(axis=1), target.n)
@@ -313,16 +316,6 @@ def counterpart_mask(point_map: PointMap, config: WrapConfig = WrapConfig()) -> 
     mask = np.clip((ratio / size - config.squeezed) / (config.whole - config.squeezed), 0.0, 1.0)
     mask[_hollow_parts(point_map, mask >= 0.5, config, np.sqrt(size))] = 0.0
     return mask
-
-
-def _size_on_source(areas: FloatArray) -> float:
-    """Area ratio (source to target) typical of a map, at most 1; 1 for two wholes.
-
-    ``areas`` (n1, 2) are those of vertices on the target and of their images. The mean is weighted by the areas of
-    images: that of a map onto a whole source is at least 1 (Cauchy and Schwarz), and squeezed area has no weight.
-    """
-    own, image = areas[areas[:, 0] > 0].T
-    return float(np.clip((image**2 / own).sum() / max(image.sum(), 1e-12), 1e-12, 1.0))
 
 
 def _hollow_parts(point_map: PointMap, whole: NDArray[np.bool_], config: WrapConfig, unit: float) -> NDArray[np.bool_]:

@@ -161,23 +161,17 @@ def exchange_gains(target: Distances, source: Distances, trusted: IndexArray, co
     wanted = wanted - float(np.median((wanted - given)[different]))
     weights = np.where(different, 1.0 / near, 0.0)
     # Misfits of landmark i at the vertex of j: to all landmarks, less those to j and to i itself.
-    total = _misfits(wanted, given, weights, most)
+    p = len(trusted)
+    total = np.empty((p, p))
+    for rows in row_slices(p, max(1, MOST_TERMS // max(p * p, 1))):
+        ratios = np.abs(wanted[rows, None] - given[None])
+        total[rows] = np.einsum("ik,ijk->ij", weights[rows], np.minimum(ratios, most))
     at_own = weights * np.minimum(np.abs(wanted - given), most)
     at_other = weights * np.minimum(np.abs(wanted - given.diagonal()), most)
     rest = weights.sum(axis=1)[:, None] - weights
     as_given = (total.diagonal()[:, None] - at_own) / rest
     exchanged = (total - at_other) / rest
     return np.asarray(np.where(different, as_given + as_given.T - exchanged - exchanged.T, -np.inf))
-
-
-def _misfits(wanted: FloatArray, found: FloatArray, weights: FloatArray, most: float) -> FloatArray:
-    """(p, p) ``sum_k w_ik min(|wanted_ik - found_jk|, most)`` for landmarks i at the vertices of j."""
-    p = len(wanted)
-    total = np.empty((p, p))
-    for rows in row_slices(p, max(1, MOST_TERMS // max(p * p, 1))):
-        ratios = np.abs(wanted[rows, None] - found[None])
-        total[rows] = np.einsum("ik,ijk->ij", weights[rows], np.minimum(ratios, most))
-    return total
 
 
 def _pairs(trusted: IndexArray) -> tuple[IndexArray, IndexArray]:
@@ -197,7 +191,10 @@ def orientation_agreement(target: Marks, source: Marks, config: LandmarkConfig =
     Every triple (i; j, k) votes with the product of ``n_i . (e_ij x e_ik)`` on both surfaces, e the unit vectors to j
     and k. Triples whose distances in space differ count less, as where arms are crossed.
     """
-    p, changed = len(target[0]), _changed_squared(target[0], source[0], config.added_distance)
+    p, places = len(target[0]), (target[0], source[0])
+    ratios = np.log(np.divide(*(np.linalg.norm(x[:, None] - x, axis=2) + config.added_distance for x in places)))
+    # The median includes the diagonal's zeros: surfaces of unit area have one scale (docs/lab/landmark_check.md).
+    changed = (ratios - np.median(ratios)) ** 2
     agreed = counted = 0.0
     for i in range(p):
         alike = np.exp(-(changed[i, :, None] + changed[i] + changed) / config.max_triple_change**2)
@@ -240,16 +237,6 @@ def agreement_around(places: tuple[int, int], target: Marks, source: Marks, near
             counted += float(np.abs(votes).sum())
             asked += float(weights.sum())
     return agreed / max(counted, flat * asked, 1e-12)
-
-
-def _changed_squared(positions: FloatArray, others: FloatArray, short: float) -> FloatArray:
-    """(p, p) squared log ratios of distances in space, after removing the common scale.
-
-    The median includes the diagonal's zeros: surfaces of unit area have one scale (docs/lab/landmark_check.md).
-    """
-    apart = (np.linalg.norm(places[:, None] - places, axis=2) + short for places in (positions, others))
-    ratios = np.log(np.divide(*apart))
-    return np.asarray((ratios - np.median(ratios)) ** 2)
 
 
 def _turns(i: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
