@@ -94,10 +94,7 @@ class DataConfig(Config):
 
 @dataclass(frozen=True)
 class SearchConfig(Config):
-    """Search over several starts (`maps.hypotheses.search`); lengths are of sqrt(area), costs relative.
-
-    Measured in docs/lab/elastic.md and docs/lab/poses.md.
-    """
+    """Search over several starts (docs/lab/elastic.md, docs/lab/poses.md); lengths of sqrt(area), costs relative."""
 
     # Fits from two starts that landmarks give, and from further starts if these two fits disagree
     max_start_distance: float = 0.004  #: the fits disagree if their coarse placements are farther apart, on average
@@ -159,10 +156,7 @@ class RefitConfig(Config):
 
 @dataclass(frozen=True)
 class CoincidenceConfig(Config):
-    """Test whether two surfaces coincide (`maps.coincidence`); lengths are in units of sqrt(source area).
-
-    Chosen on seven cages of one body and on two other bodies.
-    """
+    """Test whether two surfaces coincide (`maps.coincidence`); lengths are in units of sqrt(source area)."""
 
     mean_gap: float = 0.003  #: largest mean distance of vertices from the other mesh
     max_gap: float = 0.01  #: distance within which `share` of them lie; one body has up to 0.0085, two from 0.048 on
@@ -182,10 +176,7 @@ class CoincidenceConfig(Config):
 
 @dataclass(frozen=True)
 class LandmarkConfig(Config):
-    """Which landmarks are left out or reported (`maps.landmarks`); lengths are of sqrt(area).
-
-    Gains and misfits are mean |log ratios| of distances between landmarks on the two surfaces.
-    """
+    """Landmarks left out or reported; lengths of sqrt(area), misfits and gains are mean |log ratios| of distances."""
 
     # Distances between landmarks
     fewest_judged: int = 6  #: fewer pairs are not judged; they cannot outvote one

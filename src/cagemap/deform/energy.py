@@ -88,11 +88,7 @@ class VertexTerms:
     constant: bool = False  # the same in all iterations: one factorisation, in double precision
 
     def solver(self, alpha: float, stage: Stage, factors: Factorization | None) -> tuple[Factorization, Solve]:
-        """Solver of the system ``alpha L + B`` with the given factors, of an earlier matrix, or with new ones.
-
-        Factors of single precision are approximate, as are those of an earlier matrix: the next iteration corrects the
-        error of a step, by its residual in double precision.
-        """
+        """Solver of ``alpha L + B`` with given or new factors; the next iteration corrects what they approximate."""
         graph, like = self.energy.graph, self.energy.factors
         matrix = graph.block_matrix(alpha, self.blocks)
         if self.constant:

@@ -159,11 +159,7 @@ def longest_edges(positions: FloatArray, triangles: IndexArray) -> FloatArray:
 
 
 def landmark_errors(point_map: PointMap, landmarks: PointPairs) -> FloatArray:
-    """(p,) distances between landmarks' images and their source points, of sqrt(source area).
-
-    A landmark between vertices maps to the source's point nearest to the weighted mean of its triangle's images. The
-    mean itself is inside the curved surface.
-    """
+    """(p,) distances between landmarks' images, projected to the source, and their source points, of sqrt(area)."""
     if not len(landmarks):
         return np.zeros(0)
     means = landmarks.target.interpolate(point_map.images.positions)
@@ -179,11 +175,7 @@ def distortion(sigma: tuple[FloatArray, FloatArray]) -> FloatArray:
 def trust_field(
     target: TriangleSurface, sigma: tuple[FloatArray, FloatArray], flipped: NDArray[np.bool_]
 ) -> FloatArray:
-    """(n1,) trust: 1 where the map stretches by at most ``TRUSTED_STRETCH`` either way, 0 at folds.
-
-    A triangle's trust is ``min(1, (TRUSTED_STRETCH / delta)^2)`` with delta its `distortion`, zero where flipped; a
-    vertex takes the area-weighted mean of its triangles. ``sigma`` are `stretches` at equal shared area.
-    """
+    """(n1,) means by area of ``min(1, (TRUSTED_STRETCH / d)^2)``, d the triangles' `distortion`; 0 where flipped."""
     per_triangle = np.where(flipped, 0.0, np.minimum(1.0, (TRUSTED_STRETCH / distortion(sigma)) ** 2))
     areas = target.areas
     weighted, total = corner_sums(target.triangles, np.column_stack([areas * per_triangle, areas]), target.n).T
@@ -217,11 +209,7 @@ def measure_quality(
     coarse_triangles: IndexArray | None = None,
     masks: Masks = WHOLE,
 ) -> QualityFigures:
-    """Measure a map without ground truth; shares are weighted by the masks.
-
-    On dense meshes coverage is measured with ``coarse_triangles`` (t, 3), those of a coarser level between vertices of
-    the target.
-    """
+    """Measure a map, shares weighted by masks; on dense targets coverage is that of ``coarse_triangles`` (t, 3)."""
     target, images = point_map.target, point_map.images
     image, normals, counted = images.positions, _source_normals(images), masks.joint(point_map)
     is_joined = bool(counted.any())

@@ -33,10 +33,7 @@ from cagemap.numerics.arrays import IndexArray, whole_numbers
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Pairs of points that correspond.
-
-    InvalidLandmarksError if names are no strings, ParameterError if vertices are no whole numbers.
-    """
+    """Pairs of points that correspond; InvalidLandmarksError for names, ParameterError for vertices of another kind."""
 
     names: tuple[str, ...]  #: one per pair, such as ``nose_tip``
     target: IndexArray  #: (q,) control vertices of the target, 0-based; -1 for a landmark between vertices

@@ -158,10 +158,7 @@ def _faces_of_passengers(mesh: ControlMesh) -> NDArray[np.bool_]:
 
 
 def find_part(mesh: ControlMesh, name: str) -> Part:
-    """Part by name, ``KIND:NAME`` or ``largest``; ParameterError unless exactly one matches.
-
-    ``extract_faces(mesh, part.faces)`` is the part as a mesh.
-    """
+    """Part by name, ``KIND:NAME`` or ``largest``, for `extract_faces`; ParameterError unless exactly one matches."""
     parts = list_parts(mesh)
     if name == LARGEST:
         return largest_part(mesh)
@@ -197,10 +194,7 @@ def _groups_as_one(parts: tuple[Part, ...], name: str) -> list[Part]:
 
 
 def extract_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
-    """Return some faces as a mesh without unused vertices and UVs, with ``file_vertices`` and ``file_faces``.
-
-    If the UV set in use belongs to other faces alone (see `join_meshes`), another one is in use.
-    """
+    """Return some faces as a mesh without unused vertices and UVs, with file numbers; a UV set of theirs is in use."""
     kept = keep_faces(mesh, faces)
     if len(faces) < mesh.n_faces:
         kept = _with_own_uv_set(kept)

@@ -91,10 +91,7 @@ class Topology:
 
     @kept
     def ranks(self) -> IntArray:
-        """(c,) index of a corner around its vertex, counter-clockwise, from the boundary if there is one.
-
-        Separate fans of faces may touch in a boundary vertex; the corners of all but one then have rank -1.
-        """
+        """(c,) index of a corner around its vertex, from the boundary if any; -1 in all but one of several fans."""
         ranks = np.full(self.n_corners, -1, dtype=np.int32)
         twin = self.edge_corners[self.edges, self.forward.astype(np.int64)]
         numbers = np.arange(self.n_corners, dtype=np.int32)

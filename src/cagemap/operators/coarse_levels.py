@@ -101,11 +101,7 @@ def simplify_mesh(positions: FloatArray, triangles: IndexArray, count: int) -> S
 
 
 def prolongation(positions: FloatArray, triangles: IndexArray, step: Simplified) -> sparse.csr_array:
-    """(n, k) smoothed barycentric coordinates of every vertex on the coarser mesh; rows sum to 1.
-
-    Closest points are searched only among triangles around the vertex's own coarse vertex, so that they are never on
-    another part of the surface that is near in space.
-    """
+    """(n, k) smoothed barycentric coordinates in triangles around a vertex's own coarse vertex; rows sum to 1."""
     around = np.argsort(step.triangles.ravel(), kind="stable") // 3  # triangles by coarse vertex
     counts = np.bincount(step.triangles.ravel(), minlength=len(step.kept))
     starts = np.cumsum(counts) - counts

@@ -42,10 +42,7 @@ class Filters:
 
 
 def choose_filters(target_eigenvalues: FloatArray, source_eigenvalues: FloatArray, heat: int, wave: int) -> Filters:
-    """Filters of both kinds for two surfaces of unit area, from their spectra's geometric mean.
-
-    The eigenvalues (k1,), (k2,) may be in any order. ParameterError for too few eigenvalues or no filters.
-    """
+    """Filters for two surfaces by their spectra's geometric mean; ParameterError for too few eigenvalues, or none."""
     if min(heat, wave) < 0 or not 0 < heat + wave <= _MOST_FILTERS:
         raise ParameterError(f"expected 1 to {_MOST_FILTERS} filters, got {heat} heat and {wave} wave kernels")
     spectra = [np.sort(eigenvalues) for eigenvalues in (target_eigenvalues, source_eigenvalues)]
@@ -257,11 +254,7 @@ def signature_functions(surface: Surface, filters: Filters, level: int) -> Float
 
 
 def curve_rows(surface: Surface, curves: Sequence[Curve[SurfacePoints]]) -> FloatArray:
-    """(q, k) basis rows of whole curves: length-weighted means of Phi~(v, :) along each.
-
-    A landmark descriptor of such a row is the heat or wave that starts from the whole curve at once; points of the
-    curves need not correspond.
-    """
+    """(q, k) length-weighted means of Phi~(v, :) along curves, whose kernels start from a whole curve at once."""
     corners, places = np.unique(np.vstack([curve.points.corners for curve in curves]), return_inverse=True)
     rows = surface.basis_rows(corners)
     weights = np.vstack([curve.line.point_shares[:, None] * curve.points.barycentric for curve in curves])

@@ -133,10 +133,7 @@ def band_pairs(
 
 
 def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
-    """Exact lowest eigenpairs of one level (paper, eq. 1); the hierarchical basis approximates them.
-
-    ParameterError if level or count is out of range.
-    """
+    """Exact lowest eigenpairs of one level (paper, eq. 1); ParameterError if level or count is out of range."""
     if not 0 <= level <= operators.finest_level:
         raise ParameterError(f"expected a level from 0 to {operators.finest_level}, got {level}")
     return band_pairs(operators.stiffness[level], operators.mass[level], 0, count, accuracy=1e-10)

@@ -112,10 +112,7 @@ class LandmarkCheck:
         return landmarks.without(self.left_out)
 
     def for_changed(self, before: Landmarks, now: Landmarks) -> LandmarkCheck:
-        """The check for changed landmarks: keeps what is known of unchanged pairs.
-
-        Notes that name a changed pair are dropped. Notes `ON_ALL_PAIRS` are dropped if any pair was changed.
-        """
+        """The check for changed landmarks: without notes on changed pairs, and `ON_ALL_PAIRS` if any changed."""
         places = {pair: i for i, pair in enumerate(now.places)}
         placed = [(suspect, places.get(before.places[suspect.pair])) for suspect in self.suspects]
         kept = tuple(replace(suspect, pair=place) for suspect, place in placed if place is not None)
@@ -233,10 +230,7 @@ def kept_note(problem: Problem, suspected: dict[int, str], why: str) -> str:
 
 
 def check_changes(problem: Problem, changed: IndexArray, check: LandmarkCheck, before: PointMap) -> LandmarkCheck:
-    """Check the landmarks of an update: pairs ``changed`` (c,) by their distances to the others.
-
-    A pair is left out only if the map from before contradicts it too.
-    """
+    """Check pairs ``changed`` (c,) of an update by distances; left out if the map from before contradicts them too."""
     config = problem.prepared.elastic.landmarks
     suspected, notes = suspected_pairs(problem, check.left_out)
     wrong = {i: evidence for i, evidence in suspected.items() if i in changed}

@@ -120,10 +120,7 @@ def worst_placed_pairs(
 def is_farther_out(
     target: Distances, source: Distances, landmark: int, node: int, others: IndexArray, config: LandmarkConfig
 ) -> bool:
-    """Whether a tip's given place is farther out on the limb than the best place ``node``.
-
-    The path to the tip of a long tail passes the place that a short tail's tip would have on it.
-    """
+    """Whether a tip is farther out on its limb than the best place ``node``, as a long tail's tip on a short tail."""
     through = source[others, node] + source[landmark, node]
     is_farther = bool(np.median(through - source[others, landmark]) < config.detour)
     for distances in (target, source):  # at a tip no vertex near the landmark is farther from the others
@@ -342,15 +339,13 @@ def reduced_energy(
 def strained_pair(
     energy: ReducedEnergy, places: FloatArray, strains: FloatArray, config: LandmarkConfig = LandmarkConfig()
 ) -> int | None:
-    """Index of the one landmark that would move far if released; None if there is none.
-
-    ``strains`` (p,) are lengths of `ReducedEnergy.released`. None as well if there are too few landmarks. The others
-    are measured again without the worst one, because a wrong landmark strains its neighbours.
-    """
+    """The one landmark that would move far if released, by lengths (p,) of `ReducedEnergy.released`; else None."""
     all_landmarks = np.arange(len(places))
     if len(all_landmarks) < config.fewest_strained:
         return None
     worst = int(np.argmax(strains))
+    # Measured again without the worst one, as a wrong landmark strains its neighbours.
+    # Measured again without the worst one, as a wrong landmark strains its neighbours.
     moved_next = np.linalg.norm(energy.released(places, all_landmarks[all_landmarks != worst]), axis=1)
     least = max(config.min_strain, config.min_strain_of_next * float(moved_next.max()))
     return worst if strains[worst] >= least else None
