@@ -216,7 +216,6 @@ def _gap(
     if gap * target.scale > config.own_gap * unit:
         return None
     # Vertices must coincide, face centres be near only: faces of a coarse mesh cut through a fine surface.
-    # Vertices must coincide, face centres be near only: faces of a coarse mesh cut through a fine surface.
     for samples, other in ((_at_vertices(target, mask), source), (_at_vertices(source), target)):
         distances, areas = _distances(samples, other, unit, config.near), samples.areas
         close = areas @ distances <= config.mean_gap * areas.sum()

@@ -65,10 +65,7 @@ class SurfacePoints:
 
     @classmethod
     def evenly_spread(cls, surface: TriangleSurface, count: int) -> SurfacePoints:
-        """``count`` evenly spread points, each representing an equal share of the area.
-
-        Systematic sampling along the order of the search tree, where consecutive triangles are near each other.
-        """
+        """``count`` points of equal shares of the area: systematic sampling in the order of the search tree."""
         if count < 1:
             raise ParameterError(f"count: expected 1 point or more, got {count}")
         order = surface.tree.order
@@ -220,11 +217,7 @@ class SurfacePoints:
 def nearest_facing(
     surface: TriangleSurface, points: FloatArray, normals: FloatArray, within: float, guess: IndexArray | None = None
 ) -> tuple[SurfacePoints, FloatArray]:
-    """Nearest points on triangles that face along the normals, and their distances (m,).
-
-    If none is within the distance ``within`` (in the surface's unit), the nearest point of all triangles is taken.
-    ``guess`` (m,) are triangles that are probably near.
-    """
+    """Nearest points within a distance on triangles facing along normals, else of all triangles; distances (m,)."""
     triangle, barycentric, distance = closest_points(
         surface.tree, points, normals, minimum_cosine=0.0, guess=guess, within=within
     )

@@ -92,10 +92,7 @@ def polygon_triangles(positions: FloatArray, offsets: IndexArray, indices: Index
 
 
 def _clip_ears(points: FloatArray, normals: FloatArray) -> IndexArray:
-    """Triangles (k, s - 2, 3), as corners, of polygons (k, s, 3) with normals (k, 3) of twice their area.
-
-    The roundest ear that holds no other corner is cut off again and again, or the roundest if all hold one.
-    """
+    """Triangles (k, s - 2, 3), as corners, of polygons (k, s, 3): the roundest free ear is cut off, again and again."""
     count, size = points.shape[:2]
     rows = np.arange(count)
     left, found = np.tile(np.arange(size), (count, 1)), np.zeros((count, 0, 3), dtype=np.int64)
@@ -185,10 +182,7 @@ def triangle_frames(positions: FloatArray, triangles: IndexArray) -> FloatArray:
 
 
 def triangle_neighbors(corners: IndexArray) -> NDArray[np.int32]:
-    """(t, 3) triangle across the edge *opposite* to every corner, -1 on the boundary.
-
-    Where more than two triangles share an edge they are paired in order, as in UV layouts with overlapping faces.
-    """
+    """(t, 3) triangle across the edge *opposite* to every corner, -1 on the boundary; several are paired in order."""
     neighbors = np.full(corners.shape, -1, dtype=np.int32)
     head = np.full(int(corners.max(initial=-1)) + 1, -1, dtype=np.int32)
     rest = np.full(corners.size, -1, dtype=np.int32)

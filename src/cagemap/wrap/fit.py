@@ -142,11 +142,7 @@ def move_locally(
     stiffness: FloatArray,
     fixed: bool = False,
 ) -> FloatArray:
-    """(n, 3) net after rounds in which few points (m,) move; maps at ``similar`` (k,) are similarities.
-
-    The energy is that of the part around them, with stiffness (n,). If ``fixed``, differentials are constant, which
-    needs no factorisation.
-    """
+    """(n, 3) net after rounds that move few points (m,); similarities at ``similar``; constant maps if ``fixed``."""
     if not len(moving):
         return positions
     part = net.graph.rings(moving, config.energy_rings)

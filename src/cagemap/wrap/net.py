@@ -65,10 +65,7 @@ class MendConfig(Config):
 
 @dataclass(frozen=True)
 class WrapConfig(Config):
-    """Configuration of a wrap: how closely the net follows the source (docs/lab/elastic.md).
-
-    Areas are shares of the whole, lengths are of sqrt(area).
-    """
+    """How closely the net follows the source (docs/lab/elastic.md); areas are shares, lengths of sqrt(area)."""
 
     level: int = 0  #: level whose points are fitted; 0 is the control mesh
     fairness: float = 1e-4  #: weight of the net's energy against squared distances to the source
@@ -298,10 +295,7 @@ class SampleTerms:
 
 
 def counterpart_mask(point_map: PointMap, config: WrapConfig = WrapConfig()) -> FloatArray:
-    """(n1,) 1 where the source has a counterpart, 0 where the map squeezes the target or overlaps.
-
-    A part of a whole is squeezed where its area is small relative to the typical one on the source.
-    """
+    """(n1,) 1 where the source has a counterpart, 0 where the map overlaps, or squeezes for its typical size."""
     target = point_map.target
     image = triangle_areas(point_map.images.positions, target.triangles)
     sums = corner_sums(target.triangles, np.column_stack([target.areas, image]), target.n)
@@ -319,10 +313,7 @@ def counterpart_mask(point_map: PointMap, config: WrapConfig = WrapConfig()) -> 
 
 
 def _hollow_parts(point_map: PointMap, whole: NDArray[np.bool_], config: WrapConfig, unit: float) -> NDArray[np.bool_]:
-    """(n1,) squeezed parts (not ``whole``), and parts that these cut off, if their images overlap the rest.
-
-    ``unit`` is the length of distances between images.
-    """
+    """(n1,) squeezed parts and parts cut off by them, if their images overlap the rest, by distances in ``unit``."""
     target, images = point_map.target, point_map.images.positions
     nowhere = np.zeros(target.n, dtype=np.bool_)
     if whole.all():

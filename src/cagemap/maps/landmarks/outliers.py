@@ -345,7 +345,6 @@ def strained_pair(
         return None
     worst = int(np.argmax(strains))
     # Measured again without the worst one, as a wrong landmark strains its neighbours.
-    # Measured again without the worst one, as a wrong landmark strains its neighbours.
     moved_next = np.linalg.norm(energy.released(places, all_landmarks[all_landmarks != worst]), axis=1)
     least = max(config.min_strain, config.min_strain_of_next * float(moved_next.max()))
     return worst if strains[worst] >= least else None
