@@ -65,7 +65,7 @@ from cagemap.paper.symmetries import check_symmetry
 from cagemap.pipeline import MAP_BASIS, MatchResult, prepare_pair, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule
-from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import SurfacePoints
 
 __all__ = [
     "Constraints",

@@ -19,7 +19,7 @@ from cagemap.paper.method import PaperConfig, nearest_orthonormal, paper_map, se
 from cagemap.pipeline import MatchConfig, default_basis, match, prepare_surface
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.zoomout import ZoomOutSchedule
-from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import SurfacePoints
 
 from judged_pairs import Judged
 from plain_meshes import marks_at

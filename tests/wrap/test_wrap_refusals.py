@@ -13,8 +13,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh.schemes import Plain
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.tasks import run
 from cagemap.tasks import wrap as task
 from cagemap.tasks.match import MatchRequest

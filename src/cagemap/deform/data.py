@@ -29,8 +29,7 @@ from cagemap.numerics.threads import kept
 from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.polylines import Polyline, normal_projections
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import normalize_rows
 
 

@@ -22,8 +22,7 @@ from cagemap.numerics.factorization import Factorization
 from cagemap.numerics.threads import ThreadPool, in_threads, kept
 from cagemap.spectral.surface import Surface
 from cagemap.surface.polylines import Polyline
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 
 # Corresponding tips (k,) of limbs, as vertices of the searched levels of target and source.
 Tips = tuple[IndexArray, IndexArray]

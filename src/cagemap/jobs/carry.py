@@ -30,8 +30,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.curves import CagePoints, NamedCurve, NamedPoints, on_cage, on_cage_curve
 from cagemap.mesh.parts import numbers_on_part
 from cagemap.numerics.arrays import FloatArray
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import normalize_rows
 
 # Of sqrt(area): points that both directions of a map place farther apart are reported.

@@ -23,8 +23,7 @@ from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.subdivision.face_varying import interpolate_linearly
 from cagemap.surface.alignment import fit_similarity, principal_frame, rotations_onto
 from cagemap.surface.closest_points import closest_points
-from cagemap.surface.surface_points import SurfacePoints, nearest_facing
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface, nearest_facing
 from cagemap.surface.triangles import row_lengths, triangle_areas, triangle_centres
 
 SAME = 1e-5  # points closer than this times sqrt(source area) are equal: the rounding error of six digits in a file

@@ -19,8 +19,7 @@ from cagemap.numerics.factorization import factor
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.spectral.zoomout import evenly_spaced_vertices
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 
 JUDGED_VERTICES = 300  # number of target vertices that are judged by default
 BATCH = 50  # right-hand sides that are solved for together

@@ -13,8 +13,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.subdivision import Refinement
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import row_lengths
 
 LEAST = 1e-4  # smallest mean of a mask, and smallest shared part of a surface's area

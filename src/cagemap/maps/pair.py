@@ -21,8 +21,7 @@ from cagemap.spectral.surface import Progress as Progress
 from cagemap.spectral.surface import no_progress as no_progress
 from cagemap.subdivision import Refinement
 from cagemap.surface.polylines import Polyline
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import normalize_rows
 
 NEAR_VERTICES = 3000  # least number of vertices of the level on which points between vertices get a near vertex

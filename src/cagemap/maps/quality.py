@@ -23,8 +23,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, in_threads, row_slices
 from cagemap.spectral import Surface
 from cagemap.surface.closest_points import build_tree, closest_points
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import CACHED, corner_sums, normalize_rows, row_lengths, triangle_normals
 
 LANDMARK_TOLERANCE = 5e-4  # of sqrt(area): landmarks with a larger error are named

@@ -22,7 +22,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, pair_k
 from cagemap.numerics.threads import kept
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.polylines import Polyline
-from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import SurfacePoints
 
 Renumbering = Callable[[IndexArray], IndexArray]
 

@@ -21,7 +21,7 @@ from cagemap.numerics.kinds import Config, kinds_checked
 from cagemap.numerics.threads import in_threads
 from cagemap.paper.symmetries import check_symmetry, symmetry_at, symmetry_operator
 from cagemap.spectral.surface import Surface
-from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import SurfacePoints
 
 HEAT_RANGE = 4.0 * np.log(10.0)  # [SOG09]: diffusion times are from HEAT_RANGE / lambda_k to HEAT_RANGE / lambda_1
 WAVE_WIDTH = 7.0  # [ASC11]: width of a wave kernel filter, in steps between neighbouring energies

@@ -34,8 +34,7 @@ from cagemap.numerics.factorization import Factorization, factor
 from cagemap.numerics.kinds import Config
 from cagemap.operators.laplacian import vertex_areas
 from cagemap.subdivision import Refinement, finest_mesh, level_triangles
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import corner_sums, triangle_areas, triangle_normals
 
 
