@@ -211,11 +211,7 @@ def cluster_graph(
 
 
 def extrapolate(
-    coarse: ElasticGraph,
-    positions: FloatArray,
-    maps: FloatArray,
-    fine: ElasticGraph,
-    config: GraphConfig = GraphConfig(),
+    coarse: ElasticGraph, positions: FloatArray, maps: FloatArray, fine: ElasticGraph, config: GraphConfig
 ) -> FloatArray:
     """(n, 3) positions of a finer graph's vertices: blended affine extrapolations from coarse vertices.
 

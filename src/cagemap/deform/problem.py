@@ -83,16 +83,13 @@ class PreparedPair:
 
     def require_same(self, start: StartConfig, elastic: ElasticConfig, masks: Masks) -> None:
         """Raise ParameterError unless configs and masks are the pair's own; default configs mean those."""
-        counts = [len(side.vertices) for side in (self.target, self.source)]
-        masks.require_fit(*counts)
-        own = self.masks
-        same_masks = np.array_equal(masks.of_target(counts[0]), own.of_target(counts[0])) and np.array_equal(
-            masks.of_source(counts[1]), own.of_source(counts[1])
-        )
+        n1, n2 = len(self.target.vertices), len(self.source.vertices)
+        masks.require_fit(n1, n2)
+        given, own = ((one.of_target(n1), one.of_source(n2)) for one in (masks, self.masks))
         agreement = {
             "start": start in (self.start, StartConfig()),
             "elastic": elastic in (self.elastic, ElasticConfig()),
-            "masks": same_masks or not masks.any,
+            "masks": not masks.any or all(map(np.array_equal, given, own)),
         }
         fields = [name for name, agrees in agreement.items() if not agrees]
         if fields:

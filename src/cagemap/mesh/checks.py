@@ -54,6 +54,12 @@ from cagemap.mesh.weld import coincident_vertices, count_pieces, weld_tolerance
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 SEVERAL = "several components"
+ONE_SIDED = MeshProblem(
+    "one-sided surface",
+    "expected a surface with an inside and an outside, got one where no choice of face directions agrees along all "
+    "edges (as on a Moebius strip)",
+    "Cut the surface where its two sides are joined.",
+)
 # Problems that do not prevent subdivision, which needs only oriented manifold connectivity.
 UNREFINED = frozenset({SEVERAL, "no size", "size", "no area", "faces without area", "no volume", "inside out"})
 
@@ -271,12 +277,7 @@ def _tiny_edges(mesh: ControlMesh, topology: Topology) -> NDArray[np.bool_]:
 
 def _orientation_problem(turned: NDArray[np.bool_] | None, numbers: IndexArray) -> MeshProblem | None:
     if turned is None:
-        return MeshProblem(
-            "one-sided surface",
-            "expected a surface with an inside and an outside, got one where no choice of face directions agrees along "
-            "all edges (as on a Moebius strip)",
-            "Cut the surface where its two sides are joined.",
-        )
+        return ONE_SIDED
     flipped = numbers[turned]
     return problem_at(
         "inconsistent orientation",

@@ -29,11 +29,6 @@ from cagemap.surface.triangles import triangles as triangles
 ENTRIES_PER_CORNER = 25  # nonzeros of the second S per control corner, about; each further S has 4 times as many
 
 
-def _given_layout(layout: Layout) -> Layout:
-    """A layout as it is; unlike a lambda, it can be pickled."""
-    return layout
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Level:
     """Mesh of one level."""
@@ -60,7 +55,8 @@ class Level:
 
     def with_uvs(self, uvs: FloatArray, uv_indices: IndexArray) -> Level:
         """The same level with other UVs (p, 2) and UV indices in the shape of ``faces``."""
-        return replace(self, lay=partial(_given_layout, (uvs, uv_indices)))
+        picklable = partial(tuple, (uvs, uv_indices))  # unlike a lambda
+        return replace(self, lay=picklable)  # type: ignore[arg-type]
 
     @property
     def n_vertices(self) -> int:

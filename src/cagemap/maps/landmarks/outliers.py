@@ -310,11 +310,7 @@ class ReducedEnergy:
 
 
 def reduced_energy(
-    graph: ElasticGraph,
-    images: FloatArray,
-    normals: FloatArray,
-    landmarks: IndexArray,
-    config: ElasticConfig = ElasticConfig(),
+    graph: ElasticGraph, images: FloatArray, normals: FloatArray, landmarks: IndexArray, config: ElasticConfig
 ) -> ReducedEnergy:
     """Reduced energy of landmarks (p,) at images (n, 3) with the source's normals (n, 3) there."""
     numbers = config.landmarks
