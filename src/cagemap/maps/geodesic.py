@@ -120,9 +120,7 @@ def _true_images(
             )
         images = SurfacePoints.from_vertices(point_map.source, np.where(known, given, given[known][0]))
     if len(images) > len(point_map.images):
-        raise ParameterError(
-            f"truth: expected at most one image for each of {len(point_map.images)} target vertices, got {len(images)}"
-        )
+        raise ParameterError(f"truth: expected at most {len(point_map.images)} images, got {len(images)}")
     return images, known
 
 

@@ -170,9 +170,7 @@ def find_part(mesh: ControlMesh, name: str) -> Part:
     different = {part.faces.tobytes() for part in matching}
     if len(different) > 1:
         titles = ", ".join(part.title for part in matching)
-        raise ParameterError(
-            f"{mesh.name}: expected one part named {name!r}, got several: {titles}. Name one of these."
-        )
+        raise ParameterError(f"{mesh.name}: expected one part named {name!r}, got several, {titles}. Name one.")
     if not matching:
         known = ", ".join(dict.fromkeys(part.title for part in parts[:12]))
         raise ParameterError(

@@ -92,9 +92,7 @@ def _checked_count(count: int | str, name: str) -> int:
     except (TypeError, ValueError):
         number = 0
     if number < 1 or (not isinstance(count, str) and number != count):
-        raise ParameterError(
-            f"{name}: expected a number of threads from 1, got {count!r}; leave it out to use all cores"
-        )
+        raise ParameterError(f"{name}: expected a number of threads from 1, got {count!r}; all cores are the default")
     return number
 
 

@@ -90,9 +90,7 @@ def landmark_descriptors(rows: FloatArray, filters: FloatArray) -> FloatArray:
     """
     k = rows.shape[1]
     if filters.shape[0] != k:
-        raise ParameterError(
-            f"filters: expected {k} rows, one for each basis function, got {len(filters)}. Use its eigenvalues."
-        )
+        raise ParameterError(f"filters: expected {k} rows, got {len(filters)}. Use the eigenvalues of the basis.")
     return (rows.T[:, :, None] * filters[:, None, :]).reshape(k, len(rows) * filters.shape[1])
 
 

@@ -174,9 +174,7 @@ class HierarchicalBasis:
         n = self.hierarchy.levels[level].n_vertices
         functions = finite_numbers(values, "functions")
         if functions.shape[:1] != (n,):
-            raise ParameterError(
-                f"expected functions with {n} rows, one for each vertex of level {level}, got {functions.shape}"
-            )
+            raise ParameterError(f"expected functions with {n} rows, level {level}'s vertices, got {functions.shape}")
         if level > self.operators.finest_level:
             raise ParameterError(
                 f"expected functions of a level up to {self.operators.finest_level}, the last with operators, got "

@@ -78,9 +78,7 @@ def _level_with_rings(refinement: Refinement, level: int) -> int:
 
 def _state_with_rings(refinement: Refinement, level: int) -> MeshState:
     if not 0 <= level <= refinement.finest_level:
-        raise ParameterError(
-            f"level: expected 0 to {refinement.finest_level}, got {level}; refine further to have more"
-        )
+        raise ParameterError(f"level: expected 0 to {refinement.finest_level}, got {level}; refine to have more")
     if _level_with_rings(refinement, level) != level:
         raise ParameterError("level: expected quads only, got level 0 of a mesh with other faces; use level 1")
     return state_of(refinement, level)

@@ -203,9 +203,7 @@ class SurfacePoints:
     def from_matrix(cls, surface: TriangleSurface, matrix: sparse.csr_array) -> SurfacePoints:
         """Points from weights (m, n) of up to three vertices of one triangle in every row; else ParameterError."""
         if not sparse.issparse(matrix) and np.ndim(matrix) != 2:
-            raise ParameterError(
-                f"matrix: expected a sparse or dense one (m, {surface.n}), got {type(matrix).__name__}"
-            )
+            raise ParameterError(f"matrix: expected one (m, {surface.n}), sparse or dense, got {type(matrix).__name__}")
         rows = sparse.csr_array(matrix, copy=True)
         rows.sum_duplicates()
         counts = np.diff(rows.indptr)

@@ -23,9 +23,7 @@ def mesh_arrays(
         sizes = " or ".join(f"(m, {size})" for size in corners)
         raise ParameterError(f"expected positions (n, 3) and faces {sizes}, got {places.shape} and {numbers.shape}")
     if numbers.size and not 0 <= numbers.min() <= numbers.max() < len(places):
-        raise ParameterError(
-            f"expected faces of vertices 0 to {len(places) - 1}, got {numbers.min()} to {numbers.max()}"
-        )
+        raise ParameterError(f"faces: expected vertices 0 to {len(places) - 1}, got {numbers.min()} to {numbers.max()}")
     return places, numbers
 
 
