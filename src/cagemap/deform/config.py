@@ -81,9 +81,7 @@ class DataConfig(Config):
     samples: float = 2.0  #: source samples per vertex of the target's mesh; more change nothing
     received_smoothing: float = 0.005  #: length over which received area is smoothed; less than a finger's width
     received: tuple[float, float] = (0.25, 0.5)  #: shares of its area received, with no and with full data term
-    #: round trip (a source sample, its closest point on the target, that one's closest point on the source) at which
-    #: a sample inside the target has a quarter of its weight
-    inside_trip: float = 0.006
+    inside_trip: float = 0.006  #: round trip that leaves a sample inside the target a quarter of its weight
     outside_trips: float = 6.0  #: round trip of a quarter of the weight outside, in sqrt(alpha): it may yet arrive
     uncovered: float = 0.02  #: largest distance from an open surface that counts; beyond its boundary is no misfit
     curve_share: int = 6  #: at most one in so many coarse vertices lies on curves
@@ -102,9 +100,7 @@ class SearchConfig(Config):
     limb_area: float = 0.02  #: share of the area that counts as a limb; less than a forearm and its hand
     min_coarse_distance: float = 0.001  #: coarse placements at a larger mean distance are both refined
     max_refined: int = 3  #: coarse placements that are refined from one start, and candidates of the fine stage
-    #: a coarse placement that costs more than this factor times the cheapest is not refined; neither are limb
-    #: assignments that cost more than it times the files' own alignment, as where fins were taken for limbs
-    max_cost: float = 1.5
+    max_cost: float = 1.5  #: coarse placements and assignments of limbs that cost more times the cheapest are dropped
     part_distance: float = 0.02  #: where two placements are farther apart, either one may be better
     part_area: float = 5e-4  #: least share of the area of a part that is taken from another placement
     #: two placements count as equally good if the larger cost is at most this factor times the smaller one; maps that
@@ -123,9 +119,7 @@ class SearchConfig(Config):
     turned_penalty: float = 1.1  #: cost factor of a start rotated about the vertical; files mostly agree on the front
     tilted_penalty: float = 1.3  #: the same of other rotations; files nearly always agree on up
     max_unit_ratio: float = 4.0  #: files of parts whose sizes have a larger ratio are in different units
-    # Limbs and their tips
-    #: least height of a limb's tip over its pass; fingers and ears reach 0.07, feet start at 0.12
-    limb_height: float = 0.1
+    limb_height: float = 0.1  #: least height of a limb's tip over its pass; fingers reach 0.07, feet start at 0.12
     fewest_points: int = 4  #: limbs and landmarks that an assignment needs
     fewest_of_part: int = 3  #: the same for a part, whose other limbs may be cut off
     max_limbs: int = 7  #: most limbs that are assigned; the most prominent ones
@@ -249,11 +243,9 @@ class ElasticConfig(Config):
     coarse_vertices: int = 1500  #: size of the coarse graph
     source_vertices: int = 15_000  #: vertices from which on a level of the source is fine enough to fit to
     coarse: Stage = Stage(10, (5e-3, 5e-5), 1e-3, momentum=0.6)
-    #: replaces `coarse` where the coarse fits from both starts agree, see `cagemap.deform.multi_start`
-    stiff_coarse: Stage = Stage(10, (5e-2, 2e-4), 1e-2, momentum=0.6)
+    stiff_coarse: Stage = Stage(10, (5e-2, 2e-4), 1e-2, momentum=0.6)  #: where fits from both starts agree
     fine: Stage = Stage(8, (2e-4, 2e-5), 1e-4, momentum=0.8, patience=12, factored=4)
-    #: positions from the landmarks alone; differentials are smoothed as in the stage that starts there
-    landmark_start: Stage = Stage(20, (1.0, 1.0), 1e-3)
+    landmark_start: Stage = Stage(20, (1.0, 1.0), 1e-3)  #: from the landmarks alone, smoothed as the next stage
     normal_weight: float = 0.03  #: closest points count position and this length times the normal
     fine_normal_weight: float = 0.01  #: the same in the fine stage, and where landmarks are moved to a coarser mesh
     projection_normal_weights: tuple[float, float] = (0.002, 0.02)  #: in the last projection, see `facing_points`

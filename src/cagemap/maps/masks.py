@@ -28,11 +28,9 @@ class Masks:
     term: it follows its surroundings, and nothing is transferred there.
     """
 
-    #: (n1,) weights of the target's finest vertices; in a fit, of its level's vertices. None: all weights are 1.
-    target: FloatArray | None = None
+    target: FloatArray | None = None  #: (n1,) of the finest vertices; in a fit, of its level's. None: all are 1
     source: FloatArray | None = None  #: (n2,) the same of the source
-    #: weights of the area with a counterpart, which these masks contain as a factor (`within`); None if not known
-    shared: Masks | None = field(default=None, kw_only=True)
+    shared: Masks | None = field(default=None, kw_only=True)  #: of area with a counterpart, a factor of these
 
     def __post_init__(self) -> None:
         for side, mask in (("target", self.target), ("source", self.source)):

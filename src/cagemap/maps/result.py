@@ -52,14 +52,11 @@ class MatchResult:
     quality: QualityFigures  #: quality measured without ground truth; landmark errors are those of the trusted pairs
     timings: dict[str, float] = field(default_factory=dict)  #: seconds of every stage
     landmark_check: LandmarkCheck = field(default_factory=LandmarkCheck)  #: pairs that were left out, and notes
-    #: functional map, vertex matches and points of every level, of the methods that go from level to level; see
-    #: `at_level`
-    level_maps: tuple[LevelMap, ...] = ()
+    level_maps: tuple[LevelMap, ...] = ()  #: of every level, by the methods that go from level to level; see `at_level`
     confidence: Confidence | None = None  #: verdict and other answers; None if the landmarks determine the map
     prepared: PreparedPair | None = None  #: for `update_match` and `match_pair`, of this process ("elastic" only)
     masks: Masks = WHOLE  #: weights of both surfaces in the match and in transfers
-    #: weights of the vertices, 1 where they have a counterpart; None if both surfaces are closed
-    shared: Masks | None = None
+    shared: Masks | None = None  #: 1 where vertices have a counterpart; None if both surfaces are closed
     known_spectral: SpectralMap | None = None  #: value of `spectral`, if it was read or follows from other maps
     provenance: dict[str, Any] = field(default_factory=dict)  #: further manifest: parameters, inputs, notes, transfers
 

@@ -60,8 +60,7 @@ class ControlMesh:
     hole_faces: IndexArray | None = None  #: (h,) faces that influence the surface but are no part of it
     file_vertices: IndexArray | None = None  #: (n,) numbers in the file, if the mesh is a part of a file's mesh
     file_faces: IndexArray | None = None  #: (m,) the same of the faces
-    #: (k, 2) vertex of the mesh and number of a further vertex of the file that was welded into it
-    file_copies: IndexArray | None = None
+    file_copies: IndexArray | None = None  #: (k, 2) vertex, and a further one of the file that was welded into it
     upright: FloatArray | None = None  #: (3, 3) rotation for rows to +Y up, by the file or its format; None: unknown
     scheme: Scheme | None = None  #: subdivision scheme in the file; None without one
     name: str = "mesh"  #: name of the mesh in messages; usually its file name

@@ -62,10 +62,8 @@ class MeshProblem:
     kind: str  #: short name, such as ``non-manifold edges``
     found: str  #: the expected and the actual state, in a sentence without the list of elements
     remedy: str  #: how to repair it
-    #: all offending elements, 0-based, in the file's numbering; pairs are the end points of edges
-    elements: tuple[int, ...] | tuple[tuple[int, int], ...] = ()
-    #: where the first `LISTED` elements are, such as "(1, 0.5, -2)", since programs may number them otherwise
-    places: tuple[str, ...] = ()
+    elements: tuple[int, ...] | tuple[tuple[int, int], ...] = ()  #: by the file's numbers; edges: pairs
+    places: tuple[str, ...] = ()  #: of the first `LISTED` elements: programs may number them otherwise
     of_vertices: bool = False  #: whether the elements are vertices; otherwise faces or edges
 
     def __str__(self) -> str:

@@ -16,9 +16,7 @@ from cagemap.numerics.kinds import Brief
 class Repairs(Brief):
     """Number of repairs of each kind that `plain_mesh` made."""
 
-    #: vertices merged with another at the same position: on borders (files that repeat vertices face by face) or on
-    #: edges of length zero
-    joined_vertices: int = 0
+    joined_vertices: int = 0  #: merged with others at the same position, on borders or zero-length edges
     averaged_colors: int = 0  #: joined vertices whose colours differ from their mean, which they take
     split_faces: int = 0  #: faces of another size than most, because of which all faces were split into triangles
     dropped_faces: int = 0  #: removed faces: with a repeated vertex, copies of other faces, and holes of the file

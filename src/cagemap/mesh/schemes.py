@@ -52,8 +52,7 @@ class SubdivisionOptions:
     #: corners (``corners_only``, ``plus``: and at more or fewer similar points), nowhere (``none``). USD's default is
     #: ``corners_plus1``, Blender's ``boundaries``.
     uv_interpolation: UvInterpolation = "all"
-    #: whether sharpness only decreases by 1 in every step, or is also averaged along the crease (``chaikin``)
-    creasing: Creasing = "uniform"
+    creasing: Creasing = "uniform"  #: sharpness only falls by 1 in a step; ``chaikin``: is also averaged along creases
     triangles: TriangleRule = "catmull_clark"  #: weights of triangles in edge points under Catmull-Clark
 
     def __post_init__(self) -> None:

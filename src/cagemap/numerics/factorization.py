@@ -48,9 +48,7 @@ class Factorization:
     """A factored symmetric matrix A, or a general one without inertia."""
 
     shape: tuple[int, int]
-    #: number of negative eigenvalues of A (Sylvester's law of inertia); None if unknown: a general matrix, or SuperLU
-    #: with pivots off the diagonal, lost digits or single precision
-    negative_eigenvalues: int | None
+    negative_eigenvalues: int | None  #: of A (Sylvester's law of inertia); None: general, or SuperLU without its signs
     _solve: Callable[[NDArray[Any]], NDArray[Any]] = field(repr=False)
     _symbolic: Any = field(default=None, repr=False)  # of rslab
     _lower: NDArray[np.bool_] | None = field(default=None, repr=False)  # mask of A's entries on or below the diagonal

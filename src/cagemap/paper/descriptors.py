@@ -128,8 +128,7 @@ class SpectralData:
 
     eigenvalues: FloatArray  #: (k,) Lambda~, in the order of the basis: bands of level 0, 1, ... Unit area.
     descriptors: FloatArray  #: (k, q) F~, weighted coefficients of the same q descriptors as on the other surface
-    #: (k, k) each: O~ other than the Laplacian, such as self-symmetries (paper, 5.2); same order on both surfaces
-    operators: tuple[FloatArray, ...] = ()
+    operators: tuple[FloatArray, ...] = ()  #: (k, k) each: O~ but the Laplacian, such as self-symmetries (paper, 5.2)
 
     def __repr__(self) -> str:
         sizes = f"{self.count} functions, {self.descriptors.shape[1]} descriptors, {len(self.operators)} operators"
@@ -152,9 +151,7 @@ class MapWeights(Config):
 
     laplacian: float = 0.001  #: alpha(Lambda~), for eigenvalues in units of their mean spacing (see `SPACING`)
     operators: float = 1.0  #: alpha(O) of every other operator
-    #: weight of ||C||^2. Rows of C that no descriptor determines then vanish and do not influence nearest neighbours;
-    #: eq. 13 leaves noise in them. 0: eq. 13 as printed.
-    decay: float = 3.0
+    decay: float = 3.0  #: weight of ||C||^2, against noise in rows of C that no descriptor determines; 0: eq. 13
 
 
 @dataclass(frozen=True)

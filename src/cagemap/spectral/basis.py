@@ -39,9 +39,7 @@ class BasisConfig(Config):
     #: starts a few indices too high, as eigenvalues of finer levels are lower. False: a band continues at the index
     #: after the last band, without the directions that the refined coarser bands span already.
     literal: bool = False
-    #: build operators at the coarsest level with at least so many vertices, as if it were the finest. Default: at the
-    #: finest level, as in the paper.
-    vertices: int | None = None
+    vertices: int | None = None  #: operators are built at the coarsest level with so many; None: at the finest one
     #: Laplacian of quads: "mean" of both triangulations, "alexa-wardetzky" (the paper's) or "de-goes-butts-desbrun";
     #: see `cagemap.operators.laplacian`
     laplacian: str = "mean"

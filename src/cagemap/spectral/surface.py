@@ -40,8 +40,7 @@ class Surface:
     All are computed when first read, and cached. `cagemap.prepare_surface` computes operators and basis at once.
     """
 
-    #: subdivision levels, or a plain mesh alone. `hierarchy` also has the coarse levels of a plain mesh.
-    refinement: Refinement
+    refinement: Refinement  #: subdivision levels, or a plain mesh alone; `hierarchy` has its coarse levels too
     config: BasisConfig = MAP_BASIS  #: parameters of the basis
 
     @classmethod

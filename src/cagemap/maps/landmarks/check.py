@@ -98,9 +98,7 @@ class LandmarkCheck:
 
     suspects: tuple[LandmarkSuspect, ...] = ()  # pairs left out
     notes: tuple[str, ...] = ()  # further messages for a user
-    # (p,) Displacement of every pair if it alone were released, of sqrt(area); 0 for pairs that were left out, or
-    # that an update added or moved. Empty if unknown
-    strains: FloatArray = field(default_factory=lambda: np.zeros(0))
+    strains: FloatArray = field(default_factory=lambda: np.zeros(0))  # (p,) shift of each pair if it were released
 
     @property
     def left_out(self) -> list[int]:
