@@ -205,7 +205,10 @@ def _share(areas: FloatArray, chosen: NDArray[np.bool_]) -> float:
 def _gap(
     target: TriangleSurface, source: TriangleSurface, mask: FloatArray | None, config: CoincidenceConfig
 ) -> float | None:
-    """Mean distance of a target from a coincident source, of sqrt(source area); else None."""
+    """Mean distance of a target from a coincident source, of sqrt(source area); else None.
+
+    Vertices must coincide; face centres must only be near, since faces of a coarse mesh cut through a fine surface.
+    """
     unit, faces = source.scale, _on_faces(target, mask)
     apart = _distances(faces, source, unit, config.near)
     if _share(faces.areas, apart < config.near) < config.share:
@@ -214,7 +217,6 @@ def _gap(
     # A small target is near the source wherever it lies: the gap is small for the target's own size, too.
     if gap * target.scale > config.own_gap * unit:
         return None
-    # Vertices must coincide, face centres be near only: faces of a coarse mesh cut through a fine surface.
     for samples, other in ((_at_vertices(target, mask), source), (_at_vertices(source), target)):
         distances, areas = _distances(samples, other, unit, config.near), samples.areas
         close = areas @ distances <= config.mean_gap * areas.sum()

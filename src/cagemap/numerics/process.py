@@ -12,9 +12,12 @@ from typing import Any
 
 from cagemap.errors import MissingLibraryError
 
-GC_THRESHOLD = 100_000  # new objects between garbage collections: loading makes many objects that stay
-SWITCH_INTERVAL = 0.0005  # seconds that a thread returning from a kernel waits for Python; default 0.005
-MALLOC = {-8: 2, -1: 1 << 30, -3: 32 << 20}  # M_ARENA_MAX, M_TRIM_THRESHOLD, M_MMAP_THRESHOLD (mallopt(3))
+# New objects between garbage collections: loading makes many objects that stay.
+GC_THRESHOLD = 100_000
+# Seconds that a thread returning from a kernel waits at most for one that runs Python; Python's default is 0.005.
+SWITCH_INTERVAL = 0.0005
+# Parameters of glibc's malloc (mallopt(3)): M_ARENA_MAX, M_TRIM_THRESHOLD, M_MMAP_THRESHOLD (at most 32 MB).
+MALLOC = {-8: 2, -1: 1 << 30, -3: 32 << 20}
 
 
 def set_up_process() -> None:

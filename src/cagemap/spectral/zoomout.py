@@ -94,7 +94,7 @@ def nearest_samples(
     """
     k1, k2 = functional_map.shape
     embedded = [target[:, :k1], source[:, :k2] @ functional_map.T]
-    if shared is not None:
+    if shared is not None:  # times sqrt(k): their share of distances does not fall with more spectral coordinates
         embedded = [np.hstack([rows, np.sqrt(k1) * more]) for rows, more in zip(embedded, shared, strict=True)]
     return nearest_rows(*(rows.astype(np.float32) for rows in embedded))
 
