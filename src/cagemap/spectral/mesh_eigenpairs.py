@@ -24,6 +24,8 @@ from cagemap.surface.triangles import corner_sums, normalize_rows
 
 COLUMN_BLOCK = 64  # number of columns that are solved and multiplied at a time
 MAX_INVERSE_ITERATIONS = 4  # most inverse iterations after Lanczos; one suffices unless the accuracy is near rounding
+# Most parts that are solved together: Lanczos finds an eigenvalue, such as 0, about 64 times (the block's width).
+MAX_JOINT_PARTS = 100
 # For DiffusionNet: residual of eigenpairs, constant added to norms, largest cosine of normal and first axis.
 DIFFUSION_NET_ACCURACY = 1e-7
 ADDED_TO_NORMS = 1e-6
@@ -68,9 +70,13 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
         raise ParameterError(f"k: expected 1 to {len(areas)} pairs, the mesh's vertices, got {k}")
     area = float(areas.sum())
     count, labels = connected_components(weights, directed=False)
-    if count == 1:
-        return _pairs(weights, areas, k, accuracy, area)
-    # Lanczos finds an eigenvalue at most 64 times (the block's width), as 0 is repeated: parts are solved alone.
+    if count <= MAX_JOINT_PARTS:
+        try:
+            return _pairs(weights, areas, k, accuracy, area)
+        except SolverError:
+            if count == 1:
+                raise
+    # With many parts 0 is repeated too often for one Lanczos iteration: each part is solved alone.
     parts = members_of(labels)
     order, offsets = np.concatenate(parts), offsets_of([len(part) for part in parts])
     blocks = sparse.csr_array(weights[order][:, order])
