@@ -81,7 +81,9 @@ def closest_points(
     queries, -1 for none; they only make the search faster.
     """
     if normals is None and (normal_weight > 0 or minimum_cosine > -1):
-        raise ParameterError("normals: expected those of the queries for normal_weight or minimum_cosine, got none")
+        raise ParameterError(
+            "normals: expected those of the queries, got none: normal_weight and minimum_cosine need them"
+        )
     queries = read_only(np.ascontiguousarray(points, dtype=np.float64))
     given = np.zeros(queries.shape) if normals is None else normals
     directions = read_only(np.ascontiguousarray(given, dtype=np.float64))
