@@ -88,7 +88,7 @@ class VertexTerms:
     constant: bool = False  # the same in all iterations: one factorisation, in double precision
 
     def solver(self, alpha: float, stage: Stage, factors: Factorization | None) -> tuple[Factorization, Solve]:
-        """Solver of ``alpha L + B`` with given or new factors; the next iteration corrects what they approximate."""
+        """Solver of ``alpha L + B`` with given or new factors; the next iteration corrects the error of these."""
         graph, like = self.energy.graph, self.energy.factors
         matrix = graph.block_matrix(alpha, self.blocks)
         if self.constant:
@@ -114,7 +114,7 @@ def corrected(
 def conjugate_gradients(
     matrix: sparse.csc_array, factors: Factorization, stage: Stage, residual: FloatArray
 ) -> FloatArray:
-    """``A^-1 r`` by conjugate gradients (Hestenes, Stiefel 1952) with old factors; factored anew if left too far."""
+    """``A^-1 r`` by conjugate gradients (Hestenes, Stiefel 1952) with old factors; by new ones if they fail."""
     near = LinearOperator(matrix.shape, matvec=factors.solve, dtype=np.float64)
     step, missed = cg(matrix, residual, rtol=stage.tolerance, maxiter=stage.gradient_steps, M=near)
     unsolved = stage.max_unsolved * np.linalg.norm(residual)

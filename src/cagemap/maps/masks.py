@@ -92,7 +92,7 @@ class Masks:
         return Masks(target, source, shared=shared) if target.any() and source.any() else self
 
     def length_ratio(self, target: TriangleSurface, source: TriangleSurface) -> float:
-        """Length on the source of one on the target, if shared area keeps its size; 1 for wholes or unknown shares."""
+        """Length on the source of a unit on the target, if shared area keeps its size; 1 for wholes, or if unknown."""
         if self.shared is None:
             return 1.0
         on_target, on_source = self.shared.shares(target, source)

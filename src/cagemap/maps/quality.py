@@ -174,7 +174,7 @@ def distortion(sigma: tuple[FloatArray, FloatArray]) -> FloatArray:
 def trust_field(
     target: TriangleSurface, sigma: tuple[FloatArray, FloatArray], flipped: NDArray[np.bool_]
 ) -> FloatArray:
-    """(n1,) means by area of ``min(1, (TRUSTED_STRETCH / d)^2)``, d the triangles' `distortion`; 0 where flipped."""
+    """(n1,) means of triangles' ``min(1, (TRUSTED_STRETCH / d)^2)``, d their `distortion`, or 0 where flipped."""
     per_triangle = np.where(flipped, 0.0, np.minimum(1.0, (TRUSTED_STRETCH / distortion(sigma)) ** 2))
     areas = target.areas
     weighted, total = corner_sums(target.triangles, np.column_stack([areas * per_triangle, areas]), target.n).T

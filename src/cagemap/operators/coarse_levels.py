@@ -123,7 +123,7 @@ def prolongation(positions: FloatArray, triangles: IndexArray, step: Simplified)
 
 
 def smoothing_matrix(positions: FloatArray, triangles: IndexArray) -> sparse.csr_array:
-    """(n, n) damped Jacobi step ``1 - omega D^-1 W``, weights not negative (aggregation, Vanek et al. 1996)."""
+    """(n, n) damped Jacobi step ``1 - omega D^-1 W`` of smoothed aggregation (Vanek et al. 1996), not negative."""
     upper = sparse.triu(stiffness(positions, triangles), 1).tocoo()
     rows, columns = (upper.coords[i].astype(np.int64) for i in (0, 1))
     weights = sparse.coo_array((np.maximum(-upper.data, 0.0), (rows, columns)), shape=upper.shape)

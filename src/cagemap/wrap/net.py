@@ -294,7 +294,7 @@ class SampleTerms:
 
 
 def counterpart_mask(point_map: PointMap, config: WrapConfig = WrapConfig()) -> FloatArray:
-    """(n1,) 1 where the source has a counterpart, 0 where the map overlaps, or squeezes for its typical size."""
+    """(n1,) 1 where the source has a counterpart, 0 where the map overlaps, or squeezes more than typical."""
     target = point_map.target
     image = triangle_areas(point_map.images.positions, target.triangles)
     sums = corner_sums(target.triangles, np.column_stack([target.areas, image]), target.n)
