@@ -202,7 +202,7 @@ class LandmarkConfig(Config):
     min_orientation: float = 0.02  #: landmarks with a smaller mean product of orientations are too flat to judge
     mirrored_agreement: float = -0.2  #: landmarks with less are mirrored as a whole; correct ones have 0.45 or more
     min_mirrored_cost: float = 1.3  #: and only if they raise the cost by this factor; correct crossed arms have 1.02
-    exchange_distance: float = 0.08  #: from a landmark to the one it is exchanged with, in a fit without them; at most
+    exchange_distance: float = 0.08  #: most between a landmark in a fit without them and the one it is exchanged with
     # Strain of single pairs
     strain_vertices: int = 300  #: vertices of the graph; the surroundings of a landmark are coarse
     strain_stiffness: float = 1e-4  #: stiffness of its energy

@@ -30,7 +30,7 @@ class Masks:
 
     target: FloatArray | None = None  #: (n1,) of the finest vertices; in a fit, of its level's. None: all are 1
     source: FloatArray | None = None  #: (n2,) the same of the source
-    shared: Masks | None = field(default=None, kw_only=True)  #: of area with a counterpart, a factor of these
+    shared: Masks | None = field(default=None, kw_only=True)  #: of area with a counterpart, contained in these
 
     def __post_init__(self) -> None:
         for side, mask in (("target", self.target), ("source", self.source)):

@@ -52,7 +52,8 @@ class QualityFigures:
     #: counterpart on the other surface counts.
     coverage: float
     dirichlet: float  #: Dirichlet energy, corresponding parts scaled to equal area; 1 for an isometry
-    area_ratios: FloatArray = field(repr=False)  #: (5,) percentiles 1, 5, 50, 95, 99 by area of the area stretch
+    #: (5,) percentiles 1, 5, 50, 95, 99 (by target area) of the area stretch; 1 is the mean of the shared area
+    area_ratios: FloatArray = field(repr=False)
     aspect_ratios: FloatArray = field(repr=False)  #: (3,) percentiles 50, 95, 99 of the ratio of singular values
     trust: FloatArray = field(repr=False)  #: (n1,) 1 where locally unfolded and little stretched, 0 at folds
     trusted_area: float  #: mean of ``trust`` by area

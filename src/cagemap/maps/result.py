@@ -58,7 +58,7 @@ class MatchResult:
     masks: Masks = WHOLE  #: weights of both surfaces in the match and in transfers
     shared: Masks | None = None  #: 1 where vertices have a counterpart; None if both surfaces are closed
     known_spectral: SpectralMap | None = None  #: value of `spectral`, if it was read or follows from other maps
-    provenance: dict[str, Any] = field(default_factory=dict)  #: further manifest: parameters, inputs, notes, transfers
+    provenance: dict[str, Any] = field(default_factory=dict)  #: further entries of the manifest: inputs, notes
 
     def __repr__(self) -> str:
         sides = f"target {self.target.control.name!r}, source {self.source.control.name!r}"
