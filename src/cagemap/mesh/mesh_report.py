@@ -51,7 +51,6 @@ class FileVertex:
     place: tuple[float, float, float] | None = None  # None in results of older versions
 
     def __str__(self) -> str:
-        """Number and place for messages: "7 at (0, 2, 0)"."""
         return f"{self.number}" if self.place is None else f"{self.number} at {place_text(self.place)}"
 
 

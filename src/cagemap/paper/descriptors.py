@@ -162,7 +162,6 @@ class Constraints:
     source: SpectralData
 
     def __post_init__(self) -> None:
-        """Check that numbers and sizes of descriptors and operators match."""
         target, source = self.target, self.source
         if target.descriptors.shape[1] != source.descriptors.shape[1]:
             raise ParameterError(

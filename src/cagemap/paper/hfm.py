@@ -50,7 +50,6 @@ class HfmConfig(Config):
     source_search_vertices: int = 0  #: the same number for the source, if it differs; 0: as for the target
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
         super().__post_init__()
         if self.zoomout.first < FEWEST_FUNCTIONS:
             raise ParameterError(f"expected at least {FEWEST_FUNCTIONS} first functions, got {self.zoomout.first}")

@@ -46,7 +46,6 @@ class BasisConfig(Config):
     stabilisation: float = 1.0  #: stabilisation weight lambda of the last two Laplacians
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
         super().__post_init__()
         if not 0.0 < self.accuracy <= 1e-3:
             raise ParameterError(f"accuracy: expected a residual between 0 and 1e-3, got {self.accuracy}")
@@ -93,7 +92,6 @@ class HierarchicalBasis:
     gram: FloatArray  #: (k, k) Phi~^T M Phi~, the same at every level that has all the bands (Lemma 5)
 
     def __post_init__(self) -> None:
-        """Check that the bands match the levels; make all arrays read-only."""
         sizes = [level.n_vertices for level in self.hierarchy.levels]
         found = [band.shape[0] for band in self.bands]
         known = [mass.shape[0] for mass in self.operators.mass]

@@ -40,7 +40,6 @@ class ZoomOutSchedule(Config):
     factor: float = 1.5
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
         super().__post_init__()
         if not (1 <= self.first <= self.last and self.factor > 1.0):
             raise ParameterError(

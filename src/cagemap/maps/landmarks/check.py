@@ -82,7 +82,6 @@ class LandmarkSuspect:
     evidence: str  # "distances": to the other landmarks; "sides": the orientation of the others around it
 
     def __str__(self) -> str:
-        """One sentence for a user: what was found and the remedy."""
         return (
             f"landmark '{self.name}' looks wrong and was left out: {EVIDENCE.get(self.evidence, EVIDENCE[DISTANCES])}, "
             "a map that follows it costs much more, and without it the map leads "
