@@ -29,8 +29,7 @@ from cagemap.surface.triangles import normalize_rows
 RIDGE = 1e-9
 DAMPING = 1e-4  # the same for a system of positions whose matrix is singular; single precision keeps it
 
-# New positions (n, 3) for a right side (n, 3) and the positions before (n, 3).
-Solve = Callable[[FloatArray, FloatArray], FloatArray]
+Solve = Callable[[FloatArray, FloatArray], FloatArray]  # positions (n, 3) for a right side and those before
 # From maps (n, 3, 3) and rest normals (n, 3) to the nearest admissible maps, and which of them were bounded (b,).
 Admissible = Callable[[FloatArray, FloatArray], tuple[FloatArray, IndexArray]]
 NO_VERTICES = np.zeros(0, dtype=np.int64)
@@ -123,8 +122,7 @@ def conjugate_gradients(
     return np.asarray(step)
 
 
-# Maps (n, 3, 3) of positions, and which of them were bounded (b,).
-Differentials = tuple[FloatArray, IndexArray]
+Differentials = tuple[FloatArray, IndexArray]  # maps (n, 3, 3) of positions, and which were bounded (b,)
 
 
 class Quadratic(Protocol):

@@ -24,8 +24,7 @@ from cagemap.spectral.surface import Surface
 from cagemap.surface.polylines import Polyline
 from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 
-# Corresponding tips (k,) of limbs, as vertices of the searched levels of target and source.
-Tips = tuple[IndexArray, IndexArray]
+Tips = tuple[IndexArray, IndexArray]  # tips (k,) of limbs, corresponding vertices of the searched levels
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,8 +27,7 @@ from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface, nea
 from cagemap.surface.triangles import row_lengths, triangle_areas, triangle_centres
 
 SAME = 1e-5  # points closer than this times sqrt(source area) are equal: the rounding error of six digits in a file
-# Usual units of length, in metres: millimetre, centimetre, inch, foot, metre.
-_UNITS = np.array([1e-3, 1e-2, 0.0254, 0.3048, 1.0])
+_UNITS = np.array([1e-3, 1e-2, 0.0254, 0.3048, 1.0])  # usual units, in metres: mm, cm, inch, foot, m
 FEWEST_POINTS = 3  # fewer pairs of points determine no motion
 _MOST_SAMPLES = 10_000  # at most this many vertices, and faces, of either surface are sampled
 

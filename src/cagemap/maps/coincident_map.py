@@ -15,8 +15,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import snap_landmarks
 from cagemap.maps.quality import landmark_errors
 
-# Least share of the target's unmasked area whose image is unmasked on the source.
-LEAST_JOINT = 0.5
+LEAST_JOINT = 0.5  # least share of the target's unmasked area whose image is unmasked
 ONE_SURFACE = "vertex on vertex: they are one surface"
 
 

@@ -66,12 +66,9 @@ UNREFINED = frozenset({SEVERAL, "no size", "size", "no area", "faces without are
 MAX_SLIT_EDGES = 8  # most edges of a boundary loop that is reported as a slit; a longer one is an opening
 MAX_COMPARED = 16  # number of components that are compared with each other: comparing more costs too much
 SMALLEST_EXTENT, LARGEST_EXTENT = 1e-60, 1e60  # their squares and products neither overflow nor vanish in float64
-# Least distance of vertices from a line, as a share of the extent. Real cages are above 1e-2.
-RELATIVE_WIDTH = 1e-9
-# Least face area as a share of the extent squared: edges of 3e-8, the resolution of float32. Real cages are above 1e-9.
-RELATIVE_FACE_AREA = 1e-15
-# Least face area as a share of its own extent squared: below it cotangents reach 1e9. Real cages are above 1e-3.
-RELATIVE_FACE_WIDTH = 1e-9
+RELATIVE_WIDTH = 1e-9  # least distance of vertices from a line, of the extent; real cages are above 1e-2
+RELATIVE_FACE_AREA = 1e-15  # least face area, of the extent squared: edges of 3e-8, the resolution of float32
+RELATIVE_FACE_WIDTH = 1e-9  # least face area, of its own extent squared: below it cotangents reach 1e9
 OPEN_ROUNDNESS = 0.02  # 36 pi V^2 / A^3, 1 for a ball; below this an open surface has no inside
 
 

@@ -16,8 +16,7 @@ from cagemap.surface.triangles import fan_triangles, triangle_areas
 
 NO_UV = (0.5, 0.5)  # UV of all corners of faces that have none, where other faces of the mesh have some
 UNKNOWN_COLOR = 0.8  # linear grey of faces whose material has no colour; the default of most programs
-# Triangles of a layout with less area are degenerate: sides of about 1e-6. Texels of a 16k image have 6e-5.
-MIN_UV_AREA = 1e-12
+MIN_UV_AREA = 1e-12  # triangles of a layout with less are degenerate; texels of a 16k image have 6e-5
 
 
 @dataclass(frozen=True, eq=False)

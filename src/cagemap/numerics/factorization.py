@@ -38,8 +38,7 @@ Precision = type[np.float64 | np.float32]
 SparseMatrix = sparse.csr_array | sparse.csc_array
 
 _MAX_MINIMUM_DEGREE_ROWS = 30_000  # rows up to which SuperLU orders by minimum degree, slow on large meshes
-# Relative backward error above which diagonal pivots are unstable, so that their signs do not give the inertia.
-_MAX_BACKWARD_ERROR = 1e-10
+_MAX_BACKWARD_ERROR = 1e-10  # relative; above it the signs of diagonal pivots do not give the inertia
 _MAX_RSLAB_THREADS = 4
 
 
@@ -170,8 +169,7 @@ def _singular_refused(matrix: SparseMatrix) -> Iterator[None]:
 # The result has the block's type; float32 is enough for nearest neighbours.
 RealArray = TypeVar("RealArray", NDArray[np.float64], NDArray[np.float32], NDArray[Any])
 
-# Number of multiplications below which threads cost more than they save.
-_MIN_PARALLEL_WORK = 2_000_000
+_MIN_PARALLEL_WORK = 2_000_000  # multiplications below which threads cost more than they save
 _MAX_THREADS = 8
 
 

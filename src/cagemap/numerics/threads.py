@@ -123,8 +123,7 @@ def in_threads(work: Callable[[Item], Value], items: Sequence[Item]) -> list[Val
         return list(pool.map(work, items))
 
 
-# Prefix of the attribute that holds a lock while a cached value is computed. Names in code contain no spaces.
-_LOCK = "lock of "
+_LOCK = "lock of "  # prefix of the attribute with the lock of a cached value; names in code have no spaces
 
 if TYPE_CHECKING:
     kept = cached_property

@@ -22,8 +22,7 @@ TARGET_BLOCK = 1024  # target vertices per block: about 40 candidates of 150 fun
 PARENT_SHARE = 0.5  # least weight of a parent in S_1^l, relative to the row's largest
 MIN_DETERMINANT = 1e-12  # triangles with a squared area below this share of their squared sides are degenerate
 
-# Function that returns rows (q, k) of an embedding at vertices (q,).
-Rows = Callable[[IndexArray], Embedding]
+Rows = Callable[[IndexArray], Embedding]  # gives rows (q, k) of an embedding at vertices (q,)
 
 
 def spectral_rows(surface: Surface, level: int, functions: int, mixing: FloatArray | None = None) -> Rows:

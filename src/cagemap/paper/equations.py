@@ -15,8 +15,7 @@ from cagemap.paper.descriptors import SPACING, Constraints, MapWeights, Spectral
 
 Mask = NDArray[np.bool_]
 
-# Residual of the iteration that couples rows, relative to the right side.
-CONVERGED = 1e-11
+CONVERGED = 1e-11  # residual of the iteration that couples rows, relative to the right side
 MOST_ITERATIONS = 5000
 
 

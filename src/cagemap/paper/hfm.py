@@ -55,8 +55,7 @@ class HfmConfig(Config):
             raise ParameterError(f"expected at least {FEWEST_FUNCTIONS} first functions, got {self.zoomout.first}")
 
 
-# Displacement of target points x to x R + Phi~1 tau: rotation R (3, 3), coefficients tau (k, 3).
-Displacement = tuple[FloatArray, FloatArray]
+Displacement = tuple[FloatArray, FloatArray]  # of x to x R + Phi~1 tau: rotation R (3, 3), coefficients tau (k, 3)
 
 
 @kinds_checked

@@ -15,8 +15,7 @@ from cagemap.numerics.threads import in_threads
 from cagemap.spectral.basis import HierarchicalBasis
 from cagemap.subdivision import Refinement
 
-# Rows of S^l count as equal if their products with random functions differ by less than this.
-SAME_ROW = 1e-9
+SAME_ROW = 1e-9  # rows of S^l are equal if their products with random functions differ by less than this
 UNKNOWN = -1
 OPERATOR_COLUMNS = 32  # number of basis functions to which an operator is applied at once: 256 MB at a million vertices
 

@@ -162,8 +162,7 @@ class Surface:
 
 Progress = Callable[[str], None]
 
-# Least share of the requested vertices that a level must have; the next level has four times as many.
-ENOUGH = 0.75
+ENOUGH = 0.75  # least share of the requested vertices that a level must have; the next has four times as many
 MOST_LEVELS = 12
 DEFAULT_VERTICES = 200_000  # default number of vertices of a match, on each side, approximately
 METHODS = ("elastic", "hfm", "paper")  # names of the methods that find a map

@@ -23,8 +23,7 @@ from cagemap.subdivision.matrices import linear_matrix, subdivision_matrix
 from cagemap.subdivision.topology import MeshState, Sharpness, children, control_state, next_state, split_topology
 from cagemap.surface.triangles import fan_triangles, triangles
 
-# UVs (p, 2) of a level, and the UV of every corner of its faces.
-Layout: TypeAlias = tuple[FloatArray, IndexArray]
+Layout: TypeAlias = tuple[FloatArray, IndexArray]  # UVs (p, 2) of a level, UV of every corner of its faces
 
 _DEPENDENT = ("corners_plus1", "corners_plus2")
 

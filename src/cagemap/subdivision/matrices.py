@@ -14,8 +14,7 @@ from cagemap.mesh.topology import BoolArray, IntArray, Topology
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.subdivision.topology import MeshState, Sharpness, vertex_rules
 
-# Rows, columns and weights of matrix entries.
-Entries: TypeAlias = tuple[NDArray[np.integer], NDArray[np.integer], FloatArray]
+Entries: TypeAlias = tuple[NDArray[np.integer], NDArray[np.integer], FloatArray]  # rows, columns, weights
 
 
 def matrix_of(entries: Sequence[Entries], shape: tuple[int, int]) -> csr_array:

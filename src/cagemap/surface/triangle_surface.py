@@ -135,8 +135,7 @@ class TriangleSurface:
         return f"TriangleSurface({self.n} vertices, {len(self.triangles)} triangles)"
 
 
-# Largest error of the sum of barycentric coordinates, and largest negative value. Files may be in single precision.
-TOLERANCE = 1e-4
+TOLERANCE = 1e-4  # of sums of barycentric coordinates and of negative ones: files may be in single precision
 
 
 @dataclass(frozen=True, eq=False, repr=False)

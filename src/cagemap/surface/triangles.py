@@ -55,8 +55,7 @@ def fan_triangles(offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray,
 
 
 _MIN_AREA_SHARE = 1e-6  # a triangle of a polygon is flat or flipped if its area is below this share of the polygon's
-# Larger polygons are split into fans: clipping ears takes time cubic in the corners.
-_MAX_CLIPPED_CORNERS = 200
+_MAX_CLIPPED_CORNERS = 200  # larger polygons are split into fans: clipping ears takes time cubic in the corners
 _MAX_CLIPPED_PAIRS = 1_000_000  # of corners, at a time: some 100 MB
 
 

@@ -1,4 +1,4 @@
-"""The control net that is fitted: its rest shape, its samples, and their terms for `cagemap.deform.energy`.
+"""Configuration of a wrap; and the control net that is fitted: rest shape, samples, terms for `deform.energy`.
 
 With S the refinement from the net's level to the finest and P the images of the finest vertices by the map, the terms
 are distances of surface samples from the source:

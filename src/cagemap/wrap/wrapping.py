@@ -29,8 +29,7 @@ NO_CAGE = (
     "plain."
 )
 
-# Triangles, barycentric coordinates and distances of closest points.
-Closest = tuple[IndexArray, FloatArray, FloatArray]
+Closest = tuple[IndexArray, FloatArray, FloatArray]  # triangles, barycentric coordinates, distances
 
 _RENDERED = 4  # least level of both surfaces for baking: most programs render a subdivision surface at it
 _MOST_BAKED_VERTICES = 1_500_000  # largest number of vertices for baking, whatever the level

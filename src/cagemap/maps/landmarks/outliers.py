@@ -178,8 +178,7 @@ def _pairs(trusted: IndexArray) -> tuple[IndexArray, IndexArray]:
     return rows[different], columns[different]
 
 
-# Positions and unit normals (p, 3) of landmarks on one surface.
-Marks = tuple[FloatArray, FloatArray]
+Marks = tuple[FloatArray, FloatArray]  # positions and unit normals (p, 3) of landmarks on one surface
 
 
 def orientation_agreement(target: Marks, source: Marks, config: LandmarkConfig = LandmarkConfig()) -> float:
