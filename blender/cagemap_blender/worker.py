@@ -32,6 +32,7 @@ from cagemap.mesh.landmarks import Landmarks, NamedPoints, pair_by_name
 from cagemap.mesh.parts import extract_faces, find_part, numbers_on_part
 from cagemap.mesh.repairs import RepairedMesh
 from cagemap.mesh.schemes import SCHEMES
+from cagemap.mesh.udim import FIRST_TILE
 from cagemap.numerics.process import set_up_process
 from cagemap.pipeline import choose_level, match, prepare_surfaces, update_match
 from cagemap.surface.closest_points import closest_points
@@ -42,7 +43,6 @@ from cagemap.tasks.progress import Stages
 from cagemap.tasks.set_aside import SetAside, lay_set_aside, piece_transfer
 from cagemap.transfer import BakeOptions, Transfer, bake_texture, pull_back_faces, target_tiles, transfer_of
 from cagemap.transfer.skin import carry_joints
-from cagemap.transfer.udim import FIRST_TILE
 from cagemap.transfer.vectors import bake_normal_map
 from cagemap.wrap import wrap
 

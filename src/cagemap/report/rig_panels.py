@@ -15,6 +15,7 @@ from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.topology import mesh_topology
+from cagemap.mesh.udim import udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool
 from cagemap.pictures import (
@@ -35,7 +36,6 @@ from cagemap.report.viewpoints import Viewpoints, choose_viewpoints
 from cagemap.subdivision import Refinement, level_triangles, refine
 from cagemap.surface.closest_points import closest_points
 from cagemap.transfer.textured_surface import TexturedSurface
-from cagemap.transfer.udim import udim_origin
 
 CLAY = np.array([0.86, 0.84, 0.80])
 WIRE_COLOR = np.array([0.13, 0.28, 0.36])

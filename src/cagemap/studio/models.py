@@ -25,6 +25,7 @@ from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.repairs import RepairedMesh, unrepaired
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
+from cagemap.mesh.udim import udim_origin
 from cagemap.mesh.weld import weld_mesh, weld_tolerance
 from cagemap.numerics.arrays import FloatArray, IndexArray, encode_srgb
 from cagemap.pictures import UP_AXES, shape_turn, stated_turn, usual_turn
@@ -36,7 +37,6 @@ from cagemap.studio.state import NO_SCHEME
 from cagemap.subdivision import refine, with_options
 from cagemap.tasks.material_atlas import material_atlas
 from cagemap.transfer import face_colors
-from cagemap.transfer.udim import udim_origin
 
 # Largest side of the texture in the page; the bake uses the whole image.
 PREVIEW_TEXTURE_SIZE = 1024

@@ -22,6 +22,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.control_mesh import MIN_UV_AREA
+from cagemap.mesh.udim import udim_of, udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, shown
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads
@@ -38,7 +39,6 @@ from cagemap.transfer.mip_maps import MipMaps
 from cagemap.transfer.texels import GUTTER_RADIUS, LARGEST_SIDE, Layout, TriangleImage, dilate, lay_out, rasterize_band
 from cagemap.transfer.texture import Filter, Pixels, Texture, lay_texture, tile_cells
 from cagemap.transfer.textured_surface import TexturedSurface
-from cagemap.transfer.udim import udim_of, udim_origin
 
 Shade = Callable[[TexelSamples], FloatArray]
 

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg
 
+from cagemap.mesh.udim import udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangle_surface import TriangleSurface, nearest_facing
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.rays import MAX_DETAIL_DISTANCE
 from cagemap.transfer.texture import OVERHANG, tile_cells
-from cagemap.transfer.udim import udim_origin
 
 # Weight of the change of texels against the error of lookups.
 _TRACE = 1e-3

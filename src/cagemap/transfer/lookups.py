@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.mesh.udim import udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.surface.triangles import triangle_neighbors
@@ -14,7 +15,6 @@ from cagemap.transfer.locate import MappedSurface, locate_centers
 from cagemap.transfer.mip_maps import MipMaps
 from cagemap.transfer.texels import GUTTER_RADIUS, Layout, dilate, lay_out, rasterize_band
 from cagemap.transfer.texture import Filter, Texture, tile_cells
-from cagemap.transfer.udim import udim_origin
 
 # Most samples of a texel along each axis; texels that need more read a coarser mip level.
 MAX_SAMPLES_PER_AXIS = 16

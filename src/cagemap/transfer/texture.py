@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
+from cagemap.mesh.udim import udim_of, udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.udim import udim_of, udim_origin
 
 Pixels = NDArray[Any]
 

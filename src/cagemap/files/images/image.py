@@ -25,9 +25,9 @@ from cagemap.files.atomic import atomic_path
 from cagemap.files.images.parts import apply_orientation, fit_to_display_window, require_one_picture, shown_size
 from cagemap.files.ownership import mark
 from cagemap.files.text import require_file, require_suffix, text_name
+from cagemap.mesh.udim import FIRST_TILE
 from cagemap.numerics.arrays import array_of
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.transfer.udim import FIRST_TILE
 
 Pixels = NDArray[Any]
 
