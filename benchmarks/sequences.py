@@ -27,8 +27,7 @@ from cagemap.mesh.plain import plain_mesh
 from cagemap.pipeline import MatchResult, match, match_next, prepare_surface
 from cagemap.spectral import Surface
 from cagemap.subdivision import level_triangles, refine
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import triangle_areas
 
 CHARACTERS = DATA / "characters"

@@ -12,8 +12,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import covered_share, flipped_triangles, landmark_errors, stretches
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.closest_points import closest_points
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import triangle_areas
 
 _VALID_GAP = 0.015  # of sqrt(area): a larger gap between the neutral surfaces is no match

@@ -18,8 +18,14 @@ from benchmarks.paper.stages import extended, noise, zero
 from cagemap.maps.pair import Pair
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.paper import method
-from cagemap.paper.descriptors import landmark_descriptors, normalise_columns
-from cagemap.paper.functional_constraints import Constraints, DescriptorConfig, SpectralData, gather_constraints
+from cagemap.paper.descriptors import (
+    Constraints,
+    DescriptorConfig,
+    SpectralData,
+    gather_constraints,
+    landmark_descriptors,
+    normalise_columns,
+)
 from cagemap.paper.method import PaperConfig, paper_map
 from cagemap.pipeline import MatchConfig, pair_of, prepare_surface
 from cagemap.spectral import BasisConfig, Surface

@@ -17,9 +17,9 @@ from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap
 from cagemap.paper import hfm, method
-from cagemap.paper.functional_constraints import DescriptorConfig, gather_constraints
+from cagemap.paper.descriptors import DescriptorConfig, gather_constraints
 from cagemap.paper.hfm import HfmConfig, hfm_map
-from cagemap.paper.method import PaperConfig, finer_level_pairs, paper_map, recover_points, search_full, search_level
+from cagemap.paper.method import PaperConfig, finer_level_pairs, paper_map, recover_points, search_level
 from cagemap.pipeline import MatchConfig, choose_level, default_basis, pair_of, prepare_surface
 from cagemap.spectral import Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule
@@ -145,7 +145,7 @@ def variants_of_paper() -> list[Variant]:
 def closest_map_off(pair: Pair, levels: tuple[int, int], functional_map: np.ndarray, _: Any) -> LevelMap:
     """C alone: full search on the first level, Fig. 9 and vertex to point below (5.4), as `paper` does it."""
     first = hfm.search_levels(pair.target, pair.source, HfmConfig().search_vertices)
-    found = LevelMap(first, functional_map, search_full(pair, functional_map, first))
+    found = LevelMap(first, functional_map, search_level(pair, functional_map, first))
     if levels != (pair.target.finest_level, pair.source.finest_level):
         return found  # only the last level is judged
     for finer in finer_level_pairs(pair, first):

@@ -20,7 +20,7 @@ from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import SCHEMES
 from cagemap.pipeline import choose_level, match, prepare_surface
 from cagemap.spectral import Surface
-from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import SurfacePoints
 
 # Largest mean error of a right map, x100 of sqrt(area).
 RIGHT = 5.0

@@ -260,8 +260,7 @@ def _mean_error(pair: HumanPair, target_level: int, source_level: int, triangle:
     from benchmarks.truth import true_map
     from cagemap.files.meshes.formats import read_mesh
     from cagemap.subdivision import refine
-    from cagemap.surface.surface_points import SurfacePoints
-    from cagemap.surface.triangle_surface import TriangleSurface
+    from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 
     def finest(file: Any, level: int) -> TriangleSurface:
         mesh = refine(read_mesh(file), level).finest

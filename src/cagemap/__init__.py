@@ -70,7 +70,7 @@ if TYPE_CHECKING:
     from cagemap.spectral.mesh_eigenpairs import operators_for_diffusion_net as operators_for_diffusion_net
     from cagemap.subdivision import Refinement as Refinement
     from cagemap.subdivision import refine as refine
-    from cagemap.surface.surface_points import SurfacePoints as SurfacePoints
+    from cagemap.surface.triangle_surface import SurfacePoints as SurfacePoints
     from cagemap.surface.triangle_surface import TriangleSurface as TriangleSurface
     from cagemap.tasks.carry_arrays import carry_shapes as carry_shapes
     from cagemap.tasks.carry_arrays import carry_values as carry_values
@@ -98,8 +98,7 @@ _PACKAGES = {
     "files.landmarks.pairs": ("read_landmarks",),
     "files.meshes.formats": ("read_mesh", "write_mesh"),
     "files.result.folder": ("read_result", "write_result"),
-    "surface.surface_points": ("SurfacePoints",),
-    "surface.triangle_surface": ("TriangleSurface",),
+    "surface.triangle_surface": ("SurfacePoints", "TriangleSurface"),
     "maps.hypotheses.search": ("fit",),
     "maps.geodesic": ("geodesic_error",),
     "maps.functional_maps": ("functional_map_of",),

@@ -46,7 +46,7 @@ from cagemap.numerics.threads import in_threads, one_blas_thread
 from cagemap.paper.hfm import hfm_map
 from cagemap.paper.method import paper_map, search_levels
 from cagemap.paper.symmetries import paired_mirrors
-from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
+from cagemap.spectral.basis import MAP_BASIS as MAP_BASIS
 from cagemap.spectral.surface import DEFAULT_VERTICES, Surface
 from cagemap.spectral.surface import choose_level as choose_level
 from cagemap.spectral.surface import default_basis as default_basis

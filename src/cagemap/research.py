@@ -40,15 +40,17 @@ from cagemap.mesh.inputs import control_mesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, shown, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors
-from cagemap.paper.equations import extend_functional_map, solve_functional_map
-from cagemap.paper.functional_constraints import (
+from cagemap.paper.descriptors import (
     Constraints,
     DescriptorConfig,
+    Filters,
     MapWeights,
+    choose_filters,
     gather_constraints,
+    landmark_descriptors,
     signature_functions,
 )
+from cagemap.paper.equations import extend_functional_map, solve_functional_map
 from cagemap.paper.hfm import HfmConfig, hfm_map
 from cagemap.paper.method import (
     PaperConfig,
@@ -56,7 +58,6 @@ from cagemap.paper.method import (
     finer_level_pairs,
     paper_map,
     recover_points,
-    search_full,
     search_level,
     search_levels,
 )
@@ -64,7 +65,7 @@ from cagemap.paper.symmetries import check_symmetry
 from cagemap.pipeline import MAP_BASIS, MatchResult, prepare_pair, prepare_surface
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule
-from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import SurfacePoints
 
 __all__ = [
     "Constraints",
@@ -215,7 +216,7 @@ def point_map(pair: Pair, map_like: MapLike) -> PointMap:
         return PointMap.from_vertices(pair.target.finest_triangles, pair.source.finest_triangles, checked_map)
     matrix = functional_map_of(pair, checked_map)
     start = search_levels(pair.target, pair.source, HfmConfig().search_vertices)
-    level_map = LevelMap(start, matrix, search_full(pair, matrix, start))
+    level_map = LevelMap(start, matrix, search_level(pair, matrix, start))
     for levels in finer_level_pairs(pair, start):
         level_map = LevelMap(levels, matrix, search_level(pair, matrix, levels, level_map))
     return recover_points(pair, level_map)

@@ -27,8 +27,7 @@ from cagemap.mesh.faces import cage_triangles, face_centres
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.subdivision import refine
 from cagemap.surface.closest_points import closest_points
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
 from command_line import Run

@@ -109,7 +109,7 @@ def test_extrapolation_is_exact_for_affine_deformations(creature_at_3: tuple[Ref
     coarse, _ = cluster_graph(graph, 150, np.array([7]))
     matrix, shift = affine(np.random.default_rng(12))
     maps = np.broadcast_to(matrix, (coarse.n, 3, 3))
-    found = extrapolate(coarse, coarse.positions @ matrix.T + shift, maps, graph)
+    found = extrapolate(coarse, coarse.positions @ matrix.T + shift, maps, graph, GraphConfig())
     np.testing.assert_allclose(found, graph.positions @ matrix.T + shift, atol=1e-12)
 
 

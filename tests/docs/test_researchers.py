@@ -18,8 +18,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.mesh import Plain
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.spectral import BasisConfig
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 
 from locations import ROOT
 from plain_meshes import far_apart, marks_at

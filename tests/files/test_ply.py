@@ -20,7 +20,7 @@ from cagemap.files.meshes.ply import read_ply, write_ply
 from cagemap.files.usd.prims import transform_points
 from cagemap.files.usd.space import to_standard
 from cagemap.mesh import ControlMesh, Plain
-from cagemap.numerics.srgb import encode_srgb
+from cagemap.numerics.arrays import encode_srgb
 
 from ply_text import write_text_ply
 from refusals import refuses

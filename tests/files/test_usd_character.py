@@ -32,7 +32,7 @@ from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import usd_document
 from cagemap.files.usd.read import read_usd_meshes
 from cagemap.files.usd.write import UsdResults, write_usd_over
-from cagemap.numerics.srgb import decode_srgb
+from cagemap.numerics.arrays import decode_srgb
 from cagemap.tasks.mesh_commands import run_check
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest

@@ -26,7 +26,7 @@ from cagemap.files.usd.convert import document_and_character, usd_document
 from cagemap.files.usd.read import place_in_world, read_usd_meshes
 from cagemap.files.usd.skeleton import read_usd_skeleton
 from cagemap.mesh.faces import reversed_corners
-from cagemap.numerics.srgb import encode_srgb
+from cagemap.numerics.arrays import encode_srgb
 from cagemap.tasks.mesh_commands import run_check
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import CheckRequest

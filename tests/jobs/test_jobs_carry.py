@@ -26,7 +26,7 @@ from cagemap.maps.pair import cage_points_of, locate
 from cagemap.mesh.landmarks import NamedPoints
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.spectral.surface import prepare_surface
-from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import SurfacePoints
 from cagemap.tasks.requests.catalogue import COMMANDS
 
 from example_once import example_pair

@@ -16,11 +16,10 @@ from cagemap.errors import FormatError
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps.pair import Pair, curve_pairs, point_pairs, refined_edges
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
-from cagemap.mesh.cage_points import CagePoints
-from cagemap.mesh.curves import CurvePair
+from cagemap.mesh.curves import CagePoints, CurvePair
 from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, pair_by_name
 from cagemap.mesh.topology import mesh_topology
-from cagemap.paper.functional_constraints import curve_rows
+from cagemap.paper.descriptors import curve_rows
 from cagemap.pipeline import MatchResult, match, update_match
 from cagemap.spectral.surface import prepare_surfaces
 from cagemap.subdivision import refine
@@ -212,7 +211,7 @@ def test_a_curve_through_places_lies_on_the_surface_near_them(surfaces: tuple) -
 
 
 def _through(places: np.ndarray):
-    from cagemap.mesh.cage_points import NamedCurve
+    from cagemap.mesh.curves import NamedCurve
 
     return NamedCurve("belt", np.full(len(places), -1), places, closed=True)
 

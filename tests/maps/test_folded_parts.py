@@ -23,8 +23,7 @@ from cagemap.maps.projection.project import control_points, project
 from cagemap.maps.projection.relax import relax_folds
 from cagemap.maps.quality import flipped_triangles
 from cagemap.subdivision import Refinement, level_triangles, refine
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import normalize_rows
 
 from elastic_shapes import mesh_of, prepared_at, surface_of

@@ -16,8 +16,7 @@ from cagemap.maps.regions import local_size
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.subdivision import level_triangles, refine
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 
 
 def test_distances_on_a_sphere_are_angles() -> None:

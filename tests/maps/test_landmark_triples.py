@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 
 from cagemap import Surface
-from cagemap.deform.config import LandmarkConfig
+from cagemap.deform.config import ElasticConfig, LandmarkConfig
 from cagemap.deform.energy import energy_matrix
 from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.deform.problem import level_graph
@@ -15,14 +15,16 @@ from cagemap.maps.landmarks import outliers
 from cagemap.maps.landmarks.outliers import (
     Distances,
     Marks,
+    ReducedEnergy,
     agreement_around,
     best_exchanges,
     exchanged_sides,
     misplaced_pairs,
     orientation_agreement,
+    reduced_energy,
+    strained_pair,
     typical_misfit,
 )
-from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, strained_pair
 from cagemap.subdivision import refine
 
 from example_once import example_pair
@@ -295,7 +297,7 @@ def test_the_strain_of_many_landmarks_needs_little_memory(graph):
     coarse, _ = cluster_graph(graph, 300, landmarks)
     columns = 8 * 12 * coarse.n * 3 * len(landmarks)
     tracemalloc.start()
-    energy = reduced_energy(graph, graph.positions, graph.normals, landmarks)
+    energy = reduced_energy(graph, graph.positions, graph.normals, landmarks, ElasticConfig())
     strained(energy, graph.positions[landmarks])
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
@@ -305,11 +307,12 @@ def test_the_strain_of_many_landmarks_needs_little_memory(graph):
 def test_the_strained_pair_is_the_displaced_one(graph):
     """On a surface mapped to itself with one landmark slid along it, that one wants to go back."""
     landmarks = np.linspace(0, 150, 12).astype(np.int64)
-    energy = reduced_energy(graph, graph.positions, graph.normals, landmarks)
+    energy = reduced_energy(graph, graph.positions, graph.normals, landmarks, ElasticConfig())
     places = graph.positions[landmarks]
     assert strained(energy, places) is None
     near = np.argsort(np.linalg.norm(graph.positions - places[4], axis=1))
     slid = places.copy()
     slid[4] = next(graph.positions[v] for v in near if np.linalg.norm(graph.positions[v] - places[4]) > 0.08)
     assert strained(energy, slid) == 4
-    assert strained(reduced_energy(graph, graph.positions, graph.normals, landmarks[:9]), slid[:9]) is None
+    fewer = reduced_energy(graph, graph.positions, graph.normals, landmarks[:9], ElasticConfig())
+    assert strained(fewer, slid[:9]) is None

@@ -20,8 +20,7 @@ from cagemap.maps.quality import NOTHING_JOINED, measure_quality
 from cagemap.mesh import ControlMesh
 from cagemap.pipeline import MatchConfig
 from cagemap.subdivision import refine
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.tasks.masks import mask_file, read_mask, read_masks
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.transfer import BakeOptions, bake_texture, prepare_transfer

@@ -33,8 +33,7 @@ from cagemap.maps.pair import Pair, near_vertices
 from cagemap.mesh import CatmullClark, Loop, Plain
 from cagemap.paper.method import finer_level_pairs, search_levels
 from cagemap.pipeline import pair_of
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 
 from example_once import example_pair
 from plain_meshes import marks_at, renumbered

@@ -27,8 +27,7 @@ from cagemap.numerics.threads import thread_limit
 from cagemap.pipeline import prepare_surface
 from cagemap.subdivision import level_triangles, refine
 from cagemap.surface.closest_points import build_tree, closest_points
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import normalize_rows, surface_area, triangle_normals, vertex_normals
 
 from closest_reference import closest_points_slowly

@@ -36,8 +36,7 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pipeline import MatchConfig, match, prepare_pair, prepare_surface
 from cagemap.spectral import Surface
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 
 from example_result import identity_result
 

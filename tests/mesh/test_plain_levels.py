@@ -25,7 +25,7 @@ from cagemap.operators.coarse_levels import build_coarse_levels, flip_to_delauna
 from cagemap.pipeline import MatchConfig, choose_level, match, prepare_pair, prepare_surface, update_match
 from cagemap.spectral import Surface
 from cagemap.subdivision import Refinement, finest_mesh, refine
-from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import SurfacePoints
 from cagemap.surface.triangles import triangle_normals, triangles
 from cagemap.transfer.matched import transfer_of
 

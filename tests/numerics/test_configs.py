@@ -12,8 +12,8 @@ from cagemap.errors import ParameterError
 from cagemap.match_config import MatchConfig
 from cagemap.numerics.kinds import Config
 from cagemap.paper.hfm import HfmConfig
-from cagemap.spectral.config import SOLVER
-from cagemap.wrap.config import MendConfig, WrapConfig
+from cagemap.spectral.eigenpairs import SOLVER
+from cagemap.wrap.net import MendConfig, WrapConfig
 
 REFUSED: dict[str, Callable[[], object]] = {
     "min_cell: expected a number from 0 to 0.5, got 0.9": lambda: GraphConfig(min_cell=0.9, joining_rounds=9),

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cagemap.errors import ParameterError
+from cagemap.paper.descriptors import Constraints, MapWeights, SpectralData
 from cagemap.paper.equations import extend_functional_map, laplacian_penalties, solve_functional_map
-from cagemap.paper.functional_constraints import Constraints, MapWeights, SpectralData
 
 from refusals import refuses
 

@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 from cagemap.errors import ParameterError
 from cagemap.maps.pair import Pair, PointPairs, near_vertices
 from cagemap.paper import hfm, method
-from cagemap.paper.functional_constraints import MapWeights
+from cagemap.paper.descriptors import MapWeights
 from cagemap.paper.hfm import HfmConfig, both_directions, fit_displacement, hfm_map
 from cagemap.paper.method import PaperConfig, nearest_orthonormal, paper_map, search_levels
 from cagemap.pipeline import MatchConfig, default_basis, match, prepare_surface
 from cagemap.spectral import BasisConfig
 from cagemap.spectral.zoomout import ZoomOutSchedule
-from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import SurfacePoints
 
 from judged_pairs import Judged
 from plain_meshes import marks_at

@@ -5,8 +5,8 @@ import pytest
 from examples.shapes import creature
 
 from cagemap import BasisConfig, MatchConfig, match, prepare_surface
+from cagemap.paper.descriptors import Constraints, MapWeights, SpectralData
 from cagemap.paper.equations import solve_functional_map
-from cagemap.paper.functional_constraints import Constraints, MapWeights, SpectralData
 
 from refusals import Refusal
 

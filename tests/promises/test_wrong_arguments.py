@@ -47,7 +47,7 @@ from cagemap.numerics.kinds import _expected, kinds_checked
 from cagemap.operators.laplacian import named_laplacian, stiffness, vertex_areas
 from cagemap.research import gather_constraints
 from cagemap.transfer.rays import ambient_occlusion
-from cagemap.wrap.config import WrapConfig
+from cagemap.wrap.net import WrapConfig
 
 from example_result import identity_result
 from refusals import refuses

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cagemap.errors import ParameterError
-from cagemap.numerics.srgb import decode_srgb, encode_srgb
+from cagemap.numerics.arrays import decode_srgb, encode_srgb
 from cagemap.pictures import (
     BALANCE_SCALE,
     VIEWS,

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.operators import build_operators
-from cagemap.paper.functional_constraints import DescriptorConfig
+from cagemap.paper.descriptors import DescriptorConfig
 from cagemap.spectral import BasisConfig, Surface, exact_basis, hierarchical_basis
-from cagemap.spectral.basis import label_clusters, new_directions
-from cagemap.spectral.config import MIN_VERTICES, SOLVER, VERTICES_PER_FUNCTION
+from cagemap.spectral.basis import MIN_VERTICES, VERTICES_PER_FUNCTION, label_clusters, new_directions
+from cagemap.spectral.eigenpairs import SOLVER
 from cagemap.subdivision import refine
 
 from refusals import refuses

@@ -20,7 +20,7 @@ from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.usd.space import StageSpace
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh.control_mesh import UvSet
-from cagemap.numerics.srgb import encode_srgb as to_display
+from cagemap.numerics.arrays import encode_srgb as to_display
 from cagemap.studio.compute import (
     ShowBaked,
     run_task,

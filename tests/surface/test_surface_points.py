@@ -10,8 +10,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.subdivision import refine
 from cagemap.surface.polylines import Polyline
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import fan_triangles, surface_area, triangles
 
 from refusals import refuses

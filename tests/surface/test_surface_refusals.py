@@ -6,8 +6,7 @@ from examples.shapes import icosahedron
 from scipy import sparse
 
 from cagemap.surface.closest_points import build_tree, closest_points
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 
 from refusals import Refusal
 

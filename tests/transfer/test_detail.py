@@ -15,7 +15,7 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.maps.masks import Masks
 from cagemap.mesh import ControlMesh
-from cagemap.numerics.srgb import encode_srgb
+from cagemap.numerics.arrays import encode_srgb
 from cagemap.subdivision import Level, refine
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface

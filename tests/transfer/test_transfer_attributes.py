@@ -11,7 +11,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.values.attributes import read_attributes, write_attributes
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
-from cagemap.numerics.srgb import encode_srgb
+from cagemap.numerics.arrays import encode_srgb
 from cagemap.subdivision import Level, refine
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer import (

@@ -24,8 +24,7 @@ from cagemap.pipeline import prepare_pair, prepare_surface
 from cagemap.subdivision import Refinement, refine, triangles
 from cagemap.subdivision.face_varying import corner_triangles, interpolate_linearly
 from cagemap.subdivision.refinement import truncate_refinement
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.tasks.carry_arrays import trusted_vertices
 from cagemap.transfer import carry_uvs, combine, control_weights, corner_weights, prepare_transfer
 from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes

@@ -17,8 +17,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles
 from cagemap.subdivision import Refinement, refine
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.transfer import control_weights
 from cagemap.transfer.blend_shapes import carry_shape, contacts, moved_share, prepare_shapes
 from cagemap.transfer.skin import (

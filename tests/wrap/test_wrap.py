@@ -17,8 +17,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.subdivision import Refinement, refine
 from cagemap.surface.closest_points import closest_points
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.transfer.rays import intersect_normals
 from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap, wrapped_transfer
 from cagemap.wrap.fit import detached_pieces, fit_net

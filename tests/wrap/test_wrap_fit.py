@@ -15,12 +15,19 @@ from cagemap.files.meshes.obj import read_obj
 from cagemap.maps.point_map import PointMap
 from cagemap.pipeline import match, prepare_surfaces
 from cagemap.subdivision import Refinement, refine
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.wrap import wrap
-from cagemap.wrap.config import MendConfig, WrapConfig
 from cagemap.wrap.fit import fit_net, mend
-from cagemap.wrap.net import ControlNet, NetTerms, Samples, control_net, face_aspects, folded_faces
+from cagemap.wrap.net import (
+    ControlNet,
+    MendConfig,
+    NetTerms,
+    Samples,
+    WrapConfig,
+    control_net,
+    face_aspects,
+    folded_faces,
+)
 
 from quick_match import QUICK
 

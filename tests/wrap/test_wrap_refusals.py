@@ -13,16 +13,14 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.mesh.schemes import Plain
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.tasks import run
 from cagemap.tasks import wrap as task
 from cagemap.tasks.match import MatchRequest
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.wrap import WrapRequest
-from cagemap.wrap.config import MendConfig, WrapConfig
 from cagemap.wrap.fit import fit_net, mend
-from cagemap.wrap.net import ControlNet, Samples, control_net
+from cagemap.wrap.net import ControlNet, MendConfig, Samples, WrapConfig, control_net
 
 from command_line import Run
 from example_result import identity_result, textured_cube

@@ -19,8 +19,7 @@ from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.parts import join_meshes, passenger_word
 from cagemap.mesh.topology import vertex_pieces
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, offsets_of
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.transfer.skin import normalise_rows, prune_rows
 
 # A vertex has the values of a counterpart that is nearer than the body, or within this share of the diagonal of the

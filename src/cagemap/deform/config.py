@@ -80,11 +80,8 @@ class DataConfig(Config):
 
     samples: float = 2.0  #: source samples per vertex of the target's mesh; more change nothing
     received_smoothing: float = 0.005  #: length over which received area is smoothed; less than a finger's width
-    #: a vertex that receives less than the first share of its area has no data term, from the second on a full one
-    received: tuple[float, float] = (0.25, 0.5)
-    #: round trip (a source sample, its closest point on the target, that one's closest point on the source) at which
-    #: a sample inside the target has a quarter of its weight
-    inside_trip: float = 0.006
+    received: tuple[float, float] = (0.25, 0.5)  #: shares of its area received, with no and with full data term
+    inside_trip: float = 0.006  #: round trip that leaves a sample inside the target a quarter of its weight
     outside_trips: float = 6.0  #: round trip of a quarter of the weight outside, in sqrt(alpha): it may yet arrive
     uncovered: float = 0.02  #: largest distance from an open surface that counts; beyond its boundary is no misfit
     curve_share: int = 6  #: at most one in so many coarse vertices lies on curves
@@ -95,10 +92,7 @@ class DataConfig(Config):
 
 @dataclass(frozen=True)
 class SearchConfig(Config):
-    """Search over several starts (`maps.hypotheses.search`); lengths are of sqrt(area), costs relative.
-
-    Measured in docs/lab/elastic.md and docs/lab/poses.md.
-    """
+    """Search over several starts (docs/lab/elastic.md, docs/lab/poses.md); lengths of sqrt(area), costs relative."""
 
     # Fits from two starts that landmarks give, and from further starts if these two fits disagree
     max_start_distance: float = 0.004  #: the fits disagree if their coarse placements are farther apart, on average
@@ -106,9 +100,7 @@ class SearchConfig(Config):
     limb_area: float = 0.02  #: share of the area that counts as a limb; less than a forearm and its hand
     min_coarse_distance: float = 0.001  #: coarse placements at a larger mean distance are both refined
     max_refined: int = 3  #: coarse placements that are refined from one start, and candidates of the fine stage
-    #: a coarse placement that costs more than this factor times the cheapest is not refined; neither are limb
-    #: assignments that cost more than it times the files' own alignment, as where fins were taken for limbs
-    max_cost: float = 1.5
+    max_cost: float = 1.5  #: coarse placements and assignments of limbs that cost more times the cheapest are dropped
     part_distance: float = 0.02  #: where two placements are farther apart, either one may be better
     part_area: float = 5e-4  #: least share of the area of a part that is taken from another placement
     #: two placements count as equally good if the larger cost is at most this factor times the smaller one; maps that
@@ -127,9 +119,7 @@ class SearchConfig(Config):
     turned_penalty: float = 1.1  #: cost factor of a start rotated about the vertical; files mostly agree on the front
     tilted_penalty: float = 1.3  #: the same of other rotations; files nearly always agree on up
     max_unit_ratio: float = 4.0  #: files of parts whose sizes have a larger ratio are in different units
-    # Limbs and their tips
-    #: least height of a limb's tip over its pass; fingers and ears reach 0.07, feet start at 0.12
-    limb_height: float = 0.1
+    limb_height: float = 0.1  #: least height of a limb's tip over its pass; fingers reach 0.07, feet start at 0.12
     fewest_points: int = 4  #: limbs and landmarks that an assignment needs
     fewest_of_part: int = 3  #: the same for a part, whose other limbs may be cut off
     max_limbs: int = 7  #: most limbs that are assigned; the most prominent ones
@@ -141,8 +131,7 @@ class SearchConfig(Config):
     min_tip_miss: float = 0.02  #: a placement that leaves all of them nearer is not refitted
     min_landmark_distance: float = 0.05  #: a tip nearer to a landmark is not used
     same_kind_cost: float = 1e-4  #: bodies whose fit costs less are of one kind; no later stage improves them
-    #: without landmarks, if the best placement costs more, the reverse problem is searched too (`search_both_ways`)
-    max_one_way_cost: float = 4e-4
+    max_one_way_cost: float = 4e-4  #: from this cost on, without landmarks, the reverse problem is searched too
 
 
 @dataclass(frozen=True)
@@ -153,8 +142,7 @@ class RefitConfig(Config):
     stage: Stage = Stage(5, (0.1, 0.1), 1e-3)  #: stage of the rotations: stiffness of the limbs against the placement
     joint_rounds: int = 2  #: rounds in which joints are found
     min_stiffness: float = 0.02  #: least weight of an edge at a joint, as a share of its own
-    #: `match_next` discards a map that folds a larger share of the area; correct ones have 0.001, without a leg 0.007
-    max_folded_frame: float = 0.005
+    max_folded_frame: float = 0.005  #: `match_next` discards a map that folds a larger share of the area
     smoothing: float = 0.02  #: length over which the gradient of rotations and the shifts to the inverse are smoothed
     gap: float = 0.01  #: distance from the inverse's mesh at which a vertex has a quarter of its weight
     normal_weight: float = 0.02  #: length of a unit normal in the search on that mesh
@@ -162,13 +150,9 @@ class RefitConfig(Config):
 
 @dataclass(frozen=True)
 class CoincidenceConfig(Config):
-    """Test whether two surfaces coincide (`maps.coincidence`); lengths are in units of sqrt(source area).
+    """Test whether two surfaces coincide (`maps.coincidence`); lengths are in units of sqrt(source area)."""
 
-    Chosen on seven cages of one body and on two other bodies.
-    """
-
-    #: largest mean distance of vertices from the other mesh; one body has up to 0.0023, two from 0.0204 on
-    mean_gap: float = 0.003
+    mean_gap: float = 0.003  #: largest mean distance of vertices from the other mesh
     max_gap: float = 0.01  #: distance within which `share` of them lie; one body has up to 0.0085, two from 0.048 on
     near: float = 0.03  #: a point farther from the other surface is not on it
     #: largest mean distance, of sqrt(target area): eyes have up to 0.21, a chair in metres at one in millimetres 0.33
@@ -178,8 +162,7 @@ class CoincidenceConfig(Config):
     reach: float = 0.1  #: search radius of closest points that face the same way
     # Motions
     moved_gap: float = 0.001  #: largest mean distance of a moved target; another shape, 4 % longer, can have 0.0029
-    #: largest relative difference of the deviations along principal axes; one body under several cages has up to 0.04
-    max_moment_change: float = 0.05
+    max_moment_change: float = 0.05  #: largest relative difference of the deviations along principal axes
     min_axis_ratio: float = 1.05  #: least ratio of deviations along two principal axes; equal ones cannot be told apart
     settling_rounds: int = 30  #: closest points and the best similarity in turn
     settling_samples: int = 500  #: face centres of the target in it
@@ -188,10 +171,7 @@ class CoincidenceConfig(Config):
 
 @dataclass(frozen=True)
 class LandmarkConfig(Config):
-    """Which landmarks are left out or reported (`maps.landmarks`); lengths are of sqrt(area).
-
-    Gains and misfits are mean |log ratios| of distances between landmarks on the two surfaces.
-    """
+    """Landmarks left out or reported; lengths of sqrt(area), misfits and gains are mean |log ratios| of distances."""
 
     # Distances between landmarks
     fewest_judged: int = 6  #: fewer pairs are not judged; they cannot outvote one
@@ -200,17 +180,14 @@ class LandmarkConfig(Config):
     max_misfit: float = 0.7  #: larger |log ratios| count as this; a factor of two
     min_gain: float = 0.12  #: a given place is wrong if the best place has a misfit smaller by this
     gain_of_typical: float = 2.2  #: the same difference in units of the typical misfit
-    #: two pairs are exchanged if that gains more; correct pairs of similar bodies lose 0.05 or more
-    min_exchange_gain: float = 0.1
+    min_exchange_gain: float = 0.1  #: two pairs are exchanged if that gains more
     min_distance: float = 0.25  #: nearer corrections are left to the strain of the finished map
-    #: a landmark is at a tip if no place within this distance is farther from the other landmarks
-    tip_reach: float = 0.15
+    tip_reach: float = 0.15  #: at a tip no place within this distance is farther from the other landmarks
     tip_slack: float = 0.03  #: slack in this comparison
     detour: float = 0.2  #: a given and the best place are on one limb if the best one lengthens paths by at most this
     max_suspects: float = 1 / 3  #: with a larger share of suspects it is unknown which are right: none is left out
     one_of: int = 100  #: of so many pairs one is left out before the others are judged again
-    #: with a larger typical misfit nothing is judged; shuffled pairs have 0.36 to 0.53, animals up to 0.26
-    max_typical_misfit: float = 0.32
+    max_typical_misfit: float = 0.32  #: with a larger typical misfit nothing is judged
     # What a fit says of suspected pairs
     slip_by_distances: float = 1.14  #: pairs are wrong if they raise the cost by this factor; correct ones reach 1.09
     slip_by_sides: float = 1.05  #: the same for pairs suspected by orientation; exchanged ears have 1.04 to 1.19
@@ -221,14 +198,11 @@ class LandmarkConfig(Config):
     max_side_agreement: float = 0.1  #: largest agreement before; it suspects 14 of 1200 correct sets, without it 95
     min_side_gain: float = -0.03  #: least gain in distances of an exchange of mirror images; they have -0.02 to 0.4
     min_side_distance: float = 0.05  #: nearer landmarks are not used; their orientation depends on exact placement
-    #: a triple with a larger log ratio of distances says little about the orientation of all
-    max_triple_change: float = 0.5
-    #: landmarks with a smaller mean product of orientations are too flat to judge; others have 0.03 to 0.2
-    min_orientation: float = 0.02
+    max_triple_change: float = 0.5  #: a triple with a larger log ratio of distances says little about orientation
+    min_orientation: float = 0.02  #: landmarks with a smaller mean product of orientations are too flat to judge
     mirrored_agreement: float = -0.2  #: landmarks with less are mirrored as a whole; correct ones have 0.45 or more
     min_mirrored_cost: float = 1.3  #: and only if they raise the cost by this factor; correct crossed arms have 1.02
-    #: largest distance at which a fit without them may put a landmark from the one it is exchanged with
-    exchange_distance: float = 0.08
+    exchange_distance: float = 0.08  #: most between a landmark in a fit without them and the one it is exchanged with
     # Strain of single pairs
     strain_vertices: int = 300  #: vertices of the graph; the surroundings of a landmark are coarse
     strain_stiffness: float = 1e-4  #: stiffness of its energy
@@ -254,8 +228,7 @@ class ProjectionConfig(Config):
     min_part: float = 1e-3  #: least folded area of a part that is flattened
     max_folded: float = 0.02  #: with a larger folded area the map is wrong, and nothing is flattened
     part_distance: float = 0.02  #: folded pieces nearer than this, along edges of an even mesh, are one part
-    #: radii of the ball around a part, in those of its image; the first that succeeds is used
-    growths: tuple[float, ...] = (1.1, 1.5, 2.0)
+    growths: tuple[float, ...] = (1.1, 1.5, 2.0)  #: radii of the ball around a part, in its image's, tried in turn
     margin: float = 1.15  #: radius of the source's disc, in those of the ball
     max_disc: float = 0.5  #: largest share of either surface's vertices in a disc
     min_unfolded: float = 0.5  #: least share of the fold that must disappear
@@ -271,21 +244,17 @@ class ElasticConfig(Config):
     coarse_vertices: int = 1500  #: size of the coarse graph
     source_vertices: int = 15_000  #: vertices from which on a level of the source is fine enough to fit to
     coarse: Stage = Stage(10, (5e-3, 5e-5), 1e-3, momentum=0.6)
-    #: replaces `coarse` where the coarse fits from both starts agree, see `cagemap.deform.multi_start`
-    stiff_coarse: Stage = Stage(10, (5e-2, 2e-4), 1e-2, momentum=0.6)
+    stiff_coarse: Stage = Stage(10, (5e-2, 2e-4), 1e-2, momentum=0.6)  #: where fits from both starts agree
     fine: Stage = Stage(8, (2e-4, 2e-5), 1e-4, momentum=0.8, patience=12, factored=4)
-    #: positions from the landmarks alone; differentials are smoothed as in the stage that starts there
-    landmark_start: Stage = Stage(20, (1.0, 1.0), 1e-3)
+    landmark_start: Stage = Stage(20, (1.0, 1.0), 1e-3)  #: from the landmarks alone, smoothed as the next stage
     normal_weight: float = 0.03  #: closest points count position and this length times the normal
-    #: the same for those of the fine stage's vertices, and of landmarks that are moved to a coarser mesh
-    fine_normal_weight: float = 0.01
+    fine_normal_weight: float = 0.01  #: the same in the fine stage, and where landmarks are moved to a coarser mesh
     projection_normal_weights: tuple[float, float] = (0.002, 0.02)  #: in the last projection, see `facing_points`
     landmark_weight: float = 1e2  #: of a landmark, against a data weight of 1 for the whole surface
     curve_weight: float = 1.0  #: of a curve, by its length in sqrt(area), against the same
     cost_stiffness: float = 1e-3  #: stiffness alpha at which placements are compared
     stretch_weight: float = 3e-3  #: of the variance of log stretches, where placements of open surfaces are compared
-    #: what changed landmarks do to a map that is there, on the coarse graph (`cagemap.deform.update`)
-    response: Stage = Stage(8, (2e-4, 2e-4), 1e-2, momentum=0.6)
+    response: Stage = Stage(8, (2e-4, 2e-4), 1e-2, momentum=0.6)  #: of a map to changed landmarks
     # Numbers of the parts of the method
     graph: GraphConfig = GraphConfig()
     data: DataConfig = DataConfig()

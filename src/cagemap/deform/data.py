@@ -22,15 +22,14 @@ from scipy.spatial import cKDTree
 
 from cagemap.deform.config import DataConfig, ElasticConfig
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.curves import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, places_of
 from cagemap.numerics.factorization import Factorization
 from cagemap.numerics.threads import kept
 from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.polylines import Polyline, normal_projections
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import normalize_rows
 
 

@@ -27,11 +27,9 @@ from cagemap.surface.triangles import normalize_rows
 # Added to the matrices of maps, as a share of their mean diagonal: a flat ring does not determine the normal direction
 # of its map. The smoothing does; this is for safety.
 RIDGE = 1e-9
-# The same for a system of positions whose matrix is singular; single precision keeps it.
-DAMPING = 1e-4
+DAMPING = 1e-4  # the same for a system of positions whose matrix is singular; single precision keeps it
 
-# New positions (n, 3) for a right side (n, 3) and the positions before (n, 3).
-Solve = Callable[[FloatArray, FloatArray], FloatArray]
+Solve = Callable[[FloatArray, FloatArray], FloatArray]  # positions (n, 3) for a right side and those before
 # From maps (n, 3, 3) and rest normals (n, 3) to the nearest admissible maps, and which of them were bounded (b,).
 Admissible = Callable[[FloatArray, FloatArray], tuple[FloatArray, IndexArray]]
 NO_VERTICES = np.zeros(0, dtype=np.int64)
@@ -85,16 +83,11 @@ class VertexTerms:
     energy: ElasticEnergy
     blocks: FloatArray  # (n, 3, 3): B_i
     right: FloatArray  # (n, 3): b_i
-    # Triangles of the closest points that were found, both ways, or None
-    guesses: tuple[IndexArray | None, IndexArray | None] = (None, None)
+    guesses: tuple[IndexArray | None, IndexArray | None] = (None, None)  # triangles of closest points
     constant: bool = False  # the same in all iterations: one factorisation, in double precision
 
     def solver(self, alpha: float, stage: Stage, factors: Factorization | None) -> tuple[Factorization, Solve]:
-        """Solver of the system ``alpha L + B`` with the given factors, of an earlier matrix, or with new ones.
-
-        Factors of single precision are approximate, as are those of an earlier matrix: the next iteration corrects the
-        error of a step, by its residual in double precision.
-        """
+        """Solver of ``alpha L + B`` with given or new factors; the next iteration corrects the error of these."""
         graph, like = self.energy.graph, self.energy.factors
         matrix = graph.block_matrix(alpha, self.blocks)
         if self.constant:
@@ -120,10 +113,7 @@ def corrected(
 def conjugate_gradients(
     matrix: sparse.csc_array, factors: Factorization, stage: Stage, residual: FloatArray
 ) -> FloatArray:
-    """Approximate ``A^-1 r`` (3 n,) by conjugate gradients (Hestenes and Stiefel 1952), preconditioned by old factors.
-
-    Each step costs a tenth of a factorisation. If they leave too large a residual, the matrix is factored anew.
-    """
+    """``A^-1 r`` by conjugate gradients (Hestenes, Stiefel 1952) with old factors; by new ones if they fail."""
     near = LinearOperator(matrix.shape, matvec=factors.solve, dtype=np.float64)
     step, missed = cg(matrix, residual, rtol=stage.tolerance, maxiter=stage.gradient_steps, M=near)
     unsolved = stage.max_unsolved * np.linalg.norm(residual)
@@ -132,8 +122,7 @@ def conjugate_gradients(
     return np.asarray(step)
 
 
-# Maps (n, 3, 3) of positions, and which of them were bounded (b,).
-Differentials = tuple[FloatArray, IndexArray]
+Differentials = tuple[FloatArray, IndexArray]  # maps (n, 3, 3) of positions, and which were bounded (b,)
 
 
 class Quadratic(Protocol):

@@ -31,8 +31,7 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.spectral.surface import Surface
 from cagemap.surface.alignment import fit_similarity
 from cagemap.surface.closest_points import build_tree, closest_points
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
 

@@ -35,12 +35,9 @@ from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import normalize_rows
 
-# Number of vertices, far from each other, from which distances along a surface are measured.
-STATIONS = 60
-# Connected pieces with less than this share of the mesh's area (eyes, teeth) have no stations.
-MIN_PIECE_AREA = 0.05
-# Least length and least weight, where vertices coincide.
-EPSILON = 1e-9
+STATIONS = 60  # number of vertices, far from each other, from which distances along a surface are measured
+MIN_PIECE_AREA = 0.05  # connected pieces with less than this share of the mesh's area (eyes, teeth) have no stations
+EPSILON = 1e-9  # least length and least weight, where vertices coincide
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,11 +211,7 @@ def cluster_graph(
 
 
 def extrapolate(
-    coarse: ElasticGraph,
-    positions: FloatArray,
-    maps: FloatArray,
-    fine: ElasticGraph,
-    config: GraphConfig = GraphConfig(),
+    coarse: ElasticGraph, positions: FloatArray, maps: FloatArray, fine: ElasticGraph, config: GraphConfig
 ) -> FloatArray:
     """(n, 3) positions of a finer graph's vertices: blended affine extrapolations from coarse vertices.
 
@@ -256,10 +249,7 @@ def _cells(graph: ElasticGraph, count: int, config: GraphConfig) -> IndexArray:
 
 
 def connected_cells(graph: ElasticGraph, cell: IndexArray, config: GraphConfig = GraphConfig()) -> IndexArray:
-    """(n,) connected pieces of cells; tiny ones joined to the neighbour with the longest common border.
-
-    Parts that only touch share grid cells, so cells must be split. A tiny piece would be stiff.
-    """
+    """(n,) connected pieces of cells; tiny ones, which would be stiff, join the neighbour with the longest border."""
     inside = cell[graph.heads] == cell[graph.tails]
     piece = label_components(graph.heads[inside], graph.tails[inside], graph.n)
     for _ in range(config.joining_rounds):

@@ -18,17 +18,14 @@ class Placement:
 
     positions: FloatArray = field(repr=False)  #: (n, 3) near the source, at unit area
     cost: float = 0.0  #: sum of `costs`; 0 if not computed
-    #: (n,) squared distances both ways and elastic energy by vertex; empty if not computed
-    costs: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    costs: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)  #: (n,) by vertex, or empty
     name: str = ""  #: the start in words, such as "turned 180 degrees about y"
     penalty: float = 1.0  #: factor on the cost in a ranking: above 1 if the files' axes are turned, which is rare
-    #: (n, 3, 3) differentials; empty if not needed for extrapolation
-    maps: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)), repr=False)
+    maps: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)), repr=False)  #: (n, 3, 3) or empty
     graph: ElasticGraph | None = field(default=None, repr=False)  #: graph of the positions, for clusters
     #: (n, 3) positions after `refit.finish_placement`; placements are compared by ``positions``
     finished_positions: FloatArray | None = field(default=None, repr=False)
-    #: pairs of landmarks whose source points are exchanged in this placement
-    exchange: tuple[tuple[int, int], ...] = ()
+    exchange: tuple[tuple[int, int], ...] = ()  #: pairs of landmarks whose source points are exchanged here
 
     @property
     def map_positions(self) -> FloatArray:

@@ -15,18 +15,16 @@ from cagemap.errors import ParameterError
 from cagemap.maps.coincidence import Coincidence
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import PointPairs, near_vertices, point_pairs
-from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.curves import CagePoints
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization
 from cagemap.numerics.threads import ThreadPool, in_threads, kept
 from cagemap.spectral.surface import Surface
 from cagemap.surface.polylines import Polyline
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 
-# Corresponding tips (k,) of limbs, as vertices of the searched levels of target and source.
-Tips = tuple[IndexArray, IndexArray]
+Tips = tuple[IndexArray, IndexArray]  # tips (k,) of limbs, corresponding vertices of the searched levels
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,12 +33,9 @@ class Clusters:
 
     energy: ElasticEnergy  # of the k clusters
     masks: Masks  # weights of the clusters and of the source's vertices in data terms
-    # (k,): mesh vertex of each cluster; vertices that were given clusters of their own come first
-    vertices: IndexArray
-    # Constrained vertices are the first clusters, vertices of curves the next ones
-    constraints: PlacementConstraints
-    # (p,) landmarks, then tips of limbs if any, as vertices of the searched levels of target and source
-    constrained_vertices: tuple[IndexArray, IndexArray]
+    vertices: IndexArray  # (k,) mesh vertex of each cluster; vertices that were given clusters of their own first
+    constraints: PlacementConstraints  # constrained vertices are the first clusters, vertices of curves the next ones
+    constrained_vertices: tuple[IndexArray, IndexArray]  # (p,) landmarks, then tips, on the searched levels
     stage: Stage
 
     def with_stage(self, stage: Stage) -> Clusters:
@@ -56,8 +51,7 @@ class PreparedPair:
     source: Surface
     start: StartConfig
     elastic: ElasticConfig
-    #: levels of target and source on which starts are found; the target's is also the one that is deformed
-    levels: tuple[int, int]
+    levels: tuple[int, int]  #: of target and source on which starts are found; the target's is also deformed
     energy: ElasticEnergy  #: of the target's mesh of that level; its graph has the rest shape
     source_surface: TriangleSurface  #: the level of the source that is fitted to
     masks: Masks = WHOLE  #: masks of the finest vertices
@@ -71,10 +65,7 @@ class PreparedPair:
         elastic: ElasticConfig = ElasticConfig(),
         masks: Masks = WHOLE,
     ) -> PreparedPair:
-        """Factor the target's elastic energy, and build the source's search trees.
-
-        ParameterError if a surface has no operators up to its searched level.
-        """
+        """Factor the elastic energy, build search trees; ParameterError without operators up to a searched level."""
         wanted = start.search_vertices, start.source_search_vertices or start.search_vertices
         levels = target.hierarchy.coarsest_level(wanted[0]), source.hierarchy.coarsest_level(wanted[1])
         for surface, level in zip((target, source), levels, strict=True):
@@ -91,16 +82,13 @@ class PreparedPair:
 
     def require_same(self, start: StartConfig, elastic: ElasticConfig, masks: Masks) -> None:
         """Raise ParameterError unless configs and masks are the pair's own; default configs mean those."""
-        counts = [len(side.vertices) for side in (self.target, self.source)]
-        masks.require_fit(*counts)
-        own = self.masks
-        same_masks = np.array_equal(masks.of_target(counts[0]), own.of_target(counts[0])) and np.array_equal(
-            masks.of_source(counts[1]), own.of_source(counts[1])
-        )
+        n1, n2 = len(self.target.vertices), len(self.source.vertices)
+        masks.require_fit(n1, n2)
+        given, own = ((one.of_target(n1), one.of_source(n2)) for one in (masks, self.masks))
         agreement = {
             "start": start in (self.start, StartConfig()),
             "elastic": elastic in (self.elastic, ElasticConfig()),
-            "masks": same_masks or not masks.any,
+            "masks": not masks.any or all(map(np.array_equal, given, own)),
         }
         fields = [name for name, agrees in agreement.items() if not agrees]
         if fields:

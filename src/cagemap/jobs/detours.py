@@ -17,7 +17,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality
 from cagemap.maps.result import MatchResult, SpectralMap
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import SurfacePoints
 from cagemap.surface.triangles import normalize_rows
 
 # Weight of normals, beside positions at unit area, in closest point searches: as in the elastic fit, it separates the

@@ -23,18 +23,13 @@ from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.subdivision.face_varying import interpolate_linearly
 from cagemap.surface.alignment import fit_similarity, principal_frame, rotations_onto
 from cagemap.surface.closest_points import closest_points
-from cagemap.surface.surface_points import SurfacePoints, nearest_facing
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface, nearest_facing
 from cagemap.surface.triangles import row_lengths, triangle_areas, triangle_centres
 
-# Points closer than this times sqrt(source area) are equal: the rounding error of six digits in a file.
-SAME = 1e-5
-# Usual units of length, in metres: millimetre, centimetre, inch, foot, metre.
-_UNITS = np.array([1e-3, 1e-2, 0.0254, 0.3048, 1.0])
-# Fewer pairs of points determine no motion.
-FEWEST_POINTS = 3
-# At most this many vertices, and faces, of either surface are sampled.
-_MOST_SAMPLES = 10_000
+SAME = 1e-5  # points closer than this times sqrt(source area) are equal: the rounding error of six digits in a file
+_UNITS = np.array([1e-3, 1e-2, 0.0254, 0.3048, 1.0])  # usual units, in metres: mm, cm, inch, foot, m
+FEWEST_POINTS = 3  # fewer pairs of points determine no motion
+_MOST_SAMPLES = 10_000  # at most this many vertices, and faces, of either surface are sampled
 
 
 class Motion(NamedTuple):
@@ -86,14 +81,15 @@ class Coincidence:
         """Closest source points that face the same way as the target's vertices, moved by shifts (n1, 3)."""
         places = self.source.scale / self.target.scale * self.target.positions + shifts
         near, _ = nearest_facing(self.source, places, self.target.vertex_normals, self.reach)
-        return SurfacePoints(source, near.triangle, _snapped(near))
+        corners = self.source.positions[near.corners]  # snapped to vertices and edges nearer than `SAME`
+        longest = row_lengths(corners - corners[:, [1, 2, 0]]).max(axis=1, keepdims=True)
+        largest = near.barycentric == near.barycentric.max(axis=1, keepdims=True)  # kept, also of a tiny triangle
+        kept = np.where((near.barycentric * longest < SAME) & ~largest, 0.0, near.barycentric)
+        return SurfacePoints(source, near.triangle, kept / kept.sum(axis=1, keepdims=True))
 
 
 def moved(surface: TriangleSurface, motion: Motion) -> TriangleSurface:
-    """The surface as if the coordinates of its file were moved, still at unit area.
-
-    Without rotation and shift the surface keeps its positions, and without a scale also its normals and tree.
-    """
+    """The surface as if its file's coordinates were moved, at unit area; keeps what a motion does not change."""
     rotation, scale, shift = motion
     if not (angle_of(rotation) or np.any(shift)):
         return surface if scale == 1.0 else replace(surface, scale=surface.scale / scale)
@@ -107,11 +103,7 @@ def angle_of(rotation: FloatArray) -> float:
 
 
 def aligning_motions(target: TriangleSurface, source: TriangleSurface, config: CoincidenceConfig) -> list[Motion]:
-    """Motions that may bring a target onto its source: of principal frames, then by closest points.
-
-    An empty list if the moments differ, or if two axes are equally long: the frames then allow any rotation about the
-    third.
-    """
+    """Motions of principal frames, then of closest points; none if moments differ or two axes are equally long."""
     frames = (principal_frame(side.positions / side.scale, side.vertex_areas) for side in (target, source))
     (centre, axes, deviations), (source_centre, source_axes, lengths) = frames
     scale = float(np.linalg.norm(lengths) / np.linalg.norm(deviations))
@@ -147,16 +139,6 @@ def unit_ratio(ratio: float) -> float:
     """The ratio of two usual units of length that is nearest to a ratio of sizes."""
     ratios = np.divide.outer(_UNITS, _UNITS).ravel()
     return float(ratios[np.argmin(np.abs(np.log(ratios / ratio)))])
-
-
-def _snapped(points: SurfacePoints) -> FloatArray:
-    """(m, 3) barycentric coordinates of points, snapped to vertices and edges nearer than `SAME`."""
-    corners = points.surface.positions[points.corners]
-    longest = row_lengths(corners - corners[:, [1, 2, 0]]).max(axis=1, keepdims=True)
-    near_side = points.barycentric * longest < SAME
-    largest = points.barycentric == points.barycentric.max(axis=1, keepdims=True)  # kept, also of a tiny triangle
-    kept = np.where(near_side & ~largest, 0.0, points.barycentric)
-    return np.asarray(kept / kept.sum(axis=1, keepdims=True))
 
 
 def _finest(surface: Surface) -> TriangleSurface:

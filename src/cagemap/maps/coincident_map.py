@@ -15,16 +15,12 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import snap_landmarks
 from cagemap.maps.quality import landmark_errors
 
-# Least share of the target's unmasked area whose image is unmasked on the source.
-LEAST_JOINT = 0.5
+LEAST_JOINT = 0.5  # least share of the target's unmasked area whose image is unmasked
 ONE_SURFACE = "vertex on vertex: they are one surface"
 
 
 def coincident_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
-    """Map of coincident surfaces, and its confidence; None if they do not coincide.
-
-    Landmarks and curves move closest points a little. It is None too if landmarks, curves or masks contradict the map.
-    """
+    """Map of coincident surfaces and its confidence; None if they do not coincide, or landmarks or masks differ."""
     prepared, landmarks, masks = problem.prepared, problem.landmarks, problem.prepared.masks
     target, source = prepared.target.finest_triangles, prepared.source.finest_triangles
     if same_surface(landmarks, masks):
@@ -38,8 +34,12 @@ def coincident_map(problem: Problem) -> tuple[PointMap, Confidence] | None:
     point_map = PointMap(target, coincidence.images(source))
     curve_misses = [curve_miss(curve, point_map).worst for curve in landmarks.curves]
     missed = float(max([*landmark_errors(point_map, landmarks), *curve_misses], default=0.0))
-    if missed > prepared.elastic.landmarks.max_confirmed_miss or not _joint(point_map, masks):
+    if missed > prepared.elastic.landmarks.max_confirmed_miss:
         return None
+    if masks.target is not None and masks.source is not None:
+        areas = target.vertex_areas
+        if areas @ masks.joint(point_map) < LEAST_JOINT * (areas @ masks.target):
+            return None
     if missed > SAME:
         moved = linear_update(problem, point_map)
         shifts = moved - point_map.images.at(prepared.vertices).positions
@@ -70,11 +70,3 @@ def same_surface(landmarks: PointPairs, masks: Masks = WHOLE) -> bool:
     marks = landmarks.target.positions - landmarks.source.positions
     rest = np.concatenate([moved, marks]) - moved.mean(axis=0)
     return not landmarks.curves and bool(np.abs(rest).max() < SAME)
-
-
-def _joint(point_map: PointMap, masks: Masks) -> bool:
-    """Whether most of the target's unmasked area maps to unmasked area of the source."""
-    if masks.target is None or masks.source is None:
-        return True
-    areas = point_map.target.vertex_areas
-    return bool(areas @ masks.joint(point_map) >= LEAST_JOINT * (areas @ masks.target))

@@ -37,8 +37,7 @@ class LevelMap:
 
 MapLike = PointMap | LevelMap | ArrayLike
 
-# Numbers of samples of target and source in ZoomOut.
-TARGET_SAMPLES, SOURCE_SAMPLES = 3000, 10_000
+TARGET_SAMPLES, SOURCE_SAMPLES = 3000, 10_000  # numbers of samples of target and source in ZoomOut
 
 
 @kinds_checked

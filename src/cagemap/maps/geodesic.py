@@ -19,13 +19,11 @@ from cagemap.numerics.factorization import factor
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.spectral.zoomout import evenly_spaced_vertices
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
+from cagemap.surface.triangles import triangle_frames
 
-# Number of target vertices that are judged by default.
-JUDGED_VERTICES = 300
-# Right-hand sides that are solved for together.
-BATCH = 50
+JUDGED_VERTICES = 300  # number of target vertices that are judged by default
+BATCH = 50  # right-hand sides that are solved for together
 
 
 @kinds_checked
@@ -122,9 +120,7 @@ def _true_images(
             )
         images = SurfacePoints.from_vertices(point_map.source, np.where(known, given, given[known][0]))
     if len(images) > len(point_map.images):
-        raise ParameterError(
-            f"truth: expected at most one image for each of {len(point_map.images)} target vertices, got {len(images)}"
-        )
+        raise ParameterError(f"truth: expected at most {len(point_map.images)} images, got {len(images)}")
     return images, known
 
 
@@ -137,14 +133,10 @@ class HeatDistances:
         laplacian = sparse.csc_array(stiffness(positions, self.triangles))
         areas = vertex_areas(positions, self.triangles)
         corners = positions[self.triangles]
-        edges = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]  # opposite corners 0, 1, 2
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        double = np.linalg.norm(normals, axis=1)
-        # Gradient of the hat function of every corner; degenerate triangles have none.
-        turned = np.cross(normals[:, None], edges)
-        self.gradients = turned / np.maximum(double**2, 1e-30)[:, None, None]
-        self.areas = 0.5 * double
-        length = float(np.linalg.norm(edges, axis=2).mean())
+        length = float(np.linalg.norm(corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]], axis=2).mean())
+        _, second, third = triangle_frames(positions, self.triangles).transpose(1, 0, 2)
+        self.gradients = np.stack([-second - third, second, third], axis=1)  # of the corners' hat functions
+        self.areas = surface.areas
         self.heat = factor(sparse.csc_array(sparse.diags_array(areas) + length**2 * laplacian))
         self.poisson = factor(sparse.csc_array(laplacian + 1e-9 * sparse.diags_array(areas)))
 

@@ -13,14 +13,11 @@ from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.subdivision import Refinement
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import row_lengths
 
-# Smallest mean of a mask, and smallest shared part of a surface's area; with less there is nothing to match.
-LEAST = 1e-4
-# Shares of both areas from which two surfaces correspond as wholes.
-WHOLE_SHARE = 0.98
+LEAST = 1e-4  # smallest mean of a mask, and smallest shared part of a surface's area
+WHOLE_SHARE = 0.98  # shares of both areas from which two surfaces correspond as wholes
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +28,9 @@ class Masks:
     term: it follows its surroundings, and nothing is transferred there.
     """
 
-    #: (n1,) weights of the target's finest vertices; in a fit, of its level's vertices. None: all weights are 1.
-    target: FloatArray | None = None
+    target: FloatArray | None = None  #: (n1,) of the finest vertices; in a fit, of its level's. None: all are 1
     source: FloatArray | None = None  #: (n2,) the same of the source
-    #: weights of the area with a counterpart, which these masks contain as a factor (`within`); None if not known
-    shared: Masks | None = field(default=None, kw_only=True)
+    shared: Masks | None = field(default=None, kw_only=True)  #: of area with a counterpart, contained in these
 
     def __post_init__(self) -> None:
         for side, mask in (("target", self.target), ("source", self.source)):
@@ -97,10 +92,7 @@ class Masks:
         return Masks(target, source, shared=shared) if target.any() and source.any() else self
 
     def length_ratio(self, target: TriangleSurface, source: TriangleSurface) -> float:
-        """Length on the source of a unit length on the target, if the map keeps the size of the shared area.
-
-        1 if both surfaces correspond as wholes, next to nothing is shared, or the shared area is not known.
-        """
+        """Length on the source of a unit on the target, if shared area keeps its size; 1 for wholes, or if unknown."""
         if self.shared is None:
             return 1.0
         on_target, on_source = self.shared.shares(target, source)
@@ -119,8 +111,7 @@ class Masks:
                 raise ParameterError(f"{side} mask: expected some of the surface to count, got 0 nearly everywhere")
 
 
-# Nothing is masked.
-WHOLE = Masks()
+WHOLE = Masks()  # nothing is masked
 
 
 @kinds_checked

@@ -21,22 +21,15 @@ from cagemap.spectral.surface import Progress as Progress
 from cagemap.spectral.surface import no_progress as no_progress
 from cagemap.subdivision import Refinement
 from cagemap.surface.polylines import Polyline
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import normalize_rows
 
-# Least number of vertices of the level on which points between vertices get a near vertex.
-NEAR_VERTICES = 3000
-# Weight of normals, of sqrt(area), when a landmark is placed on the surface: thin parts have two sides.
-LANDMARK_NORMAL_WEIGHT = 0.01
-# Closest-point searches per landmark; each reduces the distance from the normal's line by the square of the slope.
-LANDMARK_STEPS = 4
-# Correction steps that find a surface point's counterpart on the control mesh.
-INVERSE_STEPS = 8
-# Curves are sampled on the first level with so many vertices: finer than the deformed level.
-CURVE_VERTICES = 15_000
-# Number of segments into which a curve is divided between two of its points that no edge joins.
-STRAIGHT_PIECES = 8
+NEAR_VERTICES = 3000  # least number of vertices of the level on which points between vertices get a near vertex
+LANDMARK_NORMAL_WEIGHT = 0.01  # of sqrt(area), where landmarks are placed: thin parts have two sides
+LANDMARK_STEPS = 4  # searches for a landmark; each reduces its error by the square of the slope
+INVERSE_STEPS = 8  # correction steps that find a surface point's counterpart on the control mesh
+CURVE_VERTICES = 15_000  # curves are sampled on the first level with so many vertices: finer than the deformed level
+STRAIGHT_PIECES = 8  # number of segments into which a curve is divided between two of its points that no edge joins
 
 LevelPair = tuple[int, int]
 SymmetryPair = tuple[IndexArray, IndexArray]

@@ -11,8 +11,7 @@ from scipy import sparse
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 
 
 @dataclass(frozen=True, eq=False, repr=False)

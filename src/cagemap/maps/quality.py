@@ -23,8 +23,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, in_threads, row_slices
 from cagemap.spectral import Surface
 from cagemap.surface.closest_points import build_tree, closest_points
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import CACHED, corner_sums, normalize_rows, row_lengths, triangle_normals
 
 LANDMARK_TOLERANCE = 5e-4  # of sqrt(area): landmarks with a larger error are named
@@ -47,24 +46,19 @@ PERCENTILES = {"area_ratio": ("1", "5", "50", "95", "99"), "aspect_ratio": ("50"
 class QualityFigures:
     """Quality of a map, measured without ground truth."""
 
-    #: (p,) distance between a landmark's image and its source point, of sqrt(source area)
-    landmark_errors: FloatArray = field(repr=False)
+    landmark_errors: FloatArray = field(repr=False)  #: (p,) from a landmark's image to its source point, of sqrt(area)
     flipped_area: float  #: share of the target's area whose image is folded over (its orientation is reversed)
     #: share of the source's area that the image of the target covers. If a surface is open, only the area that has a
     #: counterpart on the other surface counts.
     coverage: float
-    #: Dirichlet energy, with corresponding parts scaled to equal area: 1 for an isometry, at least the covered area
-    dirichlet: float
+    dirichlet: float  #: Dirichlet energy, corresponding parts scaled to equal area; 1 for an isometry
     #: (5,) percentiles 1, 5, 50, 95, 99 (by target area) of the area stretch; 1 is the mean of the shared area
     area_ratios: FloatArray = field(repr=False)
-    #: (3,) percentiles 50, 95, 99 (by target area) of the ratio of singular values, 1 meaning conformal
-    aspect_ratios: FloatArray = field(repr=False)
-    #: (n1,) by target vertex, 1 where the map is locally unfolded and stretches little, down to 0 at folds
-    trust: FloatArray = field(repr=False)
+    aspect_ratios: FloatArray = field(repr=False)  #: (3,) percentiles 50, 95, 99 of the ratio of singular values
+    trust: FloatArray = field(repr=False)  #: (n1,) 1 where locally unfolded and little stretched, 0 at folds
     trusted_area: float  #: mean of ``trust`` by area
     warnings: tuple[str, ...] = ()  #: problems that a user should know, worst first; empty for a good map
-    #: those of ``warnings`` that only the match can give, not a measurement of the map; not kept in files
-    match_warnings: tuple[str, ...] = ()
+    match_warnings: tuple[str, ...] = ()  #: those of ``warnings`` that only the match can give; not kept in files
 
     def summary(self) -> dict[str, object]:
         """Return the figures as plain numbers and lists for a manifest (the per-vertex trust field left out)."""
@@ -92,10 +86,7 @@ class QualityFigures:
 
 
 def flipped_triangles(images: SurfacePoints, triangles: IndexArray) -> NDArray[np.bool_]:
-    """(t1,) which target triangles (t1, 3) have an image whose orientation disagrees with the source's.
-
-    The image's normal is compared with the sum of the source's normals at its three corners.
-    """
+    """(t1,) target triangles whose image faces against the sum of the source's normals at its corners."""
     return inverted_triangles(images.positions, images.normals, triangles)
 
 
@@ -168,11 +159,7 @@ def longest_edges(positions: FloatArray, triangles: IndexArray) -> FloatArray:
 
 
 def landmark_errors(point_map: PointMap, landmarks: PointPairs) -> FloatArray:
-    """(p,) distances between landmarks' images and their source points, of sqrt(source area).
-
-    A landmark between vertices maps to the source's point nearest to the weighted mean of its triangle's images. The
-    mean itself is inside the curved surface.
-    """
+    """(p,) distances between landmarks' images, projected to the source, and their source points, of sqrt(area)."""
     if not len(landmarks):
         return np.zeros(0)
     means = landmarks.target.interpolate(point_map.images.positions)
@@ -188,11 +175,7 @@ def distortion(sigma: tuple[FloatArray, FloatArray]) -> FloatArray:
 def trust_field(
     target: TriangleSurface, sigma: tuple[FloatArray, FloatArray], flipped: NDArray[np.bool_]
 ) -> FloatArray:
-    """(n1,) trust: 1 where the map stretches by at most ``TRUSTED_STRETCH`` either way, 0 at folds.
-
-    A triangle's trust is ``min(1, (TRUSTED_STRETCH / delta)^2)`` with delta its `distortion`, zero where flipped; a
-    vertex takes the area-weighted mean of its triangles. ``sigma`` are `stretches` at equal shared area.
-    """
+    """(n1,) means of triangles' ``min(1, (TRUSTED_STRETCH / d)^2)``, d their `distortion`, or 0 where flipped."""
     per_triangle = np.where(flipped, 0.0, np.minimum(1.0, (TRUSTED_STRETCH / distortion(sigma)) ** 2))
     areas = target.areas
     weighted, total = corner_sums(target.triangles, np.column_stack([areas * per_triangle, areas]), target.n).T
@@ -226,11 +209,7 @@ def measure_quality(
     coarse_triangles: IndexArray | None = None,
     masks: Masks = WHOLE,
 ) -> QualityFigures:
-    """Measure a map without ground truth; shares are weighted by the masks.
-
-    On dense meshes coverage is measured with ``coarse_triangles`` (t, 3), those of a coarser level between vertices of
-    the target.
-    """
+    """Measure a map, shares weighted by masks; on dense targets coverage is that of ``coarse_triangles`` (t, 3)."""
     target, images = point_map.target, point_map.images
     image, normals, counted = images.positions, _source_normals(images), masks.joint(point_map)
     is_joined = bool(counted.any())

@@ -51,20 +51,14 @@ class MatchResult:
     point_map: PointMap  #: T12: finest target vertices -> points of the finest source triangles
     quality: QualityFigures  #: quality measured without ground truth; landmark errors are those of the trusted pairs
     timings: dict[str, float] = field(default_factory=dict)  #: seconds of every stage
-    #: pairs that look wrong and were left out, and notes
-    landmark_check: LandmarkCheck = field(default_factory=LandmarkCheck)
-    #: functional map, vertex matches and points of every level, of the methods that go from level to level; see
-    #: `at_level`
-    level_maps: tuple[LevelMap, ...] = ()
+    landmark_check: LandmarkCheck = field(default_factory=LandmarkCheck)  #: pairs that were left out, and notes
+    level_maps: tuple[LevelMap, ...] = ()  #: of every level, by the methods that go from level to level; see `at_level`
     confidence: Confidence | None = None  #: verdict and other answers; None if the landmarks determine the map
-    #: input of `update_match` and `match_pair`, for a match of this process ("elastic" only)
-    prepared: PreparedPair | None = None
+    prepared: PreparedPair | None = None  #: for `update_match` and `match_pair`, of this process ("elastic" only)
     masks: Masks = WHOLE  #: weights of both surfaces in the match and in transfers
-    #: weights of the vertices, 1 where they have a counterpart; None if both surfaces are closed
-    shared: Masks | None = None
+    shared: Masks | None = None  #: 1 where vertices have a counterpart; None if both surfaces are closed
     known_spectral: SpectralMap | None = None  #: value of `spectral`, if it was read or follows from other maps
-    #: further entries of the manifest: parameters, inputs, notes, transfers
-    provenance: dict[str, Any] = field(default_factory=dict)
+    provenance: dict[str, Any] = field(default_factory=dict)  #: further entries of the manifest: inputs, notes
 
     def __repr__(self) -> str:
         sides = f"target {self.target.control.name!r}, source {self.source.control.name!r}"
@@ -252,11 +246,7 @@ def result_of_fit(
     confidence: Confidence | None = None,
     jumps: FloatArray | None = None,
 ) -> MatchResult:
-    """Result of an elastic match, with the quality of its map; area without a counterpart is not counted.
-
-    The problem has all ``landmarks``, those that the check left out too. ``jumps`` are the map's `jump_lengths`; None
-    if they are not known yet.
-    """
+    """Result of an elastic match of a problem with all landmarks; ``jumps`` are `jump_lengths`, None if not known."""
     start = time.perf_counter()
     prepared, target, source = problem.prepared, problem.prepared.target, problem.prepared.source
     masks, points = prepared.masks, problem.without(check.left_out).landmarks

@@ -54,23 +54,22 @@ from cagemap.mesh.weld import coincident_vertices, count_pieces, weld_tolerance
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 SEVERAL = "several components"
+ONE_SIDED = MeshProblem(
+    "one-sided surface",
+    "expected a surface with an inside and an outside, got one where no choice of face directions agrees along all "
+    "edges (as on a Moebius strip)",
+    "Cut the surface where its two sides are joined.",
+)
 # Problems that do not prevent subdivision, which needs only oriented manifold connectivity.
 UNREFINED = frozenset({SEVERAL, "no size", "size", "no area", "faces without area", "no volume", "inside out"})
 
-# Most edges of a boundary loop that is reported as a slit; a longer one is an opening.
-MAX_SLIT_EDGES = 8
-# Number of components that are compared with each other: comparing more costs too much.
-MAX_COMPARED = 16
-# Squares and products of lengths must neither overflow nor vanish in float64 (1e308, 1e-308).
-SMALLEST_EXTENT, LARGEST_EXTENT = 1e-60, 1e60
-# Least distance of vertices from a line, as a share of the extent. Real cages are above 1e-2.
-RELATIVE_WIDTH = 1e-9
-# Least face area as a share of the extent squared: edges of 3e-8, the resolution of float32. Real cages are above 1e-9.
-RELATIVE_FACE_AREA = 1e-15
-# Least face area as a share of its own extent squared: below it cotangents reach 1e9. Real cages are above 1e-3.
-RELATIVE_FACE_WIDTH = 1e-9
-# Roundness 36 pi V^2 / A^3: 1 for a ball, 0.08 to 0.28 for real cages; below this an open surface has no inside.
-OPEN_ROUNDNESS = 0.02
+MAX_SLIT_EDGES = 8  # most edges of a boundary loop that is reported as a slit; a longer one is an opening
+MAX_COMPARED = 16  # number of components that are compared with each other: comparing more costs too much
+SMALLEST_EXTENT, LARGEST_EXTENT = 1e-60, 1e60  # their squares and products neither overflow nor vanish in float64
+RELATIVE_WIDTH = 1e-9  # least distance of vertices from a line, of the extent; real cages are above 1e-2
+RELATIVE_FACE_AREA = 1e-15  # least face area, of the extent squared: edges of 3e-8, the resolution of float32
+RELATIVE_FACE_WIDTH = 1e-9  # least face area, of its own extent squared: below it cotangents reach 1e9
+OPEN_ROUNDNESS = 0.02  # 36 pi V^2 / A^3, 1 for a ball; below this an open surface has no inside
 
 
 @arrays_accepted
@@ -275,12 +274,7 @@ def _tiny_edges(mesh: ControlMesh, topology: Topology) -> NDArray[np.bool_]:
 
 def _orientation_problem(turned: NDArray[np.bool_] | None, numbers: IndexArray) -> MeshProblem | None:
     if turned is None:
-        return MeshProblem(
-            "one-sided surface",
-            "expected a surface with an inside and an outside, got one where no choice of face directions agrees along "
-            "all edges (as on a Moebius strip)",
-            "Cut the surface where its two sides are joined.",
-        )
+        return ONE_SIDED
     flipped = numbers[turned]
     return problem_at(
         "inconsistent orientation",
@@ -363,11 +357,7 @@ def zero_area_problem(mesh: ControlMesh, examined: IndexArray) -> MeshProblem | 
 
 
 def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> MeshProblem | None:
-    """Problem of a mesh whose faces look inwards, or of a closed mesh without volume; else None.
-
-    An open mesh is first closed with a cone over every loop. It is a problem only if its roundness exceeds
-    `OPEN_ROUNDNESS`; a sheet has no inside.
-    """
+    """Problem of a mesh whose faces look inwards, or of a closed one without volume; a sheet has no inside."""
     unit = with_openings_closed(_unit_sized(mesh), loops)
     volume, area = signed_volume(unit), float(face_areas(unit).sum())
     roundness = 36.0 * np.pi * volume * abs(volume) / area**3

@@ -14,12 +14,9 @@ from cagemap.mesh.schemes import Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, offsets_of, real_numbers, whole_numbers
 from cagemap.surface.triangles import fan_triangles, triangle_areas
 
-# Texture coordinates of all corners of faces that have none, where other faces of the mesh have some.
-NO_UV = (0.5, 0.5)
-# Linear grey of faces whose material has no colour; the default of most programs.
-UNKNOWN_COLOR = 0.8
-# Triangles of a layout with less area are degenerate: sides of about 1e-6. Texels of a 16k image have 6e-5.
-MIN_UV_AREA = 1e-12
+NO_UV = (0.5, 0.5)  # UV of all corners of faces that have none, where other faces of the mesh have some
+UNKNOWN_COLOR = 0.8  # linear grey of faces whose material has no colour; the default of most programs
+MIN_UV_AREA = 1e-12  # triangles of a layout with less are degenerate; texels of a 16k image have 6e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +40,7 @@ class ControlMesh:
     face_offsets: IndexArray  #: (m + 1,) start of each face in ``face_indices``; the first entry is 0, the last is c
     face_indices: IndexArray  #: (c,) vertex of every face corner
     uvs: FloatArray | None = None  #: (p, 2) face-varying texture coordinates, v up (v = 0 is the bottom image row)
-    #: (c,) UV of every face corner. An edge of two faces is a seam unless they share both UV indices.
-    uv_indices: IndexArray | None = None
+    uv_indices: IndexArray | None = None  #: (c,) UV of every corner. An edge is a seam unless its faces share both
     uv_name: str = ""  #: name of these coordinates in the file, '' without one
     uv_sets: tuple[UvSet, ...] = ()  #: other UV sets of the file; `with_uv_set` selects one of them
     face_materials: IndexArray | None = None  #: (m,) index into ``material_names`` for every face
@@ -53,8 +49,7 @@ class ControlMesh:
     vertex_colors: FloatArray | None = None  #: (n, 3) sRGB colours, NaN for vertices without one
     face_objects: IndexArray | None = None  #: (m,) index into ``object_names`` for every face
     object_names: tuple[str, ...] = ()  #: faces before the first name in a file have the name ''
-    #: scheme of each object, where they differ; such a mesh cannot be subdivided as a whole
-    object_schemes: tuple[Scheme, ...] = ()
+    object_schemes: tuple[Scheme, ...] = ()  #: of each object, where they differ; such a mesh cannot be subdivided
     face_groups: IndexArray | None = None  #: (m,) index into ``group_names`` for every face
     group_names: tuple[str, ...] = ()  #: faces before the first name in a file have the name ''
     crease_edges: IndexArray | None = None  #: (k, 2) vertices of every crease edge
@@ -64,8 +59,7 @@ class ControlMesh:
     hole_faces: IndexArray | None = None  #: (h,) faces that influence the surface but are no part of it
     file_vertices: IndexArray | None = None  #: (n,) numbers in the file, if the mesh is a part of a file's mesh
     file_faces: IndexArray | None = None  #: (m,) the same of the faces
-    #: (k, 2) vertex of the mesh and number of a further vertex of the file that was welded into it
-    file_copies: IndexArray | None = None
+    file_copies: IndexArray | None = None  #: (k, 2) vertex, and a further one of the file that was welded into it
     upright: FloatArray | None = None  #: (3, 3) rotation for rows to +Y up, by the file or its format; None: unknown
     scheme: Scheme | None = None  #: subdivision scheme in the file; None without one
     name: str = "mesh"  #: name of the mesh in messages; usually its file name
@@ -236,10 +230,7 @@ class ControlMesh:
         return np.array(np.broadcast_to(values, count))
 
     def with_uvs(self, uvs: FloatArray | None, uv_indices: IndexArray | None) -> ControlMesh:
-        """Return the same mesh with other texture coordinates (p, 2) and their index for every corner, or with none.
-
-        ParameterError if the arrays have other shapes, or are no numbers.
-        """
+        """Return the same mesh with other UVs (p, 2) and their index for every corner, or none; else ParameterError."""
         if uvs is None or uv_indices is None:
             return replace(self, uvs=None, uv_indices=None)
         places, indices = real_numbers(uvs, f"{self.name}: uvs"), whole_numbers(uv_indices, f"{self.name}: uv_indices")

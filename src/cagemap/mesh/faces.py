@@ -13,10 +13,8 @@ from cagemap.mesh.control_mesh import ControlMesh, UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray, joined_runs, pair_keys
 from cagemap.surface.triangles import fan_triangles, row_lengths
 
-# An edge shorter than this share of the longest edges of its faces joins two vertices that should be one.
-TINY_EDGE = 0.01
-# A boundary loop that encloses less than this share of its length squared is a slit; a square has 1/16.
-SLIT_AREA = 0.004
+TINY_EDGE = 0.01  # an edge shorter than this share of its faces' longest joins vertices that should be one
+SLIT_AREA = 0.004  # a boundary loop of less area, in its squared length, is a slit; a square has 1/16
 
 
 def place_counts(mesh: ControlMesh) -> dict[str, int]:
@@ -69,10 +67,7 @@ def with_corners_of(mesh: ControlMesh, faces: IndexArray, offsets: IndexArray, c
 
 
 def split_into_fans(mesh: ControlMesh) -> ControlMesh:
-    """Return the mesh with all faces split into fans, see `fan_triangles`.
-
-    Triangles have the file numbers of their faces.
-    """
+    """Return the mesh with all faces split by `fan_triangles`; triangles have the file numbers of their faces."""
     corners, faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
     vertex_numbers, face_numbers = mesh.file_numbers
     numbered = replace(mesh, file_vertices=vertex_numbers, file_faces=face_numbers)
@@ -154,10 +149,7 @@ def signed_volume(mesh: ControlMesh) -> float:
 
 
 def is_slit(loop: FloatArray, usual_edge: float) -> bool:
-    """Whether a boundary loop (k, 3) is an error of modelling: thin, or much smaller than the usual edge.
-
-    ``usual_edge``: median length of the mesh's edges, in file units, as the loop.
-    """
+    """Whether a boundary loop (k, 3) is an error of modelling: thin, or tiny beside the median edge of the mesh."""
     points = loop - loop.mean(axis=0)
     following = np.roll(points, -1, axis=0)
     length = np.linalg.norm(following - points, axis=1).sum()

@@ -86,11 +86,9 @@ def landmark_pairs(landmarks: Any) -> Landmarks:
     return Landmarks(tuple(f"point {i}" for i in range(len(pairs))), pairs[:, 0], pairs[:, 1])
 
 
-def _landmarks_or_value(value: Any, _: str) -> Any:
-    return landmark_pairs(value) if isinstance(value, tuple | list) or hasattr(value, "__array__") else value
-
-
 _CONVERSIONS: dict[type, Conversion] = {
     ControlMesh: lambda value, name: control_mesh(value, name) if is_mesh(value) else value,
-    Landmarks: _landmarks_or_value,
+    Landmarks: lambda value, _: (
+        landmark_pairs(value) if isinstance(value, tuple | list) or hasattr(value, "__array__") else value
+    ),
 }

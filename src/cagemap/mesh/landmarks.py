@@ -13,23 +13,27 @@ from unicodedata import normalize
 import numpy as np
 
 from cagemap.errors import DirectionError, InvalidLandmarksError
-from cagemap.mesh.cage_points import CagePoints as CagePoints
-from cagemap.mesh.cage_points import NamedPoints as NamedPoints
-from cagemap.mesh.cage_points import Renumbering as Renumbering
-from cagemap.mesh.cage_points import find_repeats, outside_fault, repeated_fault, shared_names
-from cagemap.mesh.cage_points import on_cage as on_cage
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.curves import CageCurvePairs, curve_faults, paired_curves
+from cagemap.mesh.curves import (
+    CageCurvePairs,
+    curve_faults,
+    find_repeats,
+    outside_fault,
+    paired_curves,
+    repeated_fault,
+    shared_names,
+)
+from cagemap.mesh.curves import CagePoints as CagePoints
+from cagemap.mesh.curves import NamedPoints as NamedPoints
+from cagemap.mesh.curves import Renumbering as Renumbering
+from cagemap.mesh.curves import on_cage as on_cage
 from cagemap.mesh.mesh_report import first_few, list_problems
 from cagemap.numerics.arrays import IndexArray, whole_numbers
 
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Pairs of points that correspond.
-
-    InvalidLandmarksError if names are no strings, ParameterError if vertices are no whole numbers.
-    """
+    """Pairs of points that correspond; InvalidLandmarksError for names, ParameterError for vertices of another kind."""
 
     names: tuple[str, ...]  #: one per pair, such as ``nose_tip``
     target: IndexArray  #: (q,) control vertices of the target, 0-based; -1 for a landmark between vertices
@@ -39,8 +43,7 @@ class Landmarks:
     #: the landmarks as points of the meshes; default: the control vertices
     target_points: CagePoints = field(default_factory=lambda: CagePoints.of_vertices(np.zeros(0, dtype=np.int64)))
     source_points: CagePoints = field(default_factory=lambda: CagePoints.of_vertices(np.zeros(0, dtype=np.int64)))
-    #: pairs of polylines that correspond as a whole; their single points need not
-    curves: CageCurvePairs = ()
+    curves: CageCurvePairs = ()  #: pairs of polylines that correspond as a whole; their single points need not
 
     def __post_init__(self) -> None:
         names = None if isinstance(self.names, str) or not isinstance(self.names, Iterable) else tuple(self.names)

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from cagemap.numerics.arrays import IndexArray
 
 LISTED = 8
-# Pattern of a `FileVertex` in messages.
-VERTEX = r"vertex \d+(?: at \([^)]*\))?"
+VERTEX = r"vertex \d+(?: at \([^)]*\))?"  # pattern of a `FileVertex` in messages
 # Regular expression of the part of a message that states a position in the target's file.
 PLACE = r", (?:worst|most) at \([^)]*\) of the target's file"
 # Kinds of problems that `cagemap.mesh.plain.plain_mesh` repairs.
@@ -52,7 +51,6 @@ class FileVertex:
     place: tuple[float, float, float] | None = None  # None in results of older versions
 
     def __str__(self) -> str:
-        """Number and place for messages: "7 at (0, 2, 0)"."""
         return f"{self.number}" if self.place is None else f"{self.number} at {place_text(self.place)}"
 
 
@@ -63,12 +61,9 @@ class MeshProblem:
     kind: str  #: short name, such as ``non-manifold edges``
     found: str  #: the expected and the actual state, in a sentence without the list of elements
     remedy: str  #: how to repair it
-    #: all offending elements, 0-based, in the file's numbering; pairs are the end points of edges
-    elements: tuple[int, ...] | tuple[tuple[int, int], ...] = ()
-    #: where the first `LISTED` elements are, such as "(1, 0.5, -2)", since programs may number them otherwise
-    places: tuple[str, ...] = ()
-    #: whether the elements are vertices; otherwise faces or edges
-    of_vertices: bool = False
+    elements: tuple[int, ...] | tuple[tuple[int, int], ...] = ()  #: by the file's numbers; edges: pairs
+    places: tuple[str, ...] = ()  #: of the first `LISTED` elements: programs may number them otherwise
+    of_vertices: bool = False  #: whether the elements are vertices; otherwise faces or edges
 
     def __str__(self) -> str:
         listed = [f"{element} at {place}" for element, place in zip(self.elements, self.places, strict=False)]
@@ -97,13 +92,11 @@ class MeshReport:
     n_vertices: int
     n_edges: int | None
     n_faces: int
-    #: (corners, number of faces with that many), ascending
-    face_sizes: tuple[tuple[int, int], ...] = ()
+    face_sizes: tuple[tuple[int, int], ...] = ()  #: (corners, number of faces with that many), ascending
     euler_characteristic: int | None = None  #: vertices - edges + faces
     genus: int | None = None  #: number of handles, boundary loops counted as closed; summed over components
     boundary_edges: int | None = None  #: edges of one face
-    #: vertices along every loop, 0-based, in the file's numbering
-    boundary_loops: tuple[tuple[int, ...], ...] | None = None
+    boundary_loops: tuple[tuple[int, ...], ...] | None = None  #: vertices along every loop, by the file's numbers
     component_sizes: tuple[int, ...] = ()  #: number of faces of every connected component, in file order
     valence_range: tuple[int, int] | None = None  #: fewest and most edges at a vertex that has faces
     uv_islands: int | None = None  #: None without texture coordinates

@@ -10,19 +10,14 @@ from scipy.spatial import cKDTree
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
 
-# Tolerances, of the bounding box diagonal: distance of most mirror images from vertices, and of all mirror images.
-MOST_WITHIN, ALL_WITHIN = 1e-3, 2e-2
-# Least share of mirror images within the first tolerance.
-MIN_SHARE = 0.95
-# Vertices sampled in the search for a plane, and most iterations of it.
-PLANE_SAMPLES, STEPS = 1000, 10
+MOST_WITHIN, ALL_WITHIN = 1e-3, 2e-2  # of the box diagonal: distances of most, and of all, mirror images
+MIN_SHARE = 0.95  # least share of mirror images within the first tolerance
+PLANE_SAMPLES, STEPS = 1000, 10  # vertices sampled in the search for a plane, and most iterations of it
 # The search stops if an iteration leaves more than this share of the mirror images' median distance, unless the median
 # is already below so many tolerances.
 MAX_RATIO, NEAR_TOLERANCES = 0.9, 10.0
-# Least share of sampled mirror images on vertices for which all vertices are tested.
-MIN_SAMPLE_SHARE = 0.8
-# Planes whose normals have a larger cosine count as the same plane.
-SAME_PLANE = 0.99
+MIN_SAMPLE_SHARE = 0.8  # least share of sampled mirror images on vertices for which all vertices are tested
+SAME_PLANE = 0.99  # planes whose normals have a larger cosine count as the same plane
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, member
 
 PART_KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
-# Least number of faces of `largest_part`, divided by the largest number of a piece of the body: excludes ground planes.
-MIN_SHARE_OF_FACES = 0.5
+MIN_SHARE_OF_FACES = 0.5  # least faces of `largest_part`, of the most of a body's piece: no ground planes
 # Least diagonal of the bounding box of the body, divided by that of the whole mesh: at least 0.77 for whole bodies,
 # 0.25 for the head of a body that is deleted under the clothes (docs/lab/characters.md).
 MIN_BODY_EXTENT = 0.5
@@ -107,10 +106,7 @@ def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
 
 
 def passenger_word(name: str) -> str:
-    """The word for clothes, hair, eyes or equipment that a part's name states; '' without one.
-
-    Words for one kind, such as jeans and trousers, give the same.
-    """
+    """The word for clothes, hair, eyes or equipment in a part's name, one for all of a kind; '' without one."""
     found = (word for word, pattern in _PASSENGER_WORDS.items() if re.search(pattern, name, re.IGNORECASE))
     return next(found, "")
 
@@ -162,10 +158,7 @@ def _faces_of_passengers(mesh: ControlMesh) -> NDArray[np.bool_]:
 
 
 def find_part(mesh: ControlMesh, name: str) -> Part:
-    """Part by name, ``KIND:NAME`` or ``largest``; ParameterError unless exactly one matches.
-
-    ``extract_faces(mesh, part.faces)`` is the part as a mesh.
-    """
+    """Part by name, ``KIND:NAME`` or ``largest``, for `extract_faces`; ParameterError unless exactly one matches."""
     parts = list_parts(mesh)
     if name == LARGEST:
         return largest_part(mesh)
@@ -177,9 +170,7 @@ def find_part(mesh: ControlMesh, name: str) -> Part:
     different = {part.faces.tobytes() for part in matching}
     if len(different) > 1:
         titles = ", ".join(part.title for part in matching)
-        raise ParameterError(
-            f"{mesh.name}: expected one part named {name!r}, got several: {titles}. Name one of these."
-        )
+        raise ParameterError(f"{mesh.name}: expected one part named {name!r}, got several, {titles}. Name one.")
     if not matching:
         known = ", ".join(dict.fromkeys(part.title for part in parts[:12]))
         raise ParameterError(
@@ -201,10 +192,7 @@ def _groups_as_one(parts: tuple[Part, ...], name: str) -> list[Part]:
 
 
 def extract_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
-    """Return some faces as a mesh without unused vertices and UVs, with ``file_vertices`` and ``file_faces``.
-
-    If the UV set in use belongs to other faces alone (see `join_meshes`), another one is in use.
-    """
+    """Return some faces as a mesh without unused vertices and UVs, with file numbers; a UV set of theirs is in use."""
     kept = keep_faces(mesh, faces)
     if len(faces) < mesh.n_faces:
         kept = _with_own_uv_set(kept)

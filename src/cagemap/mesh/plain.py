@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh.checks import extent_problem, extra_faces, inside_out_problem, zero_area_problem
+from cagemap.mesh.checks import ONE_SIDED, extent_problem, extra_faces, inside_out_problem, zero_area_problem
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.faces import (
     degenerate_faces,
@@ -39,8 +39,7 @@ from cagemap.mesh.weld import coincident_vertices, file_copies, mean_colors, wel
 from cagemap.numerics.arrays import IndexArray
 from cagemap.surface.triangles import polygon_triangles
 
-# Most rounds of removing faces at edges of more than two faces; scans need two.
-MAX_FIN_ROUNDS = 20
+MAX_FIN_ROUNDS = 20  # most rounds of removing faces at edges of more than two faces; scans need two
 
 
 @arrays_accepted
@@ -81,10 +80,7 @@ def plain_mesh(mesh: MeshLike) -> RepairedMesh:
     work, fins, cut = _manifold(work)
     faces = turned_faces(mesh_topology(work))
     if faces is None:
-        raise InvalidMeshError(
-            f"{mesh.name}: expected a surface with an inside and an outside, got one where no choice of face "
-            "directions agrees along all edges (as on a Moebius strip). Cut it where its two sides are joined."
-        )
+        raise InvalidMeshError(f"{mesh.name}: {ONE_SIDED.found}. {ONE_SIDED.remedy}")
     work = turn_faces(work, faces)
     kept, aside = _largest_piece(work)
     work, turned = keep_faces(work, kept) if aside.pieces else work, int(faces[kept].sum())

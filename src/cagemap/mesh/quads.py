@@ -12,10 +12,8 @@ from cagemap.mesh.structure_checks import require_structure
 from cagemap.mesh.topology import adjacent_corners, mesh_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray, joined_runs, pair_keys, places_of
 
-# Degrees: largest fold of a pair, and largest difference of its corners from 90.
-_MOST_FOLDED, _MOST_SKEWED = 90.0, 75.0
-# Degrees subtracted from the cost of consecutive faces: exporters write both triangles of a quad in a row.
-_IN_ORDER = 60.0
+_MOST_FOLDED, _MOST_SKEWED = 90.0, 75.0  # degrees: fold of a pair, difference of its corners from 90
+_IN_ORDER = 60.0  # degrees off the cost of consecutive faces, as exporters write both triangles in a row
 # Share of triangles in consecutive pairs that begin at even faces, from which the whole file consists of such pairs.
 _MOST_EVEN = 0.9
 

@@ -16,9 +16,7 @@ from cagemap.numerics.kinds import Brief
 class Repairs(Brief):
     """Number of repairs of each kind that `plain_mesh` made."""
 
-    #: vertices merged with another at the same position: on borders (files that repeat vertices face by face) or on
-    #: edges of length zero
-    joined_vertices: int = 0
+    joined_vertices: int = 0  #: merged with others at the same position, on borders or zero-length edges
     averaged_colors: int = 0  #: joined vertices whose colours differ from their mean, which they take
     split_faces: int = 0  #: faces of another size than most, because of which all faces were split into triangles
     dropped_faces: int = 0  #: removed faces: with a repeated vertex, copies of other faces, and holes of the file
@@ -75,8 +73,7 @@ class RepairedMesh:
     #: the repaired mesh. If vertices or faces were joined or removed, its ``file_vertices``, ``file_faces`` and
     #: ``file_copies`` have the numbers of the given mesh. The order stays, and corners keep their UVs.
     mesh: ControlMesh
-    #: (n_given,) vertex of ``mesh`` for every vertex of the mesh given, -1 for removed ones
-    vertex_of: IndexArray = field(repr=False)
+    vertex_of: IndexArray = field(repr=False)  #: (n_given,) vertex of ``mesh`` for every one given; -1: removed
     notes: tuple[str, ...] = ()  #: one sentence for each kind of change, such as joined vertices or removed faces
     repairs: Repairs = Repairs()  #: those of `plain_mesh`
 

@@ -25,13 +25,11 @@ UvInterpolation = Literal["none", "corners_only", "corners_plus1", "corners_plus
 Creasing = Literal["uniform", "chaikin"]
 TriangleRule = Literal["catmull_clark", "smooth"]
 
-# Sharpness from which a crease or corner counts as infinitely sharp; Blender's crease c is 10 c^2.
-INFINITE_SHARPNESS = 10.0
+INFINITE_SHARPNESS = 10.0  # from here creases and corners are infinitely sharp; Blender's crease c is 10 c^2
 # Crease curves are uniform cubic B-splines in both schemes: (own vertex, each of the two neighbours along the curve).
 CREASE_VERTEX = (3 / 4, 1 / 8)
 CREASE_LIMIT = (2 / 3, 1 / 6)
-# Weight of a triangle's new face point in the edge points around it under the "smooth" rule.
-SMOOTH_TRIANGLE = 0.47
+SMOOTH_TRIANGLE = 0.47  # weight of a triangle's new face point in the edge points around it under the "smooth" rule
 
 # Values of each option, and the text that an error message adds.
 _CHOICES = {
@@ -54,8 +52,7 @@ class SubdivisionOptions:
     #: corners (``corners_only``, ``plus``: and at more or fewer similar points), nowhere (``none``). USD's default is
     #: ``corners_plus1``, Blender's ``boundaries``.
     uv_interpolation: UvInterpolation = "all"
-    #: whether sharpness only decreases by 1 in every step, or is also averaged along the crease (``chaikin``)
-    creasing: Creasing = "uniform"
+    creasing: Creasing = "uniform"  #: sharpness only falls by 1 in a step; ``chaikin``: is also averaged along creases
     triangles: TriangleRule = "catmull_clark"  #: weights of triangles in edge points under Catmull-Clark
 
     def __post_init__(self) -> None:

@@ -45,11 +45,6 @@ class Topology:
         """Number of corners."""
         return len(self.vertices)
 
-    @property
-    def has_quads_only(self) -> bool:
-        """Whether every face has four corners."""
-        return self.n_corners == 4 * self.n_faces and bool(np.all(self.faces[::4] == np.arange(self.n_faces)))
-
     @kept
     def face_counts(self) -> IndexArray:
         """(e,) number of faces at every edge: 2 inside, 1 on the boundary, more if non-manifold."""
@@ -96,10 +91,7 @@ class Topology:
 
     @kept
     def ranks(self) -> IntArray:
-        """(c,) index of a corner around its vertex, counter-clockwise, from the boundary if there is one.
-
-        Separate fans of faces may touch in a boundary vertex; the corners of all but one then have rank -1.
-        """
+        """(c,) index of a corner around its vertex, from the boundary if any; -1 in all but one of several fans."""
         ranks = np.full(self.n_corners, -1, dtype=np.int32)
         twin = self.edge_corners[self.edges, self.forward.astype(np.int64)]
         numbers = np.arange(self.n_corners, dtype=np.int32)
@@ -152,10 +144,7 @@ def adjacent_corners(topology: Topology) -> tuple[IndexArray, IndexArray]:
 
 
 def corner_fans(topology: Topology) -> IndexArray:
-    """(c,) fan of every corner: corners of one vertex whose faces are joined by inner edges.
-
-    A vertex is manifold if all its corners are of one fan. Fans are numbered from 0.
-    """
+    """(c,) fan of every corner: corners of one vertex joined by inner edges. A manifold vertex has one fan."""
     first, second = adjacent_corners(topology)
     following = topology.following
     parallel = topology.vertices[first] == topology.vertices[second]
@@ -167,11 +156,7 @@ def corner_fans(topology: Topology) -> IndexArray:
 
 
 def boundary_loops(topology: Topology, fans: IndexArray) -> tuple[IndexArray, ...] | None:
-    """Vertices along every boundary loop, in the direction of the faces' half-edges (surface on the left).
-
-    None if the faces' orientations, or edges of more than two faces, leave the loops undefined. Loops follow the
-    ``fans`` of `corner_fans`: a vertex appears once for each of its fans.
-    """
+    """Vertices along boundary loops of the fans, surface on the left; None where orientations leave them undefined."""
     if np.any(topology.face_counts > 2):
         return None
     corners = topology.boundary_corners
@@ -211,10 +196,7 @@ def handle_count(mesh: ControlMesh, labels: IndexArray | None = None) -> int:
 
 
 def label_cells(mesh: ControlMesh, size: float, offset: float) -> IndexArray:
-    """(m,) labels of faces by the nearest seed vertex along edges; seeds are about ``size`` apart.
-
-    Seeds are the first vertices in the cubes of a grid, which is shifted by ``offset`` of their side.
-    """
+    """(m,) labels of faces by the nearest seed along edges: the first vertices in grid cubes, shifted by ``offset``."""
     cubes = np.floor(mesh.positions / size + offset)
     seeds = np.unique(cubes, axis=0, return_index=True)[1]
     heads, tails = mesh_topology(mesh).edge_vertices.T

@@ -30,8 +30,7 @@ from cagemap.numerics.arrays import (
 # Tolerances that `weld_tolerance` tries, in units of the bounding-box diagonal: equal, rounded to float32, and rounded
 # to five digits. Not larger, as borders of separate pieces, such as eyelashes, can be 1e-4 apart.
 TOLERANCES = (0.0, 1e-6, 1e-5)
-# Least difference of colours that shows in 8 bits.
-COLOR_STEP = 0.5 / 255
+COLOR_STEP = 0.5 / 255  # least difference of colours that shows in 8 bits
 
 
 @arrays_accepted
@@ -146,11 +145,7 @@ def _pieces(mesh: ControlMesh) -> str:
 def coincident_vertices(
     mesh: ControlMesh, tolerance: float = 0.0, *, collapse: bool = False, offsets: FloatArray | None = None
 ) -> IndexArray:
-    """(n,) lowest border vertex within the tolerance of every border vertex; other vertices themselves.
-
-    Inner vertices are not joined: surfaces in contact, such as closed lips, stay separate. With ``collapse`` the ends
-    of all edges of length zero are joined too. Tolerance and offsets as in `weld_mesh`.
-    """
+    """(n,) lowest border vertex within the tolerance of each; with ``collapse`` ends of zero-length edges too."""
     topology = mesh_topology(mesh)
     ends = topology.edge_vertices
     border = np.unique(ends[topology.outer_edges])
@@ -168,10 +163,7 @@ def coincident_vertices(
 
 
 def weld_tolerance(mesh: ControlMesh, *, offsets: FloatArray | None = None) -> float | None:
-    """Smallest of `TOLERANCES` that leaves the fewest connected pieces; None if none reduces their number.
-
-    Tolerances that would join different positions of one face are not considered.
-    """
+    """Smallest of `TOLERANCES` with the fewest pieces that keeps positions in a face apart; None if none helps."""
     following = mesh.face_indices[mesh.next_corners]
     best, fewest = None, count_pieces(mesh, np.arange(mesh.n_vertices))
     for tolerance in TOLERANCES:

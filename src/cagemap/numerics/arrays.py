@@ -1,4 +1,4 @@
-"""Array types, conversion of user input, read-only views, sums by group, connected components, rotations."""
+"""Array types, conversion of user input, read-only views, sums by group, connected components, rotations, sRGB."""
 
 from __future__ import annotations
 
@@ -139,3 +139,14 @@ def nearest_rotations(maps: FloatArray) -> FloatArray:
     left, _, right = np.linalg.svd(maps)
     left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
     return np.asarray(left @ right)
+
+
+def encode_srgb(linear: FloatArray) -> FloatArray:
+    """Encode linear values from 0 to 1 as sRGB (IEC 61966-2-1)."""
+    clipped = np.clip(linear, 0.0, 1.0)
+    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
+
+
+def decode_srgb(encoded: FloatArray) -> FloatArray:
+    """Linear values of sRGB values."""
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)

@@ -124,7 +124,6 @@ class Config(Brief):
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})
 
     def __post_init__(self) -> None:
-        """Check all fields."""
         for field in fields(self):  # type: ignore[arg-type]
             value, default, annotation = getattr(self, field.name), field.default, str(field.type)
             if value is None and annotation.endswith(" | None"):

@@ -25,8 +25,7 @@ Value = TypeVar("Value")
 Arguments = ParamSpec("Arguments")
 
 THREADS_VARIABLE = "CAGEMAP_THREADS"
-# Number of rows of a dense matrix that one thread processes at a time.
-ROW_BLOCK = 65_536
+ROW_BLOCK = 65_536  # number of rows of a dense matrix that one thread processes at a time
 
 _thread_limit: ContextVar[int | None] = ContextVar("cagemap_thread_limit", default=None)
 
@@ -48,10 +47,7 @@ def _controlling_blas() -> Iterator[None]:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Limit BLAS and LAPACK to the calling thread inside the block; blocks of several threads may overlap.
-
-    The limit is global: enter the block before threads start. The last block to end restores the former limit.
-    """
+    """Limit BLAS and LAPACK, globally, to one thread inside the block; enter it before threads start."""
     with _blas_lock, _controlling_blas():
         _blas_limits.append(_blas_limits[0] if _blas_limits else threadpool_limits(limits=1, user_api="blas"))
     try:
@@ -96,9 +92,7 @@ def _checked_count(count: int | str, name: str) -> int:
     except (TypeError, ValueError):
         number = 0
     if number < 1 or (not isinstance(count, str) and number != count):
-        raise ParameterError(
-            f"{name}: expected a number of threads from 1, got {count!r}; leave it out to use all cores"
-        )
+        raise ParameterError(f"{name}: expected a number of threads from 1, got {count!r}; all cores are the default")
     return number
 
 
@@ -129,8 +123,7 @@ def in_threads(work: Callable[[Item], Value], items: Sequence[Item]) -> list[Val
         return list(pool.map(work, items))
 
 
-# Prefix of the attribute that holds a lock while a cached value is computed. Names in code contain no spaces.
-_LOCK = "lock of "
+_LOCK = "lock of "  # prefix of the attribute with the lock of a cached value; names in code have no spaces
 
 if TYPE_CHECKING:
     kept = cached_property

@@ -23,28 +23,17 @@ from cagemap.subdivision import Level, Refinement, level_triangles
 from cagemap.surface.closest_points import closest_among
 from cagemap.surface.triangles import normalize_rows, triangle_neighbors, triangle_normals
 
-# Numbers of vertices of the coarse levels: for the basis, the deformation and the search for correspondences.
-COARSE_SIZES = (1500, 6000, 24_000)
-# Largest share of the next finer level's vertices.
-MAX_SHARE = 0.7
-# Fewest vertices of a level.
-MIN_LEVEL_VERTICES = 100
-# `agg` of fast_simplification: growth rate of its threshold; slower makes better triangles.
-AGGRESSIVENESS = 3
-# omega of the Jacobi step that smooths prolonged functions.
-DAMPING = 2 / 3
-# Number of vertices that a thread locates on the coarser mesh at once.
-LOCATE_BLOCK = 65_536
-# Most rounds of edge flips; each round flips at most one edge of a triangle.
-MAX_FLIP_ROUNDS = 20
-# Least cosine between the normals on both sides of a flipped edge; sharper edges are features.
-MIN_NORMAL_COSINE = 0.8
-# Least doubled area of a triangle, as a share of a squared edge: keeps cotangents finite.
-MIN_DOUBLED_AREA = 1e-12
-# Largest sum of the cotangents opposite to an edge that is flipped: below 0 by rounding.
-MAX_COTANGENT_SUM = -1e-9
-# The library keeps its mesh in global variables: threads must take turns.
-_SIMPLIFICATION_LOCK = threading.Lock()
+COARSE_SIZES = (1500, 6000, 24_000)  # vertices of levels for the basis, the deformation, the search
+MAX_SHARE = 0.7  # largest share of the next finer level's vertices
+MIN_LEVEL_VERTICES = 100  # fewest vertices of a level
+AGGRESSIVENESS = 3  # `agg` of fast_simplification: growth rate of its threshold; slower makes better triangles
+DAMPING = 2 / 3  # omega of the Jacobi step that smooths prolonged functions
+LOCATE_BLOCK = 65_536  # number of vertices that a thread locates on the coarser mesh at once
+MAX_FLIP_ROUNDS = 20  # most rounds of edge flips; each round flips at most one edge of a triangle
+MIN_NORMAL_COSINE = 0.8  # least cosine between the normals on both sides of a flipped edge; sharper edges are features
+MIN_DOUBLED_AREA = 1e-12  # least doubled area of a triangle, as a share of a squared edge: keeps cotangents finite
+MAX_COTANGENT_SUM = -1e-9  # largest sum of the cotangents opposite to an edge that is flipped: below 0 by rounding
+_SIMPLIFICATION_LOCK = threading.Lock()  # the library keeps its mesh in global variables: threads must take turns
 
 
 class Simplified(NamedTuple):
@@ -91,11 +80,7 @@ def build_coarse_levels(plain: Refinement) -> Refinement:
 
 
 def simplify_mesh(positions: FloatArray, triangles: IndexArray, count: int) -> Simplified:
-    """Simplify a mesh to about ``count`` vertices by edge collapses of least quadric error.
-
-    A coarse vertex is moved to the nearest vertex of its cluster, so that it is a vertex of all finer levels. Edges are
-    then flipped: with the thin triangles that collapses leave, elastic maps were 25 % worse.
-    """
+    """Simplify a mesh to about ``count`` of its vertices by edge collapses; edges of thin triangles are flipped."""
     low = positions.min(axis=0)
     unit = (positions - low) / np.max(positions.max(axis=0) - low)  # the library's thresholds are absolute
     faces = triangles.astype(np.int32)
@@ -116,11 +101,7 @@ def simplify_mesh(positions: FloatArray, triangles: IndexArray, count: int) -> S
 
 
 def prolongation(positions: FloatArray, triangles: IndexArray, step: Simplified) -> sparse.csr_array:
-    """(n, k) smoothed barycentric coordinates of every vertex on the coarser mesh; rows sum to 1.
-
-    Closest points are searched only among triangles around the vertex's own coarse vertex, so that they are never on
-    another part of the surface that is near in space.
-    """
+    """(n, k) smoothed barycentric coordinates in triangles around a vertex's own coarse vertex; rows sum to 1."""
     around = np.argsort(step.triangles.ravel(), kind="stable") // 3  # triangles by coarse vertex
     counts = np.bincount(step.triangles.ravel(), minlength=len(step.kept))
     starts = np.cumsum(counts) - counts
@@ -142,11 +123,7 @@ def prolongation(positions: FloatArray, triangles: IndexArray, step: Simplified)
 
 
 def smoothing_matrix(positions: FloatArray, triangles: IndexArray) -> sparse.csr_array:
-    """(n, n) damped Jacobi step ``1 - omega D^-1 W`` without negative weights.
-
-    Smoothed aggregation (Vanek et al. 1996): it reduces the energy of prolonged functions, and the error of coarse
-    levels' eigenvalues several times.
-    """
+    """(n, n) damped Jacobi step ``1 - omega D^-1 W`` of smoothed aggregation (Vanek et al. 1996), not negative."""
     upper = sparse.triu(stiffness(positions, triangles), 1).tocoo()
     rows, columns = (upper.coords[i].astype(np.int64) for i in (0, 1))
     weights = sparse.coo_array((np.maximum(-upper.data, 0.0), (rows, columns)), shape=upper.shape)

@@ -13,20 +13,16 @@ from scipy import sparse
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, joined_runs
-from cagemap.numerics.products import multiply
+from cagemap.numerics.factorization import multiply
 from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import Embedding
 
-# Target vertices per block: about 40 candidates of 150 functions each take 25 MB.
-TARGET_BLOCK = 1024
-# Least weight of S_1^l, relative to the row's largest, at which a coarse vertex is a parent of a refined one.
-PARENT_SHARE = 0.5
-# Triangles with a squared area below this share of their squared sides are degenerate.
-MIN_DETERMINANT = 1e-12
+TARGET_BLOCK = 1024  # target vertices per block: about 40 candidates of 150 functions each take 25 MB
+PARENT_SHARE = 0.5  # least weight of a parent in S_1^l, relative to the row's largest
+MIN_DETERMINANT = 1e-12  # triangles with a squared area below this share of their squared sides are degenerate
 
-# Function that returns rows (q, k) of an embedding at vertices (q,).
-Rows = Callable[[IndexArray], Embedding]
+Rows = Callable[[IndexArray], Embedding]  # gives rows (q, k) of an embedding at vertices (q,)
 
 
 def spectral_rows(surface: Surface, level: int, functions: int, mixing: FloatArray | None = None) -> Rows:

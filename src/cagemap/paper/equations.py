@@ -11,12 +11,11 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
-from cagemap.paper.functional_constraints import SPACING, Constraints, MapWeights, SpectralData
+from cagemap.paper.descriptors import SPACING, Constraints, MapWeights, SpectralData
 
 Mask = NDArray[np.bool_]
 
-# Residual of the iteration that couples rows, relative to the right side.
-CONVERGED = 1e-11
+CONVERGED = 1e-11  # residual of the iteration that couples rows, relative to the right side
 MOST_ITERATIONS = 5000
 
 
@@ -56,8 +55,11 @@ def solve_functional_map(
     unknown[:low1, :low2] = False
     if pairs and start.size:
         start[unknown] = _solve_coupled(normal_equations, gram, diagonal, right, unknown)
-    else:
-        start[unknown] = _solve_rows(gram, diagonal, right, unknown)
+        return start
+    for i, free in enumerate(unknown):  # one positive definite system for each row of C
+        if free.any():
+            system = gram[np.ix_(free, free)] + np.diag(diagonal[i, free])
+            start[i, free] = linalg.solve(system, right[i, free], assume_a="pos", check_finite=False)
     return start
 
 
@@ -87,16 +89,6 @@ def laplacian_penalties(target_eigenvalues: FloatArray, source_eigenvalues: Floa
     """(k1, k2) weights of C_ij^2 in alpha ||C Lambda2 - Lambda1 C||^2."""
     differences = (source_eigenvalues[None, :] - target_eigenvalues[:, None]) / SPACING
     return np.asarray(weight * differences**2)
-
-
-def _solve_rows(gram: FloatArray, diagonal: FloatArray, right: FloatArray, unknown: Mask) -> FloatArray:
-    """Solve for unknown entries without coupling operators: one positive definite system per row of C."""
-    solution = np.zeros_like(right)
-    for i, free in enumerate(unknown):
-        if free.any():
-            system = gram[np.ix_(free, free)] + np.diag(diagonal[i, free])
-            solution[i, free] = linalg.solve(system, right[i, free], assume_a="pos", check_finite=False)
-    return np.asarray(solution[unknown])
 
 
 def _solve_coupled(

@@ -23,19 +23,17 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import facing_points
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Config, kinds_checked
+from cagemap.paper.descriptors import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.embeddings import functions_at, spectral_rows
 from cagemap.paper.equations import solve_functional_map
-from cagemap.paper.functional_constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.method import FEWEST_FUNCTIONS, finer_level_pairs, search_levels
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule, evenly_spaced_vertices, fit_functional_map, nearest_rows
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
-# Number of vertices of each surface in ZoomOut.
-ZOOMOUT_SAMPLES = 3000
-# Weights of normals in closest points: of the first search, and where the sides of a thin part differ.
-FACING_WEIGHTS = (0.03, 0.1)
+ZOOMOUT_SAMPLES = 3000  # number of vertices of each surface in ZoomOut
+FACING_WEIGHTS = (0.03, 0.1)  # weights of normals: first search; where the sides of a thin part differ
 
 
 @dataclass(frozen=True, repr=False)
@@ -52,14 +50,12 @@ class HfmConfig(Config):
     source_search_vertices: int = 0  #: the same number for the source, if it differs; 0: as for the target
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
         super().__post_init__()
         if self.zoomout.first < FEWEST_FUNCTIONS:
             raise ParameterError(f"expected at least {FEWEST_FUNCTIONS} first functions, got {self.zoomout.first}")
 
 
-# Displacement of target points x to x R + Phi~1 tau: rotation R (3, 3), coefficients tau (k, 3).
-Displacement = tuple[FloatArray, FloatArray]
+Displacement = tuple[FloatArray, FloatArray]  # of x to x R + Phi~1 tau: rotation R (3, 3), coefficients tau (k, 3)
 
 
 @kinds_checked
@@ -134,10 +130,7 @@ def zoomout_all_bands(
 def extended_rows(
     rows: FloatArray, places: FloatArray, mesh: TriangleSurface, vertices: IndexArray, config: HfmConfig
 ) -> FloatArray:
-    """Spectral rows (b, k) of vertices (b,) with weighted positions and normals of the mesh at places (n, 3).
-
-    The extension is scaled by sqrt(k), so that its share does not decrease with k.
-    """
+    """Spectral rows (b, k) with weighted positions and normals of the mesh at places (n, 3), times sqrt(k)."""
     normals = vertex_normals(places, mesh.triangles)
     extension = np.hstack([config.position_weight * places, config.normal_weight * normals])[vertices]
     return np.hstack([rows, np.sqrt(rows.shape[1]) * extension])

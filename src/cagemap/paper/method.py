@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from cagemap.maps.pair import LevelPair, Pair, Progress, no_progress
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Config, kinds_checked
+from cagemap.paper.descriptors import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.paper.embeddings import (
     Rows,
     nearest_candidates,
@@ -23,18 +23,13 @@ from cagemap.paper.embeddings import (
     vertex_to_point,
 )
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
-from cagemap.paper.functional_constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import evenly_spaced_vertices, fit_functional_map, nearest_rows
 
-# Least number of basis functions of search levels on both sides, if the bases have so many.
-ENOUGH_FUNCTIONS = 50
-# Both sides are refined in the same step while neither has so many times the other's vertices.
-COMPARABLE = 2.5
-# Least number of basis functions: fewer cannot represent three coordinates.
-FEWEST_FUNCTIONS = 3
-# Most vertices used to refit C; of larger levels so many are sampled.
-SAMPLE_VERTICES = 30_000
+ENOUGH_FUNCTIONS = 50  # least number of basis functions of search levels on both sides, if the bases have so many
+COMPARABLE = 2.5  # both sides are refined in the same step while neither has so many times the other's vertices
+FEWEST_FUNCTIONS = 3  # least number of basis functions: fewer cannot represent three coordinates
+SAMPLE_VERTICES = 30_000  # most vertices used to refit C; of larger levels so many are sampled
 
 
 @dataclass(frozen=True, repr=False)
@@ -44,8 +39,7 @@ class PaperConfig(Config):
     descriptors: DescriptorConfig = DescriptorConfig()
     weights: MapWeights = MapWeights()  #: alpha(O), the same on all levels
     rounds: int = 2  #: alternations of P and C on every level (2.1.4); 0: keep C of eqs. 13-16
-    #: make C orthonormal in every round, as 2.1.4 does for a permutation P; ours is no permutation (docs/paper_map.md)
-    orthonormal: bool = False
+    orthonormal: bool = False  #: make C orthonormal in every round (2.1.4), though P is no permutation here
 
 
 @kinds_checked
@@ -65,18 +59,21 @@ def paper_map(
     """
     progress("functional map, level 0")
     constraints = gather_constraints(pair, config.descriptors) if constraints is None else constraints
-    maps = [_first_level(pair, constraints, config, start)]
-    for levels in finer_level_pairs(pair, maps[0].levels):
+    maps = [_alternate(pair, (0, 0), _first_map(pair, constraints, config, start), config, None)]
+    for levels in finer_level_pairs(pair, (0, 0)):
         progress(f"functional and point map, levels {levels[0]} and {levels[1]}")
-        maps.append(_next_level(pair, constraints, maps[-1], levels, config))
+        functional_map, sizes = maps[-1].functional_map, basis_sizes(pair, levels)
+        if sizes != functional_map.shape:  # eqs. 14-16 (5.3.2)
+            functional_map = extend_functional_map(functional_map, constraints.leading(*sizes), config.weights)
+        maps.append(_alternate(pair, levels, functional_map, config, maps[-1]))
     progress("point map")
     maps = [replace(level_map, points=recover_points(pair, level_map)) for level_map in maps]
     assert maps[-1].points is not None
     return tuple(maps), maps[-1].points
 
 
-def _first_level(pair: Pair, constraints: Constraints, config: PaperConfig, start: MapLike | None) -> LevelMap:
-    """Map of level 0: eq. 13, and the full search (5.3.1, 5.4)."""
+def _first_map(pair: Pair, constraints: Constraints, config: PaperConfig, start: MapLike | None) -> FloatArray:
+    """C12 of level 0, by eq. 13 (5.3.1) or from a start."""
     sizes = basis_sizes(pair, (0, 0))
     if min(sizes) < FEWEST_FUNCTIONS:
         raise ParameterError(
@@ -85,42 +82,21 @@ def _first_level(pair: Pair, constraints: Constraints, config: PaperConfig, star
         )
     wanted = constraints.leading(*sizes)
     if start is None:
-        functional_map = solve_functional_map(wanted, config.weights)
-    else:
-        functional_map = functional_map_from(pair, start, sizes)[: sizes[0], : sizes[1]]
-        if functional_map.shape != sizes:
-            functional_map = extend_functional_map(functional_map, wanted, config.weights)
-    return _alternate(pair, (0, 0), functional_map, config, lambda c: search_full(pair, c, (0, 0)))
-
-
-def _next_level(
-    pair: Pair, constraints: Constraints, coarse: LevelMap, levels: LevelPair, config: PaperConfig
-) -> LevelMap:
-    """Map of level l + 1: eqs. 14-16, and search among children of the parents' matches (5.3.2, Fig. 9)."""
-    functional_map, sizes = coarse.functional_map, basis_sizes(pair, levels)
-    if sizes != functional_map.shape:
-        functional_map = extend_functional_map(functional_map, constraints.leading(*sizes), config.weights)
-    return _alternate(pair, levels, functional_map, config, lambda c: search_level(pair, c, levels, coarse))
+        return solve_functional_map(wanted, config.weights)
+    given = functional_map_from(pair, start, sizes)[: sizes[0], : sizes[1]]
+    return given if given.shape == sizes else extend_functional_map(given, wanted, config.weights)
 
 
 def _alternate(
-    pair: Pair,
-    levels: LevelPair,
-    functional_map: FloatArray,
-    config: PaperConfig,
-    search: Callable[[FloatArray], IndexArray],
+    pair: Pair, levels: LevelPair, functional_map: FloatArray, config: PaperConfig, coarse: LevelMap | None
 ) -> LevelMap:
-    """Alternate the point map P and C, starting from C (2.1.4).
-
-    P maps each target vertex to the source vertex with the nearest row of Phi~2 C^T: unlike the paper's permutation,
-    several vertices may go to one. C is fitted to P by least squares (2.1.2).
-    """
-    match = search(functional_map)
+    """Alternate the point map P and C, fitted to P (2.1.2, 2.1.4); unlike the paper's, P is no permutation."""
+    match = search_level(pair, functional_map, levels, coarse)
     for _ in range(config.rounds):
         functional_map = refit_map(pair, levels, match)
         if config.orthonormal:
             functional_map = nearest_orthonormal(functional_map)
-        match = search(functional_map)
+        match = search_level(pair, functional_map, levels, coarse)
     return LevelMap(levels, functional_map, match)
 
 
@@ -135,20 +111,18 @@ def basis_sizes(pair: Pair, levels: LevelPair) -> tuple[int, int]:
     return pair.target.basis.size(levels[0]), pair.source.basis.size(levels[1])
 
 
-def search_full(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> IndexArray:
-    """(n1,) nearest of all source vertices to every target vertex of a level (paper, 5.4)."""
-    target, source = _both_rows(pair, functional_map, levels)
-    return nearest_rows(
-        target(np.arange(_size(pair.target, levels[0]))), source(np.arange(_size(pair.source, levels[1])))
-    )
-
-
-def search_level(pair: Pair, functional_map: FloatArray, levels: LevelPair, coarse: LevelMap) -> IndexArray:
-    """(n1,) nearest candidate source vertex of every target vertex of a level (paper, Fig. 9).
+def search_level(
+    pair: Pair, functional_map: FloatArray, levels: LevelPair, coarse: LevelMap | None = None
+) -> IndexArray:
+    """(n1,) nearest source vertex of every target vertex of a level: of all, or of candidates by ``coarse`` (Fig. 9).
 
     If the target keeps its level, each of its vertices is its own parent; if the source does, the children of a vertex
     are its neighbours.
     """
+    rows = _both_rows(pair, functional_map, levels)
+    if coarse is None:
+        every = np.arange(_size(pair.target, levels[0])), np.arange(_size(pair.source, levels[1]))
+        return nearest_rows(*(of(vertices) for of, vertices in zip(rows, every, strict=True)))
     unchanged = [fine == before for fine, before in zip(levels, coarse.levels, strict=True)]
     if unchanged[0]:
         parents = sparse.csr_array(sparse.eye_array(_size(pair.target, levels[0])))
@@ -158,7 +132,6 @@ def search_level(pair: Pair, functional_map: FloatArray, levels: LevelPair, coar
         children = _neighbours(pair.source, levels[1])
     else:
         children = pair.source.hierarchy.matrices[coarse.levels[1]]
-    rows = _both_rows(pair, functional_map, levels)
     return nearest_candidates(*rows, vertex_blocks(pair.target, levels[0]), parents, children, coarse.match)
 
 
@@ -205,10 +178,7 @@ def _size(surface: Surface, level: int) -> int:
 
 
 def search_levels(target: Surface, source: Surface, vertices: int, source_vertices: int = 0) -> LevelPair:
-    """Coarsest levels with enough vertices and basis functions, for the full search.
-
-    ``source_vertices`` is the number for the source; 0: as for the target.
-    """
+    """Coarsest levels with enough vertices (``source_vertices`` 0: as of the target) and functions."""
 
     def first(surface: Surface, wanted: int) -> int:
         functions = min(ENOUGH_FUNCTIONS, surface.basis.count)
@@ -223,10 +193,7 @@ def search_levels(target: Surface, source: Surface, vertices: int, source_vertic
 
 
 def finer_level_pairs(pair: Pair, start: LevelPair) -> list[LevelPair]:
-    """Pairs of levels from ``start`` (excluded) to the finest, each side at most one level per step.
-
-    Both sides are refined together while their sizes are comparable; otherwise only the coarser one.
-    """
+    """Pairs of levels after ``start`` to the finest: both finer in a step if comparable, else the coarser one."""
     steps = []
     l1, l2 = start
     while (l1, l2) != (pair.target.finest_level, pair.source.finest_level):

@@ -15,18 +15,13 @@ from cagemap.numerics.threads import in_threads
 from cagemap.spectral.basis import HierarchicalBasis
 from cagemap.subdivision import Refinement
 
-# Rows of S^l count as equal if their products with random functions differ by less than this.
-SAME_ROW = 1e-9
+SAME_ROW = 1e-9  # rows of S^l are equal if their products with random functions differ by less than this
 UNKNOWN = -1
-# Number of basis functions to which an operator is applied at once: 256 MB at a million vertices.
-OPERATOR_COLUMNS = 32
+OPERATOR_COLUMNS = 32  # number of basis functions to which an operator is applied at once: 256 MB at a million vertices
 
 
 def check_symmetry(symmetry: IndexArray, control: ControlMesh) -> None:
-    """Raise ParameterError unless images (n,), -1 if unknown, are a self-map of the control vertices.
-
-    A permutation that maps faces to faces is propagated exactly, other self-maps by nearest neighbours.
-    """
+    """Raise ParameterError unless images (n,), -1 if unknown, are a self-map of the control vertices."""
     n = control.n_vertices
     array = np.asarray(symmetry)
     if array.shape != (n,) or not np.issubdtype(array.dtype, np.integer):
@@ -86,8 +81,7 @@ def symmetry_operator(basis: HierarchicalBasis, symmetry: IndexArray) -> FloatAr
     return np.triu(np.tril(np.hstack(columns), 1), -1)
 
 
-# Least share of landmarks that two paired mirror planes map to the same landmarks.
-AGREEMENT = 0.5
+AGREEMENT = 0.5  # least share of landmarks that two paired mirror planes map to the same landmarks
 
 
 def paired_mirrors(pair: Pair) -> tuple[SymmetryPair, ...]:

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, decode_srgb, encode_srgb
 from cagemap.numerics.process import import_library
-from cagemap.numerics.srgb import decode_srgb, encode_srgb
 from cagemap.numerics.threads import kept
 from cagemap.pictures.camera import Camera
 from cagemap.pictures.textures import sample_texture

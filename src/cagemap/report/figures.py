@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.pair import surface_curve
 from cagemap.maps.result import MatchResult
-from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.srgb import encode_srgb
+from cagemap.numerics.arrays import FloatArray, encode_srgb
 from cagemap.numerics.threads import ThreadPool
 from cagemap.pictures import (
     BACK,

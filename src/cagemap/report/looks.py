@@ -6,8 +6,7 @@ import numpy as np
 
 from cagemap.maps.regions import local_size
 from cagemap.maps.result import MatchResult
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.srgb import encode_srgb
+from cagemap.numerics.arrays import FloatArray, IndexArray, encode_srgb
 from cagemap.pictures import BALANCE_SCALE, position_colors, sample_texture, scalar_colors
 from cagemap.report.figures import Pixels, display_image, runner_up_image
 from cagemap.report.marks import SOURCE, TARGET, find_marks

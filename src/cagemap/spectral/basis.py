@@ -5,21 +5,75 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy import linalg, sparse
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, finite_numbers, read_only, whole_numbers
-from cagemap.numerics.kinds import kinds_checked
-from cagemap.numerics.products import multiply
+from cagemap.numerics.factorization import multiply
+from cagemap.numerics.kinds import Config, kinds_checked
 from cagemap.numerics.threads import ROW_BLOCK, row_slices
 from cagemap.operators import Operators, lumped_areas
-from cagemap.spectral.config import SOLVER, BasisConfig
-from cagemap.spectral.eigenpairs import band_pairs, count_below, residual_norms
+from cagemap.operators.laplacian import named_laplacian
+from cagemap.spectral.eigenpairs import SOLVER, band_pairs, count_below, residual_norms
 from cagemap.subdivision import Refinement
 
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class BasisConfig(Config):
+    """Parameters of a spectral basis: ``count`` functions of one level, or bands of several levels."""
+
+    RANGES: ClassVar = {"count": (1, np.inf), "vertices": (1, np.inf)}
+
+    #: number of functions k; the default is reduced on smaller meshes. They are computed at the coarsest level with at
+    #: least ``MIN_VERTICES`` and ``VERTICES_PER_FUNCTION * count`` vertices; eigenvalues there are 0.1 to 4 % above the
+    #: finest level's.
+    count: int = 100
+    schedule: tuple[int, ...] | None = None  #: instead: numbers k_l that levels add, from level 0 (Definition 2)
+    accuracy: float = 1e-5  #: convergence of the eigensolver, relative to the eigenvalues of the inverted problem
+    #: only with a schedule. True: a band is the k_l eigenvectors above the largest eigenvalue so far (Definition 2); it
+    #: starts a few indices too high, as eigenvalues of finer levels are lower. False: a band continues at the index
+    #: after the last band, without the directions that the refined coarser bands span already.
+    literal: bool = False
+    vertices: int | None = None  #: operators are built at the coarsest level with so many; None: at the finest one
+    #: Laplacian of quads: "mean" of both triangulations, "alexa-wardetzky" (the paper's) or "de-goes-butts-desbrun";
+    #: see `cagemap.operators.laplacian`
+    laplacian: str = "mean"
+    stabilisation: float = 1.0  #: stabilisation weight lambda of the last two Laplacians
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 < self.accuracy <= 1e-3:
+            raise ParameterError(f"accuracy: expected a residual between 0 and 1e-3, got {self.accuracy}")
+        if self.schedule is not None and not any(self.schedule):
+            raise ParameterError(f"schedule: expected counts, such as (100, 50), level 0 first, got {self.schedule}")
+        named_laplacian(self.laplacian, self.stabilisation)
+        if self.literal and self.schedule is None:
+            raise ParameterError("literal: expected a schedule with it (Definition 2), got none; give schedule")
+
+    def bands(self, refinement: Refinement, finest: int) -> tuple[int, ...]:
+        """Number of functions that each level adds: the schedule, or all at one level up to ``finest``."""
+        if self.schedule is not None:
+            return self.schedule
+        level = min(refinement.coarsest_level(max(MIN_VERTICES, VERTICES_PER_FUNCTION * self.count)), finest)
+        return (*(0,) * level, self.count)
+
+
+# Least vertices, and least vertices per function, of the level at which a basis is computed. Maps of six human pairs
+# are then those of a basis with eigenvalues within 5 % of the finest level's (docs/lab/spectral.md).
+MIN_VERTICES = 3000
+VERTICES_PER_FUNCTION = 20
+
+# Basis of the default method. Operators of 20 000 vertices and this accuracy change eigenvalues by less than 1 %; more
+# functions do not improve maps (docs/lab/spectral.md).
+MAP_BASIS = BasisConfig(accuracy=1e-3, vertices=20_000)
+HFM_FUNCTIONS = 150  # number of functions of the method "hfm"
+# Functions per level of "paper". With 100 on level 0, as in Table 1, eqs. 14-16 have no effect (docs/paper/blocks.md).
+PAPER_SCHEDULE = (50, 100)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,16 +85,13 @@ class HierarchicalBasis:
 
     hierarchy: Refinement
     operators: Operators  #: mass and stiffness of all levels, or of the first ones
-    #: (n_l, k_l) new eigenvectors of every level from 0 to the last that has any, each M^l-orthonormal
-    bands: tuple[FloatArray, ...]
+    bands: tuple[FloatArray, ...]  #: (n_l, k_l) new eigenvectors of levels 0 to the last with any, each M^l-orthonormal
     eigenvalues: FloatArray  #: (k,) Lambda~, band after band, computed at each pair's own level. Unit area.
-    #: (k,) relative residual of every pair at its own level, see `cagemap.spectral.residual_norms`
-    residuals: FloatArray
+    residuals: FloatArray  #: (k,) relative residual of every pair at its own level, see `residual_norms`
     indices: IndexArray  #: (k,) index of every pair in the whole spectrum of its own level, from 0
     gram: FloatArray  #: (k, k) Phi~^T M Phi~, the same at every level that has all the bands (Lemma 5)
 
     def __post_init__(self) -> None:
-        """Check that the bands match the levels; make all arrays read-only."""
         sizes = [level.n_vertices for level in self.hierarchy.levels]
         found = [band.shape[0] for band in self.bands]
         known = [mass.shape[0] for mass in self.operators.mass]
@@ -119,9 +170,7 @@ class HierarchicalBasis:
         n = self.hierarchy.levels[level].n_vertices
         functions = finite_numbers(values, "functions")
         if functions.shape[:1] != (n,):
-            raise ParameterError(
-                f"expected functions with {n} rows, one for each vertex of level {level}, got {functions.shape}"
-            )
+            raise ParameterError(f"expected functions with {n} rows, level {level}'s vertices, got {functions.shape}")
         if level > self.operators.finest_level:
             raise ParameterError(
                 f"expected functions of a level up to {self.operators.finest_level}, the last with operators, got "

@@ -13,15 +13,36 @@ from scipy import linalg, sparse
 
 from cagemap.errors import ParameterError, SolverError
 from cagemap.numerics.arrays import FloatArray, read_only
-from cagemap.numerics.factorization import Factorization, Precision, factor
-from cagemap.numerics.products import multiply
+from cagemap.numerics.factorization import Factorization, Precision, factor, multiply
+from cagemap.numerics.kinds import Config
 from cagemap.numerics.threads import ROW_BLOCK, in_threads, row_slices
 from cagemap.operators import Operators
-from cagemap.spectral.config import SOLVER
 
 _log = logging.getLogger(__name__)
 
 Block = NDArray[Any]  # (n, q), float64 or float32
+
+
+@dataclass(frozen=True)
+class SolverConfig(Config):
+    """Numbers of the eigensolver."""
+
+    dense_rows: int = 800  #: most rows for which a dense solve is faster than Lanczos
+    largest_dense_rows: int = 5_000  #: most rows for a dense solve if more than a fifth of the spectrum is wanted
+    rank: float = 1e-13  #: relative eigenvalue of a coarse mass matrix below which subdivision maps a direction to zero
+    single_accuracy: float = 1e-5  #: from this accuracy on the Krylov space is in single precision, which changes less
+    shifts: int = 3  #: number of shifts tried if a factorisation reports no inertia
+    extra_pairs: int = 8  #: pairs computed on both sides of a band, to count eigenvalues below a gap among them
+    loose: float = 1e-2  #: largest residual of the extra pairs
+    well_conditioned: float = 1e-6  #: inverse squared condition of a block above which one Cholesky QR suffices
+    dependent: float = 1e-14  #: inverse squared condition of a block below which a direction is lost
+    overlap: int = 12  #: pairs computed below the start of a band, to determine which the refined bands span
+    cluster: float = 1e-4  #: relative gap below which eigenvalues count as one repeated eigenvalue
+    ill_conditioned: float = 100.0  #: condition of the Gram matrix above which functions are nearly dependent
+    seed: int = 20190708  #: random seed of the first block
+
+
+SOLVER = SolverConfig()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -29,8 +50,7 @@ class EigenPairs:
     """Consecutive eigenpairs of one level, W X = M X Lambda."""
 
     values: FloatArray  #: (m,) ascending. Unit 1 / length^2 (unit area: none).
-    #: (n, m) M-orthonormal; in single precision if computed to a low accuracy
-    vectors: NDArray[Any]
+    vectors: NDArray[Any]  #: (n, m) M-orthonormal; in single precision if computed to a low accuracy
     first_index: int  #: index of the first pair in the level's whole spectrum, from 0
 
     def __post_init__(self) -> None:
@@ -117,10 +137,7 @@ def band_pairs(
 
 
 def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
-    """Exact lowest eigenpairs of one level (paper, eq. 1); the hierarchical basis approximates them.
-
-    ParameterError if level or count is out of range.
-    """
+    """Exact lowest eigenpairs of one level (paper, eq. 1); ParameterError if level or count is out of range."""
     if not 0 <= level <= operators.finest_level:
         raise ParameterError(f"expected a level from 0 to {operators.finest_level}, got {level}")
     return band_pairs(operators.stiffness[level], operators.mass[level], 0, count, accuracy=1e-10)

@@ -13,21 +13,17 @@ from cagemap.mesh.faces import cage_triangles, faces_of_one_size
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.numerics.arrays import FloatArray, members_of, offsets_of
-from cagemap.numerics.factorization import factor
+from cagemap.numerics.factorization import factor, multiply
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.numerics.products import multiply
 from cagemap.numerics.threads import ROW_BLOCK, in_threads, one_blas_thread, row_slices
 from cagemap.operators.laplacian import stiffness, vertex_areas
-from cagemap.spectral.config import SOLVER
-from cagemap.spectral.eigenpairs import EigenPairs, band_pairs, combined, residual_norms, shifted_matrix
+from cagemap.spectral.eigenpairs import SOLVER, EigenPairs, band_pairs, combined, residual_norms, shifted_matrix
 from cagemap.spectral.surface import Surface
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import corner_sums, normalize_rows
 
-# Number of columns that are solved and multiplied at a time.
-COLUMN_BLOCK = 64
-# Most inverse iterations after Lanczos; one suffices unless the accuracy is near rounding.
-MAX_INVERSE_ITERATIONS = 4
+COLUMN_BLOCK = 64  # number of columns that are solved and multiplied at a time
+MAX_INVERSE_ITERATIONS = 4  # most inverse iterations after Lanczos; one suffices unless the accuracy is near rounding
 # Most parts that are solved together: Lanczos finds an eigenvalue, such as 0, about 64 times (the block's width).
 MAX_JOINT_PARTS = 100
 # For DiffusionNet: residual of eigenpairs, constant added to norms, largest cosine of normal and first axis.

@@ -19,8 +19,14 @@ from cagemap.numerics.threads import ThreadPool, in_threads, kept, one_blas_thre
 from cagemap.operators import Operators, build_operators
 from cagemap.operators.coarse_levels import build_coarse_levels
 from cagemap.operators.laplacian import named_laplacian
-from cagemap.spectral.basis import HierarchicalBasis, hierarchical_basis
-from cagemap.spectral.config import HFM_FUNCTIONS, MAP_BASIS, PAPER_SCHEDULE, BasisConfig
+from cagemap.spectral.basis import (
+    HFM_FUNCTIONS,
+    MAP_BASIS,
+    PAPER_SCHEDULE,
+    BasisConfig,
+    HierarchicalBasis,
+    hierarchical_basis,
+)
 from cagemap.subdivision import Refinement, default_scheme, level_triangles, refine
 from cagemap.subdivision.refinement import vertex_counts
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -34,8 +40,7 @@ class Surface:
     All are computed when first read, and cached. `cagemap.prepare_surface` computes operators and basis at once.
     """
 
-    #: subdivision levels, or a plain mesh alone. `hierarchy` also has the coarse levels of a plain mesh.
-    refinement: Refinement
+    refinement: Refinement  #: subdivision levels, or a plain mesh alone; `hierarchy` has its coarse levels too
     config: BasisConfig = MAP_BASIS  #: parameters of the basis
 
     @classmethod
@@ -84,10 +89,7 @@ class Surface:
 
     @kept
     def scale(self) -> float:
-        """Factor from the file's lengths to lengths at unit area; if possible the operators' scale.
-
-        Laplacians other than "mean" have areas of their own, which are not used.
-        """
+        """Factor from the file's lengths to unit area: the operators' own if "mean" and of the finest level."""
         operators: Operators | None = vars(self).get("operators") if self.config.laplacian == "mean" else None
         if operators is not None and operators.finest_level == self.finest_level:
             return operators.scale
@@ -160,13 +162,10 @@ class Surface:
 
 Progress = Callable[[str], None]
 
-# Least share of the requested vertices that a level must have; the next level has four times as many.
-ENOUGH = 0.75
+ENOUGH = 0.75  # least share of the requested vertices that a level must have; the next has four times as many
 MOST_LEVELS = 12
-# Default number of vertices of a match, on each side, approximately.
-DEFAULT_VERTICES = 200_000
-# Names of the methods that find a map.
-METHODS = ("elastic", "hfm", "paper")
+DEFAULT_VERTICES = 200_000  # default number of vertices of a match, on each side, approximately
+METHODS = ("elastic", "hfm", "paper")  # names of the methods that find a map
 
 
 def no_progress(stage: str) -> None:

@@ -26,12 +26,9 @@ from cagemap.operators import lumped_areas
 
 Embedding = NDArray[np.float32]
 
-# Number of samples to which a functional map is fitted: 20 rows for each of 300 unknowns in a column of C.
-FIT_SAMPLES = 6000
-# Queries in one block of `nearest_rows`; each takes 4 bytes per point for its distances.
-QUERY_BLOCK = 512
-# Weight of harmonic coordinates relative to biharmonic and spectral ones (measured, docs/lab/spectral.md).
-HARMONIC_WEIGHT = 3.0
+FIT_SAMPLES = 6000  # samples to fit a functional map: 20 for each of 300 unknowns in a column of C
+QUERY_BLOCK = 512  # queries in one block of `nearest_rows`; each takes 4 bytes per point for its distances
+HARMONIC_WEIGHT = 3.0  # weight of harmonic coordinates beside the others (docs/lab/spectral.md)
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,6 @@ class ZoomOutSchedule(Config):
     factor: float = 1.5
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
         super().__post_init__()
         if not (1 <= self.first <= self.last and self.factor > 1.0):
             raise ParameterError(
@@ -67,11 +63,7 @@ def zoomout(
     schedule: ZoomOutSchedule,
     shared: tuple[FloatArray, FloatArray] | None = None,
 ) -> IndexArray:
-    """(b1,) refined match of target with source samples: fit C12, search, repeat with more functions.
-
-    Samples are given by their basis rows (b1, k1), (b2, k2) and the target's areas (b1,). ``shared`` are further
-    coordinates of both, see `nearest_samples`.
-    """
+    """(b1,) refined match of target and source samples by their basis rows and areas: fit C12, search, repeat."""
     counts = target.shape[1], source.shape[1]
     for size in schedule.sizes(max(counts)):
         k1, k2 = min(size, counts[0]), min(size, counts[1])
@@ -81,10 +73,7 @@ def zoomout(
 
 
 def fit_functional_map(rows: FloatArray, areas: FloatArray, values: FloatArray) -> FloatArray:
-    """Least-squares fit C12 = Phi~1^+ P12 Phi~2 (k1, k2), weighted by area (b,) (paper, section 2.1.2).
-
-    ``rows`` (b, k1) are Phi~1 at samples of the target, ``values`` (b, k2) Phi~2 at their matches, or other functions.
-    """
+    """C12 = Phi~1^+ P12 Phi~2 (k1, k2) of rows (b, k1) and matched values (b, k2), by area (b,) (paper, 2.1.2)."""
     weighted = rows * areas[:, None]
     gram = weighted.T @ rows
     gram[np.diag_indices(len(gram))] += 1e-9 * np.trace(gram) / len(gram)
@@ -104,16 +93,13 @@ def nearest_samples(
     """
     k1, k2 = functional_map.shape
     embedded = [target[:, :k1], source[:, :k2] @ functional_map.T]
-    if shared is not None:
+    if shared is not None:  # times sqrt(k): their share of distances does not fall with more spectral coordinates
         embedded = [np.hstack([rows, np.sqrt(k1) * more]) for rows, more in zip(embedded, shared, strict=True)]
     return nearest_rows(*(rows.astype(np.float32) for rows in embedded))
 
 
 def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
-    """(b,) index of the nearest point (n, k) to every query (b, k), by blocked matrix products.
-
-    A k-d tree is slow while a map is inaccurate: 2 s instead of 0.3 s for 6000 points of 200 coordinates.
-    """
+    """(b,) index of the nearest point (n, k) to every query (b, k), by products: k-d trees are slow for so many k."""
     half_norms = 0.5 * np.einsum("ij,ij->i", points, points)
     transposed = np.ascontiguousarray(points.T)
     nearest = np.empty(len(queries), dtype=np.int64)
@@ -128,10 +114,7 @@ def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
 
 
 def evenly_spaced_vertices(n: int, count: int) -> IndexArray:
-    """At most ``count`` vertices at equal steps of the numbering, dense where the mesh is: weight them by area.
-
-    Steps of equal area leave too few samples on hands.
-    """
+    """At most ``count`` vertices at equal steps of the numbering: weight by area, as equal areas leave few on hands."""
     return np.unique(np.linspace(0, n - 1, min(n, count)).astype(np.int64))
 
 

@@ -27,8 +27,7 @@ from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.udim import udim_origin
 from cagemap.mesh.weld import weld_mesh, weld_tolerance
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.srgb import encode_srgb
+from cagemap.numerics.arrays import FloatArray, IndexArray, encode_srgb
 from cagemap.pictures import UP_AXES, shape_turn, stated_turn, usual_turn
 from cagemap.pipeline import choose_level
 from cagemap.studio.file_parts import NO_PARTS, PartChoices, SelectedPart, other_parts_surface, select_part

@@ -11,7 +11,7 @@ from cagemap.mesh.landmarks import CagePoints
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio.landmarks import Place
 from cagemap.studio.shape import Hit, Shape, line_hits
-from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import SurfacePoints
 from cagemap.surface.triangles import normalize_rows
 
 # Iterations of `nearest_place`, and the change of direction that ends them.

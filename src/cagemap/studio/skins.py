@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cagemap.files.images.image import Pixels
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
-from cagemap.numerics.srgb import encode_srgb as to_display
+from cagemap.numerics.arrays import encode_srgb as to_display
 from cagemap.numerics.threads import kept
 from cagemap.pictures.camera import turn_angle
 from cagemap.pictures.textures import repeated_uvs

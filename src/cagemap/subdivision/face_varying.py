@@ -23,8 +23,7 @@ from cagemap.subdivision.matrices import linear_matrix, subdivision_matrix
 from cagemap.subdivision.topology import MeshState, Sharpness, children, control_state, next_state, split_topology
 from cagemap.surface.triangles import fan_triangles, triangles
 
-# UVs (p, 2) of a level, and the UV of every corner of its faces.
-Layout: TypeAlias = tuple[FloatArray, IndexArray]
+Layout: TypeAlias = tuple[FloatArray, IndexArray]  # UVs (p, 2) of a level, UV of every corner of its faces
 
 _DEPENDENT = ("corners_plus1", "corners_plus2")
 
@@ -140,8 +139,7 @@ def _layout_matrix(layout: MeshState, state: MeshState, scheme: Scheme) -> spars
 class LinearValues:
     """Linear interpolation of control mesh values on the triangles of a refined level."""
 
-    #: (p, p0) weights of the control mesh's node values at the level's nodes; rows are not negative and sum to 1
-    matrix: sparse.csr_array
+    matrix: sparse.csr_array  #: (p, p0) weights of the control mesh's nodes at the level's; rows sum to 1
     corners: IndexArray  #: (t, 3) nodes of the level's triangles
 
     def at(self, triangle: IndexArray, barycentric: FloatArray) -> sparse.csr_array:

@@ -78,9 +78,7 @@ def _level_with_rings(refinement: Refinement, level: int) -> int:
 
 def _state_with_rings(refinement: Refinement, level: int) -> MeshState:
     if not 0 <= level <= refinement.finest_level:
-        raise ParameterError(
-            f"level: expected 0 to {refinement.finest_level}, got {level}; refine further to have more"
-        )
+        raise ParameterError(f"level: expected 0 to {refinement.finest_level}, got {level}; refine to have more")
     if _level_with_rings(refinement, level) != level:
         raise ParameterError("level: expected quads only, got level 0 of a mesh with other faces; use level 1")
     return state_of(refinement, level)
@@ -177,10 +175,7 @@ def _tangents_of_sides(
 def _refined_around(
     state: MeshState, scheme: SmoothScheme, chosen: BoolArray
 ) -> tuple[csr_array, IndexArray, MeshState, BoolArray]:
-    """Refine two rings of faces around the chosen vertices.
-
-    Returns the subdivision matrix, its columns' vertices, the state of the next level, and the chosen vertices there.
-    """
+    """S of two rings of faces around chosen vertices, its columns' vertices, the next state, chosen vertices there."""
     assert state.sharpness is not None
     topology, near = state.topology, chosen
     for _ in range(2):
@@ -227,10 +222,7 @@ def _dart_rows(
 
 
 def _dart_weights(scheme: SmoothScheme, valence: int) -> FloatArray:
-    """(3, ring) weights of limit position and tangents at a dart: eigenvectors of its ring's subdivision matrix.
-
-    The ring is the vertex, its neighbours starting at the crease edge's other end, and for quads the opposite vertices.
-    """
+    """(3, ring) weights of limit position and tangents at a dart; the ring begins at the crease's other end."""
     ranks = np.arange(valence)
     following = (ranks + 1) % valence
     quads = not isinstance(scheme, Loop)

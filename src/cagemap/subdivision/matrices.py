@@ -14,8 +14,7 @@ from cagemap.mesh.topology import BoolArray, IntArray, Topology
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.subdivision.topology import MeshState, Sharpness, vertex_rules
 
-# Rows, columns and weights of matrix entries.
-Entries: TypeAlias = tuple[NDArray[np.integer], NDArray[np.integer], FloatArray]
+Entries: TypeAlias = tuple[NDArray[np.integer], NDArray[np.integer], FloatArray]  # rows, columns, weights
 
 
 def matrix_of(entries: Sequence[Entries], shape: tuple[int, int]) -> csr_array:
@@ -137,7 +136,10 @@ def subdivision_matrix(state: MeshState, scheme: Scheme) -> csr_array:
     topology = state.topology
     if isinstance(scheme, Bilinear):
         return linear_matrix(topology)
-    if isinstance(scheme, Loop) or topology.has_quads_only:
+    quads = topology.n_corners == 4 * topology.n_faces and np.array_equal(
+        topology.faces[::4], np.arange(topology.n_faces)
+    )
+    if quads or isinstance(scheme, Loop):
         matrix = regular_matrix(topology, scheme, state.corner)
     else:
         matrix = polygon_matrix(topology, scheme, state.corner)

@@ -26,13 +26,7 @@ from cagemap.subdivision.matrices import subdivision_matrix
 from cagemap.subdivision.topology import MeshState, children, control_state, control_topology, next_state
 from cagemap.surface.triangles import triangles as triangles
 
-# Approximate nonzeros of the second S per control corner; each further S has four times as many.
-ENTRIES_PER_CORNER = 25
-
-
-def _given_layout(layout: Layout) -> Layout:
-    """A layout as it is; unlike a lambda, it can be pickled."""
-    return layout
+ENTRIES_PER_CORNER = 25  # nonzeros of the second S per control corner, about; each further S has 4 times as many
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -40,11 +34,9 @@ class Level:
     """Mesh of one level."""
 
     positions: FloatArray  #: (n, 3) vertices, in the control mesh's length unit; refined positions, not limit positions
-    #: (m, 4) or (m, 3); None only at level 0 if faces are not all quads or all triangles: see ``Refinement.control``
-    faces: IndexArray | None
+    faces: IndexArray | None  #: (m, 4) or (m, 3); None at level 0 of other faces, see ``Refinement.control``
     face_parents: IndexArray  #: (m,) control face of every face
-    #: function that returns UVs (p, 2) and the UV of every face corner, in the shape of ``faces``
-    lay: Callable[[], Layout] | None = None
+    lay: Callable[[], Layout] | None = None  #: gives UVs (p, 2) and the UV of every corner of ``faces``
 
     @kept
     def layout(self) -> Layout | None:
@@ -63,7 +55,8 @@ class Level:
 
     def with_uvs(self, uvs: FloatArray, uv_indices: IndexArray) -> Level:
         """The same level with other UVs (p, 2) and UV indices in the shape of ``faces``."""
-        return replace(self, lay=partial(_given_layout, (uvs, uv_indices)))
+        picklable = partial(tuple, (uvs, uv_indices))  # unlike a lambda
+        return replace(self, lay=picklable)  # type: ignore[arg-type]
 
     @property
     def n_vertices(self) -> int:
@@ -255,7 +248,19 @@ def refine(control: MeshLike, levels: int, scheme: Scheme | None = None) -> Refi
     """
     require_structure(control)
     scheme = default_scheme(control) if scheme is None else scheme
-    _check_input(control, levels, scheme)
+    if levels < 0:
+        raise ParameterError(f"levels: expected 0 or more refinement steps, got {levels}")
+    if isinstance(scheme, Plain) and levels:
+        raise ParameterError(
+            f"levels: {control.name} is a plain mesh (scheme none) and is never refined, expected 0, got {levels}; "
+            "ask for bilinear to split its faces"
+        )
+    if isinstance(scheme, Loop) and not control.is_triangle_mesh:
+        others = np.flatnonzero(control.face_sizes != 3)
+        raise InvalidMeshError(
+            f"{control.name}: Loop expects triangles only, got {len(others)} other faces: {first_few(others)}; "
+            "use Catmull-Clark, which takes faces of any size"
+        )
     state = control_state(control, scheme)
     entries = ENTRIES_PER_CORNER * state.topology.n_corners * 4 ** max(levels - 2, 0)
     if entries >= 2**31:
@@ -284,10 +289,7 @@ def state_of(refinement: Refinement, level: int) -> MeshState:
 
 
 def control_holes(control: ControlMesh, scheme: Scheme) -> BoolArray:
-    """(m,) whether a control face is a hole: in the file, or at the boundary under boundary ``none``.
-
-    As in OpenSubdiv, a face at the boundary is no hole if all boundary edges at its vertices are infinitely sharp.
-    """
+    """(m,) whether a control face is a hole: in the file, or under ``none`` at a boundary that is not all sharp."""
     holes = np.zeros(control.n_faces, dtype=bool)
     if control.hole_faces is not None:
         holes[control.hole_faces] = True
@@ -312,22 +314,6 @@ def control_level(control: ControlMesh) -> Level:
     return level.with_uvs(control.uvs, control.uv_indices.reshape(faces.shape))
 
 
-def _check_input(control: ControlMesh, levels: int, scheme: Scheme) -> None:
-    if levels < 0:
-        raise ParameterError(f"levels: expected 0 or more refinement steps, got {levels}")
-    if isinstance(scheme, Plain) and levels:
-        raise ParameterError(
-            f"levels: {control.name} is a plain mesh (scheme none) and is never refined, expected 0, got {levels}; "
-            "ask for bilinear to split its faces"
-        )
-    if isinstance(scheme, Loop) and not control.is_triangle_mesh:
-        others = np.flatnonzero(control.face_sizes != 3)
-        raise InvalidMeshError(
-            f"{control.name}: Loop expects triangles only, got {len(others)} other faces: {first_few(others)}; "
-            "use Catmull-Clark, which takes faces of any size"
-        )
-
-
 def level_triangles(refinement: Refinement, level: int) -> IndexArray:
     """(t, 3) triangles of a level: quads split by `triangles`, n-gons into fans."""
     return triangles(refinement.faces(level))
@@ -347,10 +333,7 @@ def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterato
 
 
 def finest_mesh(refinement: Refinement) -> ControlMesh:
-    """Finest level as a mesh with all UV sets, colours and labels, without creases and holes.
-
-    Level 0 is returned unchanged. InvalidMeshError if all faces are holes.
-    """
+    """Finest level as a mesh with UV sets, colours and labels (level 0: unchanged); InvalidMeshError for holes only."""
     finest, control = refinement.finest, refinement.control
     if finest.faces is None or refinement.finest_level == 0:
         return control

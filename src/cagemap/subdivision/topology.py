@@ -100,22 +100,17 @@ def split_topology(parent: Topology, scheme: Scheme) -> Topology:
     )
 
 
-# Vertex rules; smooth includes darts, where a single crease ends.
-SMOOTH, CREASE, CORNER = 0, 2, 3
+SMOOTH, CREASE, CORNER = 0, 2, 3  # vertex rules; smooth includes darts, where a single crease ends
 
 
 @dataclass(frozen=True, eq=False)
 class Sharpness:
-    """Sharpness before and after one step.
+    """Sharpness before and after one step."""
 
-    ``edges`` (e,), 0 where smooth and infinite on the boundary, become ``halves`` (e, 2) at start and end of the edge;
-    ``vertices`` (n,) become ``after`` (n,).
-    """
-
-    edges: FloatArray
-    halves: FloatArray
-    vertices: FloatArray
-    after: FloatArray
+    edges: FloatArray  # (e,) 0 where smooth, infinite on the boundary
+    halves: FloatArray  # (e, 2) of what edges become, at their start and end
+    vertices: FloatArray  # (n,)
+    after: FloatArray  # (n,) of vertices after the step
 
     def of_corners(self, topology: Topology, corners: NDArray[np.integer]) -> tuple[FloatArray, FloatArray]:
         """Sharpness of the edges (k,) of corners and of their halves (k, 2), in the corners' direction."""
@@ -183,16 +178,12 @@ def _rule(count: FloatArray, sharpness: FloatArray) -> IndexArray:
 
 @dataclass(frozen=True, eq=False)
 class MeshState:
-    """Connectivity and sharpness of one level, of the mesh or of its UVs.
-
-    ``corner`` (n,) are fixed boundary vertices; ``sharpness`` is None without creases and corners inside; ``follows``
-    (n,) is used for UVs only, see `vertex_rules`.
-    """
+    """Connectivity and sharpness of one level, of the mesh or of its UVs."""
 
     topology: Topology
-    corner: BoolArray
-    sharpness: Sharpness | None = None
-    follows: IndexArray | None = None
+    corner: BoolArray  # (n,) fixed boundary vertices
+    sharpness: Sharpness | None = None  # None without creases and corners inside
+    follows: IndexArray | None = None  # (n,) of UVs only, see `vertex_rules`
 
 
 def fixed_boundary_vertices(topology: Topology, scheme: Scheme) -> BoolArray:

@@ -22,8 +22,7 @@ _STACK_SIZE = 64  # nodes
 _SHIFTS = 32, 16, 8, 4, 2  # with the masks: insert two zero bits before each of the lowest 21 bits
 _MASKS = 0x1F00000000FFFF, 0x1F0000FF0000FF, 0x100F00F00F00F00F, 0x10C30C30C30C30C3, 0x1249249249249249
 _QUERY_CHUNK = 512  # consecutive queries of a thread; each starts from the previous answer
-# Largest mean extent of runs of triangles that serve as leaves, in mean triangle sizes.
-_MAX_RUN_EXTENT = 6.0
+_MAX_RUN_EXTENT = 6.0  # largest mean extent of runs of triangles that serve as leaves, in mean triangle sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,17 +95,11 @@ def closest_points(
     barycentric, squared = np.zeros((len(queries), 3)), np.full(len(queries), np.inf)
     limits = np.full(len(queries), np.square(within), dtype=np.float64)  # writable, else the kernel is compiled twice
 
-    def search(part: IndexArray) -> None:
-        _search(
-            (tree.boxes, tree.corners, tree.normals),
-            (queries, directions, limits, start),
-            (float(normal_weight) ** 2, float(minimum_cosine)),
-            part,
-            (nearest, barycentric, squared),
-        )
-
+    searched, asked = (tree.boxes, tree.corners, tree.normals), (queries, directions, limits, start)
+    options, answers = (float(normal_weight) ** 2, float(minimum_cosine)), (nearest, barycentric, squared)
     # Chunks must not depend on the number of threads: among equally close points the start decides.
-    in_threads(search, [sequence[part] for part in row_slices(len(sequence), _QUERY_CHUNK)])
+    chunks = [sequence[part] for part in row_slices(len(sequence), _QUERY_CHUNK)]
+    in_threads(lambda chunk: _search(searched, asked, options, chunk, answers), chunks)
     triangle = np.where(nearest >= 0, tree.order[nearest], -1)
     return triangle, barycentric, np.sqrt(squared)
 
@@ -129,11 +122,7 @@ def _leaf_order(positions: FloatArray, triangles: IndexArray) -> IndexArray:
 def closest_among(
     corners: FloatArray, starts: IndexArray, candidates: IndexArray, points: FloatArray
 ) -> tuple[IndexArray, FloatArray]:
-    """Closest point among each query's candidate triangles: triangle (m,) and barycentric coordinates (m, 3).
-
-    Query i of ``points`` (m, 3) has the triangles ``candidates[starts[i, 0]:starts[i, 1]]``, at least one, of the
-    ``corners`` (t, 3, 3). Of equally near ones the first is taken.
-    """
+    """Nearest of triangles ``candidates[starts[i, 0]:starts[i, 1]]`` to point i: triangle (m,), barycentric (m, 3)."""
     triangle, barycentric = np.empty(len(points), dtype=np.int64), np.empty((len(points), 3))
     c, s, among, p = (read_only(np.ascontiguousarray(array)) for array in (corners, starts, candidates, points))
     _search_among(c, s, among, p, triangle, barycentric)
@@ -211,7 +200,6 @@ def _closest_in_triangle(corners, t, x, y, z):  # type: ignore[no-untyped-def]
     va = d3 * d6 - d5 * d4
     vb = d5 * d2 - d1 * d6
     vc = d1 * d4 - d3 * d2
-    v, w = 0.0, 0.0
     if d1 <= 0.0 and d2 <= 0.0:
         v, w = 0.0, 0.0
     elif d3 >= 0.0 and d4 <= d3:

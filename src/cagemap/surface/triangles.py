@@ -23,9 +23,7 @@ def mesh_arrays(
         sizes = " or ".join(f"(m, {size})" for size in corners)
         raise ParameterError(f"expected positions (n, 3) and faces {sizes}, got {places.shape} and {numbers.shape}")
     if numbers.size and not 0 <= numbers.min() <= numbers.max() < len(places):
-        raise ParameterError(
-            f"expected faces of vertices 0 to {len(places) - 1}, got {numbers.min()} to {numbers.max()}"
-        )
+        raise ParameterError(f"faces: expected vertices 0 to {len(places) - 1}, got {numbers.min()} to {numbers.max()}")
     return places, numbers
 
 
@@ -48,11 +46,7 @@ def triangles(faces: IndexArray) -> IndexArray:
 
 
 def fan_triangles(offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """Split polygons into fans (v0, v1, v2), (v0, v2, v3), ...; agrees with `triangles` on quads.
-
-    Polygon i has the vertices ``indices[offsets[i]:offsets[i + 1]]``. Returns triangles (t, 3) and the polygon (t,) of
-    each; polygons of fewer than three corners have none.
-    """
+    """Fans (v0, v1, v2), ... of polygons ``indices[offsets[i]:offsets[i + 1]]``, and the polygon of each (t,)."""
     counts = np.maximum(np.diff(offsets) - 2, 0)
     faces = np.repeat(np.arange(len(counts)), counts)
     step = np.arange(len(faces)) - np.repeat(np.cumsum(counts) - counts, counts) + 1
@@ -60,10 +54,8 @@ def fan_triangles(offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray,
     return indices[np.column_stack([first, first + step, first + step + 1])], faces
 
 
-# A triangle of a polygon is flat or flipped if its area is below this share of the polygon's.
-_MIN_AREA_SHARE = 1e-6
-# Larger polygons are split into fans: clipping ears takes time cubic in the corners.
-_MAX_CLIPPED_CORNERS = 200
+_MIN_AREA_SHARE = 1e-6  # a triangle of a polygon is flat or flipped if its area is below this share of the polygon's
+_MAX_CLIPPED_CORNERS = 200  # larger polygons are split into fans: clipping ears takes time cubic in the corners
 _MAX_CLIPPED_PAIRS = 1_000_000  # of corners, at a time: some 100 MB
 
 
@@ -97,10 +89,7 @@ def polygon_triangles(positions: FloatArray, offsets: IndexArray, indices: Index
 
 
 def _clip_ears(points: FloatArray, normals: FloatArray) -> IndexArray:
-    """Triangles (k, s - 2, 3), as corners, of polygons (k, s, 3) with normals (k, 3) of twice their area.
-
-    The roundest ear that holds no other corner is cut off again and again, or the roundest if all hold one.
-    """
+    """Triangles (k, s - 2, 3), as corners, of polygons (k, s, 3): the roundest free ear is cut off, again and again."""
     count, size = points.shape[:2]
     rows = np.arange(count)
     left, found = np.tile(np.arange(size), (count, 1)), np.zeros((count, 0, 3), dtype=np.int64)
@@ -190,10 +179,7 @@ def triangle_frames(positions: FloatArray, triangles: IndexArray) -> FloatArray:
 
 
 def triangle_neighbors(corners: IndexArray) -> NDArray[np.int32]:
-    """(t, 3) triangle across the edge *opposite* to every corner, -1 on the boundary.
-
-    Where more than two triangles share an edge they are paired in order, as in UV layouts with overlapping faces.
-    """
+    """(t, 3) triangle across the edge *opposite* to every corner, -1 on the boundary; several are paired in order."""
     neighbors = np.full(corners.shape, -1, dtype=np.int32)
     head = np.full(int(corners.max(initial=-1)) + 1, -1, dtype=np.int32)
     rest = np.full(corners.size, -1, dtype=np.int32)

@@ -33,8 +33,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UNKNOWN_COLOR
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.schemes import Plain
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.srgb import decode_srgb, encode_srgb
+from cagemap.numerics.arrays import FloatArray, IndexArray, decode_srgb, encode_srgb
 from cagemap.subdivision import Refinement, default_scheme
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.bake_tiles import (

@@ -13,8 +13,7 @@ from cagemap.files.images.image import Image, Pixels
 from cagemap.files.inner_texture import color_image, color_texture, is_of_set_in_use
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UNKNOWN_COLOR
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.srgb import encode_srgb
+from cagemap.numerics.arrays import FloatArray, IndexArray, encode_srgb
 from cagemap.transfer.baking import convert_dtype, to_dtype, unit
 
 # Width in texels of the border around each image, which repeats its edge: neighbours do not mix when it is filtered.

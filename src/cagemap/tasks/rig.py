@@ -35,7 +35,7 @@ from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.numerics.arrays import FloatArray, box_diagonal
-from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import SurfacePoints
 from cagemap.tasks.carry_arrays import carry_shapes, carry_weights, trusted_vertices
 from cagemap.tasks.follower import write_follower
 from cagemap.tasks.masks import keep_base, own_values, to_file_values

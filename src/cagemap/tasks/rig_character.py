@@ -36,9 +36,8 @@ from cagemap.files.usd.space import similar_space
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd, usd_modules
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.mesh import ControlMesh, Plain
-from cagemap.mesh.cage_points import CagePoints, NamedPoints, on_cage
 from cagemap.mesh.checks import check_mesh
-from cagemap.mesh.curves import Curve, CurvePair
+from cagemap.mesh.curves import CagePoints, Curve, CurvePair, NamedPoints, on_cage
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray

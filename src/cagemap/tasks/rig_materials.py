@@ -22,8 +22,7 @@ from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import face_centres
-from cagemap.numerics.arrays import IndexArray
-from cagemap.numerics.srgb import decode_srgb
+from cagemap.numerics.arrays import IndexArray, decode_srgb
 from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.bake_tiles import target_overlap_warnings
 from cagemap.tasks.carry_arrays import carry_values

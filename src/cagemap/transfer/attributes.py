@@ -10,8 +10,7 @@ from numpy.typing import DTypeLike, NDArray
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UNKNOWN_COLOR
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
-from cagemap.numerics.srgb import encode_srgb
+from cagemap.numerics.arrays import FloatArray, IndexArray, encode_srgb, grouped_sums
 from cagemap.surface.triangles import triangle_areas
 from cagemap.transfer.baking import Bake, BakeOptions, Transfer, make_layout, single_samples, unit
 from cagemap.transfer.locate import TexelSamples, locate_centers

@@ -28,7 +28,7 @@ from cagemap.maps.quality import flipped_triangles, weighted_percentiles
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 from cagemap.numerics.factorization import factor
 from cagemap.subdivision import Refinement, level_triangles
-from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import SurfacePoints
 from cagemap.surface.triangles import (
     corner_sums,
     normalize_rows,

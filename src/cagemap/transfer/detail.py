@@ -21,8 +21,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import row_slices
 from cagemap.subdivision import Level
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import normalize_rows, triangle_areas
 from cagemap.transfer.baking import (
     Bake,

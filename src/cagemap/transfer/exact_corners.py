@@ -21,8 +21,7 @@ from scipy.sparse import linalg
 
 from cagemap.mesh.udim import udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.surface.surface_points import nearest_facing
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import TriangleSurface, nearest_facing
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.rays import MAX_DETAIL_DISTANCE

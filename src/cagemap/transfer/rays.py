@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.process import import_library
-from cagemap.surface.surface_points import SurfacePoints, nearest_facing
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface, nearest_facing
 from cagemap.transfer.textured_surface import plane_basis
 
 # Largest distance of detail from the source, in units of sqrt(area); farther detail is ignored.

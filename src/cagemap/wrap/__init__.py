@@ -1,6 +1,6 @@
 """Wrap: fit the target's cage such that its refined surface is on the source."""
 
-from cagemap.wrap.config import WrapConfig as WrapConfig
+from cagemap.wrap.net import WrapConfig as WrapConfig
 from cagemap.wrap.net import level_mesh as level_mesh
 from cagemap.wrap.wrapping import Residual as Residual
 from cagemap.wrap.wrapping import Wrapped as Wrapped

@@ -24,8 +24,7 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, label_components, mask_of, members_of, nearest_rotations
 from cagemap.numerics.factorization import factor
 from cagemap.surface.alignment import fit_similarity
-from cagemap.wrap.config import MendConfig, WrapConfig
-from cagemap.wrap.net import ControlNet, NetTerms, Samples, face_aspects, folded_faces
+from cagemap.wrap.net import ControlNet, MendConfig, NetTerms, Samples, WrapConfig, face_aspects, folded_faces
 
 # Messages for a net without a point that follows the source: from the beginning, and after mending.
 NOTHING_FOLLOWS = (
@@ -143,11 +142,7 @@ def move_locally(
     stiffness: FloatArray,
     fixed: bool = False,
 ) -> FloatArray:
-    """(n, 3) net after rounds in which few points (m,) move; maps at ``similar`` (k,) are similarities.
-
-    The energy is that of the part around them, with stiffness (n,). If ``fixed``, differentials are constant, which
-    needs no factorisation.
-    """
+    """(n, 3) net after rounds that move few points (m,); similarities at ``similar``; constant maps if ``fixed``."""
     if not len(moving):
         return positions
     part = net.graph.rings(moving, config.energy_rings)
@@ -171,11 +166,7 @@ def move_locally(
 def mend(
     net: ControlNet, samples: Samples, config: WrapConfig, positions: FloatArray, adjust: Adjust = keep_positions
 ) -> FloatArray:
-    """(n_l, 3) fitted net after mending faces that fold or are much thinner than at rest.
-
-    Bad faces become stiffer and are fitted again. Small faces that still fold are released from the source; larger ones
-    are flattened before the fit.
-    """
+    """(n_l, 3) net after bad faces, folded or much thinner than at rest, were stiffened, released or flattened."""
     if not config.rounds:
         return positions
     graph, numbers = net.graph, config.mending

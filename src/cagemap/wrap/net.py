@@ -1,4 +1,4 @@
-"""The control net that is fitted: its rest shape, its samples, and their terms for `cagemap.deform.energy`.
+"""Configuration of a wrap; and the control net that is fitted: rest shape, samples, terms for `deform.energy`.
 
 With S the refinement from the net's level to the finest and P the images of the finest vertices by the map, the terms
 are distances of surface samples from the source:
@@ -22,7 +22,7 @@ from scipy import sparse
 from scipy.sparse import linalg
 from scipy.spatial import cKDTree
 
-from cagemap.deform.config import Stage
+from cagemap.deform.config import GraphConfig, Stage
 from cagemap.deform.energy import ElasticEnergy, Solve, bounded_energy
 from cagemap.deform.graph import ElasticGraph, mesh_graph
 from cagemap.errors import ParameterError
@@ -31,12 +31,74 @@ from cagemap.maps.projection.relax import label_patches
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization, factor
+from cagemap.numerics.kinds import Config
 from cagemap.operators.laplacian import vertex_areas
 from cagemap.subdivision import Refinement, finest_mesh, level_triangles
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import corner_sums, triangle_areas, triangle_normals
-from cagemap.wrap.config import WrapConfig
+
+
+@dataclass(frozen=True)
+class MendConfig(Config):
+    """Mending of faces that fold or grow thin; a face is small where all of its corners are."""
+
+    rounds: int = 20  #: most rounds of mending
+    small_rounds: int = 6  #: most rounds for small faces
+    stiffening: float = 10.0  #: factor on the stiffness at corners of bad faces in each round
+    small: float = 0.0005  #: share of the area below which a point's ring is small; in a coarse cage it is a limb
+    thin: float = 1.5  #: a face is thin above this times its aspect (longest by shortest edge) at rest
+    small_thin: float = 1.35  #: the same for small faces, which are many
+    max_thin: float = 99.0  #: stiffness from which thin faces stay thin: more costs distance to the source
+    small_max_thin: float = 999.0  #: the same for small faces, which cost less distance
+    max_small_fold: float = 1e3  #: stiffness above which small faces that still fold are released
+    max_fold: float = 1e8  #: largest stiffness; other faces that still fold are kept
+    share: float = 0.05  #: samples that depend on released points by more than this have no weight
+    release_rounds: int = 5  #: rounds around released points, which move further
+    release_rings: int = 1  #: rings around folded corners that are released
+    rings: int = 2  #: rings around bad faces that move
+    many_rings: int = 1  #: the same for nets of many points
+    many: int = 10_000  #: points of such a net: its bad faces are small, and their surroundings shape them
+    flattenings: int = 8  #: most rounds of flattening faces that still fold at the end
+    max_flat: float = 0.01  #: largest share of the area that is flattened
+
+
+@dataclass(frozen=True)
+class WrapConfig(Config):
+    """How closely the net follows the source (docs/lab/elastic.md); areas are shares, lengths of sqrt(area)."""
+
+    level: int = 0  #: level whose points are fitted; 0 is the control mesh
+    fairness: float = 1e-4  #: weight of the net's energy against squared distances to the source
+    anchor: float = 0.003  #: weight of distances to the map's images, against distances to the surface
+    rounds: int = 3  #: rounds of closest-point searches
+    max_distance: float = 0.01  #: 99th percentile of distances above which a second fit with a stronger anchor is tried
+    stronger_anchor: float = 3.0  #: factor on ``anchor`` of the second fit; the closer fit is kept
+    weight_power: float = 0.5  #: exponent of an edge's squared length in its weight: 0 alike, 1 as squared distances
+    smoothing: float = 0.01  #: epsilon of the energy, see `cagemap.deform.config.Stage`
+    levels_below: int = 2  #: samples are vertices this many levels finer: about 16 for each point of the net
+    max_samples: int = 60_000  #: most samples, unless the net's next level has more
+    max_slide: float = 2.0  #: distance from the image, in edges of the net, from which a point is on another part
+    normal_weight: float = 0.03  #: weight of normals in closest points, of sqrt(area)
+    accuracy: float = 3e-2  #: relative residual of a round's solution; the terms change more between rounds
+    max_steps: int = 200  #: most conjugate gradient steps of a round
+    min_weight: float = 1e-6  #: a point with a smaller share of its largest possible sample weight is free
+    carrying_rounds: int = 30  #: rounds of the energy alone that place free points before the first fit
+    energy_rings: int = 3  #: rings around the points of a local fit that are part of its energy
+    nearest_points: int = 30  #: nearest points whose motion a detached piece follows: some rings of a coarse cage
+    #: area ratio (source to target; of an open target relative to the typical one) below which a part has no
+    #: counterpart; measured up to 0.01
+    squeezed: float = 0.03
+    whole: float = 0.1  #: the same ratio above which a part has a counterpart; measured 0.2 or more
+    #: distance, in roots of the typical ratio, within which images of the area behind such a part are on the others
+    overlap_distance: float = 0.01
+    min_area: float = 0.002  #: share of the target's area below which such a part is ignored
+    min_follow: float = 0.5  #: weight below which a vertex has no counterpart, and its distance is no error
+    graph: GraphConfig = GraphConfig()
+    mending: MendConfig = MendConfig()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.fairness:
+            raise ParameterError("fairness: expected a number above 0, got 0; the default is 1e-4")
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +112,7 @@ class ControlNet:
     # the energy has a similar weight against squared distances for small and large faces
     graph: ElasticGraph
     energy: ElasticEnergy
-    # (m,) Where every face's triangles of the finest level begin: those of one face follow those of the face before
-    first_triangles: IndexArray
+    first_triangles: IndexArray  # (m,) where every face's triangles begin among those of the finest level
 
     def surface(self, positions: FloatArray) -> FloatArray:
         """(n_f, 3) finest vertices of the surface over a net (n_l, 3)."""
@@ -59,10 +120,7 @@ class ControlNet:
 
 
 def level_mesh(refinement: Refinement, level: int) -> ControlMesh:
-    """A level as a mesh with UVs, materials and groups; level 0 is the control mesh.
-
-    Raises ParameterError if the level is not 0 and the mesh has hole faces, which the level's mesh would lack.
-    """
+    """A level as a mesh with UVs, materials and groups; ParameterError for hole faces on levels above 0."""
     if level and refinement.holes(level).any():
         raise ParameterError(
             f"{refinement.control.name}: has hole faces, so that only level 0 can be a net. Give level 0."
@@ -236,14 +294,14 @@ class SampleTerms:
 
 
 def counterpart_mask(point_map: PointMap, config: WrapConfig = WrapConfig()) -> FloatArray:
-    """(n1,) 1 where the source has a counterpart, 0 where the map squeezes the target or overlaps.
-
-    A part of a whole is squeezed where its area is small relative to its typical `_size_on_source`.
-    """
+    """(n1,) 1 where the source has a counterpart, 0 where the map overlaps, or squeezes more than typical."""
     target = point_map.target
     image = triangle_areas(point_map.images.positions, target.triangles)
     sums = corner_sums(target.triangles, np.column_stack([target.areas, image]), target.n)
-    size = _size_on_source(sums) if target.is_open else 1.0
+    # Typical area ratio, at most 1, weighted by images: at least 1 onto a whole source (Cauchy and Schwarz).
+    own, on_source = sums[sums[:, 0] > 0].T
+    typical = np.clip((on_source**2 / own).sum() / max(on_source.sum(), 1e-12), 1e-12, 1.0)
+    size = float(typical) if target.is_open else 1.0
     # A vertex in a squeezed part has squeezed neighbours as well; single slivers do not count.
     for _ in range(2):
         sums = corner_sums(target.triangles, sums[target.triangles].mean(axis=1), target.n)
@@ -253,21 +311,8 @@ def counterpart_mask(point_map: PointMap, config: WrapConfig = WrapConfig()) -> 
     return mask
 
 
-def _size_on_source(areas: FloatArray) -> float:
-    """Area ratio (source to target) typical of a map, at most 1; 1 for two wholes.
-
-    ``areas`` (n1, 2) are those of vertices on the target and of their images. The mean is weighted by the areas of
-    images: that of a map onto a whole source is at least 1 (Cauchy and Schwarz), and squeezed area has no weight.
-    """
-    own, image = areas[areas[:, 0] > 0].T
-    return float(np.clip((image**2 / own).sum() / max(image.sum(), 1e-12), 1e-12, 1.0))
-
-
 def _hollow_parts(point_map: PointMap, whole: NDArray[np.bool_], config: WrapConfig, unit: float) -> NDArray[np.bool_]:
-    """(n1,) squeezed parts (not ``whole``), and parts that these cut off, if their images overlap the rest.
-
-    ``unit`` is the length of distances between images.
-    """
+    """(n1,) squeezed parts and parts cut off by them, if their images overlap the rest, by distances in ``unit``."""
     target, images = point_map.target, point_map.images.positions
     nowhere = np.zeros(target.n, dtype=np.bool_)
     if whole.all():

@@ -19,9 +19,8 @@ from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.detail import Detail, detail_over, own_transfer
-from cagemap.wrap.config import WrapConfig
 from cagemap.wrap.fit import NOTHING_FOLLOWS, fit_net, keep_positions, mend
-from cagemap.wrap.net import Samples, control_net, counterpart_mask, face_aspects, folded_faces
+from cagemap.wrap.net import Samples, WrapConfig, control_net, counterpart_mask, face_aspects, folded_faces
 
 # Message for a target without a cage.
 NO_CAGE = (
@@ -30,13 +29,10 @@ NO_CAGE = (
     "plain."
 )
 
-# Triangles, barycentric coordinates and distances of closest points.
-Closest = tuple[IndexArray, FloatArray, FloatArray]
+Closest = tuple[IndexArray, FloatArray, FloatArray]  # triangles, barycentric coordinates, distances
 
-# Least level of both surfaces for baking: most programs render a subdivision surface at it.
-_RENDERED = 4
-# Largest number of vertices for baking, whatever the level.
-_MOST_BAKED_VERTICES = 1_500_000
+_RENDERED = 4  # least level of both surfaces for baking: most programs render a subdivision surface at it
+_MOST_BAKED_VERTICES = 1_500_000  # largest number of vertices for baking, whatever the level
 
 
 @dataclass(frozen=True)
@@ -53,8 +49,7 @@ class Residual:
 class Wrapped:
     """Result of a wrap: the target's net in the source's shape."""
 
-    #: the net (level ``level`` of the target) with its fitted positions, in the source's units; all else is unchanged
-    mesh: ControlMesh
+    mesh: ControlMesh  #: level ``level`` of the target, its positions fitted, in the source's units; all else unchanged
     level: int
     surface: FloatArray  #: (n_f, 3) finest vertices of the net's refined surface
     closest: PointMap  #: closest points of the source to these vertices
@@ -179,10 +174,7 @@ def finest_follow(target: Refinement, follow: FloatArray | None) -> FloatArray:
 
 
 def missing_detail(wrapped: Wrapped, target: Refinement, source: Refinement) -> tuple[Transfer, Detail, Refinement]:
-    """Wrapped surface to bake into its UV layout, the source as detail, and the refined source.
-
-    Both are refined past the levels of the match. Detail is weighted by ``follow``.
-    """
+    """Wrapped surface to bake, the source as detail weighted by ``follow``, and the source, refined past the match."""
     transfer, follow = wrapped_transfer(wrapped, target)
     refined_source = _refined(source, max(source.finest_level, _RENDERED))
     triangles = level_triangles(refined_source, refined_source.finest_level)

@@ -24,8 +24,7 @@ from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import reversed_corners
 from cagemap.mesh.mesh_report import count_noun
-from cagemap.numerics.arrays import FloatArray, IndexArray, joined_runs
-from cagemap.numerics.srgb import decode_srgb
+from cagemap.numerics.arrays import FloatArray, IndexArray, decode_srgb, joined_runs
 
 _EVERYTHING: list[Any] = []
 

@@ -16,8 +16,7 @@ from cagemap.character.values import Part
 from cagemap.files.gltf.binary import NGONS, STARTS, VERTICES, Binary, corners_from
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
-from cagemap.numerics.arrays import IndexArray
-from cagemap.numerics.srgb import decode_srgb
+from cagemap.numerics.arrays import IndexArray, decode_srgb
 from cagemap.surface.alignment import Z_UP, nearest_axis_rotation
 from cagemap.surface.triangles import fan_triangles, normalize_rows, vertex_normals
 

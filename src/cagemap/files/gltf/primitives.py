@@ -15,8 +15,7 @@ from cagemap.files.text import make_distinct, whole_characters
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.parts import join_meshes
-from cagemap.numerics.arrays import FloatArray, IndexArray, offsets_of, shown
-from cagemap.numerics.srgb import encode_srgb
+from cagemap.numerics.arrays import FloatArray, IndexArray, encode_srgb, offsets_of, shown
 
 _log = logging.getLogger(__name__)
 

@@ -28,8 +28,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import NO_UV, UNKNOWN_COLOR
 from cagemap.mesh.faces import merged_corners
 from cagemap.mesh.mesh_report import first_few
-from cagemap.numerics.arrays import FloatArray, IndexArray, as_float64, offsets_of
-from cagemap.numerics.srgb import decode_srgb, encode_srgb
+from cagemap.numerics.arrays import FloatArray, IndexArray, as_float64, decode_srgb, encode_srgb, offsets_of
 
 _log = logging.getLogger(__name__)
 

@@ -43,7 +43,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import FileVertex
 from cagemap.numerics.arrays import FloatArray
 from cagemap.spectral import BasisConfig
-from cagemap.spectral.config import MAP_BASIS
+from cagemap.spectral.basis import MAP_BASIS
 
 _log = logging.getLogger(__name__)
 

@@ -25,8 +25,7 @@ from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
 from cagemap.spectral import Surface
 from cagemap.subdivision import Refinement, level_triangles
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 
 SUFFIXES = (".npy", ".npz", ".mtx", ".vts")
 # Entry of an archive with triangles: number of vertices of the source that they belong to.

@@ -41,8 +41,7 @@ from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.parts import join_meshes
 from cagemap.mesh.schemes import SCHEMES, scheme_name
 from cagemap.mesh.weld import COLOR_STEP
-from cagemap.numerics.arrays import FloatArray, grouped_sums, offsets_of
-from cagemap.numerics.srgb import encode_srgb
+from cagemap.numerics.arrays import FloatArray, encode_srgb, grouped_sums, offsets_of
 from cagemap.subdivision import default_scheme
 from cagemap.surface.alignment import Y_UP, Z_UP
 

@@ -16,8 +16,7 @@ from cagemap.files.usd.stages import identifiers, pxr
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import place_counts, place_of_rows
 from cagemap.mesh.schemes import scheme_name
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.srgb import decode_srgb
+from cagemap.numerics.arrays import FloatArray, IndexArray, decode_srgb
 
 # Interpolation of values at face corners.
 CORNERS = "faceVarying"

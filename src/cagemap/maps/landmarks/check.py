@@ -26,9 +26,10 @@ from cagemap.maps.landmarks.outliers import (
     exchanged_sides,
     misplaced_pairs,
     orientation_agreement,
+    reduced_energy,
+    strained_pair,
     typical_misfit,
 )
-from cagemap.maps.landmarks.strain import reduced_energy, strained_pair
 from cagemap.maps.pair import Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
@@ -50,15 +51,13 @@ MIRRORED = (
     "the landmarks surround each other in the opposite sense on the two surfaces: left and right seem exchanged in all "
     "pairs, or one mesh is mirrored. Exchange them in the landmark file, or mirror one of the meshes"
 )
-# Notes on all pairs: no longer true once a pair is added, moved or removed.
-ON_ALL_PAIRS = TOO_FEW, CONTRADICTION, MIRRORED
+ON_ALL_PAIRS = TOO_FEW, CONTRADICTION, MIRRORED  # no longer true once any pair changes
 
 # Folded share of the target's area that suggests landmarks of other meshes: least and most (beyond, the map is inside
 # out). Correct landmarks of 24 pairs of humans and animals fold 0.3 % at most.
 FOREIGN_FOLDED = 0.05, 0.5
 
-# Offsets of the lattices of cells in which small handles (noise) are found: a cell's border cuts some.
-OFFSETS = (0.0, 0.25, 0.5, 0.75)
+OFFSETS = (0.0, 0.25, 0.5, 0.75)  # of lattices of cells in which small handles are found: borders cut some
 
 # Why suspected pairs are kept.
 NO_BETTER = "the map is hardly better without"
@@ -83,7 +82,6 @@ class LandmarkSuspect:
     evidence: str  # "distances": to the other landmarks; "sides": the orientation of the others around it
 
     def __str__(self) -> str:
-        """One sentence for a user: what was found and the remedy."""
         return (
             f"landmark '{self.name}' looks wrong and was left out: {EVIDENCE.get(self.evidence, EVIDENCE[DISTANCES])}, "
             "a map that follows it costs much more, and without it the map leads "
@@ -99,9 +97,7 @@ class LandmarkCheck:
 
     suspects: tuple[LandmarkSuspect, ...] = ()  # pairs left out
     notes: tuple[str, ...] = ()  # further messages for a user
-    # (p,) Displacement of every pair if it alone were released, of sqrt(area); 0 for pairs that were left out, or
-    # that an update added or moved. Empty if unknown
-    strains: FloatArray = field(default_factory=lambda: np.zeros(0))
+    strains: FloatArray = field(default_factory=lambda: np.zeros(0))  # (p,) shift of each pair if it were released
 
     @property
     def left_out(self) -> list[int]:
@@ -113,10 +109,7 @@ class LandmarkCheck:
         return landmarks.without(self.left_out)
 
     def for_changed(self, before: Landmarks, now: Landmarks) -> LandmarkCheck:
-        """The check for changed landmarks: keeps what is known of unchanged pairs.
-
-        Notes that name a changed pair are dropped. Notes `ON_ALL_PAIRS` are dropped if any pair was changed.
-        """
+        """The check for changed landmarks: without notes on changed pairs, and `ON_ALL_PAIRS` if any changed."""
         places = {pair: i for i, pair in enumerate(now.places)}
         placed = [(suspect, places.get(before.places[suspect.pair])) for suspect in self.suspects]
         kept = tuple(replace(suspect, pair=place) for suspect, place in placed if place is not None)
@@ -137,10 +130,7 @@ class LandmarkCheck:
 
 
 def landmark_outliers(problem: Problem, progress: Progress) -> tuple[dict[int, str], list[str]]:
-    """Indices of the pairs to leave out with the evidence, and notes about others.
-
-    A suspect is left out only if a coarse fit without it is much cheaper.
-    """
+    """Pairs to leave out with the evidence, if a coarse fit without them is much cheaper; and notes about others."""
     config = problem.prepared.elastic.landmarks
     progress("compare landmarks")
     suspected, notes = suspected_pairs(problem)
@@ -183,10 +173,7 @@ def check_on_map(
 
 
 def suspected_pairs(problem: Problem, left_out: Collection[int] = ()) -> tuple[dict[int, str], list[str]]:
-    """Indices of suspected pairs with the evidence; and a note if too few pairs agree to tell.
-
-    Pairs ``left_out`` are not compared.
-    """
+    """Suspected pairs with the evidence, ``left_out`` not compared; and a note if too few pairs agree to tell."""
     count, config = len(problem.landmarks), problem.prepared.elastic.landmarks
     if count < config.fewest_judged:
         return {}, [TOO_FEW]
@@ -210,10 +197,7 @@ def coarse_map_cost(problem: Problem) -> float:
 
 
 def has_merged_parts(problem: Problem) -> bool:
-    """Whether large handles differ between the surfaces, as where a scan merges hand and hip.
-
-    Geodesic distances are too short there. Small handles (noise) do not count.
-    """
+    """Whether large handles differ, as where a scan merges hand and hip, so that geodesic distances are too short."""
     target, source = problem.prepared.target.control, problem.prepared.source.control
     if handle_count(target) == handle_count(source):
         return False
@@ -243,10 +227,7 @@ def kept_note(problem: Problem, suspected: dict[int, str], why: str) -> str:
 
 
 def check_changes(problem: Problem, changed: IndexArray, check: LandmarkCheck, before: PointMap) -> LandmarkCheck:
-    """Check the landmarks of an update: pairs ``changed`` (c,) by their distances to the others.
-
-    A pair is left out only if the map from before contradicts it too.
-    """
+    """Check pairs ``changed`` (c,) of an update by distances; left out if the map from before contradicts them too."""
     config = problem.prepared.elastic.landmarks
     suspected, notes = suspected_pairs(problem, check.left_out)
     wrong = {i: evidence for i, evidence in suspected.items() if i in changed}

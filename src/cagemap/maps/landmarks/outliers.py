@@ -1,27 +1,39 @@
-"""Find landmark outliers before any map exists: by geodesic distances and by orientation.
+"""Suspicious landmarks: outliers by geodesic distances and by orientation, before any map exists; strain, on a map.
 
 Bodies change size from limb to limb, but a landmark on the wrong limb is out of proportion to most of the others.
 Geodesic distances between landmarks are measured on a coarse graph of each surface. Every landmark is then placed on
 the source by its distances to the others alone (robust multilateration). Pairs whose given place fits much worse are
-outliers, found one after the other.
+outliers, found one after the other. Distances hardly distinguish the left fore foot from the right one. The orientation
+of landmarks around each other does: for all of them, and for two that were exchanged.
 
-Distances hardly distinguish the left fore foot from the right one. The orientation of landmarks around each other does:
-for all of them, and for two that were exchanged.
+Strain is a leave-one-out residual, of all pairs from one factorisation. At the finished map the elastic fit is, to
+second order, a quadratic problem in positions x and linear maps A,
+
+    alpha E(x, A) + sum_i a_i (n_i . (x_i - y_i))^2,
+
+with n_i the source's normals at the images y_i. Everything but the p landmarks is eliminated, which leaves the energy
+``(l - l_0)^T H (l - l_0)`` of their positions l. A landmark that is released while the others are fixed moves by
+``u_i = -H_ii^-1 (H (l - l_0))_i``.
 
 This only finds suspects; `maps.landmarks.check` decides which are left out. Bounds: `deform.config.LandmarkConfig`.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass
 
-from cagemap.deform.config import LandmarkConfig
+import numpy as np
+from scipy import sparse
+
+from cagemap.deform.config import ElasticConfig, LandmarkConfig
+from cagemap.deform.energy import energy_matrix
+from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import row_slices
+from cagemap.numerics.factorization import Factorization, factor
+from cagemap.numerics.threads import kept, row_slices
 from cagemap.surface.triangles import normalize_rows
 
-# Largest number of terms in memory, of sums over triples of landmarks.
-MOST_TERMS = 4_000_000
+MOST_TERMS = 4_000_000  # largest number of terms in memory, of sums over triples of landmarks
 
 # Geodesic distances (p, m) from p landmarks on one surface to the vertices of a coarse graph, the landmarks first
 # (`cagemap.deform.problem.Problem.landmark_distances`).
@@ -66,10 +78,7 @@ def typical_misfit(
 
 
 def misplaced_pairs(target: Distances, source: Distances, config: LandmarkConfig = LandmarkConfig()) -> IndexArray:
-    """Pairs out of proportion to the others: exchanged pairs first, then single ones, worst first.
-
-    Outliers are removed and the others are judged again, while `fewest_judged` are left.
-    """
+    """Pairs out of proportion: exchanged ones, then single ones, worst first; others are judged again each time."""
     trusted, wrong = np.arange(len(target)), list[int]()
     max_suspected, at_once = config.max_suspects * len(trusted), max(1, len(trusted) // config.one_of)
     while len(trusted) > config.fewest_judged and len(wrong) <= max_suspected:
@@ -111,10 +120,7 @@ def worst_placed_pairs(
 def is_farther_out(
     target: Distances, source: Distances, landmark: int, node: int, others: IndexArray, config: LandmarkConfig
 ) -> bool:
-    """Whether a tip's given place is farther out on the limb than the best place ``node``.
-
-    The path to the tip of a long tail passes the place that a short tail's tip would have on it.
-    """
+    """Whether a tip is farther out on its limb than the best place ``node``, as a long tail's tip on a short tail."""
     through = source[others, node] + source[landmark, node]
     is_farther = bool(np.median(through - source[others, landmark]) < config.detour)
     for distances in (target, source):  # at a tip no vertex near the landmark is farther from the others
@@ -152,23 +158,17 @@ def exchange_gains(target: Distances, source: Distances, trusted: IndexArray, co
     wanted = wanted - float(np.median((wanted - given)[different]))
     weights = np.where(different, 1.0 / near, 0.0)
     # Misfits of landmark i at the vertex of j: to all landmarks, less those to j and to i itself.
-    total = _misfits(wanted, given, weights, most)
+    p = len(trusted)
+    total = np.empty((p, p))
+    for rows in row_slices(p, max(1, MOST_TERMS // max(p * p, 1))):
+        ratios = np.abs(wanted[rows, None] - given[None])
+        total[rows] = np.einsum("ik,ijk->ij", weights[rows], np.minimum(ratios, most))
     at_own = weights * np.minimum(np.abs(wanted - given), most)
     at_other = weights * np.minimum(np.abs(wanted - given.diagonal()), most)
     rest = weights.sum(axis=1)[:, None] - weights
     as_given = (total.diagonal()[:, None] - at_own) / rest
     exchanged = (total - at_other) / rest
     return np.asarray(np.where(different, as_given + as_given.T - exchanged - exchanged.T, -np.inf))
-
-
-def _misfits(wanted: FloatArray, found: FloatArray, weights: FloatArray, most: float) -> FloatArray:
-    """(p, p) ``sum_k w_ik min(|wanted_ik - found_jk|, most)`` for landmarks i at the vertices of j."""
-    p = len(wanted)
-    total = np.empty((p, p))
-    for rows in row_slices(p, max(1, MOST_TERMS // max(p * p, 1))):
-        ratios = np.abs(wanted[rows, None] - found[None])
-        total[rows] = np.einsum("ik,ijk->ij", weights[rows], np.minimum(ratios, most))
-    return total
 
 
 def _pairs(trusted: IndexArray) -> tuple[IndexArray, IndexArray]:
@@ -178,8 +178,7 @@ def _pairs(trusted: IndexArray) -> tuple[IndexArray, IndexArray]:
     return rows[different], columns[different]
 
 
-# Positions and unit normals (p, 3) of landmarks on one surface.
-Marks = tuple[FloatArray, FloatArray]
+Marks = tuple[FloatArray, FloatArray]  # positions and unit normals (p, 3) of landmarks on one surface
 
 
 def orientation_agreement(target: Marks, source: Marks, config: LandmarkConfig = LandmarkConfig()) -> float:
@@ -188,7 +187,10 @@ def orientation_agreement(target: Marks, source: Marks, config: LandmarkConfig =
     Every triple (i; j, k) votes with the product of ``n_i . (e_ij x e_ik)`` on both surfaces, e the unit vectors to j
     and k. Triples whose distances in space differ count less, as where arms are crossed.
     """
-    p, changed = len(target[0]), _changed_squared(target[0], source[0], config.added_distance)
+    p, places = len(target[0]), (target[0], source[0])
+    ratios = np.log(np.divide(*(np.linalg.norm(x[:, None] - x, axis=2) + config.added_distance for x in places)))
+    # The median includes the diagonal's zeros: surfaces of unit area have one scale (docs/lab/landmark_check.md).
+    changed = (ratios - np.median(ratios)) ** 2
     agreed = counted = 0.0
     for i in range(p):
         alike = np.exp(-(changed[i, :, None] + changed[i] + changed) / config.max_triple_change**2)
@@ -222,10 +224,7 @@ def exchanged_sides(
 
 
 def agreement_around(places: tuple[int, int], target: Marks, source: Marks, near: FloatArray, flat: float) -> float:
-    """`orientation_agreement` of triples with one of two landmarks, weighted by nearness (p, p).
-
-    Far landmarks count little: bodies bend between them.
-    """
+    """`orientation_agreement` of triples with one of two landmarks, weighted by nearness (p, p): bodies bend."""
     agreed = counted = asked = 0.0
     for i in places:
         for turns, weights in ((_turns, near[i, :, None] * near[i]), (_turns_to, near[:, i, None] * near)):
@@ -234,16 +233,6 @@ def agreement_around(places: tuple[int, int], target: Marks, source: Marks, near
             counted += float(np.abs(votes).sum())
             asked += float(weights.sum())
     return agreed / max(counted, flat * asked, 1e-12)
-
-
-def _changed_squared(positions: FloatArray, others: FloatArray, short: float) -> FloatArray:
-    """(p, p) squared log ratios of distances in space, after removing the common scale.
-
-    The median includes the diagonal's zeros: surfaces of unit area have one scale (docs/lab/landmark_check.md).
-    """
-    apart = (np.linalg.norm(places[:, None] - places, axis=2) + short for places in (positions, others))
-    ratios = np.log(np.divide(*apart))
-    return np.asarray((ratios - np.median(ratios)) ** 2)
 
 
 def _turns(i: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
@@ -256,3 +245,106 @@ def _turns_to(j: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
     """(p, p) ``n_i . (e_ij x e_ik)`` for one landmark j."""
     units = normalize_rows(positions[None] - positions[:, None])
     return np.asarray(np.einsum("id,ikd->ik", np.cross(normals, units[:, j]), units))
+
+
+LANDMARKS_AT_ONCE = 32  # number of landmarks whose blocks of H are computed at once
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedEnergy:
+    """``(l - l_0)^T H (l - l_0)`` of the landmarks' positions l, minimised over all other unknowns f.
+
+    H is the Schur complement ``K_ll - K_fl^T K_ff^-1 K_fl`` of the whole quadratic problem, of which only products and
+    diagonal blocks are computed: with thousands of landmarks H would fill the memory.
+    """
+
+    own: sparse.csc_array  # (3 p, 3 p) K_ll; rows are landmarks times coordinates
+    coupling: sparse.csc_array  # (m, 3 p) K_fl
+    others: Factorization  # of K_ff
+    load: FloatArray  # (3 p,) ``H l_0``, l_0 the positions if no landmark is fixed
+
+    @classmethod
+    def of(cls, matrix: sparse.csc_array, right: FloatArray, landmarks: IndexArray) -> ReducedEnergy:
+        """Eliminate all unknowns but the landmarks' (3 p,) from ``z^T K z - 2 z^T b``."""
+        rest = np.setdiff1d(np.arange(len(right)), landmarks)
+        landmark_columns, columns = matrix[:, landmarks], matrix[:, rest]
+        coupling, factors = sparse.csc_array(landmark_columns[rest]), factor(sparse.csc_array(columns[rest]))
+        load = right[landmarks] - coupling.T @ factors.solve(right[rest])
+        return cls(sparse.csc_array(landmark_columns[landmarks]), coupling, factors, np.asarray(load))
+
+    def times(self, values: FloatArray) -> FloatArray:
+        """H x for x (3 p,) or (3 p, q)."""
+        return np.asarray(self.own @ values - self.coupling.T @ self.others.solve(self.coupling @ values))
+
+    @kept
+    def blocks(self) -> FloatArray:
+        """(p, 3, 3) diagonal blocks of H."""
+        count = len(self.load) // 3
+        blocks = np.empty((count, 3, 3))
+        for part in row_slices(count, LANDMARKS_AT_ONCE):
+            rows = slice(3 * part.start, 3 * part.stop)
+            coupling = self.coupling[:, rows]
+            reduced = self.own[rows, rows].toarray() - coupling.T @ self.others.solve(coupling.toarray())
+            some = np.arange(part.stop - part.start)
+            blocks[part] = np.asarray(reduced).reshape(len(some), 3, len(some), 3)[some, :, some]
+        return blocks
+
+    def released(self, places: FloatArray, fixed: IndexArray) -> FloatArray:
+        """(p, 3) displacement u_i of every fixed landmark (q,) if released alone; 0 for free landmarks."""
+        force, blocks = self.times(places.ravel()) - self.load, self.blocks
+        free = np.setdiff1d(np.arange(len(places)), fixed)
+        if len(free):  # eliminate the free landmarks too
+            free_rows = (3 * free[:, None] + np.arange(3)).ravel()
+            chosen = np.zeros((len(force), len(free_rows)))
+            chosen[free_rows, np.arange(len(free_rows))] = 1.0
+            columns = self.times(chosen)
+            weights = np.linalg.solve(columns[free_rows], columns.T)
+            force = force - force[free_rows] @ weights
+            blocks = blocks - np.einsum(
+                "gik,gij->ikj", *(m.reshape(len(free_rows), -1, 3) for m in (columns.T, weights))
+            )
+        moved = np.zeros_like(places)
+        moved[fixed] = -np.linalg.solve(blocks[fixed], force.reshape(-1, 3, 1)[fixed])[:, :, 0]
+        return moved
+
+
+def reduced_energy(
+    graph: ElasticGraph, images: FloatArray, normals: FloatArray, landmarks: IndexArray, config: ElasticConfig
+) -> ReducedEnergy:
+    """Reduced energy of landmarks (p,) at images (n, 3) with the source's normals (n, 3) there."""
+    numbers = config.landmarks
+    coarse, vertices = cluster_graph(graph, numbers.strain_vertices, landmarks, config.graph)
+    plane = normals[vertices]
+    blocks = coarse.areas[:, None, None] * plane[:, :, None] * plane[:, None, :]
+    blocks = blocks + numbers.strain_ridge / coarse.n * np.eye(3)
+    data = sparse.bsr_array((blocks, np.arange(coarse.n), np.arange(coarse.n + 1))).tocoo()
+    # Unknown 12 i + c is coordinate c of x_i, 12 i + 3 + 3 b + c is A_i[c, b].
+    size = 12 * coarse.n
+    at_row, at_column = (_spread(side.astype(np.int64)) for side in data.coords)
+    placed = sparse.coo_array((data.data, (at_row, at_column)), shape=(size, size))
+    elastic = sparse.kron(
+        numbers.strain_stiffness * energy_matrix(coarse, numbers.strain_smoothing), sparse.eye_array(3)
+    )
+    right = np.zeros(size)
+    right[_spread(np.arange(3 * coarse.n))] = np.einsum("nab,nb->na", blocks, images[vertices]).ravel()
+    unknowns = _spread(np.arange(3 * len(landmarks)))  # the landmarks are the first clusters
+    return ReducedEnergy.of(sparse.csc_array(elastic + placed), right, unknowns)
+
+
+def strained_pair(
+    energy: ReducedEnergy, places: FloatArray, strains: FloatArray, config: LandmarkConfig = LandmarkConfig()
+) -> int | None:
+    """The one landmark that would move far if released, by lengths (p,) of `ReducedEnergy.released`; else None."""
+    all_landmarks = np.arange(len(places))
+    if len(all_landmarks) < config.fewest_strained:
+        return None
+    worst = int(np.argmax(strains))
+    # Measured again without the worst one, as a wrong landmark strains its neighbours.
+    moved_next = np.linalg.norm(energy.released(places, all_landmarks[all_landmarks != worst]), axis=1)
+    least = max(config.min_strain, config.min_strain_of_next * float(moved_next.max()))
+    return worst if strains[worst] >= least else None
+
+
+def _spread(rows: IndexArray) -> IndexArray:
+    """Convert rows 3 i + c of positions to rows 12 i + c of positions and maps."""
+    return np.asarray(12 * (rows // 3) + rows % 3)

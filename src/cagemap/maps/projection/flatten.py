@@ -30,8 +30,7 @@ from cagemap.maps.projection.relax import (
 from cagemap.maps.quality import flipped_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray, mask_of, places_of
 from cagemap.numerics.factorization import factor_general
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import row_lengths
 
 

@@ -14,8 +14,7 @@ from cagemap.maps.projection.flatten import flatten_folded_parts
 from cagemap.maps.projection.relax import relax_folds
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
 

@@ -14,7 +14,7 @@ from cagemap.deform.config import ProjectionConfig
 from cagemap.maps.quality import flipped_triangles, inverted_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray, label_components, mask_of
 from cagemap.numerics.threads import in_threads, row_slices
-from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import SurfacePoints
 from cagemap.surface.triangles import CACHED, normalize_rows
 
 BoolArray = NDArray[np.bool_]
