@@ -183,5 +183,5 @@ def test_a_wrapped_mesh_names_the_rig_of_its_scene(tmp_path: Path) -> None:
     write_document(tmp_path / "arm.glb", arm())
     write_mesh(tmp_path / "plain.glb", cube())
     (text,) = old_rig_warnings(tmp_path / "arm.glb", Path("new.glb"))
-    assert text.startswith("new.glb: blend shapes and skeleton stay those of arm.glb, in its old shape. To adapt them,")
+    assert text.startswith("new.glb: kept of arm.glb, in its old shape: blend shapes, skeleton. To adapt them, wrap")
     assert old_rig_warnings(tmp_path / "plain.glb", Path("new.glb")) == []

@@ -344,7 +344,7 @@ def test_a_wrapped_cage_is_in_the_targets_own_units_and_axes(folder: Path) -> No
     assert "x.glb 1 m a unit, Y up" in unit_notes(folder / "large.usda", folder / "x.glb")[0]
     warnings = run_wrap(WrapRequest((folder / "RESULT",), folder / "wrapped.usda"), Stages())[1]
     (rig,) = (text for text in warnings if "skeleton" in text)
-    assert rig.startswith("wrapped.usda: blend shapes and skeleton stay those of large.usda, in its old shape. To")
+    assert rig.startswith("wrapped.usda: kept of large.usda, in its old shape: blend shapes, skeleton. To")
     assert complaints(folder / "wrapped.usda") == []
     mesh = read_usd_meshes(folder / "wrapped.usda")[0]
     source = read_usd_meshes(folder / "small.usda")[0].control.positions

@@ -51,10 +51,9 @@ def _held(file: Path) -> list[str]:
 
 def old_rig_warnings(original: Path, output: Path) -> list[str]:
     """A warning if a wrapped mesh, written into its file's scene, keeps the rig of the shape before."""
-    kept = [name for name in _held(original) if name in ("blend shapes", "skeleton")]
-    text = f"{output.name}: {' and '.join(kept)} stay those of {original.name}, in its old shape"
-    remedy = f"wrap to an .obj, and `cagemap rig NEW.obj --like {original.name}` adapts them"
-    return [f"{text}. To adapt them, {remedy}"] if kept else []
+    kept = ", ".join(name for name in _held(original) if name in ("blend shapes", "skeleton"))
+    text = f"{output.name}: kept of {original.name}, in its old shape: {kept}. To adapt them, wrap to an .obj and type"
+    return [f"{text} `cagemap rig NEW.obj --like {original.name}`"] if kept else []
 
 
 def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: UsdResults, *, force: bool) -> str:
