@@ -9,6 +9,7 @@ import pytest
 from examples.shapes import cube, icosahedron
 
 from cagemap.files.gltf.character import character_of
+from cagemap.files.gltf.document import write_document
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.usd.read import read_usd_meshes
 from cagemap.files.usd.write import write_usd
@@ -18,8 +19,9 @@ from cagemap.mesh.parts import extract_faces
 from cagemap.mesh.schemes import Bilinear, CatmullClark, Loop, Plain
 from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks import RefineRequest, run
+from cagemap.tasks.usd_output import old_rig_warnings
 
-from gltf_scenes import Maker
+from gltf_scenes import Maker, arm
 
 VALUES = {
     "texture coordinates": lambda mesh: None if mesh.uvs is None else _rows(mesh.uvs[mesh.uv_indices]),
@@ -175,3 +177,11 @@ def test_prototypes_of_a_usd_instancer(tmp_path: Path, caplog: pytest.LogCapture
     (mesh,) = read_usd_meshes(path)
     assert mesh.path != "/Asset/grass/blade"
     assert "/Asset/grass/blade" in caplog.text
+
+
+def test_a_wrapped_mesh_names_the_rig_of_its_scene(tmp_path: Path) -> None:
+    write_document(tmp_path / "arm.glb", arm())
+    write_mesh(tmp_path / "plain.glb", cube())
+    (text,) = old_rig_warnings(tmp_path / "arm.glb", Path("new.glb"))
+    assert text.startswith("new.glb: kept of arm.glb, in its old shape: blend shapes, skeleton. To adapt them, wrap")
+    assert old_rig_warnings(tmp_path / "plain.glb", Path("new.glb")) == []

@@ -342,7 +342,9 @@ def test_a_wrapped_cage_is_in_the_targets_own_units_and_axes(folder: Path) -> No
     assert unit_notes(folder / "small.usda", folder / "small.usda") == ()
     assert unit_notes(folder / "large.usda", folder / "x.obj") == ()
     assert "x.glb 1 m a unit, Y up" in unit_notes(folder / "large.usda", folder / "x.glb")[0]
-    run_wrap(WrapRequest((folder / "RESULT",), folder / "wrapped.usda"), Stages())
+    warnings = run_wrap(WrapRequest((folder / "RESULT",), folder / "wrapped.usda"), Stages())[1]
+    (rig,) = (text for text in warnings if "skeleton" in text)
+    assert rig.startswith("wrapped.usda: kept of large.usda, in its old shape: blend shapes, skeleton. To")
     assert complaints(folder / "wrapped.usda") == []
     mesh = read_usd_meshes(folder / "wrapped.usda")[0]
     source = read_usd_meshes(folder / "small.usda")[0].control.positions

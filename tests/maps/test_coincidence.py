@@ -22,8 +22,11 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import Bilinear, Plain
+from cagemap.mesh.faces import cage_triangles
+from cagemap.mesh.parts import extract_faces
 from cagemap.pipeline import MatchConfig, choose_level, pair_of, prepare_pair
 from cagemap.subdivision import finest_mesh
+from cagemap.surface.triangles import triangle_areas
 from cagemap.transfer import combine, control_weights
 
 from example_once import example_pair
@@ -114,6 +117,20 @@ def test_values_between_cages_that_lie_on_each_other_are_those_of_the_same_place
         weights = control_weights(found.point_map, *sides)
         carried = combine(weights, source.control.positions)
         np.testing.assert_allclose(carried, target.control.positions, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("hole", "lies"), [(0.09, True), (0.35, False)])
+def test_a_scan_with_a_hole_lies_on_its_retopology(retopology: Surface, hole: float, lies: bool) -> None:
+    """The area in front of a small hole does not count. The scan lies on the retopology with any hole."""
+    mesh = finest_mesh(retopology.refinement)
+    areas = triangle_areas(mesh.positions, cage_triangles(mesh)[0]).reshape(-1, 2).sum(axis=1)
+    centres = mesh.positions[mesh.face_indices.reshape(-1, 4)].mean(axis=1)
+    order = np.argsort(np.linalg.norm(centres - centres[np.argmax(centres[:, 1])], axis=1))
+    kept = np.sort(order[np.searchsorted(np.cumsum(areas[order]), hole * areas.sum()) :])
+    scan = prepare_surface(replace(extract_faces(mesh, kept), scheme=Plain()), 0)
+    assert scan.finest_triangles.is_open
+    assert (Coincidence.find(retopology, scan) is not None) == lies
+    assert Coincidence.find(scan, retopology) is not None
 
 
 @pytest.mark.slow

@@ -97,6 +97,9 @@ def test_what_is_no_request_or_no_value_of_its_field_is_refused_before_any_work(
     refuses(ParameterError, "level: expected a whole number, got 'two'", tasks.run, request)
     with pytest.raises(ParameterError, match="level: expected 1 or more, got 0"):
         tasks.run(tasks.MatchRequest(box, box, box.parent / "R", level=0))
+    for field, kind in (("level", "a whole number"), ("mask_edge", "a number")):
+        with pytest.raises(ParameterError, match=f"{field}: expected {kind}, got True"):
+            tasks.run(tasks.MatchRequest(box, box, box.parent / "R", **{field: True}))
     with pytest.raises(ParameterError, match="space: expected 'tangent' or 'object', got 'world'"):
         tasks.run(tasks.TransferRequest(box.parent, box.parent / "a.png", normal_map=box, space="world"))
     refuses(ParameterError, r"request: expected one of DemoRequest, .* got str", tasks.run, "match")

@@ -8,6 +8,7 @@ from examples.shapes import grid, torus
 
 from cagemap.errors import ParameterError
 from cagemap.files.images.image import (
+    read_image,
     read_image_form,
     read_texture,
     texture_files,
@@ -123,6 +124,23 @@ def test_the_background_of_a_texture_without_padding_does_not_show(kind: Filter,
     assert 0.25 - 1e-4 <= baked.min() <= baked.max() <= 0.5 + 1e-4
     mask = painted_mask(source, texture)
     assert 0.25 - 1e-6 <= mask.min() <= mask.max() <= 0.5 + 1e-6
+
+
+@pytest.mark.parametrize("background", [0, 255])
+def test_the_background_of_a_jpeg_without_padding_does_not_show(background: int, tmp_path: Path) -> None:
+    """Compression changes the background beside islands: no two texels there need be equal."""
+    source, target = (refine(unwrap(torus(6, 4), padding=padding), 3).finest for padding in (1 / 32, 1 / 50))
+    surface, size = TexturedSurface.from_level(source), 256
+    texture = np.full((size, size, 3), background, dtype=np.uint8)
+    neighbors = triangle_neighbors(surface.layout()[1])
+    cells = rasterize_band(lay_out(surface.corner_uvs(), neighbors, size, size, band_rows=size, gutter=0.0), 0)
+    texture[cells >= 0] = [120, 130, 140]
+    write_image(tmp_path / "skin.jpg", texture)
+    compressed = read_image(tmp_path / "skin.jpg").pixels
+    transfer = prepare_transfer(target, source, identity_map(source))
+    for count in (size, size // 4):
+        baked = bake_texture(transfer, compressed, size=count).astype(int)
+        assert np.abs(baked - [120, 130, 140]).max() < 40  # as much as inside islands
 
 
 def test_surface_points_are_carried_not_texture_coordinates() -> None:

@@ -66,7 +66,8 @@ class Coincidence:
             found: list[Coincidence] = []
             for own, other, mapped in shapes:
                 motions = aligning_motions(own, other, config) if factor is None else [Motion(scale=factor)]
-                gaps = [_gap(moved(own, motion), other, masks.target, config) for motion in motions]
+                whole = config if factor is not None else replace(config, shared=1.0)  # a moved copy has all of it
+                gaps = [_gap(moved(own, motion), other, masks.target, whole) for motion in motions]
                 close = [(gap, motion) for gap, motion in zip(gaps, motions, strict=True) if gap is not None]
                 if len(close) > 1:
                     return None
@@ -188,12 +189,27 @@ def _on_faces(surface: TriangleSurface, mask: FloatArray | None = None, most: in
     return _Samples(triangle_centres(surface.positions, corners) / surface.scale, surface.normals_of(rows), areas)
 
 
-def _distances(samples: _Samples, other: TriangleSurface, unit: float, most: float) -> FloatArray:
-    """(k,) distances to a surface's nearest points with similar normals, times ``unit``; at most ``most``."""
-    within = most * other.scale / unit
-    points = other.scale * samples.points
-    far = closest_points(other.tree, points, samples.normals, minimum_cosine=0.0, within=within)[2]
-    return np.minimum(far * unit / other.scale, most)
+def _distances(
+    samples: _Samples, other: TriangleSurface, unit: float, config: CoincidenceConfig
+) -> tuple[FloatArray, FloatArray]:
+    """(k,) distances to a surface's nearest points with similar normals, times ``unit``, at most ``near``; (k,) areas.
+
+    Areas are 0 beyond the surface's boundary, as in front of a hole of a scan, if that leaves the share ``shared``.
+    """
+    is_open = other.is_open and config.shared < 1.0
+    triangle, barycentric, far = closest_points(
+        other.tree,
+        other.scale * samples.points,
+        samples.normals,
+        minimum_cosine=0.0,
+        within=np.inf if is_open else config.near * other.scale / unit,
+    )
+    distances = np.minimum(far * unit / other.scale, config.near)
+    if is_open:
+        beyond = (triangle >= 0) & (distances > config.max_gap) & other.at_boundary(triangle, barycentric)
+        if _share(samples.areas, ~beyond) >= config.shared:
+            return distances, np.where(beyond, 0.0, samples.areas)
+    return distances, samples.areas
 
 
 def _share(areas: FloatArray, chosen: NDArray[np.bool_]) -> float:
@@ -208,19 +224,18 @@ def _gap(
 
     Vertices must coincide; face centres must only be near, since faces of a coarse mesh cut through a fine surface.
     """
-    unit, faces = source.scale, _on_faces(target, mask)
-    apart = _distances(faces, source, unit, config.near)
-    if _share(faces.areas, apart < config.near) < config.share:
+    unit, faces, clothed = source.scale, _on_faces(target, mask), _on_faces(source)
+    apart, areas = _distances(faces, source, unit, config)
+    if _share(areas, apart < config.near) < config.share:
         return None
-    gap = float(faces.areas @ apart / faces.areas.sum())
+    gap = float(areas @ apart / areas.sum())
     # A small target is near the source wherever it lies: the gap is small for the target's own size, too.
     if gap * target.scale > config.own_gap * unit:
         return None
     for samples, other in ((_at_vertices(target, mask), source), (_at_vertices(source), target)):
-        distances, areas = _distances(samples, other, unit, config.near), samples.areas
+        distances, areas = _distances(samples, other, unit, config)
         close = areas @ distances <= config.mean_gap * areas.sum()
         if close and _share(areas, distances < config.max_gap) >= config.share:
             return gap
-    clothed = _on_faces(source)
-    covered = _share(clothed.areas, _distances(clothed, target, unit, config.near) < config.near)
+    covered = _share(clothed.areas, _distances(clothed, target, unit, config)[0] < config.near)
     return gap if covered < config.clothed else None

@@ -33,15 +33,27 @@ _KEPT = ", and what earlier commands wrote there"
 def left_out_warnings(original: Path | None, name: str, output: Path) -> list[str]:
     """Warnings of what a written mesh lacks of its file, which holds more than cagemap keeps, or is gone."""
     if original is not None:
-        lost = left_out_of_usd(original) if is_usd(original) else []
         # A .glb of a glTF or FBX file keeps all of it, or its writer warns.
-        if original.suffix.lower() in SCENE_SUFFIXES and output.suffix.lower() != ".glb":
-            lost = left_out_of_gltf(read_document(original))
+        lost = _held(original) if is_usd(original) or output.suffix.lower() != ".glb" else []
         return [f"{output.name}: left out of {original.name}: {first_few(lost)}"] if lost else []
     suffix = output.suffix.lower()
     if {suffix, Path(name).suffix.lower()} <= set(USD_SUFFIXES):
         return [f"{name}: {NO_UNITS}"]
     return [f"{name}: {NO_GROUPS}"] if suffix == ".obj" else []
+
+
+def _held(file: Path) -> list[str]:
+    """What a USD, glTF or FBX file has beyond its mesh."""
+    if is_usd(file):
+        return left_out_of_usd(file)
+    return left_out_of_gltf(read_document(file)) if file.suffix.lower() in SCENE_SUFFIXES else []
+
+
+def old_rig_warnings(original: Path, output: Path) -> list[str]:
+    """A warning if a wrapped mesh, written into its file's scene, keeps the rig of the shape before."""
+    kept = ", ".join(name for name in _held(original) if name in ("blend shapes", "skeleton"))
+    text = f"{output.name}: kept of {original.name}, in its old shape: {kept}. To adapt them, wrap to an .obj and type"
+    return [f"{text} `cagemap rig NEW.obj --like {original.name}`"] if kept else []
 
 
 def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: UsdResults, *, force: bool) -> str:

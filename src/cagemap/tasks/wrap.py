@@ -42,7 +42,7 @@ from cagemap.tasks.requests.options import field_values
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.tasks.transfer import carry_one
-from cagemap.tasks.usd_output import left_out_warnings, write_usd_results
+from cagemap.tasks.usd_output import left_out_warnings, old_rig_warnings, write_usd_results
 from cagemap.tasks.wrap_checks import (
     check_files,
     check_wrap,
@@ -214,7 +214,7 @@ def _write(
         check_outputs(mesh_files(output, mesh, original), [], force=request.force)
         points = UsdResults(points=mesh.positions)
         write_usd_results(output, request.results[0], result, points, force=request.force)
-        return mesh.n_vertices, warnings
+        return mesh.n_vertices, warnings + old_rig_warnings(original, output)
     rows = rows_of(original, control)
     if rows is not None and wrapped.level:
         left = rows.whole.n_faces - control.n_faces
@@ -232,6 +232,8 @@ def _write(
     write_mesh(output, mesh, like=original, force=request.force)
     if original is not None or not wrapped.level or output.suffix.lower() != ".obj":  # refined: no groups of the file
         warnings += left_out_warnings(original, control.name, output)
+    if wrapped.level == 0 and original is not None and output.suffix.lower() == ".glb" and not is_usd(original):
+        warnings += old_rig_warnings(original, output)
     return mesh.n_vertices, warnings
 
 

@@ -14,7 +14,7 @@ from cagemap.surface.triangles import triangle_neighbors
 from cagemap.transfer.locate import MappedSurface, locate_centers
 from cagemap.transfer.mip_maps import MipMaps
 from cagemap.transfer.texels import GUTTER_RADIUS, Layout, dilate, lay_out, rasterize_band
-from cagemap.transfer.texture import Filter, Texture, tile_cells
+from cagemap.transfer.texture import Filter, Pixels, Texture, tile_cells
 
 # Most samples of a texel along each axis; texels that need more read a coarser mip level.
 MAX_SAMPLES_PER_AXIS = 16
@@ -28,6 +28,8 @@ _PLANNED_AT_ONCE = 1 << 15
 _BAND_TEXELS = 1 << 18
 # Largest distance, in texels, from a texel beside an island to the island's texel that replaces it.
 _PADDING = 3
+# Rows and columns, at most, of the texels far from islands that are compared with each other.
+_SAMPLED_ROWS = 256
 
 
 def plan_lookups(
@@ -71,20 +73,35 @@ def pad_islands(laid: Texture, tiles: list[int]) -> tuple[Texture, dict[int, NDA
     """The texture with its islands extended over the background; and the texels (h, w) of each tile that it covers.
 
     Lookups at borders of islands read the texels beside them. Those that have the background's colour (the median of
-    all beside the islands) get the colour of the nearest island.
+    all beside the islands) get the colour of the nearest island. Where the image is flat far from the islands, so do
+    those that are nearer to that colour than to the island's: JPEG changes the background beside islands.
     """
     coverage, inside, padded = covered_texels(laid, tiles), covered_texels(laid, tiles, gutter=0.0), dict(laid.tiles)
     for tile, covered in coverage.items():
         pixels, beside = laid.tiles[tile], covered & ~inside[tile]
-        colors = pixels[beside]
-        # NumPy's median is not always one of the colours; NaN are last.
-        background = np.sort(colors, axis=0)[len(colors) // 2 :][:1]
-        beside[beside] = np.isclose(colors, background, rtol=0, atol=0, equal_nan=True).all(axis=1)
-        if beside.any():
+        sparse = (slice(None, None, 1 + max(covered.shape) // _SAMPLED_ROWS),) * 2
+        colors, far = pixels[beside], pixels[sparse][~covered[sparse]]
+        replaced = np.isclose(colors, _median(colors), rtol=0, atol=0, equal_nan=True).all(axis=1)
+        is_flat = bool((far == _median(far)).all(axis=1).mean() > 0.5) if len(far) else False
+        if replaced.any() or is_flat:
             padded[tile] = pixels.copy()
             dilate(padded[tile], inside[tile], distance=_PADDING)
+            if is_flat:
+                replaced |= _distances(colors, _median(far)) < _distances(colors, padded[tile][beside])
+            beside[beside] = replaced
             np.copyto(padded[tile], pixels, where=~beside[..., None])
     return replace(laid, tiles=padded), coverage
+
+
+def _median(colors: Pixels) -> Pixels:
+    """(1, c) median of every channel of colours (k, c): one of their values, unlike NumPy's; NaN are last."""
+    return np.sort(colors, axis=0)[len(colors) // 2 :][:1]
+
+
+def _distances(colors: Pixels, others: Pixels) -> FloatArray:
+    """(k,) distances between colours."""
+    with np.errstate(invalid="ignore"):  # of infinite values
+        return np.asarray(np.linalg.norm(colors.astype(np.float64) - others, axis=1))
 
 
 def plain_lookups(laid: Texture, kind: Filter) -> MipMaps:

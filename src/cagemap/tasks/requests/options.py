@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import Field, dataclass, fields
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_type_hints
@@ -38,9 +38,15 @@ class Option:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         """Validation and JSON schema of the field: its bounds, and the help text as its description."""
-        from pydantic import Field  # here, since `cagemap --help` does not need it
+        from pydantic import BeforeValidator, Field  # here, since `cagemap --help` does not need it
 
-        return handler(Annotated[source, Field(ge=self.min, le=self.max, description=self.help)])
+        limits = Field(ge=self.min, le=self.max, description=self.help)
+        kind = strip_none(source)
+        if kind in (int, float):
+            return handler(
+                Annotated[source, limits, BeforeValidator(partial(_refuse_boolean, f"{kind.__name__}_type"))]
+            )
+        return handler(Annotated[source, limits])
 
     def option_names(self, field: str) -> tuple[str, ...]:
         """What is typed for a field, the long name first: by default the field's name, beside a short one."""
@@ -51,6 +57,15 @@ class Option:
     def flag(self, field: str) -> str:
         """The long name of a field's option; of a switch without its ``/--off``."""
         return self.option_names(field)[0].partition("/")[0]
+
+
+def _refuse_boolean(error: Any, value: object) -> object:
+    """The value of a number's field: pydantic would take True as 1."""
+    from pydantic_core import PydanticKnownError
+
+    if isinstance(value, bool):
+        raise PydanticKnownError(error)
+    return value
 
 
 def validate_request(request: type, values: Mapping[str, Any]) -> Any:
