@@ -13,8 +13,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, neares
 from cagemap.numerics.kinds import Config
 from cagemap.numerics.threads import kept
 from cagemap.surface.closest_points import closest_points
-from cagemap.surface.triangle_surface import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import corner_sums, normalize_rows, row_lengths
 
 
