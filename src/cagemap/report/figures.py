@@ -35,6 +35,7 @@ from cagemap.pictures import (
     sample_texture,
     scalar_colors,
 )
+from cagemap.report.shown import matched_source_vertices
 from cagemap.report.viewpoints import Viewpoints, choose_viewpoints
 from cagemap.surface.polylines import Polyline
 from cagemap.transfer import face_colors
@@ -108,8 +109,9 @@ def draw_gallery(
     """
     models = _model_pair(result, viewpoints or choose_viewpoints(result))
     appearance, source_skin, target_skin = _skins(models, texture, baked)
-    target_colors = position_colors(result.image(), result.source.vertices)
-    source_colors = position_colors(result.source.vertices, result.source.vertices)
+    extent = matched_source_vertices(result)
+    target_colors = position_colors(result.image(), extent)
+    source_colors = position_colors(result.source.vertices, extent)
     trust = scalar_colors(result.trust, 0.0, 1.0, TRUST_SCALE)
     map_skins = Skin(vertex_colors=source_colors), Skin(vertex_colors=target_colors)
     jobs: list[list[_FigureJob]] = [
@@ -148,15 +150,15 @@ def runner_up_image(result: MatchResult) -> FloatArray | None:
 
 def _answer_jobs(result: MatchResult) -> list[_FigureJob]:
     """Pictures of the runner-up and of its distance from the map; none without a runner-up."""
-    image, vertices = runner_up_image(result), result.source.vertices
+    image, extent = runner_up_image(result), matched_source_vertices(result)
     if image is None:
         return []
     distances = np.linalg.norm(image - result.image(), axis=1) * result.source.scale
     skins = [
         Skin(vertex_colors=colors)
         for colors in (
-            position_colors(vertices, vertices),
-            position_colors(image, vertices),
+            position_colors(result.source.vertices, extent),
+            position_colors(image, extent),
             scalar_colors(distances, 0.0, MAX_ANSWER_DISTANCE, TRUST_SCALE[::-1]),
         )
     ]
@@ -166,8 +168,9 @@ def _answer_jobs(result: MatchResult) -> list[_FigureJob]:
 def draw_thumbnail(result: MatchResult) -> Image:
     """One small picture of a map: source left, target right; equal colours correspond."""
     models = _model_pair(result, choose_viewpoints(result))
-    source_skin = Skin(vertex_colors=position_colors(result.source.vertices, result.source.vertices))
-    target_skin = Skin(vertex_colors=position_colors(result.image(), result.source.vertices))
+    extent = matched_source_vertices(result)
+    source_skin = Skin(vertex_colors=position_colors(result.source.vertices, extent))
+    target_skin = Skin(vertex_colors=position_colors(result.image(), extent))
     (figure,) = _draw_figures(models, [(FRONT, source_skin, target_skin, False)], THUMBNAIL_SIZE)
     return figure.target if figure.source is None else np.hstack([figure.source, figure.target])
 
@@ -200,8 +203,9 @@ def _skins(models: _ModelPair, texture: Pixels | None, baked: Pixels | None) -> 
         parents = models.source.face_parents[models.source.triangle_faces]
         colors = encode_srgb(colors_of_faces[parents])
         return "material colours", Skin(face_colors=colors), Skin(vertex_colors=colors[models.result.triangle])
-    source_checker = _checker(models.result.source.vertices, models.result.source.vertices)
-    target_checker = _checker(models.result.image(), models.result.source.vertices)
+    extent = matched_source_vertices(models.result)
+    source_checker = _checker(models.result.source.vertices, extent)
+    target_checker = _checker(models.result.image(), extent)
     return "checker", Skin(vertex_colors=source_checker), Skin(vertex_colors=target_checker)
 
 
