@@ -51,15 +51,17 @@ def colors_option(mesh: ControlMesh) -> str | None:
 
 
 def next_commands(result: MatchResult, request: MatchRequest) -> str:
-    """The commands to type next, with the image or the colours that the source has."""
+    """The commands to type next: to mend a doubtful or poor map, else to transfer what the source has."""
     folder, file, source = shlex.quote(str(request.output)), request.source, result.source.control
+    report = f"cagemap report {folder}"
+    if doubt_message(result.manifest) or _poor_map(result.manifest):
+        return f"next: {report}, or cagemap suggest {folder} -o landmarks.json to add landmarks"
     look = "--texture IMG" if source.has_layout else colors_option(source)
     if file.suffix.lower() in GLTF_SUFFIXES:  # FBX and USD files would be converted once more, which takes seconds
         from cagemap.files import inner_texture  # here, since most matches need no reader of textures
 
         if inner_texture.color_texture(inner_texture.material_document(file, source), source) is not None:
             look = f"--texture {shlex.quote(str(file))}"
-    report = f"cagemap report {folder}"
     if look is not None:
         unwrap = "" if result.target.control.has_layout else " --unwrap"
         return f"next: cagemap transfer {folder} {look} -o OUT.png{unwrap}, or {report}"
