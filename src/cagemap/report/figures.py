@@ -109,11 +109,8 @@ def draw_gallery(
     """
     models = _model_pair(result, viewpoints or choose_viewpoints(result))
     appearance, source_skin, target_skin = _skins(models, texture, baked)
-    extent = matched_source_vertices(result)
-    target_colors = position_colors(result.image(), extent)
-    source_colors = position_colors(result.source.vertices, extent)
     trust = scalar_colors(result.trust, 0.0, 1.0, TRUST_SCALE)
-    map_skins = Skin(vertex_colors=source_colors), Skin(vertex_colors=target_colors)
+    map_skins = _place_skins(result, result.image())
     jobs: list[list[_FigureJob]] = [
         [(view, source_skin, target_skin, False) for view in VIEWS],
         [(view, *map_skins, True) for view in (FRONT, BACK)],
@@ -150,28 +147,26 @@ def runner_up_image(result: MatchResult) -> FloatArray | None:
 
 def _answer_jobs(result: MatchResult) -> list[_FigureJob]:
     """Pictures of the runner-up and of its distance from the map; none without a runner-up."""
-    image, extent = runner_up_image(result), matched_source_vertices(result)
+    image = runner_up_image(result)
     if image is None:
         return []
     distances = np.linalg.norm(image - result.image(), axis=1) * result.source.scale
-    skins = [
-        Skin(vertex_colors=colors)
-        for colors in (
-            position_colors(result.source.vertices, extent),
-            position_colors(image, extent),
-            scalar_colors(distances, 0.0, MAX_ANSWER_DISTANCE, TRUST_SCALE[::-1]),
-        )
-    ]
-    return [job for view in (FRONT, BACK) for job in ((view, skins[0], skins[1], True), (view, None, skins[2], False))]
+    apart = Skin(vertex_colors=scalar_colors(distances, 0.0, MAX_ANSWER_DISTANCE, TRUST_SCALE[::-1]))
+    places = _place_skins(result, image)
+    return [job for view in (FRONT, BACK) for job in ((view, *places, True), (view, None, apart, False))]
+
+
+def _place_skins(result: MatchResult, image: FloatArray) -> tuple[Skin, Skin]:
+    """Skins of source and target, whose vertices are at ``image`` (n1, 3): equal colours are equal places."""
+    extent, points = matched_source_vertices(result), (result.source.vertices, image)
+    of_source, of_target = (Skin(vertex_colors=position_colors(at, extent)) for at in points)
+    return of_source, of_target
 
 
 def draw_thumbnail(result: MatchResult) -> Image:
     """One small picture of a map: source left, target right; equal colours correspond."""
     models = _model_pair(result, choose_viewpoints(result))
-    extent = matched_source_vertices(result)
-    source_skin = Skin(vertex_colors=position_colors(result.source.vertices, extent))
-    target_skin = Skin(vertex_colors=position_colors(result.image(), extent))
-    (figure,) = _draw_figures(models, [(FRONT, source_skin, target_skin, False)], THUMBNAIL_SIZE)
+    (figure,) = _draw_figures(models, [(FRONT, *_place_skins(result, result.image()), False)], THUMBNAIL_SIZE)
     return figure.target if figure.source is None else np.hstack([figure.source, figure.target])
 
 
