@@ -43,7 +43,7 @@ def place_text(place: Iterable[float]) -> str:
     """Three coordinates in brackets: "(1, 0.5, -2)"; far from the origin with more digits."""
     known = [float(x) for x in place]
     rounding = 1e-9 * max(map(abs, known))  # smaller coordinates are 0
-    shown = [x if abs(x) > rounding else 0.0 for x in known]
+    shown = [0.0 if abs(x) <= rounding else x for x in known]
     return f"({', '.join(f'{x:.4g}' if abs(x) < 1e3 else f'{x:.8g}' for x in shown)})"
 
 
