@@ -285,7 +285,24 @@ def test_where_a_part_is_stretched_it_is_told() -> None:
     places = found.images.positions * np.array([0.3, 1.0, 1.0])
     figures = measure_quality(PointMap(found.target, SurfacePoints.nearest(found.source, places)), masks=masks)
     np.testing.assert_allclose(figures.trust, (2.0 * 0.3) ** 2, rtol=0.05)
-    assert figures.warnings[-1].startswith("the map stretches strongly over 100 % of the target")
+    assert figures.warnings[-1].startswith("the map stretches strongly over 100 % of the target's shared area")
+    assert "% of the source's shared area is not reached by the map" in figures.warnings[-2]
+
+
+def test_a_warning_names_the_landmark_nearest_to_the_worst_place() -> None:
+    found, _ = part_in_place(40)
+    x = found.target.positions[:, 0]
+    low, high = x.min(), x.max()
+    middle = 0.5 * (low + high)
+    squeezed = np.where(x > middle, middle + (x - middle) / 3, x)  # all beyond the middle
+    places = np.column_stack([squeezed, found.target.positions[:, 1:]])
+    ends = np.array([x.argmin(), x.argmax()])
+    points = PointPairs.of_vertices(found.target, found.source, ends, ends)
+    named = PointPairs(points.target, points.source, names=("left", "right"))
+    squeezed_map = PointMap(found.target, SurfacePoints.nearest(found.source, places))
+    (warning,) = (text for text in measure_quality(squeezed_map, named).warnings if "stretches" in text)
+    assert warning.startswith("the map stretches strongly over 49 % of the target's area, worst at (")
+    assert warning.endswith("of the target's file (nearest landmark: 'right')")
 
 
 def test_shared_area_leaves_the_figures_of_two_wholes() -> None:

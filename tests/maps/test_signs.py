@@ -94,6 +94,35 @@ def test_an_answer_of_the_same_rotation_is_told_apart_in_words() -> None:
     assert said in Confidence(TWO, answers, deciding=0).message
 
 
+def test_two_answers_of_a_poor_map_may_both_be_wrong() -> None:
+    """What only chooses between both does not say that both are wrong."""
+    answers = tuple(Placement(np.full((4, 3), k), 5e-4, name=f"number {k}", penalty=1.0 + k) for k in (1.0, 2.0))
+    decided = Confidence.of(answers, np.arange(3), {"stretched": 1.0})
+    assert (decided.verdict, decided.signs["turned"]) == (TWO, pytest.approx(5.0))
+    assert decided.message.endswith("fits as well (`answer=1`). A landmark at target vertex 0 decides")
+    poor = Confidence.of(answers, np.arange(3), {"stretched": 2.0})
+    assert poor.verdict == TWO
+    assert ", and both may be wrong: with both at equal area, it stretches" in poor.message
+    assert poor.message.endswith("2.0 times or more. Add landmarks, first at target vertex 0")
+
+
+def test_a_small_part_is_doubted_as_such() -> None:
+    """The end of a strip, 4 % of it, on its place: nothing is stretched, but at equal area all is compressed."""
+    strip, end = prepare_surface(grid(80, 4), 1), prepare_surface(grid(16, 1), 1)
+    mesh, whole = end.triangles(end.finest_level), strip.triangles(strip.finest_level)
+    shared = Masks(np.ones(mesh.n), ((strip.vertices[:, 0] < 16) & (strip.vertices[:, 1] < 1)).astype(np.float64))
+    problem = Problem.of_landmarks(prepare_pair(end, strip), Landmarks.none())
+
+    def message(width: float) -> str:
+        places = mesh.positions / mesh.scale * whole.scale * [1.0, width, 1.0]
+        found = PointMap(mesh, SurfacePoints.nearest(whole, places))
+        answers = (Placement(problem.prepared.mesh.positions, 1.0),)
+        return answer_confidence(problem, found, answers, shared, np.zeros(problem.prepared.mesh.n)).message
+
+    assert "96 % of the larger model has no counterpart, and so small a part may fit in other places too" in message(1)
+    assert "it stretches or compresses half of the target" in message(0.5)
+
+
 def test_further_answers_of_the_same_rotation_are_numbered(prepared: PreparedPair) -> None:
     graph = prepared.energy.graph
     placements = [Placement(graph.positions + 0.5 * k, 1.0 + k, name="as the files stand") for k in range(4)]

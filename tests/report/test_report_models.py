@@ -128,6 +128,22 @@ def test_masks_weights_and_shapes_are_there_where_they_are_known(result: MatchRe
     assert [shape["name"] for shape in described["shapes"]] == ["Wrapped", "smile", "sit"]
 
 
+def test_colours_and_checkers_span_the_part_that_is_matched(result: MatchResult) -> None:
+    """A head on a body would have one colour and three squares."""
+    places = result.source.vertices
+    part = places[:, 1] > np.quantile(places[:, 1], 0.9)
+    weights = part.astype(np.float64)
+    low, high = places[part].min(axis=0), places[part].max(axis=0)
+    expected, whole = (places - low) / (high - low), draw_gallery(result, size=(60, 40))
+    for of_part in (replace(result, shared=Masks(weights, weights)), replace(result, masks=Masks(None, weights))):
+        models = report_models(of_part, choose_viewpoints(of_part))
+        scene, content = opened(models, of_part)
+        shown = unpacked(scene["sides"]["target"]["places"], content)
+        np.testing.assert_allclose(shown, expected[models.target.vertices], atol=1e-3 * np.abs(expected).max())
+        assert max(scene["cells"]) == pytest.approx(24)
+        assert not np.array_equal(draw_gallery(of_part, size=(60, 40)).maps[0].target, whole.maps[0].target)
+
+
 def test_large_surfaces_are_shown_by_vertices_of_their_own(result: MatchResult) -> None:
     shown = display_surface(result.target, np.eye(3), max_vertices=30)
     assert len(shown.vertices) == 26  # level 1 of a cube

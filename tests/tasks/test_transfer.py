@@ -11,6 +11,7 @@ from examples.shapes import torus
 from numpy.typing import NDArray
 
 from cagemap.character.values import Part
+from cagemap.deform.placement import Placement
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files import inner_texture
 from cagemap.files.gltf.document import read_document
@@ -18,6 +19,7 @@ from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.files.result.manifest import MANIFEST, stated_inputs
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence
 from cagemap.maps.masks import Masks
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import NO_UV
@@ -202,6 +204,19 @@ def test_match_says_the_next_command_with_the_file_that_has_the_texture(tmp_path
     scene = (tmp_path / "box.gltf").rename(tmp_path / "{box}.gltf")
     text = next_commands(bare, replace(request, source=scene))
     assert f"--texture '{scene}' -o OUT.png --unwrap, or" in text
+
+
+def test_match_says_how_to_mend_a_doubtful_or_poor_map(tmp_path: Path) -> None:
+    result, request = identity_result(), MatchRequest(tmp_path / "a.obj", tmp_path / "b.obj", tmp_path / "RESULT")
+    answers = (Placement(result.point_map.images.positions, 1e-4, name="as the files stand"),)
+    doubtful = replace(result, confidence=Confidence(LOOK, answers, {"jumps": 0.1}))
+    poor = replace(result, quality=replace(result.quality, flipped_area=0.2))
+    folder = request.output
+    for one in (doubtful, poor):
+        said = f"next: cagemap report {folder}, or cagemap suggest {folder} -o landmarks.json to add landmarks"
+        assert next_commands(one, request) == said
+    sure = replace(doubtful, confidence=Confidence(SURE, answers))
+    assert "cagemap transfer" in next_commands(sure, request)
 
 
 def test_match_says_what_a_source_without_uvs_can_give(tmp_path: Path) -> None:

@@ -249,7 +249,7 @@ def measure_quality(
         trusted_area=float(vertex_areas @ trust),
         warnings=() if is_joined else (NOTHING_JOINED,),
     )
-    found = _warnings(figures, () if landmarks is None else landmarks.names, target, vertex_areas)
+    found = _warnings(figures, landmarks, target, vertex_areas, "area" if masks.shared is None else "shared area")
     return replace(figures, warnings=(*figures.warnings, *found))
 
 
@@ -292,27 +292,31 @@ def _first_form(positions: FloatArray, triangles: IndexArray) -> tuple[FloatArra
 
 
 def _warnings(
-    figures: QualityFigures, names: Sequence[str], target: TriangleSurface, vertex_areas: FloatArray
+    figures: QualityFigures, landmarks: PointPairs | None, target: TriangleSurface, vertex_areas: FloatArray, area: str
 ) -> list[str]:
-    """Warnings for a user: what is wrong, how much, where."""
+    """Warnings for a user: what is wrong, how much of the ``area``, where."""
     messages, trust, errors = [], figures.trust, figures.landmark_errors
+    names = () if landmarks is None else landmarks.names
     flipped_area, coverage = figures.flipped_area, figures.coverage
     worst = int(np.argmin(np.where(vertex_areas > 0, trust, np.inf)))
     where = f"worst at {place_text(target.positions[worst] / target.scale)} of the target's file"
+    if landmarks is not None and len(landmarks):
+        nearest = row_lengths(landmarks.target.positions - target.positions[worst]).argmin()
+        where += f" (nearest landmark: '{names[nearest]}')"
     if flipped_area > 0.5:
         messages.append(
             f"the map turns the surface inside out ({100 * flipped_area:.0f} % of the area is flipped): left and right "
             "landmarks may be exchanged, or one mesh is mirrored"
         )
     elif flipped_area > FLIPPED_TOLERANCE:
-        messages.append(f"{100 * flipped_area:.1f} % of the target's area is folded over, {where}")
+        messages.append(f"{100 * flipped_area:.1f} % of the target's {area} is folded over, {where}")
     off = np.flatnonzero(errors > LANDMARK_TOLERANCE)
     if len(off):
         listed = ", ".join(f"{names[i]} ({100 * errors[i]:.1f} %)" for i in off[np.argsort(-errors[off])][:5])
         messages.append(f"{len(off)} landmarks are not met exactly (miss, of the model's size): {listed}")
     if coverage < COVERAGE_TOLERANCE:
-        messages.append(f"{100 * (1 - coverage):.1f} % of the source's area is not reached by the map")
+        messages.append(f"{100 * (1 - coverage):.1f} % of the source's {area} is not reached by the map")
     untrusted = float(vertex_areas[trust < 0.5].sum())
     if untrusted > 0.1:
-        messages.append(f"the map stretches strongly over {100 * untrusted:.0f} % of the target, {where}")
+        messages.append(f"the map stretches strongly over {100 * untrusted:.0f} % of the target's {area}, {where}")
     return messages

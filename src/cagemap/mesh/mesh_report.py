@@ -40,7 +40,10 @@ def count_noun(count: int, what: str) -> str:
 
 def place_text(place: Iterable[float]) -> str:
     """Three coordinates in brackets: "(1, 0.5, -2)"; far from the origin with more digits."""
-    return f"({', '.join(f'{x:.4g}' if abs(x) < 1e3 else f'{x:.8g}' for x in place)})"
+    known = [float(x) for x in place]
+    rounding = 1e-9 * max(map(abs, known))  # smaller coordinates are 0
+    shown = [0.0 if abs(x) <= rounding else x for x in known]
+    return f"({', '.join(f'{x:.4g}' if abs(x) < 1e3 else f'{x:.8g}' for x in shown)})"
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ from cagemap.pictures import (
     sample_texture,
     scalar_colors,
 )
+from cagemap.report.shown import matched_source_vertices
 from cagemap.report.viewpoints import Viewpoints, choose_viewpoints
 from cagemap.surface.polylines import Polyline
 from cagemap.transfer import face_colors
@@ -107,10 +108,8 @@ def draw_gallery(
     """
     models = _model_pair(result, viewpoints or choose_viewpoints(result))
     appearance, source_skin, target_skin = _skins(models, texture, baked)
-    target_colors = position_colors(result.image(), result.source.vertices)
-    source_colors = position_colors(result.source.vertices, result.source.vertices)
     trust = scalar_colors(result.trust, 0.0, 1.0, TRUST_SCALE)
-    map_skins = Skin(vertex_colors=source_colors), Skin(vertex_colors=target_colors)
+    map_skins = _place_skins(result, result.image())
     jobs: list[list[_FigureJob]] = [
         [(view, source_skin, target_skin, False) for view in VIEWS],
         [(view, *map_skins, True) for view in (FRONT, BACK)],
@@ -147,27 +146,26 @@ def runner_up_image(result: MatchResult) -> FloatArray | None:
 
 def _answer_jobs(result: MatchResult) -> list[_FigureJob]:
     """Pictures of the runner-up and of its distance from the map; none without a runner-up."""
-    image, vertices = runner_up_image(result), result.source.vertices
+    image = runner_up_image(result)
     if image is None:
         return []
     distances = np.linalg.norm(image - result.image(), axis=1) * result.source.scale
-    skins = [
-        Skin(vertex_colors=colors)
-        for colors in (
-            position_colors(vertices, vertices),
-            position_colors(image, vertices),
-            scalar_colors(distances, 0.0, MAX_ANSWER_DISTANCE, TRUST_SCALE[::-1]),
-        )
-    ]
-    return [job for view in (FRONT, BACK) for job in ((view, skins[0], skins[1], True), (view, None, skins[2], False))]
+    apart = Skin(vertex_colors=scalar_colors(distances, 0.0, MAX_ANSWER_DISTANCE, TRUST_SCALE[::-1]))
+    places = _place_skins(result, image)
+    return [job for view in (FRONT, BACK) for job in ((view, *places, True), (view, None, apart, False))]
+
+
+def _place_skins(result: MatchResult, image: FloatArray) -> tuple[Skin, Skin]:
+    """Skins of source and target, whose vertices are at ``image`` (n1, 3): equal colours are equal places."""
+    extent, points = matched_source_vertices(result), (result.source.vertices, image)
+    of_source, of_target = (Skin(vertex_colors=position_colors(at, extent)) for at in points)
+    return of_source, of_target
 
 
 def draw_thumbnail(result: MatchResult) -> Image:
     """One small picture of a map: source left, target right; equal colours correspond."""
     models = _model_pair(result, choose_viewpoints(result))
-    source_skin = Skin(vertex_colors=position_colors(result.source.vertices, result.source.vertices))
-    target_skin = Skin(vertex_colors=position_colors(result.image(), result.source.vertices))
-    (figure,) = _draw_figures(models, [(FRONT, source_skin, target_skin, False)], THUMBNAIL_SIZE)
+    (figure,) = _draw_figures(models, [(FRONT, *_place_skins(result, result.image()), False)], THUMBNAIL_SIZE)
     return figure.target if figure.source is None else np.hstack([figure.source, figure.target])
 
 
@@ -199,8 +197,9 @@ def _skins(models: _ModelPair, texture: Pixels | None, baked: Pixels | None) -> 
         parents = models.source.face_parents[models.source.triangle_faces]
         colors = encode_srgb(colors_of_faces[parents])
         return "material colours", Skin(face_colors=colors), Skin(vertex_colors=colors[models.result.triangle])
-    source_checker = _checker(models.result.source.vertices, models.result.source.vertices)
-    target_checker = _checker(models.result.image(), models.result.source.vertices)
+    extent = matched_source_vertices(models.result)
+    source_checker = _checker(models.result.source.vertices, extent)
+    target_checker = _checker(models.result.image(), extent)
     return "checker", Skin(vertex_colors=source_checker), Skin(vertex_colors=target_checker)
 
 

@@ -12,7 +12,13 @@ from cagemap.report.figures import Pixels, display_image, runner_up_image
 from cagemap.report.marks import SOURCE, TARGET, find_marks
 from cagemap.report.models import Look, Models, Shape
 from cagemap.report.rig_panels import CLAY, NO_DATA, CarriedData, joint_colors, refined_wrap
-from cagemap.report.shown import MAX_MODEL_VERTICES, DisplaySurface, display_surfaces, reached_vertices
+from cagemap.report.shown import (
+    MAX_MODEL_VERTICES,
+    DisplaySurface,
+    display_surfaces,
+    matched_source_vertices,
+    reached_vertices,
+)
 from cagemap.report.viewpoints import Viewpoints
 from cagemap.transfer import face_colors
 from cagemap.transfer.textured_surface import TexturedSurface
@@ -63,9 +69,9 @@ def report_models(
     ]
     runner_up = runner_up_image(result)
     if runner_up is not None:
-        reference = result.source.vertices
-        on_source = position_colors(reference[source.vertices], reference)
-        on_target = position_colors(runner_up[target.vertices], reference)
+        extent = matched_source_vertices(result)
+        on_source = position_colors(result.source.vertices[source.vertices], extent)
+        on_target = position_colors(runner_up[target.vertices], extent)
         looks.append(
             Look("Other answer", "As Places, of the next best answer: is it the right one?", on_source, on_target)
         )

@@ -16,7 +16,7 @@ from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures import TRUST_SCALE, distinct_colors, scalar_colors
 from cagemap.report.marks import SOURCE, TARGET, Mark
-from cagemap.report.shown import DisplaySurface
+from cagemap.report.shown import DisplaySurface, matched_source_vertices
 
 CHECKER_CELLS = 24  # along the longest side
 
@@ -149,8 +149,9 @@ def pack_models(models: Models, result: MatchResult) -> tuple[str, str]:
 
 
 def _box(result: MatchResult) -> tuple[FloatArray, FloatArray]:
-    """Lowest corner and extent of the source."""
-    low, high = result.source.vertices.min(0), result.source.vertices.max(0)
+    """Lowest corner and extent of the source's matched area."""
+    vertices = matched_source_vertices(result)
+    low, high = vertices.min(0), vertices.max(0)
     span = high - low
     return low, np.maximum(span, 1e-9 * max(float(span.max()), np.finfo(np.float64).tiny))
 

@@ -75,6 +75,12 @@ def display_surfaces(
     )
 
 
+def matched_source_vertices(result: MatchResult) -> FloatArray:
+    """(m, 3) source vertices that are unmasked and have a counterpart; colours and checkers span their extent."""
+    vertices = result.source.vertices
+    return vertices[result.masks.within(result.shared).of_source(len(vertices)) > 0]
+
+
 def reached_vertices(result: MatchResult, source: DisplaySurface) -> NDArray[np.bool_]:
     """(n,) mask of the displayed source vertices that the map reaches."""
     images, triangles = result.point_map.images.positions, result.point_map.target.triangles

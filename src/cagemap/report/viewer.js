@@ -35,7 +35,7 @@
       if (look == 0) return texture2D(picture, vUv).rgb;
       if (look == 1) return vTint;
       if (look == 2) return mix(vec3(0.93, 0.90, 0.84), vec3(0.20, 0.45, 0.55), checker(vPlace * cells, 0.7));
-      if (look == 3) return (0.16 + 0.78 * vPlace) * mix(0.86, 1.0, checker(vPlace * cells, 0.7));
+      if (look == 3) return (0.16 + 0.78 * clamp(vPlace, 0.0, 1.0)) * mix(0.86, 1.0, checker(vPlace * cells, 0.7));
       float at = clamp(vDoubt, 0.0, 1.0) * 5.0;
       int i = int(min(at, 4.0));
       return mix(ramp[i], ramp[i + 1], at - float(i));

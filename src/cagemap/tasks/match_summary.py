@@ -12,9 +12,12 @@ import numpy as np
 from cagemap.files.gltf.document import GLTF_SUFFIXES
 from cagemap.files.result.manifest import doubt_message, landmark_messages, sure_message
 from cagemap.files.result.verdicts import map_verdict
+from cagemap.maps.hypotheses.confidence import describe_signs
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.tasks.requests.match import MatchRequest
+
+_DOUBT = "the map between the bodies may be wrong{}. Look at the result, and give --landmarks where it is wrong"
 
 
 def match_figures(result: MatchResult, seconds: float) -> dict[str, Any]:
@@ -48,15 +51,17 @@ def colors_option(mesh: ControlMesh) -> str | None:
 
 
 def next_commands(result: MatchResult, request: MatchRequest) -> str:
-    """The commands to type next, with the image or the colours that the source has."""
+    """The commands to type next: to mend a doubtful or poor map, else to transfer what the source has."""
     folder, file, source = shlex.quote(str(request.output)), request.source, result.source.control
+    report = f"cagemap report {folder}"
+    if doubt_message(result.manifest) or _poor_map(result.manifest):
+        return f"next: {report}, or cagemap suggest {folder} -o landmarks.json to add landmarks"
     look = "--texture IMG" if source.has_layout else colors_option(source)
     if file.suffix.lower() in GLTF_SUFFIXES:  # FBX and USD files would be converted once more, which takes seconds
         from cagemap.files import inner_texture  # here, since most matches need no reader of textures
 
         if inner_texture.color_texture(inner_texture.material_document(file, source), source) is not None:
             look = f"--texture {shlex.quote(str(file))}"
-    report = f"cagemap report {folder}"
     if look is not None:
         unwrap = "" if result.target.control.has_layout else " --unwrap"
         return f"next: cagemap transfer {folder} {look} -o OUT.png{unwrap}, or {report}"
@@ -96,13 +101,20 @@ def landmark_summary(result: MatchResult) -> str:
 def warnings(result: MatchResult) -> list[str]:
     """Notes and warnings of a result, and the report's verdict on a poor map."""
     manifest = result.manifest
-    verdict, sentence = map_verdict({**manifest, "confidence": None})  # the summary says why it is doubtful
-    poor = [sentence] if verdict == "poor" else []
-    return [*manifest["notes"], *landmark_messages(manifest), *manifest["quality"]["warnings"], *poor]
+    return [*manifest["notes"], *landmark_messages(manifest), *manifest["quality"]["warnings"], *_poor_map(manifest)]
 
 
 def body_warnings(result: MatchResult) -> list[str]:
-    """Warnings about landmarks and the map of two bodies; not the doubt, which names options of `cagemap match`."""
+    """Warnings about landmarks and the map of two bodies; a doubt without options of `cagemap match`."""
     manifest = result.manifest
     doubt = doubt_message(manifest)
-    return [*(text for text in landmark_messages(manifest) if text != doubt), *manifest["quality"]["warnings"]]
+    about_landmarks = [text for text in landmark_messages(manifest) if text != doubt]
+    found = [f": {finding}" for finding in describe_signs(manifest["confidence"]["signs"])] if doubt else []
+    doubts = [_DOUBT.format(*found[:1] or [""])] if doubt else []
+    return [*about_landmarks, *manifest["quality"]["warnings"], *_poor_map(manifest), *doubts]
+
+
+def _poor_map(manifest: Mapping[str, Any]) -> list[str]:
+    """The report's verdict on a poor map; none of others."""
+    verdict, sentence = map_verdict({**manifest, "confidence": None})  # other messages say why it is doubtful
+    return [sentence] if verdict == "poor" else []

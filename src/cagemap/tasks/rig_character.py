@@ -29,12 +29,12 @@ from cagemap.files.images.image import png_bytes
 from cagemap.files.inner_texture import color_image, material_document
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh, read_whole, referred_files
+from cagemap.files.result.manifest import doubt_message
 from cagemap.files.text import require_suffix
 from cagemap.files.usd.character import write_usd_character
 from cagemap.files.usd.convert import document_and_character
 from cagemap.files.usd.space import similar_space
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd, usd_modules
-from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.checks import check_mesh
 from cagemap.mesh.curves import CagePoints, Curve, CurvePair, NamedPoints, on_cage
@@ -58,7 +58,6 @@ from cagemap.tasks.rig_materials import (
 
 _log = logging.getLogger(__name__)
 
-_DOUBT = "the bodies may be matched wrongly: look at the result, and give --landmarks where it is wrong"
 
 
 def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
@@ -137,12 +136,12 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
         notes += write_character(request.output, dressed, rigged_document, inputs, force=request.force)
         if request.report is not None:
             _write_report(request.report, carried, source, of, baked, force=request.force)
-    confidence = carried.result.confidence
-    doubt = [] if confidence is None or confidence.verdict == SURE else [_DOUBT]
     stages.record(_figures(dressed) | {"trusted_area": carried.result.quality.trusted_area})
-    warnings = [*body_warnings(carried.result), *(doubt or up_warning(carried.result.point_map, request.body))]
-    warnings += size_warning(carried.result, request.body, request.like)
-    return _summary(request, dressed), [*notes, *warnings]
+    notes += body_warnings(carried.result)
+    if not doubt_message(carried.result.manifest):
+        notes += up_warning(carried.result.point_map, request.body)
+    notes += size_warning(carried.result, request.body, request.like)
+    return _summary(request, dressed), notes
 
 
 def _require_paths(request: RigRequest) -> None:

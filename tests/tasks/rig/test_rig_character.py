@@ -38,7 +38,7 @@ from cagemap.tasks.carry_character import CarriedCharacter, carry_character
 from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
-from cagemap.tasks.rig_character import _DOUBT, _kinds, _landmarks, character_body, read_body
+from cagemap.tasks.rig_character import _kinds, _landmarks, character_body, read_body
 from cagemap.tasks.rig_checks import split_body_warning, up_warning
 
 from command_line import Run
@@ -463,14 +463,15 @@ def test_a_body_with_another_axis_up_is_named() -> None:
 def test_a_doubtful_match_is_named_and_the_axis_only_of_a_sure_one(files, body, verdict, monkeypatch) -> None:
     def with_verdict(*given: Any, **options: Any) -> CarriedCharacter:
         found = carry_character(*given, **options)
-        confidence = SimpleNamespace(verdict=verdict, summary=dict)
+        said = {"verdict": verdict, "message": verdict, "signs": {}}
+        confidence = SimpleNamespace(verdict=verdict, summary=said.copy)
         return replace(found, result=replace(found.result, confidence=confidence))
 
     monkeypatch.setattr("cagemap.tasks.rig_character.carry_character", with_verdict)
     lying = body.with_positions(body.positions @ Rotation.from_rotvec([np.pi / 2, 0, 0]).as_matrix())
     write_mesh("B.glb", lying, force=True)
     outcome = tasks.run(RigRequest(Path("B.glb"), Path("C.glb"), Path("OUT.glb")))
-    said = [any(words in text for text in outcome.warnings) for words in (_DOUBT, "glTF has Y up")]
+    said = [any(words in text for text in outcome.warnings) for words in ("may be wrong", "glTF has Y up")]
     assert said == [verdict != SURE, verdict == SURE]
 
 
@@ -530,6 +531,14 @@ def test_landmarks_that_are_left_out_and_warnings_of_the_map_are_said(body, monk
     lost = "1 of 2 landmarks lie on pieces that are set aside and are left out"
     assert bodies.notes == (lost,)
     assert body_warnings(bodies.result) == ["nose: left out", "5 % is folded"]
+    confidence = {"verdict": "look at it", "message": "use `answer=1`", "signs": {"jumps": 0.08, "cost": 9.0}}
+    quality = {"warnings": [], "flipped_area": 0.2}
+    doubtful = SimpleNamespace(manifest={"confidence": confidence, "quality": quality})
+    assert body_warnings(doubtful) == [
+        "Do not use this map as it is: 20.00 % of the target is folded over.",
+        "the map between the bodies may be wrong: it jumps between parts that only touch, at 8 % of the target. Look "
+        "at the result, and give --landmarks where it is wrong",
+    ]
 
 
 def test_vertices_that_the_repair_splits_have_the_values_of_their_place() -> None:

@@ -18,7 +18,7 @@ from cagemap.deform.placement import Placement, distinct_placements, sort_by_cos
 from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.deform.refit import clusters_in_pose
 from cagemap.maps.hypotheses.starts import rigid_starts
-from cagemap.maps.masks import Masks
+from cagemap.maps.masks import WHOLE_SHARE, Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import distortion, stretches, weighted_percentiles
 from cagemap.mesh.mesh_report import FileVertex, place_text
@@ -48,6 +48,11 @@ WARNING_SIGNS: dict[str, WarningSign] = {
     ),
     # Share of the target's area at which the map jumps: distant parts of the target are on one place of the source.
     "jumps": WarningSign(0.03, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
+    # Share of the larger surface without a counterpart, if `stretched` is beyond its bound at equal area only; else 0.
+    "small_part": WarningSign(
+        1.0 - WHOLE_SHARE,
+        "{percent:.0f} % of the larger model has no counterpart, and so small a part may fit in other places too",
+    ),
     # Median `distortion`, by the target's area. Both surfaces have unit area, parts too: relative to the shared area,
     # wrong places of small parts were 'sure' (docs/lab/parts.md).
     "stretched": WarningSign(
@@ -146,14 +151,15 @@ class Confidence:
         answer = f"the target is aligned with the source {best.name}"
         if self.verdict == SURE:
             return f"sure: {answer}; no other alignment fits nearly as well"
+        hint = f". Add landmarks, first at target vertex {vertex}" if self.deciding is not None else ". Add landmarks"
         if self.verdict == TWO:
-            return (
-                f"two answers: {answer}, but the alignment {others[0].name} fits as well (`answer=1`). A landmark at "
-                f"target vertex {vertex} decides"
-            )
+            both = f"two answers: {answer}, but the alignment {others[0].name} fits as well (`answer=1`)"
+            of_both = {name: value for name, value in self.signs.items() if name not in ("turned", "runner_up")}
+            if found := describe_signs(of_both):
+                return f"{both}, and both may be wrong: {found[0]}{hint}"
+            return f"{both}. A landmark at target vertex {vertex} decides"
         why = next(iter(describe_signs(self.signs)), NOT_JUDGED)
-        hint = f", first at target vertex {vertex}" if self.deciding is not None else ""
-        return f"look at it: {answer}, but {why}. Add landmarks{hint}"
+        return f"look at it: {answer}, but {why}{hint}"
 
     def summary(self) -> dict[str, Any]:
         """Plain values for a manifest."""
@@ -183,8 +189,12 @@ def answer_confidence(
     ``jumps`` are the map's `jump_lengths` (n,). Area that is masked or not shared is ignored.
     """
     prepared, controls = problem.prepared, problem.prepared.control_vertices
-    weights = prepared.masks.within(shared).of_target(point_map.target.n)
+    surfaces, masks = (point_map.target, point_map.source), prepared.masks.within(shared)
+    weights, max_stretch = masks.of_target(point_map.target.n), WARNING_SIGNS["stretched"].bound
     signs = {"jumps": jump_share(prepared, jumps), "stretched": median_distortion(point_map, weights)}
+    ratio = masks.length_ratio(*surfaces)
+    if shared is not None and median_distortion(point_map, weights, ratio) <= max_stretch < signs["stretched"]:
+        signs["small_part"] = 1.0 - min(shared.shares(*surfaces))
     confidence = Confidence.of(answers, controls, signs, weights)
     if confidence.verdict == SURE:  # as slow as all other signs: only where none of them is beyond its bound
         signs["mirrored"] = mirrored_gain(problem, answers[0].positions)
