@@ -18,9 +18,12 @@ from cagemap.tasks.mesh_commands import run_refine
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import RefineRequest
 
+SHEAR = np.array([[1.0, 0.1, 0.2], [0.0, 1.0, 0.1], [0.0, 0.0, 1.0]])
 
-def split(mesh: ControlMesh) -> ControlMesh:
+
+def split(mesh: ControlMesh, shift: int = 0) -> ControlMesh:
     corners, faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
+    corners, faces = np.roll(corners.reshape(-1, 3), shift, axis=0), np.roll(faces, shift)
     return with_corners_of(mesh, faces, np.arange(0, 3 * len(faces) + 1, 3), corners.ravel())
 
 
@@ -28,11 +31,13 @@ def faces_of(mesh: ControlMesh) -> set[tuple[int, ...]]:
     return {tuple(sorted(mesh.face(number).tolist())) for number in range(mesh.n_faces)}
 
 
-@pytest.mark.parametrize("mesh", [cube(), creature()])
-def test_quads_come_back(mesh: ControlMesh) -> None:
+@pytest.mark.parametrize(
+    ("mesh", "shift"), [(cube(), 0), (creature(), 0), (cube().with_positions(9.0 * cube().positions @ SHEAR), 1)]
+)
+def test_quads_come_back(mesh: ControlMesh, shift: int) -> None:
     uvs = np.random.default_rng(2).uniform(size=(mesh.n_vertices, 2))
     mesh = replace(mesh, uvs=uvs, uv_indices=mesh.face_indices)
-    joined, count = join_quads(split(mesh))
+    joined, count = join_quads(split(mesh, shift))
     assert count == int((mesh.face_sizes == 4).sum())
     assert faces_of(joined) == faces_of(mesh)
     require_valid(joined)
