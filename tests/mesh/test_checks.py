@@ -31,6 +31,7 @@ def test_valid_shapes_pass_at_every_scale_and_place(name: str, scale: float) -> 
     report = check_mesh(moved)
     assert report.is_valid
     assert report.genus == genus
+    assert f"  {2 - 2 * genus - loops}  (genus {genus})\n" in str(report)
     assert handle_count(mesh) == genus
     assert len(report.boundary_loops) == loops
     assert report.component_sizes == (mesh.n_faces,)

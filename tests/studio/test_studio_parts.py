@@ -345,6 +345,8 @@ def test_a_scan_is_offered_to_be_taken_as_it_is_and_is_where_it_is_no_cage(tmp_p
     assert "is no valid cage" in torn.notes[0]
     # A small mesh of triangles too: models of games have such faults. What is wrong with it is said.
     small = icosahedron()
+    write_mesh(tmp_path / "small.obj", small)
+    assert not open_model(tmp_path / "small.obj", None, None, 300).dense
     faces = np.concatenate([small.face_indices.reshape(-1, 3), [[*small.face_indices[:2], 9]]])
     write_mesh(tmp_path / "small.obj", ControlMesh.from_faces(small.positions, faces.tolist()))
     repaired = open_model(tmp_path / "small.obj", None, None, 300)

@@ -143,7 +143,7 @@ def test_undo_and_redo_walk_the_same_way_back_and_forth(todo: list[str]) -> None
 
 
 def test_a_name_typed_letter_by_letter_is_one_step() -> None:
-    history = History().advance(pair(pair(LandmarkList(), 1.0), 2.0))
+    history = History().advance(pair(LandmarkList(), 1.0)).advance(pair(pair(LandmarkList(), 1.0), 2.0))
     before = history
     for typed in ("e", "ey", "eye"):
         history = history.rename_landmark(1, typed)
