@@ -183,7 +183,8 @@ def test_slits_are_noted_and_openings_are_not() -> None:
     mesh = grid(4, 4)
     assert check_mesh(mesh).notes == ()
     hole = keep_faces(mesh, np.setdiff1d(np.arange(16), [5]))
-    assert check_mesh(hole).notes == ()
+    for size in (0.1, 1.0, 10.0):
+        assert check_mesh(hole.with_positions(size * hole.positions)).notes == ()
     corners = hole.face_indices.copy()
     positions = hole.positions.copy()
     a, b, c, d = faces_of(mesh)[5]
