@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import creature, cube
+from examples.shapes import creature, cube, grid
 
 from cagemap.errors import InvalidMeshError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
@@ -31,9 +31,12 @@ def faces_of(mesh: ControlMesh) -> set[tuple[int, ...]]:
     return {tuple(sorted(mesh.face(number).tolist())) for number in range(mesh.n_faces)}
 
 
-@pytest.mark.parametrize(
-    ("mesh", "shift"), [(cube(), 0), (creature(), 0), (cube().with_positions(9.0 * cube().positions @ SHEAR), 1)]
-)
+SHEARED = cube().with_positions(9.0 * cube().positions @ SHEAR)
+# One face has a corner of almost 180 degrees: only the order of its triangles says that they were a quad.
+FLAT = grid(4, 4).with_positions(np.where(np.arange(25)[:, None] == 12, (2.48, 2.48, 0.0), grid(4, 4).positions))
+
+
+@pytest.mark.parametrize(("mesh", "shift"), [(cube(), 0), (creature(), 0), (SHEARED, 1), (FLAT, 0)])
 def test_quads_come_back(mesh: ControlMesh, shift: int) -> None:
     uvs = np.random.default_rng(2).uniform(size=(mesh.n_vertices, 2))
     mesh = replace(mesh, uvs=uvs, uv_indices=mesh.face_indices)
