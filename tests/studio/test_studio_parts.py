@@ -106,6 +106,7 @@ def test_what_is_left_alone_is_drawn_apart(folder: Path) -> None:
     rest = model.look.other_parts
     # The hat lies five above, the eye inside.
     assert rest.positions[:, 1].max() > 5
+    assert (model.level, len(rest.triangles)) == (1, 2 * 2 * 4 * 6)  # subdivided as often as the open part
     assert b'"other_parts"' in source_skin(model)
     write_mesh(folder / "one.obj", creature())
     alone = open_model(folder / "one.obj", None, None, 300)
